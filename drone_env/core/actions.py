@@ -1,0 +1,51 @@
+"""What the drone can do, what can happen to it, and how an episode can end."""
+
+from enum import IntEnum
+
+
+class Action(IntEnum):
+    """The five actions. Rows grow downwards, so UP is y - 1."""
+
+    UP = 0
+    DOWN = 1
+    LEFT = 2
+    RIGHT = 3
+    WAIT = 4
+
+
+ACTION_OFFSETS: dict[Action, tuple[int, int]] = {
+    Action.UP: (0, -1),
+    Action.DOWN: (0, 1),
+    Action.LEFT: (-1, 0),
+    Action.RIGHT: (1, 0),
+    Action.WAIT: (0, 0),
+}
+N_ACTIONS = len(Action)
+
+
+class Event(IntEnum):
+    """What a step came to. Of several that hold, the first in this order is the step's event."""
+
+    DELIVERY = 0
+    BATTERY_DEAD = 1
+    WALL = 2
+    BLOCKED = 3
+    OBSTACLE = 4
+    BUILDING = 5
+    TREE = 6
+    WAIT = 7
+    STEP = 8
+    NONE = 9
+    """No step was taken: the episode has just begun, or had already ended."""
+
+
+N_EVENTS = len(Event)
+
+
+class Outcome(IntEnum):
+    """How an episode stands. Everything but FLYING has ended it, and ended it as part of the task (`terminated`)."""
+
+    FLYING = 0
+    DELIVERED = 1
+    BATTERY_DEAD = 2
+    OUT_OF_STEPS = 3

@@ -1,0 +1,40 @@
+"""What can stand in a cell of the grid. The ids are frozen: networks and replays depend on them."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+
+class Cell(IntEnum):
+    """Cell ids as they stand in grids; new kinds are added at the end."""
+
+    ROAD = 0
+    BUILDING = 1
+    TREE = 2
+    OBSTACLE = 3
+    DELIVERY = 4
+    DELIVERED = 5
+    DRONE = 6
+    UNKNOWN = 7
+    PAD = 8
+
+
+class CellKind(NamedTuple):
+    """How a cell id is shown to people."""
+
+    name: str
+    emoji: str
+    effect: str
+
+
+CELL_KINDS: dict[Cell, CellKind] = {
+    Cell.ROAD: CellKind("road", "🛣", "free flight"),
+    Cell.BUILDING: CellKind("building", "🏢", "collision reward while above it"),
+    Cell.TREE: CellKind("tree", "🌳", "collision reward while above it"),
+    Cell.OBSTACLE: CellKind("obstacle", "🚧", "obstacle reward while above it"),
+    Cell.DELIVERY: CellKind("delivery", "📦", "fly here to deliver the parcel"),
+    Cell.DELIVERED: CellKind("delivered", "✅", "this parcel has been delivered"),
+    Cell.DRONE: CellKind("drone", "🚁", "where the drone is; hides the cell below"),
+    Cell.UNKNOWN: CellKind("unknown", "❔", "never on a map; padding for networks"),
+    Cell.PAD: CellKind("pad", "🔋", "waiting here charges the battery"),
+}
+N_CELL_KINDS = len(CELL_KINDS)

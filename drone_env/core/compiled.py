@@ -1,0 +1,40 @@
+"""The functions of `dynamics`, compiled by Numba: the same source, not a second copy.
+
+Importing this module costs Numba's import; compiling happens at the first call.
+"""
+
+import numba  # pyright: ignore[reportMissingTypeStubs]
+from numba.extending import register_jitable  # pyright: ignore
+
+from drone_env.core import drone, dynamics, grid_generator, observation, obstacles, rewards, score, seeds
+
+INLINED = (
+    seeds.wrap64,
+    seeds.mix64,
+    seeds.map_key,
+    seeds.next_key,
+    seeds.uniform_below,
+    seeds.next_seed,
+    score.score_of,
+    score.score,
+    grid_generator.draw_road,
+    grid_generator.scatter,
+    drone.place,
+    drone.use_battery,
+    drone.distance,
+    obstacles.collision,
+    obstacles.terrain_event,
+    rewards.reward_of,
+    dynamics.begin,
+    dynamics.deliver,
+    dynamics.choose_target,
+    dynamics.outcome,
+    dynamics.event,
+    observation.write_telemetry,
+    observation.write_action_mask,
+)
+for function in INLINED:
+    register_jitable(function)
+
+reset = numba.njit(dynamics.reset)
+step = numba.njit(dynamics.step)

@@ -1,0 +1,30 @@
+"""What an agent sees beside the grid, written into buffers that the caller owns."""
+
+from drone_env.core.actions import N_ACTIONS, Event
+from drone_env.core.obstacles import collision
+from drone_env.core.rules import BATTERY, CELL, STEPS, TARGET, Buffer, FloatBuffer, Rules
+
+FREE = int(Event.NONE)
+
+
+def write_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
+    """Write drone x/width, y/height, battery/capacity, target x/width, y/height into float32[5].
+
+    Where nothing is left to deliver, the drone's own position stands for the target. Tasks whose battery does not
+    tell the time have a sixth value: the share of steps left.
+    """
+    cell = row[CELL]
+    target = row[TARGET] if row[TARGET] >= 0 else cell
+    telemetry[0] = rules.columns[cell] / rules.width
+    telemetry[1] = rules.lines[cell] / rules.height
+    telemetry[2] = row[BATTERY] / rules.capacity
+    telemetry[3] = rules.columns[target] / rules.width
+    telemetry[4] = rules.lines[target] / rules.height
+    if rules.telemetry_size > 5:
+        telemetry[5] = (rules.max_steps - row[STEPS]) / rules.max_steps
+
+
+def write_action_mask(rules: Rules, grid: Buffer, row: Buffer, mask: Buffer) -> None:
+    """Write into int8[5] 1 for each action that moves or waits, 0 for each that would bump. Advice, never enforced."""
+    for action in range(N_ACTIONS):
+        mask[action] = 1 if collision(rules, grid, row, action) == FREE else 0

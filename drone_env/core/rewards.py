@@ -1,0 +1,190 @@
+"""Reward profiles: what a step pays. Data, not code; a new profile is one more entry in `REWARD_PROFILES`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from decimal import Decimal
+from fractions import Fraction
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drone_env.core.actions import N_EVENTS, Event, Outcome
+from drone_env.core.rules import DELIVERIES, DISTANCE, EVENT, OUTCOME, Buffer, Rules
+from drone_env.core.score import score
+from drone_env.core.tasks import TaskConfig
+from drone_env.errors import InvalidTaskError, UnknownNameError
+
+FLYING = int(Outcome.FLYING)
+
+
+@dataclass(frozen=True, eq=False)
+class RewardProfile:
+    """What a step pays: the sum of the parts that are switched on.
+
+    Attributes:
+        id: Unique name.
+        summary: One line for people.
+        task_events: Whether events pay the task's own `r_...` numbers; otherwise they pay 0.
+        events: What single events pay instead of that.
+        shaping: Paid per cell that the step came closer to the current target (less for farther).
+        clamp: Bounds of the event reward with its shaping, or None.
+        shaping_gamma: Discount of potential-based shaping gamma * phi(s') - phi(s) with
+            phi = 0.8 * k/D - 0.8/D * d/(W + H), and phi = 0 at the end (Ng, Harada, Russell, "Policy invariance under
+            reward transformations", ICML 1999); k of D parcels delivered, d to the current target. None for none.
+        pays_score: Whether the end of the episode pays the graded score.
+    """
+
+    id: str
+    summary: str
+    task_events: bool = False
+    events: Mapping[Event, Decimal] = field(default_factory=lambda: MappingProxyType({}))
+    shaping: Decimal = Decimal(0)
+    clamp: tuple[Decimal, Decimal] | None = None
+    shaping_gamma: Decimal | None = None
+    pays_score: bool = False
+
+    def __post_init__(self) -> None:
+        if self.clamp is not None and self.clamp[0] > self.clamp[1]:
+            raise InvalidTaskError(f"reward profile {self.id!r}: clamp {self.clamp} has no room between its bounds")
+        if self.shaping_gamma is not None and not 0 <= self.shaping_gamma <= 1:
+            raise InvalidTaskError(f"reward profile {self.id!r}: shaping_gamma must be in [0, 1]")
+
+
+_CLAMP = (Decimal("0.01"), Decimal("0.99"))
+_TERRAIN = Decimal("0.02")
+
+REWARD_PROFILES: dict[str, RewardProfile] = {
+    profile.id: profile
+    for profile in (
+        RewardProfile(
+            id="tiered",
+            summary="the task's own reward for each event, plus 0.05 per cell closer, clamped to [0.01, 0.99]",
+            task_events=True,
+            shaping=Decimal("0.05"),
+            clamp=_CLAMP,
+        ),
+        RewardProfile(
+            id="composite",
+            summary="step 0.05, wait 0.01, terrain and bumps 0.02, delivery and dead battery as in tiered",
+            task_events=True,
+            events=MappingProxyType(
+                {
+                    Event.STEP: Decimal("0.05"),
+                    Event.WAIT: Decimal("0.01"),
+                    Event.OBSTACLE: _TERRAIN,
+                    Event.BUILDING: _TERRAIN,
+                    Event.TREE: _TERRAIN,
+                    Event.WALL: _TERRAIN,
+                    Event.BLOCKED: _TERRAIN,
+                }
+            ),
+            shaping=Decimal("0.05"),
+            clamp=_CLAMP,
+        ),
+        RewardProfile(
+            id="aligned",
+            summary="the graded score at the end, plus potential-based shaping: the profile to train on",
+            shaping_gamma=Decimal("0.99"),
+            pays_score=True,
+        ),
+        RewardProfile(id="score", summary="the graded score at the end, nothing else", pays_score=True),
+    )
+}
+
+
+def get_reward_profile(name: str | RewardProfile) -> RewardProfile:
+    """The reward profile of this name; a `RewardProfile` is handed back as it is.
+
+    Raises:
+        UnknownNameError: if there is none; the message lists the valid names.
+    """
+    if isinstance(name, RewardProfile):
+        return name
+    if name not in REWARD_PROFILES:
+        raise UnknownNameError("reward profile", name, REWARD_PROFILES)
+    return REWARD_PROFILES[name]
+
+
+class Rewards(NamedTuple):
+    """A profile's tables for one task. Arrays when compiled, memory views when interpreted."""
+
+    events: Buffer
+    """float64[events * 3], at event * 3 + closer + 1."""
+    shaped: int
+    """1 if the potential is in use."""
+    stride: int
+    """Entries of the potential per number of deliveries."""
+    potential: Buffer
+    """phi(s): float64, at deliveries * stride + distance."""
+    discounted: Buffer
+    """gamma * phi(s), laid out alike."""
+    pays_score: int
+    """1 if the end pays the score."""
+
+
+@lru_cache(maxsize=64)
+def tabulate_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
+    """The profile's tables for a task as NumPy arrays, for compiled code. Shared: do not write to them.
+
+    Every entry is computed exactly and rounded once, so 0.10 + 0.05 is 0.15.
+    """
+    events = np.zeros(N_EVENTS * 3)
+    for event in Event:
+        if event is Event.NONE:
+            continue
+        own = Decimal(str(getattr(task, f"r_{event.name.lower()}"))) if profile.task_events else Decimal(0)
+        for closer in (-1, 0, 1):
+            value = profile.events.get(event, own) + profile.shaping * closer
+            if profile.clamp is not None:
+                value = min(max(value, profile.clamp[0]), profile.clamp[1])
+            events[event * 3 + closer + 1] = float(value)
+
+    total = task.deliveries
+    stride = task.width + task.height
+    gamma = Fraction(profile.shaping_gamma or 0)
+    phi = [
+        Fraction(8, 10) / total * (done - (Fraction(far, stride) if done < total else 0))
+        for done in range(total + 1)
+        for far in range(stride)
+    ]
+    rewards = Rewards(
+        events=events,
+        shaped=int(profile.shaping_gamma is not None),
+        stride=stride,
+        potential=np.array([float(value) for value in phi]),
+        discounted=np.array([float(gamma * value) for value in phi]),
+        pays_score=int(profile.pays_score),
+    )
+    for table in (rewards.events, rewards.potential, rewards.discounted):
+        table.setflags(write=False)  # type: ignore[union-attr]
+    return rewards
+
+
+@lru_cache(maxsize=64)
+def interpreted_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
+    """The same tables as memory views, for interpreted code."""
+    values: Any = tabulate_rewards(task, profile)
+    return Rewards(*(memoryview(value) if isinstance(value, np.ndarray) else value for value in values))
+
+
+def reward_of(
+    rules: Rules, rewards: Rewards, row: Buffer, closer: int, deliveries_before: int, distance_before: int
+) -> float:
+    """What the step that led to `row` pays.
+
+    Args:
+        closer: Cells by which the step came closer to the target that was current before it: -1, 0 or 1.
+        deliveries_before: Parcels delivered before the step.
+        distance_before: Distance to the current target before the step.
+    """
+    reward = rewards.events[row[EVENT] * 3 + closer + 1]
+    ended = row[OUTCOME] != FLYING
+    if rewards.shaped:
+        reward -= rewards.potential[deliveries_before * rewards.stride + distance_before]
+        if not ended:
+            reward += rewards.discounted[row[DELIVERIES] * rewards.stride + row[DISTANCE]]
+    if rewards.pays_score and ended:
+        reward += score(rules, row)
+    return reward

@@ -1,0 +1,144 @@
+"""A task as tables, and the layout of an episode's state.
+
+`tabulate(task)` turns a `TaskConfig` into small tables once; a step then only looks things up, so a new number or
+mechanic is a new entry and not a new branch. The same tables serve compiled code (as NumPy arrays) and interpreted
+code (as memory views, whose items are plain Python integers).
+
+The state of one episode is two buffers:
+
+- `grid`: one cell id per cell, row by row (cell number = y * width + x), as the drone sees it: its own id hides what
+  lies below it.
+- `row`: the integers named below, then one entry per delivery: its cell number, or the cell number inverted (`~cell`,
+  below zero) once it has been delivered.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.core.actions import ACTION_OFFSETS, Event
+from drone_env.core.cells import N_CELL_KINDS, Cell
+from drone_env.core.seeds import task_key
+from drone_env.core.tasks import TaskConfig
+
+Buffer: TypeAlias = "memoryview[int]"
+"""A one-dimensional buffer of integers: a memory view when interpreted, a NumPy array when compiled."""
+FloatBuffer: TypeAlias = "memoryview[float]"
+"""The same, of floating-point numbers."""
+
+CELL = 0
+"""Where the drone is."""
+UNDER = 1
+"""The kind of the cell below it."""
+STEPS = 2
+"""Steps taken."""
+BATTERY = 3
+"""Battery units left."""
+DELIVERIES = 4
+"""Parcels delivered."""
+TARGET = 5
+"""Cell of the current target, or -1 when none is left."""
+DISTANCE = 6
+"""Manhattan distance to the current target; 0 when none is left."""
+EVENT = 7
+"""What the last step came to (`Event`)."""
+OUTCOME = 8
+"""How the episode stands (`Outcome`)."""
+PARCELS = 9
+"""From here on: one entry per delivery."""
+
+
+class Rules(NamedTuple):
+    """A task's tables. Arrays when compiled, memory views when interpreted; `cells` is width * height."""
+
+    key: int
+    """Sets this task's maps apart from those of others."""
+    width: int
+    height: int
+    cells: int
+    deliveries: int
+    max_steps: int
+    capacity: int
+    charge_rate: int
+    columns: Buffer
+    """x of each cell, int16[cells]."""
+    lines: Buffer
+    """y of each cell, int16[cells]."""
+    moves: Buffer
+    """Cell reached from `cell` by `action`, or -1 for the wall: int16[cells * 5], at cell * N_ACTIONS + action."""
+    passable: Buffer
+    """Whether the drone can enter a kind of cell, uint8[kinds]."""
+    drain: Buffer
+    """Battery units a step above a kind of cell costs, int16[kinds]."""
+    terrain_event: Buffer
+    """The event of being above a kind of cell, uint8[kinds]; `Event.STEP` where there is nothing to report."""
+    counts: Buffer
+    """How many cells of a kind a map holds, int16[kinds]; `placed` says in which order they are placed."""
+    placed: Buffer
+    """Kinds in the order in which they are placed on the map, uint8[...]."""
+    telemetry_size: int
+    """Values in the telemetry: 5, or 6 with the share of steps left."""
+
+
+def row_size(rules: Rules) -> int:
+    """Length of an episode's `row`."""
+    return PARCELS + rules.deliveries
+
+
+@lru_cache(maxsize=64)
+def tabulate(task: TaskConfig) -> Rules:
+    """The task's tables as NumPy arrays, for compiled code. Shared: do not write to them."""
+    width, height = task.width, task.height
+    cells = width * height
+    moves = np.full((height, width, len(ACTION_OFFSETS)), -1, np.int16)
+    for y in range(height):
+        for x in range(width):
+            for action, (dx, dy) in ACTION_OFFSETS.items():
+                if 0 <= x + dx < width and 0 <= y + dy < height:
+                    moves[y, x, action] = (y + dy) * width + x + dx
+
+    passable = np.ones(N_CELL_KINDS, np.uint8)
+    passable[list(task.impassable)] = 0
+    drain = np.ones(N_CELL_KINDS, np.int16)
+    for kind, units in task.drain:
+        drain[kind] = units
+    terrain_event = np.full(N_CELL_KINDS, Event.STEP, np.uint8)
+    terrain_event[Cell.OBSTACLE] = Event.OBSTACLE
+    terrain_event[Cell.BUILDING] = Event.BUILDING
+    terrain_event[Cell.TREE] = Event.TREE
+    counts = np.zeros(N_CELL_KINDS, np.int16)
+    for kind, count in task.cell_counts().items():
+        counts[kind] = count
+
+    numbers = np.arange(cells, dtype=np.int16)
+    rules = Rules(
+        key=task_key(task.id, task.version),
+        width=width,
+        height=height,
+        cells=cells,
+        deliveries=task.deliveries,
+        max_steps=task.max_steps,
+        capacity=task.battery_capacity,
+        charge_rate=task.charge_rate,
+        columns=numbers % width,
+        lines=numbers // width,
+        moves=moves.reshape(-1),
+        passable=passable,
+        drain=drain,
+        terrain_event=terrain_event,
+        counts=counts,
+        placed=np.array(list(task.cell_counts()), np.uint8),
+        telemetry_size=task.telemetry_size,
+    )
+    for table in rules:
+        if isinstance(table, np.ndarray):
+            table.setflags(write=False)
+    return rules
+
+
+@lru_cache(maxsize=64)
+def interpreted(task: TaskConfig) -> Rules:
+    """The same tables as memory views, for interpreted code."""
+    return Rules(*(memoryview(table) if isinstance(table, np.ndarray) else table for table in tabulate(task)))

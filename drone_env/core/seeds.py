@@ -1,0 +1,118 @@
+"""Seeds, their splits, and the counter-based random numbers that a map is drawn from.
+
+The generator is SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014).
+`wrap64`, `mix64`, `map_key` and `next_seed` run interpreted (integers that grow) and compiled (64-bit integers
+that wrap, signed) and give the same bits: every product is wrapped, every right shift is masked, and every literal
+fits in a signed 64-bit integer, so that no compiler has to choose between signed and unsigned.
+"""
+
+import hashlib
+import operator
+from typing import NamedTuple, SupportsIndex
+
+from drone_env.errors import InvalidValueError, UnknownNameError
+
+MASK32 = (1 << 32) - 1
+GOLDEN = 0x9E3779B97F4A7C15 - (1 << 64)
+MIX_1 = 0xBF58476D1CE4E5B9 - (1 << 64)
+MIX_2 = 0x94D049BB133111EB - (1 << 64)
+
+N_SEEDS = 1 << 53
+"""Seeds lie in [0, 2^53), so that JSON, JavaScript and SQLite keep them."""
+
+TRAIN_MASK = (1 << 52) - 1
+SEED_STRIDE = 0x9E3779B97F4A7
+"""Odd, so the walk visits every train seed before it repeats; near 2^52 / golden ratio, so that walks that start
+close together stay apart (Weyl sequence)."""
+
+
+class Split(NamedTuple):
+    """The seeds in [start, stop)."""
+
+    start: int
+    stop: int
+
+
+SPLITS: dict[str, Split] = {
+    "train": Split(0, 1 << 52),
+    "validation": Split(1 << 52, (1 << 52) + (1 << 51)),
+    "test": Split((1 << 52) + (1 << 51), N_SEEDS),
+}
+
+
+def wrap64(x: int) -> int:
+    """The low 64 bits of `x`."""
+    return (((x >> 32) & MASK32) << 32) | (x & MASK32)
+
+
+def mix64(z: int) -> int:
+    """SplitMix64's finalizer: a bijection of 64-bit integers."""
+    z = wrap64((z ^ ((z >> 30) & 0x3FFFFFFFF)) * MIX_1)
+    z = wrap64((z ^ ((z >> 27) & 0x1FFFFFFFFF)) * MIX_2)
+    return z ^ ((z >> 31) & 0x1FFFFFFFF)
+
+
+def map_key(task_key: int, seed: int) -> int:
+    """Where the random numbers of map `seed` start: different for different seeds of one task."""
+    return mix64(mix64(seed) ^ task_key)
+
+
+def next_key(key: int) -> int:
+    """The following state of the generator."""
+    return wrap64(key + GOLDEN)
+
+
+def uniform_below(key: int, n: int) -> int:
+    """An integer in [0, n) from the generator's state `key`; for n <= 2^16 the bias is below 2^-16 of 1/n."""
+    return (((mix64(key) >> 32) & MASK32) * n) >> 32
+
+
+def next_seed(seed: int) -> int:
+    """The seed that a reset without a seed flies after map `seed`: a fixed walk inside the train split."""
+    return (seed + SEED_STRIDE) & TRAIN_MASK
+
+
+def task_key(task_id: str, version: int) -> int:
+    """63 bits that set the maps of one task and version apart from those of any other."""
+    digest = hashlib.sha256(f"{task_id}/{version}".encode()).digest()
+    return int.from_bytes(digest[:8], "big") >> 1
+
+
+def check_seed(seed: SupportsIndex) -> int:
+    """`seed` as an int.
+
+    Raises:
+        InvalidValueError: if it is not an integer in [0, 2^53).
+    """
+    message = f"seed must be an integer in [0, 2^53), got {seed!r}"
+    if isinstance(seed, bool):
+        raise InvalidValueError(message)
+    try:
+        value = operator.index(seed)
+    except TypeError:
+        raise InvalidValueError(message) from None
+    if not 0 <= value < N_SEEDS:
+        raise InvalidValueError(message)
+    return value
+
+
+def split_seeds(split: str, episodes: int, offset: int = 0) -> range:
+    """The seeds `offset` to `offset + episodes` of a split.
+
+    Raises:
+        UnknownNameError: if there is no such split.
+        InvalidValueError: if the split does not hold that many seeds.
+    """
+    if split not in SPLITS:
+        raise UnknownNameError("split", split, SPLITS)
+    start, stop = SPLITS[split]
+    if episodes < 0 or offset < 0 or start + offset + episodes > stop:
+        raise InvalidValueError(
+            f"split {split!r} holds {stop - start} seeds; asked for {episodes} from number {offset}"
+        )
+    return range(start + offset, start + offset + episodes)
+
+
+def split_of(seed: int) -> str:
+    """The name of the split that `seed` belongs to."""
+    return next(name for name, (start, stop) in SPLITS.items() if start <= seed < stop)

@@ -1,0 +1,339 @@
+"""One episode: holds the state, flies actions with the rules of `dynamics`, and tells what there is to know."""
+
+import operator
+import secrets
+from dataclasses import dataclass
+from typing import NamedTuple, SupportsIndex, TypedDict
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.core import dynamics
+from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
+from drone_env.core.observation import write_action_mask, write_telemetry
+from drone_env.core.rewards import RewardProfile, get_reward_profile, interpreted_rewards
+from drone_env.core.rules import (
+    BATTERY,
+    CELL,
+    DELIVERIES,
+    DISTANCE,
+    EVENT,
+    OUTCOME,
+    PARCELS,
+    STEPS,
+    TARGET,
+    UNDER,
+    interpreted,
+    row_size,
+)
+from drone_env.core.score import score
+from drone_env.core.seeds import SPLITS, check_seed, next_seed
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.errors import EpisodeError, InvalidValueError
+
+ALLOWED_ACTIONS = ", ".join(f"{int(action)} {action.name}" for action in Action)
+
+
+class Observation(TypedDict):
+    """What an agent acts on."""
+
+    grid: npt.NDArray[np.uint8]
+    """uint8[height, width] of cell ids; the drone's id hides what lies below it."""
+    telemetry: npt.NDArray[np.float32]
+    """float32[5] (or 6): see `observation.write_telemetry`."""
+
+
+class PathStep(NamedTuple):
+    """One flown step: the action and what it led to."""
+
+    action: Action
+    x: int
+    y: int
+    event: Event
+    reward: float
+    battery: int
+
+
+@dataclass(frozen=True)
+class EpisodeState:
+    """A snapshot of an `Episode`, made by `get_state` and read by `set_state`. Immutable and comparable."""
+
+    task: TaskConfig
+    reward_profile: RewardProfile
+    seed: int
+    grid: bytes
+    row: bytes
+    reward_last: float
+    reward_total: float
+    path: tuple[tuple[int, int, int, float, int], ...]
+
+
+class Episode:
+    """A single drone on a single map.
+
+    Args:
+        task: A task or its name.
+        reward_profile: A reward profile or its name.
+
+    Raises:
+        UnknownNameError: if there is no such task or profile.
+    """
+
+    def __init__(self, task: str | TaskConfig = "easy_delivery", reward_profile: str | RewardProfile = "tiered") -> None:
+        self.task = get_task(task)
+        self.reward_profile = get_reward_profile(reward_profile)
+        self.rules = interpreted(self.task)
+        self._rewards = interpreted_rewards(self.task, self.reward_profile)
+        self._grid_array = np.zeros(self.rules.cells, np.uint8)
+        self._row_array = np.zeros(row_size(self.rules), np.int16)
+        self._grid = memoryview(self._grid_array)
+        self._row = memoryview(self._row_array)
+        self._seed: int | None = None
+        self._reward_last = 0.0
+        self._reward_total = 0.0
+        self._refused = False
+        self._path: list[tuple[int, int, int, float, int]] = []
+
+    def reset(self, seed: SupportsIndex | None = None) -> int:
+        """Start map `seed` and return the seed.
+
+        Without one, the map that follows the last one on the walk of `next_seed`; the very first is drawn at random
+        from the train split.
+
+        Raises:
+            InvalidValueError: if the seed is not an integer in [0, 2^53); the running episode is left as it was.
+        """
+        if seed is not None:
+            chosen = check_seed(seed)
+        elif self._seed is None:
+            chosen = secrets.randbelow(SPLITS["train"].stop)
+        else:
+            chosen = next_seed(self._seed)
+        self._seed = chosen
+        dynamics.reset(self.rules, self._grid, self._row, chosen)
+        self._reward_last = 0.0
+        self._reward_total = 0.0
+        self._refused = False
+        self._path = []
+        return chosen
+
+    def step(self, action: SupportsIndex) -> float:
+        """Fly one action and return its reward. After the end it changes nothing, pays 0, and `message` says so.
+
+        Raises:
+            InvalidValueError: if the action is not an integer from 0 to 4; the state is left as it was.
+            EpisodeError: before the first reset.
+        """
+        try:
+            number = operator.index(action)
+        except TypeError:
+            number = -1
+        if not 0 <= number < N_ACTIONS:
+            raise InvalidValueError(f"action must be one of {ALLOWED_ACTIONS}; got {action!r}")
+        if self._seed is None:
+            raise EpisodeError("no episode yet: call reset() before step()")
+        row = self._row
+        if row[OUTCOME]:
+            self._refused = True
+            return 0.0
+        reward = dynamics.step(self.rules, self._rewards, self._grid, row, number)
+        self._reward_last = reward
+        self._reward_total += reward
+        self._path.append((number, row[CELL], row[EVENT], reward, row[BATTERY]))
+        return reward
+
+    @property
+    def seed(self) -> int:
+        """The seed of the map.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        if self._seed is None:
+            raise EpisodeError("no episode yet: call reset() first")
+        return self._seed
+
+    @property
+    def ended(self) -> bool:
+        """Whether the episode is over."""
+        return self._row[OUTCOME] != Outcome.FLYING
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the episode stands."""
+        return Outcome(self._row[OUTCOME])
+
+    @property
+    def success(self) -> bool:
+        """Whether every parcel has been delivered."""
+        return self._row[OUTCOME] == Outcome.DELIVERED
+
+    @property
+    def event(self) -> Event:
+        """What the last step came to."""
+        return Event(self._row[EVENT])
+
+    @property
+    def steps(self) -> int:
+        """Steps flown."""
+        return self._row[STEPS]
+
+    @property
+    def battery_units(self) -> int:
+        """Battery units left."""
+        return self._row[BATTERY]
+
+    @property
+    def battery(self) -> float:
+        """Share of the battery left, 0 to 1."""
+        return self._row[BATTERY] / self.rules.capacity
+
+    @property
+    def deliveries_done(self) -> int:
+        """Parcels delivered."""
+        return self._row[DELIVERIES]
+
+    @property
+    def position(self) -> tuple[int, int]:
+        """(x, y) of the drone."""
+        return self._xy(self._row[CELL])
+
+    @property
+    def target(self) -> tuple[int, int] | None:
+        """(x, y) of the current target, None when nothing is left."""
+        return None if self._row[TARGET] < 0 else self._xy(self._row[TARGET])
+
+    @property
+    def distance_to_target(self) -> int | None:
+        """Manhattan distance to the current target in cells, None when nothing is left."""
+        return None if self._row[TARGET] < 0 else self._row[DISTANCE]
+
+    @property
+    def parcels(self) -> list[tuple[int, int, bool]]:
+        """(x, y, delivered) of each parcel, by its index."""
+        entries = self._row[PARCELS:].tolist()
+        return [(*self._xy(cell if cell >= 0 else ~cell), cell < 0) for cell in entries]
+
+    @property
+    def under(self) -> int:
+        """The kind of the cell below the drone."""
+        return self._row[UNDER]
+
+    @property
+    def score(self) -> float:
+        """The graded score as the episode stands, 0.01 to 0.99: provisional until it has ended."""
+        return score(self.rules, self._row)
+
+    @property
+    def reward_last(self) -> float:
+        """What the last step paid."""
+        return self._reward_last
+
+    @property
+    def reward_total(self) -> float:
+        """What all steps paid, undiscounted."""
+        return self._reward_total
+
+    @property
+    def path(self) -> list[PathStep]:
+        """All steps flown, in order."""
+        return [
+            PathStep(Action(action), *self._xy(cell), Event(event), reward, battery)
+            for action, cell, event, reward, battery in self._path
+        ]
+
+    @property
+    def actions(self) -> list[int]:
+        """The actions flown, in order."""
+        return [entry[0] for entry in self._path]
+
+    @property
+    def message(self) -> str:
+        """What happened last, in words."""
+        if self._seed is None:
+            return "No episode yet: reset to start one."
+        if self._refused:
+            return f"Nothing done: the episode has ended ({self.outcome.name.lower()}). Reset to fly again."
+        return _MESSAGES[self.event].format(done=self.deliveries_done, total=self.task.deliveries) + _ENDINGS[self.outcome]
+
+    def counted_score(self) -> float:
+        """The score to report: the final one, or for an unfinished episode the one it would get by waiting to its end."""
+        grid, row = memoryview(bytearray(self._grid)), memoryview(self._row_array.copy())
+        while not row[OUTCOME]:
+            dynamics.step(self.rules, self._rewards, grid, row, Action.WAIT)
+        return score(self.rules, row)
+
+    def observation(self) -> Observation:
+        """What an agent sees now, as arrays of its own."""
+        telemetry = np.zeros(self.rules.telemetry_size, np.float32)
+        write_telemetry(self.rules, self._row, memoryview(telemetry))
+        return {"grid": self.grid(), "telemetry": telemetry}
+
+    def grid(self) -> npt.NDArray[np.uint8]:
+        """The cell ids as the drone sees them: a copy, uint8[height, width]."""
+        return self._grid_array.reshape(self.rules.height, self.rules.width).copy()
+
+    def action_mask(self) -> npt.NDArray[np.int8]:
+        """int8[5]: 0 for each action that would bump into a wall or an impassable cell."""
+        mask = np.zeros(N_ACTIONS, np.int8)
+        write_action_mask(self.rules, self._grid, self._row, memoryview(mask))
+        return mask
+
+    def get_state(self) -> EpisodeState:
+        """A snapshot for planners; `set_state` returns to it.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        return EpisodeState(
+            task=self.task,
+            reward_profile=self.reward_profile,
+            seed=self.seed,
+            grid=self._grid_array.tobytes(),
+            row=self._row_array.tobytes(),
+            reward_last=self._reward_last,
+            reward_total=self._reward_total,
+            path=tuple(self._path),
+        )
+
+    def set_state(self, state: EpisodeState) -> None:
+        """Return to a snapshot of an episode of the same task and reward profile.
+
+        Raises:
+            InvalidValueError: if the snapshot is of another task or profile; the state is left as it was.
+        """
+        if state.task != self.task or state.reward_profile != self.reward_profile:
+            raise InvalidValueError(
+                f"the snapshot is of {state.task.id!r} with rewards {state.reward_profile.id!r}; "
+                f"this episode flies {self.task.id!r} with {self.reward_profile.id!r}"
+            )
+        self._seed = state.seed
+        self._grid_array[:] = np.frombuffer(state.grid, np.uint8)
+        self._row_array[:] = np.frombuffer(state.row, np.int16)
+        self._reward_last = state.reward_last
+        self._reward_total = state.reward_total
+        self._refused = False
+        self._path = list(state.path)
+
+    def _xy(self, cell: int) -> tuple[int, int]:
+        return self.rules.columns[cell], self.rules.lines[cell]
+
+
+_MESSAGES = {
+    Event.NONE: "Ready for take-off: {total} to deliver.",
+    Event.DELIVERY: "Delivered: {done} of {total}.",
+    Event.BATTERY_DEAD: "The battery is empty: {done} of {total} delivered.",
+    Event.WALL: "Bumped into the edge of the city.",
+    Event.BLOCKED: "The way is blocked.",
+    Event.OBSTACLE: "Above an obstacle.",
+    Event.BUILDING: "Above a building.",
+    Event.TREE: "Above a tree.",
+    Event.WAIT: "Waiting.",
+    Event.STEP: "On the way.",
+}
+_ENDINGS = {
+    Outcome.FLYING: "",
+    Outcome.DELIVERED: " Mission accomplished.",
+    Outcome.BATTERY_DEAD: " The mission is over.",
+    Outcome.OUT_OF_STEPS: " Out of steps: the mission is over.",
+}

@@ -1,0 +1,184 @@
+"""The tasks: all their numbers, in one place. A new task is one more entry in `TASKS`."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from drone_env.core.cells import Cell
+from drone_env.errors import InvalidTaskError, UnknownNameError
+
+MAX_SIDE = 64
+MAX_DELIVERIES = 16
+MAX_UNITS = 32_000
+"""Upper bound of steps and battery units, so that they fit the 16-bit state."""
+
+TERRAIN = (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERY, Cell.DELIVERED, Cell.PAD)
+"""The kinds that can lie under the drone."""
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """One task. Immutable and hashable.
+
+    Attributes:
+        id: Unique name, such as `easy_delivery`.
+        short_name: What people type, such as `easy`.
+        grader: `module:function` of the task's grader.
+        version: Raised by any change that alters a map, a reward or a score.
+        width, height: Grid size in cells, at most 64 each.
+        deliveries: Parcels to deliver, 1 to 16.
+        buildings, trees, obstacles, pads: How many cells of each kind a map holds.
+        max_steps: Steps after which the episode ends.
+        battery_capacity: Battery units at the start, and the most that charging can reach.
+        r_delivery, r_battery_dead, r_wall, r_blocked, r_obstacle, r_building, r_tree, r_wait, r_step:
+            What each event pays in the reward profiles that ask for the task's own rewards.
+        drain: Battery units per step above each kind of cell; kinds not named drain 1.
+        impassable: Kinds that the drone cannot enter.
+        charge_rate: Battery units that one WAIT on a pad adds (in place of the drain).
+
+    Raises:
+        InvalidTaskError: on construction, if the numbers are out of range or contradict each other.
+    """
+
+    id: str
+    short_name: str
+    grader: str
+    width: int
+    height: int
+    deliveries: int
+    buildings: int
+    trees: int
+    obstacles: int
+    max_steps: int
+    battery_capacity: int
+    r_delivery: float
+    r_battery_dead: float
+    r_wall: float
+    r_blocked: float
+    r_obstacle: float
+    r_building: float
+    r_tree: float
+    r_wait: float
+    r_step: float
+    version: int = 1
+    pads: int = 0
+    drain: tuple[tuple[Cell, int], ...] = ()
+    impassable: frozenset[Cell] = field(default_factory=frozenset[Cell])
+    charge_rate: int = 0
+
+    def __post_init__(self) -> None:
+        def require(holds: bool, message: str) -> None:
+            if not holds:
+                raise InvalidTaskError(f"task {self.id!r}: {message}")
+
+        sides = (self.width, self.height)
+        require(all(2 <= side <= MAX_SIDE for side in sides), f"width and height must be 2 to {MAX_SIDE}, got {sides}")
+        require(
+            1 <= self.deliveries <= MAX_DELIVERIES, f"deliveries must be 1 to {MAX_DELIVERIES}, got {self.deliveries}"
+        )
+        counts = (self.buildings, self.trees, self.obstacles, self.pads)
+        require(min(counts) >= 0, f"counts of cells must not be negative, got {counts}")
+        placed = 1 + self.deliveries + sum(counts)
+        require(placed <= self.width * self.height, f"{placed} things do not fit on {self.width * self.height} cells")
+        for name in ("max_steps", "battery_capacity"):
+            value = getattr(self, name)
+            require(1 <= value <= MAX_UNITS, f"{name} must be 1 to {MAX_UNITS}, got {value}")
+        for kind, units in self.drain:
+            require(kind in TERRAIN, f"drain is for kinds under the drone {[str(c.name) for c in TERRAIN]}, got {kind}")
+            require(0 <= units <= MAX_UNITS, f"drain must be 0 to {MAX_UNITS}, got {units} for {kind.name}")
+        can_block = {Cell.BUILDING, Cell.TREE, Cell.OBSTACLE}
+        require(self.impassable <= can_block, f"impassable may hold {sorted(c.name for c in can_block)}")
+        require(0 <= self.charge_rate <= MAX_UNITS, f"charge_rate must be 0 to {MAX_UNITS}, got {self.charge_rate}")
+        require(self.version >= 1, f"version must be at least 1, got {self.version}")
+
+    @cached_property
+    def uniform(self) -> bool:
+        """Whether every step costs one battery unit, nothing blocks the way and nothing charges.
+
+        Then a distance is a Manhattan distance, and the battery tells the time.
+        """
+        blocked = {Cell.BUILDING: self.buildings, Cell.TREE: self.trees, Cell.OBSTACLE: self.obstacles}
+        return (
+            all(units == 1 for _, units in self.drain)
+            and not any(blocked[kind] for kind in self.impassable)
+            and not (self.pads and self.charge_rate)
+        )
+
+    @property
+    def telemetry_size(self) -> int:
+        """5, or 6 where the battery does not tell the time and a value for the steps left is appended."""
+        return 5 if self.uniform and self.battery_capacity == self.max_steps else 6
+
+    @property
+    def gym_id(self) -> str:
+        """The id under which Gymnasium knows the task."""
+        name = "-".join(part.title() for part in self.short_name.split("_"))
+        return f"DroneDelivery-{name}-v{self.version}"
+
+    def cell_counts(self) -> dict[Cell, int]:
+        """How many cells of each terrain kind a map holds, in the order in which they are placed."""
+        return {
+            Cell.BUILDING: self.buildings,
+            Cell.TREE: self.trees,
+            Cell.OBSTACLE: self.obstacles,
+            Cell.PAD: self.pads,
+        }
+
+
+def _standard(short_name: str, side: int, terrain: tuple[int, int, int], deliveries: int, steps: int,
+              r_delivery: float, r_other: float) -> TaskConfig:
+    buildings, trees, obstacles = terrain
+    return TaskConfig(
+        id=f"{short_name}_delivery",
+        short_name=short_name,
+        grader=f"drone_env.graders:grade_{short_name}",
+        width=side,
+        height=side,
+        deliveries=deliveries,
+        buildings=buildings,
+        trees=trees,
+        obstacles=obstacles,
+        max_steps=steps,
+        battery_capacity=steps,
+        r_delivery=r_delivery,
+        r_battery_dead=r_other,
+        r_wall=r_other,
+        r_blocked=r_other,
+        r_obstacle=r_other,
+        r_building=r_other,
+        r_tree=r_other,
+        r_wait=r_other,
+        r_step=r_other,
+    )
+
+
+TASKS: dict[str, TaskConfig] = {
+    task.id: task
+    for task in (
+        _standard("easy", 10, (4, 4, 3), deliveries=1, steps=60, r_delivery=0.95, r_other=0.10),
+        _standard("medium", 14, (8, 6, 6), deliveries=3, steps=100, r_delivery=0.90, r_other=0.15),
+        _standard("hard", 18, (12, 10, 10), deliveries=5, steps=160, r_delivery=0.85, r_other=0.25),
+    )
+}
+
+
+PAST_TASKS: tuple[TaskConfig, ...] = ()
+"""Earlier versions of tasks: they keep working for ever."""
+
+
+def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
+    """The task with this id, short name or grader id; a `TaskConfig` is handed back as it is.
+
+    Without a version, the current one.
+
+    Raises:
+        UnknownNameError: if there is none; the message lists the valid ids and short names, or the valid versions.
+    """
+    if isinstance(name, TaskConfig):
+        return name
+    named = [t for t in (*TASKS.values(), *PAST_TASKS) if name in (t.id, t.short_name, t.grader)]
+    if not named:
+        raise UnknownNameError("task", name, [n for task in TASKS.values() for n in (task.id, task.short_name)])
+    for task in named:
+        if version in (None, task.version):
+            return task
+    raise UnknownNameError(f"version of task {named[0].id!r}", version, [str(task.version) for task in named])

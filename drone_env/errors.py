@@ -1,0 +1,43 @@
+"""Every exception that this package raises on purpose.
+
+    DroneEnvError
+    ├── UnknownNameError      (also a LookupError)  a task, profile, agent or split that does not exist
+    ├── InvalidValueError     (also a ValueError)   a seed, action or option outside what is allowed
+    │   └── InvalidTaskError                        a TaskConfig or RewardProfile that contradicts itself
+    ├── EpisodeError          (also a RuntimeError) a call that does not fit the episode's state
+    └── UnsupportedTaskError  (also a ValueError)   a planner asked about a task that it cannot solve exactly
+
+Each message says what was given and what is allowed.
+"""
+
+from collections.abc import Iterable
+
+
+class DroneEnvError(Exception):
+    """Base class of all errors of this package."""
+
+
+class UnknownNameError(DroneEnvError, LookupError):
+    """A name that is not in a registry; the message lists the names that are."""
+
+    def __init__(self, kind: str, given: object, allowed: Iterable[str]) -> None:
+        self.kind = kind
+        self.given = given
+        self.allowed = sorted(allowed)
+        super().__init__(f"unknown {kind} {given!r}; allowed: {', '.join(self.allowed)}")
+
+
+class InvalidValueError(DroneEnvError, ValueError):
+    """A value outside what is allowed."""
+
+
+class InvalidTaskError(InvalidValueError):
+    """A task or reward profile whose numbers contradict each other."""
+
+
+class EpisodeError(DroneEnvError, RuntimeError):
+    """A call that does not fit the state of the episode, such as a step before the first reset."""
+
+
+class UnsupportedTaskError(DroneEnvError, ValueError):
+    """A planner was asked about a task whose mechanics it does not cover."""
