@@ -1,0 +1,103 @@
+"""Drone Delivery Env: a drone delivers parcels on a generated city grid, and every score stands beside the optimum.
+
+Importing the package registers its environments with Gymnasium. All else is imported at first use.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from drone_env.envs.registration import register_envs
+
+if TYPE_CHECKING:
+    from drone_env.agents import AGENTS, Agent, make_agent
+    from drone_env.core.actions import Action, Event, Outcome
+    from drone_env.core.cells import Cell
+    from drone_env.core.grid_generator import CityMap, generate_city_map
+    from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
+    from drone_env.core.seeds import SPLITS, next_seed, split_seeds
+    from drone_env.core.state_manager import Episode, EpisodeState
+    from drone_env.core.tasks import TASKS, TaskConfig, get_task
+    from drone_env.evaluation import episodes_key, run_episodes, summarise
+    from drone_env.graders import GRADERS
+    from drone_env.models import DroneAction, DroneObservation, DroneState
+    from drone_env.planning.optimal import Solution, solve
+
+__version__ = "0.3.0"
+
+_HOMES = {
+    "AGENTS": "agents",
+    "Action": "core.actions",
+    "Agent": "agents",
+    "Cell": "core.cells",
+    "CityMap": "core.grid_generator",
+    "DroneAction": "models",
+    "DroneObservation": "models",
+    "DroneState": "models",
+    "Episode": "core.state_manager",
+    "EpisodeState": "core.state_manager",
+    "Event": "core.actions",
+    "GRADERS": "graders",
+    "Outcome": "core.actions",
+    "REWARD_PROFILES": "core.rewards",
+    "RewardProfile": "core.rewards",
+    "SPLITS": "core.seeds",
+    "Solution": "planning.optimal",
+    "TASKS": "core.tasks",
+    "TaskConfig": "core.tasks",
+    "episodes_key": "evaluation",
+    "generate_city_map": "core.grid_generator",
+    "get_task": "core.tasks",
+    "make_agent": "agents",
+    "next_seed": "core.seeds",
+    "run_episodes": "evaluation",
+    "solve": "planning.optimal",
+    "split_seeds": "core.seeds",
+    "summarise": "evaluation",
+}
+
+__all__ = [
+    "AGENTS",
+    "GRADERS",
+    "REWARD_PROFILES",
+    "SPLITS",
+    "TASKS",
+    "Action",
+    "Agent",
+    "Cell",
+    "CityMap",
+    "DroneAction",
+    "DroneObservation",
+    "DroneState",
+    "Episode",
+    "EpisodeState",
+    "Event",
+    "Outcome",
+    "RewardProfile",
+    "Solution",
+    "TaskConfig",
+    "__version__",
+    "episodes_key",
+    "generate_city_map",
+    "get_task",
+    "make_agent",
+    "next_seed",
+    "run_episodes",
+    "solve",
+    "split_seeds",
+    "summarise",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+register_envs()

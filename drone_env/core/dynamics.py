@@ -1,4 +1,4 @@
-"""The rules of the world: `reset` makes the first state of an episode, `step` turns a state and an action into the next.
+"""The rules of the world: `reset` makes the first state of an episode, `step` turns state and action into the next.
 
 These functions, and the ones that they call, are the only place where the rules stand. They run as plain Python for a
 single episode (`state_manager.Episode`) and compiled by Numba (`compiled`), with the same bits as a result.

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.cells import Cell
-from drone_env.core.rules import CELL, PARCELS, UNDER, Buffer, Rules, interpreted, row_size
+from drone_env.core.rules import CELL, PARCELS, UNDER, Buffer, Rules, interpreted, row_size, view
 from drone_env.core.seeds import SPLITS, check_seed, map_key, next_key, uniform_below
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
@@ -81,7 +81,7 @@ def generate_city_map(config: str | TaskConfig, rng: Any) -> CityMap:
     rules = interpreted(task)
     grid = np.zeros(rules.cells, np.uint8)
     row = np.zeros(row_size(rules), np.int16)
-    scatter(rules, memoryview(grid), memoryview(row), seed)
+    scatter(rules, view(grid), view(row), seed)
     grid[row[CELL]] = ROAD
 
     def position(cell: int) -> tuple[int, int]:
@@ -90,7 +90,7 @@ def generate_city_map(config: str | TaskConfig, rng: Any) -> CityMap:
     return CityMap(
         task=task,
         seed=seed,
-        grid=grid.reshape(task.height, task.width),
+        grid=np.reshape(grid, (task.height, task.width)),
         start=position(row[CELL]),
         deliveries=tuple(position(cell) for cell in row[PARCELS:]),
     )

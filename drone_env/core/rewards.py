@@ -1,17 +1,15 @@
 """Reward profiles: what a step pays. Data, not code; a new profile is one more entry in `REWARD_PROFILES`."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import lru_cache
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from drone_env.core.actions import N_EVENTS, Event, Outcome
-from drone_env.core.rules import DELIVERIES, DISTANCE, EVENT, OUTCOME, Buffer, Rules
+from drone_env.core.rules import DELIVERIES, DISTANCE, EVENT, OUTCOME, Buffer, FloatBuffer, Rules, as_views, read_only
 from drone_env.core.score import score
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidTaskError, UnknownNameError
@@ -19,9 +17,9 @@ from drone_env.errors import InvalidTaskError, UnknownNameError
 FLYING = int(Outcome.FLYING)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class RewardProfile:
-    """What a step pays: the sum of the parts that are switched on.
+    """What a step pays: the sum of the parts that are switched on. Immutable and hashable.
 
     Attributes:
         id: Unique name.
@@ -39,7 +37,7 @@ class RewardProfile:
     id: str
     summary: str
     task_events: bool = False
-    events: Mapping[Event, Decimal] = field(default_factory=lambda: MappingProxyType({}))
+    events: tuple[tuple[Event, Decimal], ...] = ()
     shaping: Decimal = Decimal(0)
     clamp: tuple[Decimal, Decimal] | None = None
     shaping_gamma: Decimal | None = None
@@ -69,16 +67,14 @@ REWARD_PROFILES: dict[str, RewardProfile] = {
             id="composite",
             summary="step 0.05, wait 0.01, terrain and bumps 0.02, delivery and dead battery as in tiered",
             task_events=True,
-            events=MappingProxyType(
-                {
-                    Event.STEP: Decimal("0.05"),
-                    Event.WAIT: Decimal("0.01"),
-                    Event.OBSTACLE: _TERRAIN,
-                    Event.BUILDING: _TERRAIN,
-                    Event.TREE: _TERRAIN,
-                    Event.WALL: _TERRAIN,
-                    Event.BLOCKED: _TERRAIN,
-                }
+            events=(
+                (Event.STEP, Decimal("0.05")),
+                (Event.WAIT, Decimal("0.01")),
+                (Event.OBSTACLE, _TERRAIN),
+                (Event.BUILDING, _TERRAIN),
+                (Event.TREE, _TERRAIN),
+                (Event.WALL, _TERRAIN),
+                (Event.BLOCKED, _TERRAIN),
             ),
             shaping=Decimal("0.05"),
             clamp=_CLAMP,
@@ -110,15 +106,15 @@ def get_reward_profile(name: str | RewardProfile) -> RewardProfile:
 class Rewards(NamedTuple):
     """A profile's tables for one task. Arrays when compiled, memory views when interpreted."""
 
-    events: Buffer
+    events: FloatBuffer
     """float64[events * 3], at event * 3 + closer + 1."""
     shaped: int
     """1 if the potential is in use."""
     stride: int
     """Entries of the potential per number of deliveries."""
-    potential: Buffer
+    potential: FloatBuffer
     """phi(s): float64, at deliveries * stride + distance."""
-    discounted: Buffer
+    discounted: FloatBuffer
     """gamma * phi(s), laid out alike."""
     pays_score: int
     """1 if the end pays the score."""
@@ -136,7 +132,7 @@ def tabulate_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
             continue
         own = Decimal(str(getattr(task, f"r_{event.name.lower()}"))) if profile.task_events else Decimal(0)
         for closer in (-1, 0, 1):
-            value = profile.events.get(event, own) + profile.shaping * closer
+            value = dict(profile.events).get(event, own) + profile.shaping * closer
             if profile.clamp is not None:
                 value = min(max(value, profile.clamp[0]), profile.clamp[1])
             events[event * 3 + closer + 1] = float(value)
@@ -149,24 +145,21 @@ def tabulate_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
         for done in range(total + 1)
         for far in range(stride)
     ]
-    rewards = Rewards(
-        events=events,
-        shaped=int(profile.shaping_gamma is not None),
-        stride=stride,
-        potential=np.array([float(value) for value in phi]),
-        discounted=np.array([float(gamma * value) for value in phi]),
-        pays_score=int(profile.pays_score),
-    )
-    for table in (rewards.events, rewards.potential, rewards.discounted):
-        table.setflags(write=False)  # type: ignore[union-attr]
-    return rewards
+    tables: dict[str, Any] = {
+        "events": events,
+        "shaped": int(profile.shaping_gamma is not None),
+        "stride": stride,
+        "potential": np.array([float(value) for value in phi]),
+        "discounted": np.array([float(gamma * value) for value in phi]),
+        "pays_score": int(profile.pays_score),
+    }
+    return read_only(Rewards(**tables))
 
 
 @lru_cache(maxsize=64)
 def interpreted_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
     """The same tables as memory views, for interpreted code."""
-    values: Any = tabulate_rewards(task, profile)
-    return Rewards(*(memoryview(value) if isinstance(value, np.ndarray) else value for value in values))
+    return as_views(tabulate_rewards(task, profile))
 
 
 def reward_of(
@@ -175,6 +168,9 @@ def reward_of(
     """What the step that led to `row` pays.
 
     Args:
+        rules: The task's tables.
+        rewards: The profile's tables.
+        row: The state after the step, its event and outcome settled.
         closer: Cells by which the step came closer to the target that was current before it: -1, 0 or 1.
         deliveries_before: Parcels delivered before the step.
         distance_before: Distance to the current target before the step.

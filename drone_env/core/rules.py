@@ -13,7 +13,7 @@ The state of one episode is two buffers:
 """
 
 from functools import lru_cache
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,8 @@ Buffer: TypeAlias = "memoryview[int]"
 """A one-dimensional buffer of integers: a memory view when interpreted, a NumPy array when compiled."""
 FloatBuffer: TypeAlias = "memoryview[float]"
 """The same, of floating-point numbers."""
+
+Tables = TypeVar("Tables", bound=tuple[Any, ...])
 
 CELL = 0
 """Where the drone is."""
@@ -113,32 +115,49 @@ def tabulate(task: TaskConfig) -> Rules:
         counts[kind] = count
 
     numbers = np.arange(cells, dtype=np.int16)
-    rules = Rules(
-        key=task_key(task.id, task.version),
-        width=width,
-        height=height,
-        cells=cells,
-        deliveries=task.deliveries,
-        max_steps=task.max_steps,
-        capacity=task.battery_capacity,
-        charge_rate=task.charge_rate,
-        columns=numbers % width,
-        lines=numbers // width,
-        moves=moves.reshape(-1),
-        passable=passable,
-        drain=drain,
-        terrain_event=terrain_event,
-        counts=counts,
-        placed=np.array(list(task.cell_counts()), np.uint8),
-        telemetry_size=task.telemetry_size,
-    )
-    for table in rules:
-        if isinstance(table, np.ndarray):
-            table.setflags(write=False)
-    return rules
+    tables: dict[str, Any] = {
+        "key": task_key(task.id, task.version),
+        "width": width,
+        "height": height,
+        "cells": cells,
+        "deliveries": task.deliveries,
+        "max_steps": task.max_steps,
+        "capacity": task.battery_capacity,
+        "charge_rate": task.charge_rate,
+        "columns": numbers % width,
+        "lines": numbers // width,
+        "moves": np.ravel(moves),
+        "passable": passable,
+        "drain": drain,
+        "terrain_event": terrain_event,
+        "counts": counts,
+        "placed": np.array(list(task.cell_counts()), np.uint8),
+        "telemetry_size": task.telemetry_size,
+    }
+    return read_only(Rules(**tables))
 
 
 @lru_cache(maxsize=64)
 def interpreted(task: TaskConfig) -> Rules:
     """The same tables as memory views, for interpreted code."""
-    return Rules(*(memoryview(table) if isinstance(table, np.ndarray) else table for table in tabulate(task)))
+    return as_views(tabulate(task))
+
+
+def view(array: npt.NDArray[Any]) -> Any:
+    """The memory of an array as a memory view, whose items are plain Python numbers and fast to get at."""
+    memory: Any = array
+    return memoryview(memory)
+
+
+def as_views(tables: Tables) -> Tables:
+    """A named tuple of tables with a memory view for each array."""
+    items: tuple[Any, ...] = tables
+    return type(tables)(*(view(item) if hasattr(item, "dtype") else item for item in items))
+
+
+def read_only(tables: Tables) -> Tables:
+    """The same named tuple, its arrays closed to writing."""
+    for table in tables:
+        if isinstance(table, np.ndarray):
+            table.setflags(write=False)
+    return tables

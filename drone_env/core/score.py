@@ -6,9 +6,7 @@ LOWEST = 0.01
 HIGHEST = 0.99
 
 
-def score_of(
-    deliveries: int, total: int, battery: int, capacity: int, steps: int, max_steps: int
-) -> float:
+def score_of(deliveries: int, total: int, battery: int, capacity: int, steps: int, max_steps: int) -> float:
     """0.8 * deliveries/total + 0.2 * (0.5 * battery/capacity + 0.5 * (1 - steps/max_steps)), in [0.01, 0.99].
 
     Computed as one correctly rounded division of integers, so equal missions have equal scores to the last bit.
@@ -19,6 +17,4 @@ def score_of(
 
 def score(rules: Rules, row: Buffer) -> float:
     """The score of the episode as it stands: provisional until it has ended."""
-    return score_of(
-        row[DELIVERIES], rules.deliveries, row[BATTERY], rules.capacity, row[STEPS], rules.max_steps
-    )
+    return score_of(row[DELIVERIES], rules.deliveries, row[BATTERY], rules.capacity, row[STEPS], rules.max_steps)

@@ -25,6 +25,7 @@ from drone_env.core.rules import (
     UNDER,
     interpreted,
     row_size,
+    view,
 )
 from drone_env.core.score import score
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
@@ -79,30 +80,35 @@ class Episode:
         UnknownNameError: if there is no such task or profile.
     """
 
-    def __init__(self, task: str | TaskConfig = "easy_delivery", reward_profile: str | RewardProfile = "tiered") -> None:
+    def __init__(
+        self, task: str | TaskConfig = "easy_delivery", reward_profile: str | RewardProfile = "tiered"
+    ) -> None:
         self.task = get_task(task)
-        self.reward_profile = get_reward_profile(reward_profile)
         self.rules = interpreted(self.task)
-        self._rewards = interpreted_rewards(self.task, self.reward_profile)
+        self._choose_rewards(get_reward_profile(reward_profile))
         self._grid_array = np.zeros(self.rules.cells, np.uint8)
         self._row_array = np.zeros(row_size(self.rules), np.int16)
-        self._grid = memoryview(self._grid_array)
-        self._row = memoryview(self._row_array)
+        self._grid = view(self._grid_array)
+        self._row = view(self._row_array)
         self._seed: int | None = None
         self._reward_last = 0.0
         self._reward_total = 0.0
         self._refused = False
         self._path: list[tuple[int, int, int, float, int]] = []
 
-    def reset(self, seed: SupportsIndex | None = None) -> int:
-        """Start map `seed` and return the seed.
+    def reset(self, seed: SupportsIndex | None = None, reward_profile: str | RewardProfile | None = None) -> int:
+        """Start map `seed` and return the seed. On an error the running episode is left as it was.
 
-        Without one, the map that follows the last one on the walk of `next_seed`; the very first is drawn at random
-        from the train split.
+        Args:
+            seed: Without one, the map that follows the last one on the walk of `next_seed`; the very first is drawn
+                at random from the train split.
+            reward_profile: The profile from now on; None keeps the present one.
 
         Raises:
-            InvalidValueError: if the seed is not an integer in [0, 2^53); the running episode is left as it was.
+            InvalidValueError: if the seed is not an integer in [0, 2^53).
+            UnknownNameError: if there is no such profile.
         """
+        profile = self.reward_profile if reward_profile is None else get_reward_profile(reward_profile)
         if seed is not None:
             chosen = check_seed(seed)
         elif self._seed is None:
@@ -110,6 +116,7 @@ class Episode:
         else:
             chosen = next_seed(self._seed)
         self._seed = chosen
+        self._choose_rewards(profile)
         dynamics.reset(self.rules, self._grid, self._row, chosen)
         self._reward_last = 0.0
         self._reward_total = 0.0
@@ -152,6 +159,11 @@ class Episode:
         if self._seed is None:
             raise EpisodeError("no episode yet: call reset() first")
         return self._seed
+
+    @property
+    def started(self) -> bool:
+        """Whether there has been a reset."""
+        return self._seed is not None
 
     @property
     def ended(self) -> bool:
@@ -254,11 +266,13 @@ class Episode:
             return "No episode yet: reset to start one."
         if self._refused:
             return f"Nothing done: the episode has ended ({self.outcome.name.lower()}). Reset to fly again."
-        return _MESSAGES[self.event].format(done=self.deliveries_done, total=self.task.deliveries) + _ENDINGS[self.outcome]
+        return (
+            _MESSAGES[self.event].format(done=self.deliveries_done, total=self.task.deliveries) + _ENDINGS[self.outcome]
+        )
 
     def counted_score(self) -> float:
-        """The score to report: the final one, or for an unfinished episode the one it would get by waiting to its end."""
-        grid, row = memoryview(bytearray(self._grid)), memoryview(self._row_array.copy())
+        """The score to report: the final one, or of an unfinished episode the one that waiting to its end would earn."""
+        grid, row = view(np.array(self._grid_array)), view(np.array(self._row_array))
         while not row[OUTCOME]:
             dynamics.step(self.rules, self._rewards, grid, row, Action.WAIT)
         return score(self.rules, row)
@@ -266,17 +280,17 @@ class Episode:
     def observation(self) -> Observation:
         """What an agent sees now, as arrays of its own."""
         telemetry = np.zeros(self.rules.telemetry_size, np.float32)
-        write_telemetry(self.rules, self._row, memoryview(telemetry))
+        write_telemetry(self.rules, self._row, view(telemetry))
         return {"grid": self.grid(), "telemetry": telemetry}
 
     def grid(self) -> npt.NDArray[np.uint8]:
         """The cell ids as the drone sees them: a copy, uint8[height, width]."""
-        return self._grid_array.reshape(self.rules.height, self.rules.width).copy()
+        return np.array(np.reshape(self._grid_array, (self.rules.height, self.rules.width)))
 
     def action_mask(self) -> npt.NDArray[np.int8]:
         """int8[5]: 0 for each action that would bump into a wall or an impassable cell."""
         mask = np.zeros(N_ACTIONS, np.int8)
-        write_action_mask(self.rules, self._grid, self._row, memoryview(mask))
+        write_action_mask(self.rules, self._grid, self._row, view(mask))
         return mask
 
     def get_state(self) -> EpisodeState:
@@ -314,6 +328,19 @@ class Episode:
         self._reward_total = state.reward_total
         self._refused = False
         self._path = list(state.path)
+
+    def __getstate__(self) -> tuple[TaskConfig, RewardProfile, EpisodeState | None]:
+        return self.task, self.reward_profile, self.get_state() if self.started else None
+
+    def __setstate__(self, state: tuple[TaskConfig, RewardProfile, EpisodeState | None]) -> None:
+        task, reward_profile, snapshot = state
+        Episode.__init__(self, task, reward_profile)
+        if snapshot is not None:
+            self.set_state(snapshot)
+
+    def _choose_rewards(self, profile: RewardProfile) -> None:
+        self.reward_profile = profile
+        self._rewards = interpreted_rewards(self.task, profile)
 
     def _xy(self, cell: int) -> tuple[int, int]:
         return self.rules.columns[cell], self.rules.lines[cell]

@@ -124,8 +124,15 @@ class TaskConfig:
         }
 
 
-def _standard(short_name: str, side: int, terrain: tuple[int, int, int], deliveries: int, steps: int,
-              r_delivery: float, r_other: float) -> TaskConfig:
+def _standard(
+    short_name: str,
+    side: int,
+    terrain: tuple[int, int, int],
+    deliveries: int,
+    steps: int,
+    r_delivery: float,
+    r_other: float,
+) -> TaskConfig:
     buildings, trees, obstacles = terrain
     return TaskConfig(
         id=f"{short_name}_delivery",

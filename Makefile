@@ -1,0 +1,51 @@
+# A fresh machine needs python3 (3.10 or newer, with venv) and make; everything else is made in .venv.
+PYTHON ?= python3
+# The tests need PyTorch; any build will do, so a smaller CPU build can be named here.
+TORCH ?= torch==2.13.0
+BIN := .venv/bin
+
+.PHONY: demo test check verify bench format clean
+.DEFAULT_GOAL := demo
+
+.venv/.base: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Python 3.10 or newer is needed; try: make PYTHON=python3.12")'
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --editable .
+	touch $@
+
+.venv/.dev: .venv/.base
+	$(BIN)/python -m pip install --quiet $(TORCH)
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	touch $@
+
+# Fly the agents on every task, compare them, and draw one mission.
+demo: .venv/.base
+	@echo "== One mission: the optimal flight over hard map 7 =="
+	@$(BIN)/drone-env fly --task hard --agent optimal --seed 7 --picture demo/mission.png
+	@echo
+	@echo "== 100 test maps of each task =="
+	@$(BIN)/drone-env evaluate --task all --agents random greedy optimal --split test --episodes 100
+
+test: .venv/.dev
+	$(BIN)/python -m pytest -n auto
+
+# Lint, formatting, types.
+check: .venv/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+# The same properties over many more cases; takes long.
+verify: .venv/.dev
+	HYPOTHESIS_PROFILE=campaign $(BIN)/python -m pytest -n auto tests/property tests/parity
+
+bench: .venv/.base
+	$(BIN)/python benchmarks/scalar_step.py
+
+format: .venv/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:
+	rm -rf .venv build dist demo htmlcov .coverage .pytest_cache .ruff_cache .hypothesis *.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

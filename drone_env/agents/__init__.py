@@ -1,0 +1,31 @@
+"""Agents: everything that can fly a mission by itself. A new agent is one more entry in `AGENTS`."""
+
+from collections.abc import Callable
+
+from drone_env.agents.base import Agent
+from drone_env.agents.greedy import GreedyAgent
+from drone_env.agents.optimal import OptimalAgent
+from drone_env.agents.random import RandomAgent
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.errors import UnknownNameError
+
+AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
+    "random": RandomAgent,
+    "greedy": GreedyAgent,
+    "optimal": OptimalAgent,
+}
+
+
+def make_agent(name: str, task: str | TaskConfig) -> Agent:
+    """A new agent for a task.
+
+    Raises:
+        UnknownNameError: if there is no such agent or task; the message lists the valid names.
+        UnsupportedTaskError: if the agent cannot fly that task.
+    """
+    if name not in AGENTS:
+        raise UnknownNameError("agent", name, AGENTS)
+    return AGENTS[name](get_task(task))
+
+
+__all__ = ["AGENTS", "Agent", "GreedyAgent", "OptimalAgent", "RandomAgent", "make_agent"]

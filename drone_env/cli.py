@@ -1,0 +1,53 @@
+"""`drone-env`: the command line. A new subcommand is one more line in `_app`."""
+
+import os
+import sys
+from collections.abc import Sequence
+
+from tyro.extras import SubcommandApp
+
+from drone_env import __version__
+from drone_env.commands.evaluate import evaluate
+from drone_env.commands.fly import fly
+from drone_env.commands.play import play
+from drone_env.commands.solve import solve
+from drone_env.errors import DroneEnvError
+
+DESCRIPTION = (
+    "A drone delivers parcels on a generated city grid. `drone-env COMMAND --help` is the manual of a command."
+)
+
+
+def _app() -> SubcommandApp:
+    app = SubcommandApp()
+    for command in (fly, evaluate, solve, play):
+        app.command(command)
+    return app
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status: 0 done, 2 an argument that is not allowed, 1 anything else."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if list(arguments) == ["--version"]:
+        print(f"drone-env {__version__}")
+        return 0
+    try:
+        _app().cli(prog="drone-env", description=DESCRIPTION, args=arguments)
+        sys.stdout.flush()
+    except DroneEnvError as error:
+        print(f"drone-env: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        # Whoever read the output has closed it (`drone-env fly | head`); the interpreter must not flush it again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        print(f"drone-env: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

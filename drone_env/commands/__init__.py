@@ -1,0 +1,1 @@
+"""The subcommands of `drone-env`, one file each."""

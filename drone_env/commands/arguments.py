@@ -1,0 +1,29 @@
+"""Arguments that several subcommands share."""
+
+from typing import Annotated
+
+import tyro
+
+from drone_env.agents import AGENTS
+from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.tasks import TASKS
+from drone_env.errors import InvalidValueError
+
+SHORT_NAMES = [task.short_name for task in TASKS.values()]
+
+TaskName = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
+AgentName = Annotated[str, tyro.conf.arg(metavar="|".join(AGENTS))]
+ProfileName = Annotated[str, tyro.conf.arg(metavar="|".join(REWARD_PROFILES))]
+Seed = Annotated[int | None, tyro.conf.arg(metavar="N")]
+
+
+def parse_seeds(text: str) -> range:
+    """The seeds of `A:B`, from A up to and not including B.
+
+    Raises:
+        InvalidValueError: if it is not of that form, or empty.
+    """
+    start, colon, stop = text.partition(":")
+    if not (colon and start.isdecimal() and stop.isdecimal() and int(start) < int(stop)):
+        raise InvalidValueError(f"--seeds takes A:B with integers 0 <= A < B, such as 0:100; got {text!r}")
+    return range(int(start), int(stop))

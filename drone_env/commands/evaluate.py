@@ -1,0 +1,122 @@
+"""`drone-env evaluate`: agents side by side on the same maps, beside the exact optimum."""
+
+import json as json_format
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from drone_env.agents import AGENTS
+from drone_env.commands.arguments import SHORT_NAMES, parse_seeds
+from drone_env.core.seeds import SPLITS, split_seeds
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import InvalidValueError
+from drone_env.evaluation import EpisodesKey, concatenate, episodes_key, run_in_chunks, summarise
+
+TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
+AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
+SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
+SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
+JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
+
+
+def evaluate(
+    task: TaskNames = ("all",),
+    agents: AgentNames = ("random", "greedy", "optimal"),
+    split: SplitName = None,
+    episodes: int | None = None,
+    seeds: SeedRange = None,
+    json: JsonFile = None,
+) -> None:
+    """Fly many maps with several agents and compare them, each beside the exact optimum of the same maps.
+
+    Prints a table; a progress bar goes to standard error. Score: graded, 0.01 to 0.99, with its 95 % confidence
+    interval. Ratio: mean score / mean optimal score. Excess: steps beyond the optimal flight, on delivered maps.
+
+    Example: drone-env evaluate --task hard --agents greedy optimal --episodes 100 --json results.json
+
+    Args:
+        task: One or more tasks, or all.
+        agents: One or more agents.
+        split: Whose first maps to fly: test if nothing is said. Training never touches validation and test.
+        episodes: How many maps of the split, 1000 if nothing is said.
+        seeds: Fly the maps from A up to and not including B instead of a split's.
+        json: Write the figures to this file; - prints only the JSON on standard output.
+    """
+    if seeds is not None and (split is not None or episodes is not None):
+        raise InvalidValueError("--seeds names the maps itself: give it without --split and --episodes")
+    if episodes is not None and episodes < 1:
+        raise InvalidValueError(f"--episodes must be at least 1, got {episodes}")
+    chosen_split = "custom" if seeds is not None else split or "test"
+    maps = split_seeds(chosen_split, episodes or 1000) if seeds is None else parse_seeds(seeds)
+    tasks = list(TASKS.values()) if "all" in task else [get_task(name) for name in task]
+    keys = {t: {agent: episodes_key(t, agent, maps, chosen_split) for agent in agents} for t in dict.fromkeys(tasks)}
+
+    report = {"tasks": {t.id: _evaluate_task(t, of_agent) for t, of_agent in keys.items()}}
+    text = json_format.dumps(report, indent=2) + "\n"
+    if json == "-":
+        sys.stdout.write(text)
+        return
+    Console().print(_table(report))
+    if json is not None:
+        _write_whole(Path(json), text)
+
+
+def _evaluate_task(task: TaskConfig, keys: dict[str, EpisodesKey]) -> dict[str, Any]:
+    key = next(iter(keys.values()))
+    start, stop = key.seeds
+    summaries: dict[str, Any] = {}
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        for agent, agent_key in keys.items():
+            bar = progress.add_task(f"{task.short_name} {agent}", total=stop - start)
+            pieces = []
+            for piece in run_in_chunks(agent_key):
+                pieces.append(piece)
+                progress.advance(bar, len(piece.seeds))
+            summaries[agent] = summarise(concatenate(pieces))
+    return {
+        "version": task.version,
+        "split": key.split,
+        "seeds": [start, stop],
+        "episodes": stop - start,
+        "agents": summaries,
+    }
+
+
+def _table(report: dict[str, Any]) -> Table:
+    table = Table(title="Graded score beside the exact optimum of the same maps")
+    table.add_column("task")
+    table.add_column("agent")
+    for heading in ("score", "95 % interval", "optimum", "ratio", "success", "steps", "excess"):
+        table.add_column(heading, justify="right")
+    for task_id, of_task in report["tasks"].items():
+        table.add_section()
+        for agent, figures in of_task["agents"].items():
+            low, high = figures["score_ci95"]
+            excess = figures["mean_excess_steps"]
+            table.add_row(
+                task_id,
+                agent,
+                f"{figures['mean_score']:.4f}",
+                f"{low:.4f}-{high:.4f}",
+                f"{figures['mean_optimal_score']:.4f}",
+                f"{figures['score_ratio']:.4f}",
+                f"{figures['success_rate']:.1%}",
+                f"{figures['mean_steps']:.1f}",
+                "-" if excess is None else f"{excess:.2f}",
+            )
+    seeds = next(iter(report["tasks"].values()))["seeds"]
+    table.caption = f"{seeds[1] - seeds[0]:,} maps a task, seeds {seeds[0]} to {seeds[1] - 1}"
+    return table
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Write a file so that it is there whole or not at all."""
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(path)

@@ -1,0 +1,49 @@
+"""`drone-env solve`: the optimal tour of a map."""
+
+import json as json_format
+
+from drone_env.commands.arguments import Seed, TaskName
+from drone_env.core.state_manager import Episode
+from drone_env.envs.ansi import draw_text, draw_tour
+from drone_env.planning.optimal import solve_episode
+
+
+def solve(task: TaskName = "easy", seed: Seed = None, json: bool = False) -> None:
+    """Show a map, its optimal tour and the score that the tour earns: the highest that any flight can.
+
+    Example: drone-env solve --task hard --seed 7
+
+    Args:
+        task: The task, by its short name, id or grader.
+        seed: Number of the map, 0 to 2^53 - 1. Without one, a train map is drawn at random.
+        json: Print JSON instead: positions are [x, y], `path` starts with the drone's start.
+    """
+    episode = Episode(task)
+    episode.reset(seed)
+    solution = solve_episode(episode)
+    flight = Episode(task)
+    flight.reset(episode.seed)
+    for action in solution.actions:
+        flight.step(action)
+    if json:
+        report = {
+            "task": episode.task.id,
+            "version": episode.task.version,
+            "seed": episode.seed,
+            "score": solution.score,
+            "success": solution.success,
+            "steps": solution.steps,
+            "deliveries": solution.deliveries,
+            "order": solution.order,
+            "actions": [action.name for action in solution.actions],
+            "path": [episode.position, *((point.x, point.y) for point in flight.path)],
+        }
+        print(json_format.dumps(report))
+        return
+    print(draw_text(episode))
+    print()
+    print(draw_tour(episode, [(point.x, point.y) for point in flight.path], solution.order))
+    print(f"Best score: {solution.score:.4f} with {solution.deliveries} of {episode.task.deliveries} delivered")
+    print(f"Steps: {solution.steps}")
+    print(f"Order: {' -> '.join(str(stop) for stop in (episode.position, *solution.order))}")
+    print(f"Actions: {' '.join(action.name for action in solution.actions)}")

@@ -1,0 +1,150 @@
+"""One drone as a `gymnasium.Env`."""
+
+from typing import Any, SupportsIndex
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+
+from drone_env.core.actions import N_ACTIONS
+from drone_env.core.cells import N_CELL_KINDS
+from drone_env.core.rewards import RewardProfile
+from drone_env.core.state_manager import Episode, Observation
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.envs.ansi import draw_text
+from drone_env.envs.rendering import draw_mission
+from drone_env.envs.window import Window
+from drone_env.errors import InvalidValueError
+from drone_env.planning.optimal import solve
+
+
+class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
+    """Deliver parcels on a generated city grid.
+
+    Observation: `{"grid": uint8[H, W], "telemetry": float32[5]}`; cell ids are those of `core.cells.Cell`, the
+    telemetry is drone x/width, y/height, battery, target x/width, y/height. Actions: 0 UP, 1 DOWN, 2 LEFT, 3 RIGHT,
+    4 WAIT. All endings are part of the task and so `terminated`; nothing here truncates.
+
+    `info` holds `seed` (the number of the map), `score` (graded, provisional until the end), `action_mask` (int8[5],
+    advice) and `event`; at the end also `outcome`, and `optimal_score`, `optimal_steps` and `regret` (optimal minus own
+    score), which are None on a task that no planner solves exactly.
+
+    Args:
+        task: A task or its name.
+        version: The task's version, None for the current one.
+        reward_profile: A reward profile or its name.
+        render_mode: `ansi` (text), `rgb_array` (a picture, uint8[h, w, 3]), `human` (a window) or None.
+
+    Raises:
+        UnknownNameError: if the task, version or profile does not exist.
+        InvalidValueError: if the render mode does not exist.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["ansi", "rgb_array", "human"], "render_fps": 8}
+
+    def __init__(
+        self,
+        task: str | TaskConfig = "easy_delivery",
+        version: int | None = None,
+        reward_profile: str | RewardProfile = "aligned",
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            allowed = ", ".join(self.metadata["render_modes"])
+            raise InvalidValueError(f"unknown render_mode {render_mode!r}; allowed: {allowed}")
+        self.task = get_task(task, version)
+        self.render_mode = render_mode
+        self.episode = Episode(self.task, reward_profile)
+        shape = (self.task.height, self.task.width)
+        self.observation_space = spaces.Dict(
+            {
+                "grid": spaces.Box(0, N_CELL_KINDS - 1, shape, np.uint8),
+                "telemetry": spaces.Box(0.0, 1.0, (self.task.telemetry_size,), np.float32),
+            }
+        )  # type: ignore[assignment]
+        self.action_space = spaces.Discrete(N_ACTIONS)  # type: ignore[assignment]
+        self._window = Window(fps=self.metadata["render_fps"])
+
+    def reset(
+        self, *, seed: SupportsIndex | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start map `seed`; without one, the map after the last one on the walk of `core.seeds.next_seed`.
+
+        Args:
+            seed: In [0, 2^53). The very first reset without a seed draws a train map at random.
+            options: May hold `reward_profile`, which then holds for this and the following episodes.
+
+        Raises:
+            InvalidValueError: if the seed is out of range or an option does not exist.
+            UnknownNameError: if the reward profile does not exist.
+        """
+        options = dict(options or {})
+        profile = options.pop("reward_profile", None)
+        if options:
+            raise InvalidValueError(f"unknown reset options {sorted(options)}; allowed: reward_profile")
+        self.episode.reset(seed, reward_profile=profile)
+        super().reset(seed=None if seed is None else self.episode.seed)
+        if self.render_mode == "human":
+            self.render()
+        return self.episode.observation(), self._info()
+
+    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Fly one action.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset and after the end of the episode.
+            InvalidValueError: if the action is not an integer from 0 to 4.
+        """
+        if not self.episode.started or self.episode.ended:
+            raise ResetNeeded("the episode has not begun or has ended: call reset() before step()")
+        reward = self.episode.step(action)
+        if self.render_mode == "human":
+            self.render()
+        return self.episode.observation(), reward, self.episode.ended, False, self._info()
+
+    def action_masks(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """bool[5]: the mask in the form that MaskablePPO asks for."""
+        return self.episode.action_mask().astype(np.bool_)
+
+    def render(self) -> Any:
+        """The mission as text or picture, according to `render_mode`; None for `human`, which shows it in a window.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
+            gymnasium.error.DependencyNotInstalled: if `human` is asked for and pygame is missing.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                "render() was called without a render mode; pass one to make(), such as render_mode='rgb_array'"
+            )
+            return None
+        if not self.episode.started:
+            raise ResetNeeded("there is nothing to show yet: call reset() before render()")
+        if self.render_mode == "ansi":
+            return draw_text(self.episode)
+        picture = draw_mission(self.episode)
+        if self.render_mode == "rgb_array":
+            return picture
+        self._window.show(picture)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self._window.close()
+
+    def _info(self) -> dict[str, Any]:
+        episode = self.episode
+        info: dict[str, Any] = {
+            "seed": episode.seed,
+            "score": episode.score,
+            "action_mask": episode.action_mask(),
+            "event": episode.event.name.lower(),
+        }
+        if episode.ended:
+            optimum = solve(self.task, episode.seed) if self.task.uniform else None
+            info["outcome"] = episode.outcome.name.lower()
+            info["optimal_score"] = optimum and optimum.score
+            info["optimal_steps"] = optimum and optimum.steps
+            info["regret"] = optimum and optimum.score - episode.score
+        return info

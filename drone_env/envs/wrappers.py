@@ -1,0 +1,72 @@
+"""Other forms of the observation: planes for convolutions, one vector, text."""
+
+import string
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from drone_env.core.cells import CELL_KINDS, N_CELL_KINDS
+from drone_env.core.state_manager import Observation
+from drone_env.envs.ansi import draw_text
+from drone_env.envs.drone_delivery import DroneDeliveryEnv
+
+Env = gymnasium.Env[Observation, int]
+
+
+def one_hot(grid: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """uint8[kinds, H, W] of 0 and 1 from cell ids uint8[H, W]: plane i marks the cells of kind i."""
+    return (grid == np.arange(N_CELL_KINDS, dtype=np.uint8)[:, None, None]).astype(np.uint8)
+
+
+class OneHotPlanes(gymnasium.ObservationWrapper[Any, int, Observation], gymnasium.utils.RecordConstructorArgs):
+    """`grid` becomes one-hot planes for convolutional networks: uint8[kinds, H, W]; `telemetry` stays."""
+
+    def __init__(self, env: Env) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        inner = cast(spaces.Dict, env.observation_space)
+        height, width = cast(tuple[int, int], inner["grid"].shape)
+        self.observation_space = spaces.Dict(
+            {"grid": spaces.Box(0, 1, (N_CELL_KINDS, height, width), np.uint8), "telemetry": inner["telemetry"]}
+        )
+
+    def observation(self, observation: Observation) -> dict[str, npt.NDArray[Any]]:
+        """The observation with planes for a grid."""
+        return {"grid": one_hot(observation["grid"]), "telemetry": observation["telemetry"]}
+
+
+class FlatObservation(gymnasium.ObservationWrapper[Any, int, Observation], gymnasium.utils.RecordConstructorArgs):
+    """One vector for dense networks: the one-hot planes, row by row, then the telemetry; float32[kinds * H * W + 5]."""
+
+    def __init__(self, env: Env) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        inner = cast(spaces.Dict, env.observation_space)
+        cells = int(np.prod(cast(tuple[int, int], inner["grid"].shape)))
+        telemetry = cast(tuple[int], inner["telemetry"].shape)[0]
+        self.observation_space = spaces.Box(0.0, 1.0, (N_CELL_KINDS * cells + telemetry,), np.float32)
+
+    def observation(self, observation: Observation) -> npt.NDArray[np.float32]:
+        """The observation as one vector."""
+        planes = one_hot(observation["grid"]).reshape(-1)
+        return np.concatenate([planes, observation["telemetry"]], dtype=np.float32)
+
+
+class TextObservation(gymnasium.ObservationWrapper[str, int, Observation], gymnasium.utils.RecordConstructorArgs):
+    """The mission as text, for language models and people: the map in emoji with a status line."""
+
+    def __init__(self, env: Env) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        height, width = cast(tuple[int, int], cast(spaces.Dict, env.observation_space)["grid"].shape)
+        charset = set(string.printable) | {c for kind in CELL_KINDS.values() for c in kind.emoji} | set("·×│─┌┐└┘🎯")
+        self.observation_space = spaces.Text(
+            max_length=4 * (width + 2) * (height + 2) + 500, charset="".join(sorted(charset))
+        )
+
+    def observation(self, observation: Observation) -> str:
+        """The mission as text."""
+        return draw_text(cast(DroneDeliveryEnv, self.unwrapped).episode)

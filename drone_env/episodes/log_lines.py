@@ -1,0 +1,35 @@
+"""The log lines of a flight: `[START]`, one `[STEP]` per step, `[END]`.
+
+    [START] task=drone_env.graders:grade_easy env=drone_env_v1 model=greedy
+    [STEP] step=1 action=RIGHT reward=0.15 done=false error=null
+    [END] success=true steps=1 score=0.997 rewards=0.99
+
+Rewards have two decimals, the score three. `success` means that every parcel was delivered.
+"""
+
+from collections.abc import Sequence
+
+from drone_env.core.actions import Action
+from drone_env.core.tasks import TaskConfig
+
+ENV_NAME = "drone_env_v1"
+
+
+def start_line(task: TaskConfig, model: str) -> str:
+    """The line before the first step; `model` is the name of whoever flies."""
+    return f"[START] task={task.grader} env={ENV_NAME} model={model}"
+
+
+def step_line(step: int, action: Action, reward: float, done: bool, error: str | None = None) -> str:
+    """The line of one step, counted from 1; `error` is null where the step went well."""
+    return f"[STEP] step={step} action={action.name} reward={reward:.2f} done={_flag(done)} error={error or 'null'}"
+
+
+def end_line(success: bool, score: float, rewards: Sequence[float]) -> str:
+    """The line after the last step."""
+    listed = ",".join(f"{reward:.2f}" for reward in rewards)
+    return f"[END] success={_flag(success)} steps={len(rewards)} score={score:.3f} rewards={listed}"
+
+
+def _flag(value: bool) -> str:
+    return "true" if value else "false"

@@ -1,0 +1,179 @@
+"""Evaluation: `run_episodes(key)` is the one unit of work, `summarise` the figures that stand in reports."""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.agents import Agent, make_agent
+from drone_env.core.seeds import check_seed
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.errors import InvalidValueError
+from drone_env.planning.optimal import solve
+
+
+class EpisodesKey(NamedTuple):
+    """What a piece of evaluation is: equal keys give equal results.
+
+    `seeds` are [start, stop); `split` is the split that they were chosen from, or `custom`.
+    """
+
+    task: str
+    version: int
+    split: str
+    seeds: tuple[int, int]
+    agent: str
+    config_hash: str
+
+
+@dataclass(frozen=True)
+class EpisodeResults:
+    """What came of the episodes of one key, one entry per episode, in the order of the seeds.
+
+    Attributes:
+        key: What was flown.
+        seeds: int64[n].
+        scores: float64[n], the graded scores.
+        steps: int32[n], steps flown.
+        deliveries: int32[n], parcels delivered.
+        success: bool[n], whether all were.
+        optimal_scores: float64[n], the exact optimum of each map.
+        optimal_steps: int32[n], steps of the optimal flight.
+    """
+
+    key: EpisodesKey
+    seeds: npt.NDArray[np.int64]
+    scores: npt.NDArray[np.float64]
+    steps: npt.NDArray[np.int32]
+    deliveries: npt.NDArray[np.int32]
+    success: npt.NDArray[np.bool_]
+    optimal_scores: npt.NDArray[np.float64]
+    optimal_steps: npt.NDArray[np.int32]
+
+
+def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = "custom") -> EpisodesKey:
+    """The key of flying consecutive seeds of a task with an agent.
+
+    Raises:
+        UnknownNameError: if there is no such task or agent.
+        InvalidValueError: if the seeds are not consecutive integers in [0, 2^53), or there are none.
+    """
+    task = get_task(task)
+    if len(seeds) == 0 or seeds.step != 1:
+        raise InvalidValueError(f"seeds must be a range of at least one, with step 1; got {seeds}")
+    check_seed(seeds[0])
+    check_seed(seeds[-1])
+    return EpisodesKey(task.id, task.version, split, (seeds.start, seeds.stop), agent, config_hash(task, agent))
+
+
+def config_hash(task: TaskConfig, agent: str) -> str:
+    """16 hex digits that change with any number of the task and with anything that decides how the agent flies."""
+    task_numbers = {name: sorted(v) if isinstance(v, frozenset) else v for name, v in asdict(task).items()}
+    config = {"task": task_numbers, "agent": dict(make_agent(agent, task).config)}
+    return hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def run_episodes(key: EpisodesKey) -> EpisodeResults:
+    """Fly every episode of a key, each beside the exact optimum of its map.
+
+    Raises:
+        UnknownNameError: if the key names a task, version or agent that does not exist.
+        InvalidValueError: if the key was made under another configuration than the one that would fly now.
+    """
+    task = get_task(key.task, key.version)
+    now = config_hash(task, key.agent)
+    if now != key.config_hash:
+        raise InvalidValueError(
+            f"the key was made under configuration {key.config_hash}, but {key.agent!r} on {key.task!r} is now {now}"
+        )
+    agent = make_agent(key.agent, task)
+    scores, steps, deliveries, success = zip(*(_fly(task, agent, seed) for seed in range(*key.seeds)), strict=True)
+    optimal_scores, optimal_steps = zip(*(_optimum(task, seed) for seed in range(*key.seeds)), strict=True)
+    return EpisodeResults(
+        key=key,
+        seeds=np.arange(*key.seeds, dtype=np.int64),
+        scores=np.array(scores),
+        steps=np.array(steps, np.int32),
+        deliveries=np.array(deliveries, np.int32),
+        success=np.array(success, np.bool_),
+        optimal_scores=np.array(optimal_scores),
+        optimal_steps=np.array(optimal_steps, np.int32),
+    )
+
+
+def run_in_chunks(key: EpisodesKey, chunk: int = 50) -> Iterator[EpisodeResults]:
+    """The episodes of a key in pieces of `chunk`, for progress bars; `concatenate` puts them together."""
+    start, stop = key.seeds
+    for first in range(start, stop, chunk):
+        yield run_episodes(key._replace(seeds=(first, min(first + chunk, stop))))
+
+
+def concatenate(pieces: Sequence[EpisodeResults]) -> EpisodeResults:
+    """One result from the results of neighbouring pieces.
+
+    Raises:
+        InvalidValueError: if there are none, or they are not neighbours of one configuration.
+    """
+    keys = [piece.key for piece in pieces]
+    if not keys:
+        raise InvalidValueError("there are no results to put together")
+    for left, right in pairwise(keys):
+        if left._replace(seeds=right.seeds) != right or left.seeds[1] != right.seeds[0]:
+            raise InvalidValueError(f"these results are not neighbours: {left} and {right}")
+    columns = [field.name for field in fields(EpisodeResults) if field.name != "key"]
+    return EpisodeResults(
+        key=keys[0]._replace(seeds=(keys[0].seeds[0], keys[-1].seeds[1])),
+        **{name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in columns},
+    )
+
+
+def summarise(results: EpisodeResults) -> dict[str, Any]:
+    """The figures of a report, as JSON values.
+
+    `score_ci95` is mean +- 1.96 standard errors (normal approximation; the mean twice for a single episode).
+    `score_ratio` is mean score / mean optimal score on the same maps. `mean_excess_steps` counts the steps beyond the
+    optimal flight's, over maps that the agent delivered in full; null where there is none.
+    """
+    n = len(results.scores)
+    mean = _mean(results.scores)
+    error = 1.96 * float(results.scores.std(ddof=1)) / math.sqrt(n) if n > 1 else 0.0
+    optimal = _mean(results.optimal_scores)
+    excess = (results.steps - results.optimal_steps)[results.success]
+    return {
+        "mean_score": mean,
+        "score_ci95": [mean - error, mean + error],
+        "success_rate": _mean(results.success),
+        "mean_steps": _mean(results.steps),
+        "mean_optimal_score": optimal,
+        "score_ratio": mean / optimal,
+        "mean_regret": _mean(results.optimal_scores - results.scores),
+        "mean_excess_steps": _mean(excess) if len(excess) else None,
+    }
+
+
+def _mean(values: npt.NDArray[Any]) -> float:
+    """The correctly rounded sum by the count: the same figure in whatever order the episodes were flown."""
+    return math.fsum(values) / len(values)
+
+
+def _fly(task: TaskConfig, agent: Agent, seed: int) -> tuple[float, int, int, bool]:
+    agent.reset(seed)
+    episode = Episode(task)
+    episode.reset(seed)
+    while not episode.ended:
+        episode.step(agent.act(episode.observation()))
+    return episode.score, episode.steps, episode.deliveries_done, episode.success
+
+
+@lru_cache(maxsize=1 << 16)
+def _optimum(task: TaskConfig, seed: int) -> tuple[float, int]:
+    solution = solve(task, seed)
+    return solution.score, solution.steps

@@ -1,0 +1,43 @@
+"""From a state to its score: the one formula of `core.score`, behind every grader."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from drone_env.core.score import score_of
+from drone_env.core.tasks import get_task
+from drone_env.errors import InvalidValueError
+from drone_env.models import DroneState
+
+
+def grade(task_name: str, state: DroneState | Mapping[str, Any]) -> float:
+    """The score of a state, in [0.01, 0.99]; provisional while the episode is in flight.
+
+    Computed from the state's counts; its own `score` is not believed.
+
+    Args:
+        task_name: The task that the grader is for.
+        state: A `DroneState` or the same as a dictionary.
+
+    Raises:
+        pydantic.ValidationError: if the dictionary is not a `DroneState`.
+        InvalidValueError: if the state is of another task, or its counts are not those of the task.
+    """
+    if not isinstance(state, DroneState):
+        state = DroneState.model_validate(state)
+    task = get_task(task_name, state.task_version)
+    if get_task(state.task_name, state.task_version) != task:
+        raise InvalidValueError(f"the grader of {task.id!r} was given a state of {state.task_name!r}")
+    counts = (state.deliveries_total, state.battery_capacity, state.max_steps)
+    expected = (task.deliveries, task.battery_capacity, task.max_steps)
+    if counts != expected:
+        raise InvalidValueError(
+            f"{task.id!r} has (deliveries_total, battery_capacity, max_steps) = {expected}; the state says {counts}"
+        )
+    return score_of(
+        state.deliveries_done,
+        task.deliveries,
+        state.battery_steps_remaining,
+        task.battery_capacity,
+        state.step_count,
+        task.max_steps,
+    )

@@ -1,0 +1,222 @@
+"""What travels between the world and those who fly in it: actions, observations and states as Pydantic models.
+
+Unknown fields, wrong types and numbers out of range are validation errors that name the field. All models are
+immutable; positions are `[x, y]` in JSON.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from typing_extensions import Self
+
+from drone_env.core.actions import Action
+from drone_env.core.cells import CELL_KINDS, Cell
+from drone_env.core.state_manager import Episode
+
+Direction = Literal["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
+Count = Annotated[int, Field(ge=0)]
+Score = Annotated[float, Field(ge=0.01, le=0.99)]
+Position = Annotated[tuple[Count, Count], Field(strict=False)]
+
+LEGEND: dict[str, str] = {
+    kind.emoji: f"{kind.name}: {kind.effect}" for cell, kind in CELL_KINDS.items() if cell is not Cell.UNKNOWN
+}
+EMOJI = [CELL_KINDS[cell].emoji for cell in Cell]
+NAMES = [CELL_KINDS[cell].name for cell in Cell]
+
+
+class Message(BaseModel):
+    """Base of all that travels: immutable, strict, no unknown fields, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class DroneAction(Message):
+    """One action."""
+
+    direction: Direction = Field(description="Where to fly: UP is y - 1, DOWN y + 1, LEFT x - 1, RIGHT x + 1.")
+
+    @property
+    def action(self) -> Action:
+        """The action as the number that the dynamics take."""
+        return Action[self.direction]
+
+
+class DroneObservation(Message):
+    """What an agent sees after a reset or a step."""
+
+    grid: list[str] = Field(description="The map as one row of emoji per line, top row first.")
+    cell_types: list[list[str]] = Field(description="Names of the cell kinds, cell_types[y][x].")
+    grid_width: int = Field(ge=2, description="Columns of the grid.")
+    grid_height: int = Field(ge=2, description="Rows of the grid.")
+    drone_x: Count = Field(description="Column of the drone, 0 at the left.")
+    drone_y: Count = Field(description="Row of the drone, 0 at the top.")
+    battery: float = Field(ge=0, le=1, description="Share of the battery left.")
+    battery_steps_remaining: Count = Field(description="Battery units left; in the standard tasks each step costs one.")
+    deliveries_total: int = Field(ge=1, description="Parcels to deliver.")
+    deliveries_done: Count = Field(description="Parcels delivered.")
+    current_target: Position | None = Field(
+        description="[x, y] of the parcel to deliver next, null when all are delivered. Any other counts as well."
+    )
+    distance_to_target: float | None = Field(
+        ge=0, description="Manhattan distance to the current target in cells, null when all are delivered."
+    )
+    step_count: Count = Field(description="Steps taken.")
+    max_steps: int = Field(ge=1, description="Steps after which the episode ends.")
+    reward_last: float = Field(description="Reward of the last step.")
+    reward_total: float = Field(description="Sum of all rewards.")
+    score: Score = Field(description="The graded score as the episode stands; provisional until `done`.")
+    done: bool = Field(description="Whether the episode has ended.")
+    message: str = Field(description="What happened last, in words.")
+    legend: dict[str, str] = Field(description="What each emoji means.")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        shape = (self.grid_height, self.grid_width)
+        if len(self.grid) != self.grid_height:
+            raise ValueError(f"grid has {len(self.grid)} rows, grid_height says {self.grid_height}")
+        if any((len(self.cell_types), len(line)) != shape for line in self.cell_types) or not self.cell_types:
+            raise ValueError(f"cell_types is not {self.grid_height} rows of {self.grid_width} names")
+        if self.drone_x >= self.grid_width or self.drone_y >= self.grid_height:
+            raise ValueError(f"drone_x {self.drone_x}, drone_y {self.drone_y} is off the grid")
+        if self.deliveries_done > self.deliveries_total:
+            raise ValueError(f"deliveries_done {self.deliveries_done} exceeds deliveries_total {self.deliveries_total}")
+        if self.step_count > self.max_steps:
+            raise ValueError(f"step_count {self.step_count} exceeds max_steps {self.max_steps}")
+        return self
+
+    @classmethod
+    def of(cls, episode: Episode) -> Self:
+        """What an agent sees of the episode now.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        cells = episode.grid().tolist()
+        x, y = episode.position
+        return cls(
+            grid=["".join([EMOJI[cell] for cell in line]) for line in cells],
+            cell_types=[[NAMES[cell] for cell in line] for line in cells],
+            grid_width=episode.task.width,
+            grid_height=episode.task.height,
+            drone_x=x,
+            drone_y=y,
+            battery=episode.battery,
+            battery_steps_remaining=episode.battery_units,
+            deliveries_total=episode.task.deliveries,
+            deliveries_done=episode.deliveries_done,
+            current_target=episode.target,
+            distance_to_target=episode.distance_to_target,
+            step_count=episode.steps,
+            max_steps=episode.task.max_steps,
+            reward_last=episode.reward_last,
+            reward_total=episode.reward_total,
+            score=episode.score,
+            done=episode.ended,
+            message=episode.message,
+            legend=LEGEND,
+        )
+
+
+class PathPoint(Message):
+    """One flown step: the action and what it led to."""
+
+    step: int = Field(ge=1, description="Number of the step, from 1.")
+    action: Direction
+    x: Count = Field(description="Column of the drone after the step.")
+    y: Count = Field(description="Row of the drone after the step.")
+    event: str = Field(description="What the step came to, such as `step`, `delivery`, `wall`.")
+    reward: float
+    battery_steps_remaining: Count = Field(description="Battery units left after the step.")
+
+
+class ParcelState(Message):
+    """One parcel."""
+
+    x: Count
+    y: Count
+    delivered: bool
+
+
+class DroneState(Message):
+    """The full state of an episode, with the flight so far."""
+
+    task_name: str = Field(description="Id of the task.")
+    task_version: int = Field(ge=1, description="Version of the task.")
+    seed: int = Field(ge=0, lt=2**53, description="Number of the map.")
+    reward_profile: str = Field(description="Id of the reward profile.")
+    grid: list[list[Annotated[int, Field(ge=0, lt=len(Cell))]]] = Field(description="Cell ids, grid[y][x].")
+    drone_x: Count = Field(description="Column of the drone.")
+    drone_y: Count = Field(description="Row of the drone.")
+    battery: float = Field(ge=0, le=1, description="Share of the battery left.")
+    battery_steps_remaining: Count = Field(description="Battery units left.")
+    battery_capacity: int = Field(ge=1, description="Battery units at the start.")
+    deliveries_total: int = Field(ge=1, description="Parcels to deliver.")
+    deliveries_done: Count = Field(description="Parcels delivered.")
+    parcels: list[ParcelState] = Field(description="All parcels, by their index.")
+    current_target: Position | None = Field(description="[x, y] of the current target, null when none is left.")
+    step_count: Count = Field(description="Steps taken.")
+    max_steps: int = Field(ge=1, description="Steps after which the episode ends.")
+    reward_total: float = Field(description="Sum of all rewards.")
+    score: Score = Field(description="The graded score as the episode stands.")
+    done: bool = Field(description="Whether the episode has ended.")
+    outcome: Literal["flying", "delivered", "battery_dead", "out_of_steps"] = Field(
+        description="How the episode stands."
+    )
+    path_history: list[PathPoint] = Field(description="All steps flown, in order.")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.deliveries_done > self.deliveries_total:
+            raise ValueError(f"deliveries_done {self.deliveries_done} exceeds deliveries_total {self.deliveries_total}")
+        if self.battery_steps_remaining > self.battery_capacity:
+            raise ValueError(
+                f"battery_steps_remaining {self.battery_steps_remaining} exceeds "
+                f"battery_capacity {self.battery_capacity}"
+            )
+        if self.step_count > self.max_steps:
+            raise ValueError(f"step_count {self.step_count} exceeds max_steps {self.max_steps}")
+        return self
+
+    @classmethod
+    def of(cls, episode: Episode) -> Self:
+        """The full state of the episode now.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        x, y = episode.position
+        return cls(
+            task_name=episode.task.id,
+            task_version=episode.task.version,
+            seed=episode.seed,
+            reward_profile=episode.reward_profile.id,
+            grid=episode.grid().tolist(),
+            drone_x=x,
+            drone_y=y,
+            battery=episode.battery,
+            battery_steps_remaining=episode.battery_units,
+            battery_capacity=episode.task.battery_capacity,
+            deliveries_total=episode.task.deliveries,
+            deliveries_done=episode.deliveries_done,
+            parcels=[ParcelState(x=px, y=py, delivered=delivered) for px, py, delivered in episode.parcels],
+            current_target=episode.target,
+            step_count=episode.steps,
+            max_steps=episode.task.max_steps,
+            reward_total=episode.reward_total,
+            score=episode.score,
+            done=episode.ended,
+            outcome=episode.outcome.name.lower(),  # type: ignore[arg-type]
+            path_history=[
+                PathPoint(
+                    step=i,
+                    action=point.action.name,  # type: ignore[arg-type]
+                    x=point.x,
+                    y=point.y,
+                    event=point.event.name.lower(),
+                    reward=point.reward,
+                    battery_steps_remaining=point.battery,
+                )
+                for i, point in enumerate(episode.path, start=1)
+            ],
+        )

@@ -1,0 +1,26 @@
+"""The nearest-target rule: fly straight to the current target, which is the nearest parcel when it is chosen."""
+
+from drone_env.core.actions import Action
+from drone_env.core.state_manager import Observation
+from drone_env.core.tasks import TaskConfig
+from drone_env.planning.paths import Position, towards
+
+
+def drone_position(task: TaskConfig, observation: Observation) -> Position:
+    """(x, y) of the drone, from the telemetry."""
+    return _position(task, observation, 0)
+
+
+def target_position(task: TaskConfig, observation: Observation) -> Position:
+    """(x, y) of the current target, from the telemetry; the drone's own when nothing is left."""
+    return _position(task, observation, 3)
+
+
+def greedy_action(task: TaskConfig, observation: Observation) -> Action:
+    """The next action towards the current target; WAIT when nothing is left."""
+    return towards(drone_position(task, observation), target_position(task, observation))
+
+
+def _position(task: TaskConfig, observation: Observation, index: int) -> Position:
+    x, y = observation["telemetry"][index : index + 2].tolist()
+    return round(x * task.width), round(y * task.height)

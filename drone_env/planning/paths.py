@@ -1,0 +1,40 @@
+"""Ways between cells where nothing blocks and every step costs the same."""
+
+from drone_env.core.actions import Action
+from drone_env.core.tasks import TaskConfig
+from drone_env.errors import UnsupportedTaskError
+
+Position = tuple[int, int]
+
+
+def require_uniform(task: TaskConfig) -> None:
+    """Refuse tasks whose distances are not Manhattan distances.
+
+    Raises:
+        UnsupportedTaskError: if something blocks the way, drains more than one unit a step, or charges.
+    """
+    if not task.uniform:
+        raise UnsupportedTaskError(
+            f"task {task.id!r} has impassable cells, a drain other than 1 or charging pads; "
+            "this planner covers tasks on which every step costs one battery unit and leads anywhere"
+        )
+
+
+def distance(a: Position, b: Position) -> int:
+    """Steps from one position to another."""
+    return abs(a[0] - b[0]) + abs(a[1] - b[1])
+
+
+def towards(a: Position, b: Position) -> Action:
+    """The first action of a shortest way from `a` to `b`: along the row first; WAIT if there is nowhere to go."""
+    if b[0] != a[0]:
+        return Action.RIGHT if b[0] > a[0] else Action.LEFT
+    if b[1] != a[1]:
+        return Action.DOWN if b[1] > a[1] else Action.UP
+    return Action.WAIT
+
+
+def route(a: Position, b: Position) -> list[Action]:
+    """All actions of that way."""
+    sideways = [towards(a, (b[0], a[1]))] * abs(b[0] - a[0])
+    return sideways + [towards((b[0], a[1]), b)] * abs(b[1] - a[1])

@@ -1,0 +1,269 @@
+"""What Gymnasium and its users expect, over every registered environment."""
+
+import pickle
+import warnings
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS
+from drone_env.envs.drone_delivery import DroneDeliveryEnv
+from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, TextObservation
+from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.planning.optimal import solve
+
+IDS = [f"drone_env:{task.gym_id}" for task in TASKS.values()]
+WRAPPERS = [OneHotPlanes, FlatObservation, TextObservation]
+
+
+def make(env_id: str = IDS[0], **options: Any) -> gymnasium.Env:
+    return gymnasium.make(env_id, **options)
+
+
+def fly_optimally(env: gymnasium.Env, task: str, seed: int, **reset: Any) -> tuple[float, dict]:
+    env.reset(seed=seed, **reset)
+    total = 0.0
+    for action in solve(task, seed).actions:
+        _, reward, terminated, truncated, info = env.step(action)
+        assert not truncated
+        total += float(reward)
+    assert terminated
+    return total, info
+
+
+def test_the_ids_are_the_promised_ones() -> None:
+    assert IDS == [f"drone_env:DroneDelivery-{level}-v1" for level in ("Easy", "Medium", "Hard")]
+
+
+@pytest.mark.parametrize("env_id", IDS)
+@pytest.mark.parametrize("render_mode", [None, "ansi", "rgb_array"])
+def test_gymnasium_check_env_passes_without_a_warning(env_id: str, render_mode: str | None) -> None:
+    check_env(make(env_id, render_mode=render_mode).unwrapped)
+
+
+@pytest.mark.parametrize("env_id", IDS)
+@pytest.mark.parametrize("wrapper", WRAPPERS)
+def test_gymnasium_check_env_passes_on_wrapped_environments(env_id: str, wrapper: type[gymnasium.Wrapper]) -> None:
+    with warnings.catch_warnings():
+        # The checker says so of every wrapped environment.
+        warnings.filterwarnings("ignore", message=".*is different from the unwrapped version.*")
+        check_env(wrapper(make(env_id)))
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_sb3_check_env_passes_without_a_warning_on_the_flat_observation(env_id: str) -> None:
+    sb3_check_env(FlatObservation(make(env_id, render_mode="rgb_array")))
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_sb3_check_env_passes_with_nothing_but_its_advice_on_two_dimensional_boxes(env_id: str) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        sb3_check_env(make(env_id, render_mode="rgb_array"))
+    assert ["grid has an unconventional shape" in str(warning.message) for warning in caught] == [True]
+
+
+@pytest.mark.parametrize(("env_id", "task"), zip(IDS, TASKS.values(), strict=True), ids=TASKS)
+def test_spaces_are_the_promised_ones(env_id: str, task: Any) -> None:
+    env = make(env_id)
+    assert env.action_space == gymnasium.spaces.Discrete(5)
+    assert set(env.observation_space.spaces) == {"grid", "telemetry"}
+    observation, _ = env.reset(seed=1)
+    assert (observation["grid"].shape, observation["grid"].dtype) == ((task.height, task.width), np.uint8)
+    assert (observation["telemetry"].shape, observation["telemetry"].dtype) == ((5,), np.float32)
+
+
+def test_reset_flies_the_map_of_its_seed() -> None:
+    env, episode = make(IDS[2]), Episode("hard")
+    for seed in (0, 7, 2**52, 2**53 - 1):
+        observation, info = env.reset(seed=seed)
+        episode.reset(seed)
+        assert np.array_equal(observation["grid"], episode.grid())
+        assert info["seed"] == seed
+
+
+def test_a_reset_without_a_seed_walks_on_in_the_train_split() -> None:
+    walks = []
+    for _ in range(2):
+        env = make()
+        env.reset(seed=2**53 - 1)
+        walks.append([env.reset()[1]["seed"] for _ in range(20)])
+    assert walks[0] == walks[1]
+    assert len(set(walks[0])) == 20
+    assert all(0 <= seed < 2**52 for seed in walks[0])
+
+
+def test_info_tells_score_event_and_mask_and_at_the_end_optimum_and_regret() -> None:
+    env = make(IDS[2])
+    _, info = env.reset(seed=3)
+    assert set(info) == {"seed", "score", "action_mask", "event"}
+    assert info["action_mask"].dtype == np.int8
+    _, info = fly_optimally(env, "hard", 3)
+    optimum = solve("hard", 3)
+    assert (info["outcome"], info["event"], info["seed"]) == ("delivered", "delivery", 3)
+    assert info["score"] == info["optimal_score"] == optimum.score
+    assert info["optimal_steps"] == optimum.steps
+    assert info["regret"] == 0
+
+
+def test_regret_of_a_flight_that_only_waits() -> None:
+    env = make()
+    env.reset(seed=3)
+    terminated = False
+    while not terminated:
+        _, _, terminated, truncated, info = env.step(4)
+        assert not truncated
+    assert (info["outcome"], info["score"]) == ("battery_dead", 0.01)
+    assert info["regret"] == solve("easy", 3).score - 0.01
+
+
+def test_gymnasium_trains_on_aligned_unless_told_otherwise() -> None:
+    assert make().unwrapped.episode.reward_profile.id == "aligned"
+
+
+@pytest.mark.parametrize("profile", REWARD_PROFILES)
+def test_the_reward_profile_is_an_option_of_make_and_of_reset(profile: str) -> None:
+    episode = Episode("easy", profile)
+    episode.reset(5)
+    for action in solve("easy", 5).actions:
+        episode.step(action)
+    assert fly_optimally(make(reward_profile=profile), "easy", 5)[0] == episode.reward_total
+    env = make(reward_profile="tiered" if profile != "tiered" else "score")
+    assert fly_optimally(env, "easy", 5, options={"reward_profile": profile})[0] == episode.reward_total
+
+
+@pytest.mark.parametrize(
+    ("reset", "error"),
+    [
+        ({"seed": -1}, InvalidValueError),
+        ({"seed": 2**53}, InvalidValueError),
+        ({"options": {"reward_profil": "tiered"}}, InvalidValueError),
+        ({"options": {"reward_profile": "generous"}}, UnknownNameError),
+    ],
+)
+def test_a_refused_reset_leaves_the_episode_as_it_was(reset: dict, error: type[Exception]) -> None:
+    env = make()
+    env.reset(seed=1)
+    env.step(0)
+    before = env.unwrapped.episode.get_state()
+    with pytest.raises(error):
+        env.reset(**reset)
+    assert env.unwrapped.episode.get_state() == before
+
+
+def test_steps_outside_an_episode_need_a_reset() -> None:
+    env = DroneDeliveryEnv()
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+    fly_optimally(env, "easy", 1)
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+    env.reset()
+    env.step(0)
+
+
+@pytest.mark.parametrize("action", [5, -1, 1.0, "UP", None])
+def test_an_action_that_does_not_exist_is_refused(action: object) -> None:
+    env = DroneDeliveryEnv()
+    env.reset(seed=1)
+    with pytest.raises(InvalidValueError, match="0 UP, 1 DOWN, 2 LEFT, 3 RIGHT, 4 WAIT"):
+        env.step(action)
+
+
+def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:
+    with pytest.raises(InvalidValueError, match="ansi, rgb_array, human"):
+        DroneDeliveryEnv(render_mode="png")
+    with pytest.raises(UnknownNameError, match="easy_delivery"):
+        DroneDeliveryEnv(task="extreme")
+    with pytest.raises(UnknownNameError, match="aligned, composite, score, tiered"):
+        DroneDeliveryEnv(reward_profile="generous")
+
+
+def test_observations_are_not_changed_by_later_steps() -> None:
+    env = make()
+    first, info = env.reset(seed=1)
+    kept = {name: value.copy() for name, value in first.items()}
+    mask = info["action_mask"].copy()
+    for action in (0, 1, 2, 3):
+        env.step(action)
+    assert all(np.array_equal(first[name], kept[name]) for name in kept)
+    assert np.array_equal(info["action_mask"], mask)
+
+
+def test_render_modes() -> None:
+    text = make(render_mode="ansi")
+    text.reset(seed=1)
+    assert "🚁" in text.render()
+    picture = make(render_mode="rgb_array")
+    picture.reset(seed=1)
+    before = picture.render()
+    assert (before.dtype, before.ndim, before.shape[2]) == (np.uint8, 3, 3)
+    picture.step(4)
+    picture.step(0)
+    picture.step(1)
+    assert not np.array_equal(before, picture.render())
+
+
+def test_human_mode_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = make(render_mode="human")
+    env.unwrapped.metadata = {**env.unwrapped.metadata}
+    env.reset(seed=1)
+    env.step(0)
+    assert env.render() is None
+    env.close()
+    env.close()
+
+
+def test_planes_are_one_hot() -> None:
+    env = OneHotPlanes(make(IDS[1]))
+    observation, _ = env.reset(seed=2)
+    assert observation["grid"].shape == (9, 14, 14)
+    assert (observation["grid"].sum(axis=0) == 1).all()
+    assert np.array_equal(observation["grid"].argmax(axis=0), env.unwrapped.episode.grid())
+
+
+def test_the_flat_observation_holds_planes_and_telemetry() -> None:
+    env, plain = FlatObservation(make()), make()
+    flat, _ = env.reset(seed=2)
+    observation, _ = plain.reset(seed=2)
+    assert flat.shape == (9 * 100 + 5,)
+    assert np.array_equal(flat[:900].reshape(9, 10, 10).argmax(axis=0), observation["grid"])
+    assert np.array_equal(flat[900:], observation["telemetry"])
+
+
+def test_the_text_observation_shows_the_map() -> None:
+    env = TextObservation(make(IDS[2]))
+    text, _ = env.reset(seed=2)
+    assert text.count("📦") + text.count("🎯") >= 5
+    assert env.observation_space.contains(text)
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_vectorised_by_gymnasium_flies_the_maps_of_its_seeds(mode: str) -> None:
+    envs = gymnasium.make_vec(IDS[0], num_envs=3, vectorization_mode=mode)
+    try:
+        _, info = envs.reset(seed=[4, 5, 6])
+        assert info["seed"].tolist() == [4, 5, 6]
+        envs.step(np.array([0, 1, 2]))
+    finally:
+        envs.close()
+
+
+def test_a_flown_environment_can_be_pickled() -> None:
+    env = DroneDeliveryEnv("hard")
+    env.reset(seed=1)
+    env.step(0)
+    twin = pickle.loads(pickle.dumps(env))
+    for action in (1, 2, 3):
+        ours, theirs = env.step(action), twin.step(action)
+        assert np.array_equal(ours[0]["grid"], theirs[0]["grid"])
+        assert ours[1] == theirs[1]
+    assert env.episode.get_state().row == twin.episode.get_state().row

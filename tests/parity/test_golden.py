@@ -1,0 +1,71 @@
+"""The golden hashes come out everywhere: in any process, compiled, and on the oldest and newest Python."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from drone_env.core.tasks import TASKS
+from tests.parity.golden import (
+    GOLDEN_FILE,
+    N_SEEDS,
+    Hashes,
+    compiled_backend,
+    golden_hashes,
+    golden_seeds,
+    interpreted_backend,
+)
+from tests.tools import find_python, missing_tool
+
+ROOT = Path(__file__).parents[2]
+GOLDEN: Hashes = json.loads(GOLDEN_FILE.read_text(encoding="utf-8"))
+
+
+def hashes_from_another_process(python: str, *options: str, **environment: str) -> Hashes:
+    """What `golden.py` prints under this interpreter."""
+    done = subprocess.run(
+        [python, "-W", "error", str(ROOT / "tests/parity/golden.py"), *options],
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def python_with_numpy(version: str, folder: Path) -> str:
+    """An interpreter of this version in an environment with NumPy alone, made once and kept in `folder`."""
+    python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    if subprocess.run([str(python), "-c", "import numpy"], capture_output=True, check=False).returncode != 0:
+        subprocess.run([find_python(version), "-m", "venv", "--clear", str(folder)], capture_output=True, check=True)
+        install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "numpy"]
+        if subprocess.run(install, capture_output=True, check=False).returncode != 0:
+            missing_tool(f"NumPy for Python {version}")
+    return str(python)
+
+
+def test_names_every_standard_task_of_version_1() -> None:
+    assert list(GOLDEN) == [task.id for task in TASKS.values() if task.version == 1]
+
+
+def test_in_this_process() -> None:
+    assert golden_hashes(interpreted_backend(), golden_seeds(N_SEEDS)) == GOLDEN
+
+
+def test_compiled() -> None:
+    assert golden_hashes(compiled_backend(), golden_seeds(N_SEEDS)) == GOLDEN
+
+
+@pytest.mark.parametrize("hash_seed", ["0", "12345"])
+def test_whatever_the_hash_seed_of_the_process(hash_seed: str) -> None:
+    assert hashes_from_another_process(sys.executable, PYTHONHASHSEED=hash_seed) == GOLDEN
+
+
+@pytest.mark.parametrize("version", ["3.10", "3.13"])
+def test_on_another_python_with_numpy_alone(version: str, pytestconfig: pytest.Config) -> None:
+    python = python_with_numpy(version, pytestconfig.cache.mkdir(f"golden-python-{version}"))
+    assert hashes_from_another_process(python) == GOLDEN

@@ -1,0 +1,31 @@
+"""What tests need from the machine that they run on."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+
+def missing_tool(name: str) -> NoReturn:
+    """Skip the test that needs `name`, or fail it where `DRONE_ENV_REQUIRE_TOOLS=1` asks for completeness."""
+    if os.environ.get("DRONE_ENV_REQUIRE_TOOLS") == "1":
+        pytest.fail(f"missing tool: {name}")
+    pytest.skip(f"missing tool: {name}")
+
+
+def find_python(version: str) -> str:
+    """Path of a working interpreter of this version, such as "3.13"."""
+    pyenv = sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python"))
+    for candidate in (shutil.which(f"python{version}"), *map(str, pyenv)):
+        # A name on the path may be a shim that refuses to run.
+        if candidate is not None and _version(candidate) == version:
+            return candidate
+    missing_tool(f"Python {version}")
+
+
+def _version(python: str) -> str:
+    code = "import sys; print('%d.%d' % sys.version_info[:2])"
+    return subprocess.run([python, "-c", code], capture_output=True, text=True, check=False).stdout.strip()

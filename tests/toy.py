@@ -1,0 +1,98 @@
+"""Episodes on hand-drawn maps, small enough to compute every number by hand."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from drone_env.core import dynamics
+from drone_env.core.cells import Cell
+from drone_env.core.rewards import get_reward_profile
+from drone_env.core.rules import CELL, PARCELS, UNDER, interpreted, row_size
+from drone_env.core.state_manager import Episode, EpisodeState
+from drone_env.core.tasks import TaskConfig
+
+DRONE = "@"
+KINDS = {".": Cell.ROAD, "B": Cell.BUILDING, "T": Cell.TREE, "O": Cell.OBSTACLE, "P": Cell.PAD, DRONE: Cell.DRONE}
+"""What the letters stand for. A digit is the parcel of that number."""
+
+TOY = TaskConfig(
+    id="toy_delivery",
+    short_name="toy",
+    grader="tests.toy:grade",
+    width=2,
+    height=2,
+    deliveries=1,
+    buildings=0,
+    trees=0,
+    obstacles=0,
+    max_steps=10,
+    battery_capacity=10,
+    r_delivery=0.90,
+    r_battery_dead=0.31,
+    r_wall=0.32,
+    r_blocked=0.33,
+    r_obstacle=0.34,
+    r_building=0.35,
+    r_tree=0.36,
+    r_wait=0.37,
+    r_step=0.38,
+)
+"""Every event pays something else, so that a reward tells which event was paid."""
+
+
+def toy_task(drawing: list[str], **changes: Any) -> TaskConfig:
+    """`TOY` with the size and the counts of the drawing. The battery holds `max_steps` units unless told otherwise."""
+    cells = "".join(drawing)
+    drawn = {
+        "width": len(drawing[0]),
+        "height": len(drawing),
+        "deliveries": sum(letter.isdigit() for letter in cells),
+        "buildings": cells.count("B"),
+        "trees": cells.count("T"),
+        "obstacles": cells.count("O"),
+        "pads": cells.count("P"),
+        "battery_capacity": changes.get("max_steps", TOY.max_steps),
+    }
+    return replace(TOY, **(drawn | changes))
+
+
+def toy_episode(drawing: list[str], profile: str = "tiered", **changes: Any) -> Episode:
+    """An episode at the start of the drawn map: one string per row, `@` for the drone, digits for the parcels.
+
+    Args:
+        drawing: The map, such as `["@.B", "10."]`.
+        profile: Name of the reward profile.
+        changes: Fields of the task that differ from `toy_task`, such as `max_steps=5`.
+    """
+    task = toy_task(drawing, **changes)
+    rules = interpreted(task)
+    grid = np.zeros(rules.cells, np.uint8)
+    row = np.zeros(row_size(rules), np.int16)
+    for cell, letter in enumerate("".join(drawing)):
+        grid[cell] = Cell.DELIVERY if letter.isdigit() else KINDS[letter]
+        if letter.isdigit():
+            row[PARCELS + int(letter)] = cell
+        if letter == DRONE:
+            row[CELL] = cell
+            row[UNDER] = Cell.ROAD
+    dynamics.begin(rules, memoryview(row))
+    episode = Episode(task, profile)
+    episode.set_state(
+        EpisodeState(
+            task=task,
+            reward_profile=get_reward_profile(profile),
+            seed=0,
+            grid=grid.tobytes(),
+            row=row.tobytes(),
+            reward_last=0.0,
+            reward_total=0.0,
+            path=(),
+        )
+    )
+    return episode
+
+
+def fly(episode: Episode, actions: str) -> list[float]:
+    """Fly actions written as letters (U, D, L, R and W for WAIT) and return their rewards."""
+    return [episode.step("UDLRW".index(letter)) for letter in actions]

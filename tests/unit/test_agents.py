@@ -1,0 +1,88 @@
+"""Agents fly from what they observe, and nothing else."""
+
+from dataclasses import replace
+
+import pytest
+
+from drone_env.agents import AGENTS, make_agent
+from drone_env.core.actions import Action
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import UnknownNameError
+from drone_env.planning.optimal import solve
+
+
+def fly(agent_name: str, task: TaskConfig, seed: int) -> Episode:
+    agent = make_agent(agent_name, task)
+    agent.reset(seed)
+    episode = Episode(task)
+    episode.reset(seed)
+    while not episode.ended:
+        episode.step(agent.act(episode.observation()))
+    return episode
+
+
+@pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+@pytest.mark.parametrize("name", AGENTS)
+def test_an_agent_flies_a_map_in_the_same_way_every_time(name: str, task: TaskConfig) -> None:
+    agent = make_agent(name, task)
+    flights = []
+    for _ in range(2):
+        agent.reset(3)
+        episode = Episode(task)
+        episode.reset(3)
+        while not episode.ended:
+            action = agent.act(episode.observation())
+            assert action in list(Action)
+            episode.step(action)
+        flights.append(episode.actions)
+    assert flights[0] == flights[1] == fly(name, task, 3).actions
+
+
+def test_the_random_agent_draws_all_actions_alike_and_differently_on_each_map() -> None:
+    flights = [fly("random", get_task("hard"), seed).actions for seed in range(60)]
+    drawn = [action for actions in flights for action in actions]
+    for action in Action:
+        assert drawn.count(action) / len(drawn) == pytest.approx(0.2, abs=0.02)
+    assert len({tuple(actions) for actions in flights}) == len(flights)
+
+
+def test_greedy_flies_straight_to_the_current_target() -> None:
+    agent = make_agent("greedy", "hard")
+    episode = Episode("hard")
+    episode.reset(11)
+    while not episode.ended:
+        far, done = episode.distance_to_target, episode.deliveries_done
+        episode.step(agent.act(episode.observation()))
+        assert episode.deliveries_done > done or episode.distance_to_target == far - 1
+
+
+@pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+def test_the_optimal_agent_scores_the_optimum(task: TaskConfig) -> None:
+    for seed in range(100):
+        assert fly("optimal", task, seed).score == solve(task, seed).score
+
+
+def test_the_optimal_agent_scores_the_optimum_where_not_everything_can_be_delivered() -> None:
+    for budget in (5, 10, 20):
+        task = replace(get_task("hard"), id=f"short_{budget}", max_steps=budget, battery_capacity=budget + 3)
+        for seed in range(30):
+            assert fly("optimal", task, seed).score == solve(task, seed).score
+
+
+def test_the_optimal_agent_goes_on_from_wherever_it_is_put() -> None:
+    episode = Episode("hard")
+    episode.reset(5)
+    agent = make_agent("optimal", "hard")
+    agent.reset(5)
+    for action in (0, 0, 0, 3, 3, 3):
+        agent.act(episode.observation())
+        episode.step(action)
+    while not episode.ended:
+        episode.step(agent.act(episode.observation()))
+    assert episode.success
+
+
+def test_an_unknown_agent_is_refused_with_the_names_that_exist() -> None:
+    with pytest.raises(UnknownNameError, match=r"'greedier'.*greedy, optimal, random"):
+        make_agent("greedier", "easy")

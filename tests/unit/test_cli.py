@@ -1,0 +1,246 @@
+"""The command line, as a user runs it."""
+
+import json
+import os
+import pty
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from drone_env.cli import main
+from drone_env.core.actions import Action
+from drone_env.core.seeds import split_seeds
+from drone_env.core.state_manager import Episode
+from drone_env.evaluation import episodes_key, run_episodes, summarise
+from drone_env.planning.optimal import solve
+
+STEP = re.compile(r"\[STEP\] step=(\d+) action=([A-Z]+) reward=(\d\.\d\d) done=(true|false) error=null")
+
+
+@pytest.mark.parametrize("task", ["easy", "medium_delivery", "drone_env.graders:grade_hard"])
+@pytest.mark.parametrize("agent", ["random", "greedy", "optimal"])
+def test_fly_prints_log_lines_that_say_what_was_flown(
+    task: str, agent: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fly", "--task", task, "--agent", agent, "--seed", "7"]) == 0
+    first, *steps, last = capsys.readouterr().out.splitlines()
+    episode = Episode(task)
+    episode.reset(7)
+    assert first == f"[START] task={episode.task.grader} env=drone_env_v1 model={agent}"
+    rewards = []
+    for number, line in enumerate(steps, start=1):
+        step, action, reward, done = STEP.fullmatch(line).groups()
+        rewards.append(f"{episode.step(Action[action]):.2f}")
+        assert (int(step), reward, done) == (number, rewards[-1], "true" if episode.ended else "false")
+    assert episode.ended
+    success = "true" if episode.success else "false"
+    assert last == f"[END] success={success} steps={len(steps)} score={episode.score:.3f} rewards={','.join(rewards)}"
+
+
+def test_fly_to_the_byte_on_a_map_by_hand(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
+    # Map 14 of easy: start (6, 3), parcel (5, 1). Two steps closer at 0.10 + 0.05, then 0.95 + 0.05 clamped to 0.99;
+    # score 0.8 + 0.2 * (1 - 3/60).
+    assert main(["fly", "--task", "easy", "--agent", "greedy", "--seed", "14"]) == 0
+    assert capsysbinary.readouterr().out == (
+        b"[START] task=drone_env.graders:grade_easy env=drone_env_v1 model=greedy\n"
+        b"[STEP] step=1 action=LEFT reward=0.15 done=false error=null\n"
+        b"[STEP] step=2 action=UP reward=0.15 done=false error=null\n"
+        b"[STEP] step=3 action=UP reward=0.99 done=true error=null\n"
+        b"[END] success=true steps=3 score=0.990 rewards=0.15,0.15,0.99\n"
+    )
+
+
+def test_fly_shows_maps_and_saves_a_picture_beside_the_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "pictures" / "mission.png"
+    assert main(["fly", "--task", "easy", "--seed", "1", "--render", "--picture", str(picture)]) == 0
+    captured = capsys.readouterr()
+    assert all(line.startswith(("[START]", "[STEP]", "[END]")) for line in captured.out.splitlines())
+    assert captured.err.count("🚁") == captured.out.count("[STEP]") + 1
+    assert np.asarray(Image.open(picture)).std() > 10
+
+
+def test_fly_without_a_seed_tells_the_map_it_flew(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["fly"])
+    captured = capsys.readouterr()
+    seed = int(re.search(r"map (\d+):", captured.err)[1])
+    main(["fly", "--seed", str(seed)])
+    assert capsys.readouterr().out == captured.out
+
+
+def test_fly_pays_by_the_chosen_profile(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["fly", "--seed", "1", "--reward-profile", "score"])
+    end = capsys.readouterr().out.splitlines()[-1]
+    score, rewards = re.search(r"score=(\S+) rewards=(\S+)", end).groups()
+    assert [float(reward) for reward in rewards.split(",")][:-1] == [0.0] * (rewards.count(","))
+    assert float(rewards.split(",")[-1]) == pytest.approx(float(score), abs=0.006)
+
+
+def test_evaluate_prints_only_json_on_request(capsys: pytest.CaptureFixture[str]) -> None:
+    tasks, agents = ["--task", "easy", "hard"], ["--agents", "greedy", "random"]
+    assert main(["evaluate", *tasks, *agents, "--episodes", "5", "--json", "-"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert list(report["tasks"]) == ["easy_delivery", "hard_delivery"]
+    hard = report["tasks"]["hard_delivery"]
+    test_maps = split_seeds("test", 5)
+    assert (hard["version"], hard["split"], hard["episodes"]) == (1, "test", 5)
+    assert hard["seeds"] == [test_maps.start, test_maps.stop]
+    assert list(hard["agents"]) == ["greedy", "random"]
+    expected = summarise(run_episodes(episodes_key("hard", "greedy", test_maps, "test")))
+    assert hard["agents"]["greedy"] == expected
+    assert set(expected) >= {
+        "mean_score", "score_ci95", "success_rate", "mean_steps", "mean_optimal_score", "score_ratio",
+        "mean_excess_steps",
+    }  # fmt: skip
+
+
+def test_evaluate_shows_a_table_and_writes_the_same_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "results.json"
+    assert main(["evaluate", "--agents", "optimal", "--seeds", "3:6", "--json", str(file)]) == 0
+    report = json.loads(file.read_text())
+    out = capsys.readouterr().out
+    assert list(report["tasks"]) == ["easy_delivery", "medium_delivery", "hard_delivery"]
+    for task, of_task in report["tasks"].items():
+        assert (of_task["split"], of_task["seeds"], of_task["episodes"]) == ("custom", [3, 6], 3)
+        assert of_task["agents"]["optimal"]["score_ratio"] == 1
+        assert task in out
+        assert f"{of_task['agents']['optimal']['mean_score']:.4f}" in out
+    assert [path.name for path in tmp_path.iterdir()] == ["results.json"]
+
+
+def test_solve_shows_the_optimum(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["solve", "--task", "hard", "--seed", "7"]) == 0
+    out = capsys.readouterr().out
+    solution = solve("hard", 7)
+    assert f"Best score: {solution.score:.4f} with 5 of 5 delivered" in out
+    assert f"Steps: {solution.steps}" in out
+    assert "🚁" in out
+
+
+def test_solve_as_json_can_be_flown(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["solve", "--task", "medium", "--seed", "7", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    episode = Episode(report["task"])
+    episode.reset(report["seed"])
+    assert tuple(report["path"][0]) == episode.position
+    for action, position in zip(report["actions"], report["path"][1:], strict=True):
+        episode.step(Action[action])
+        assert tuple(position) == episode.position
+    assert (episode.score, episode.success, episode.steps) == (report["score"], report["success"], report["steps"])
+    assert len(report["order"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "allowed"),
+    [
+        (["fly", "--task", "extreme"], "easy, easy_delivery, hard, hard_delivery, medium, medium_delivery"),
+        (["fly", "--agent", "ace"], "greedy, optimal, random"),
+        (["fly", "--reward-profile", "generous"], "aligned, composite, score, tiered"),
+        (["fly", "--seed", "-1"], "[0, 2^53)"),
+        (["evaluate", "--task", "easy", "extreme"], "easy_delivery"),
+        (["evaluate", "--agents", "ace"], "greedy, optimal, random"),
+        (["evaluate", "--split", "exam"], "test, train, validation"),
+        (["evaluate", "--episodes", "0"], "at least 1"),
+        (["evaluate", "--seeds", "5:5"], "A < B"),
+        (["evaluate", "--seeds", "a:b"], "A:B"),
+        (["evaluate", "--seeds", "1:2", "--split", "test"], "without --split"),
+        (["evaluate", "--seeds", f"{2**53 - 1}:{2**53 + 1}"], "[0, 2^53)"),
+        (["solve", "--task", "extreme"], "easy_delivery"),
+        (["play", "--task", "extreme"], "easy_delivery"),
+        (["fly", "--sped", "1"], "--seed"),
+        (["fly", "--seed", "seven"], "int"),
+        (["soar"], "fly"),
+        ([], "fly"),
+    ],
+)
+def test_what_is_not_allowed_exits_2_and_says_what_is(
+    arguments: list[str], allowed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status = main(arguments)
+    except SystemExit as exit_:
+        status = exit_.code
+    captured = capsys.readouterr()
+    assert status == 2
+    assert allowed in captured.err
+    assert captured.out == ""
+
+
+@pytest.mark.parametrize("command", [[], ["fly"], ["evaluate"], ["solve"], ["play"]])
+def test_help_is_a_manual(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        main([*command, "--help"])
+    assert exit_.value.code == 0
+    out = capsys.readouterr().out
+    assert "usage: drone-env" in out
+    if command:
+        assert "Example: drone-env" in " ".join(out.split())
+        assert "easy|medium|hard" in out
+    else:
+        assert all(name in out for name in ("fly", "evaluate", "solve", "play"))
+
+
+def test_a_file_that_cannot_be_written_is_an_error_without_a_traceback(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "missing" / "results.json"
+    assert main(["evaluate", "--task", "easy", "--episodes", "1", "--agents", "greedy", "--json", str(target)]) == 1
+    assert "missing" in capsys.readouterr().err
+
+
+def run(arguments: list[str], **options: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "drone_env.cli", *arguments], capture_output=True, text=True, check=False, **options
+    )
+
+
+def test_the_output_may_be_cut_off() -> None:
+    command = f"{sys.executable} -m drone_env.cli fly --task hard --agent random --seed 1 | head -n 1"
+    result = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert result.stdout.startswith("[START]")
+    assert "Traceback" not in result.stderr
+    assert "BrokenPipe" not in result.stderr
+
+
+def test_version() -> None:
+    assert run(["--version"]).stdout.startswith("drone-env 0.")
+
+
+def test_play_from_a_pipe_against_the_optimum() -> None:
+    keys = {Action.UP: "w", Action.DOWN: "s", Action.LEFT: "a", Action.RIGHT: "d", Action.WAIT: " "}
+    solution = solve("easy", 7)
+    flown = run(
+        ["play", "--task", "easy", "--seed", "7"], input="?" + "".join(keys[action] for action in solution.actions)
+    )
+    assert flown.returncode == 0
+    assert f"Your score: {solution.score * 100:.1f} in {solution.steps} steps" in flown.stdout
+    assert "You flew the optimum!" in flown.stdout
+
+
+def test_giving_up_is_counted_as_waiting_to_the_end() -> None:
+    flown = run(["play", "--task", "easy", "--seed", "7"], input=" q")
+    assert "Given up after 1 steps" in flown.stdout
+    assert "Your score: 1.0 in 1 steps" in flown.stdout
+    assert "Regret:" in flown.stdout
+
+
+def test_play_in_a_terminal_takes_arrow_keys() -> None:
+    arrows = {Action.UP: "\x1b[A", Action.DOWN: "\x1b[B", Action.LEFT: "\x1b[D", Action.RIGHT: "\x1b[C"}
+    solution = solve("easy", 7)
+    master, slave = pty.openpty()
+    with subprocess.Popen(
+        [sys.executable, "-m", "drone_env.cli", "play", "--task", "easy", "--seed", "7"],
+        stdin=slave,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    ) as player:
+        os.write(master, "".join(arrows[action] for action in solution.actions).encode())
+        out, _ = player.communicate(timeout=60)
+    os.close(master)
+    os.close(slave)
+    assert player.returncode == 0
+    assert "You flew the optimum!" in out.decode()

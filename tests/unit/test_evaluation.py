@@ -1,0 +1,94 @@
+"""The one unit of evaluation and the figures made from it."""
+
+import numpy as np
+import pytest
+
+from drone_env.core.seeds import split_seeds
+from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.evaluation import EpisodeResults, concatenate, episodes_key, run_episodes, run_in_chunks, summarise
+
+
+def test_results_are_the_same_whole_or_in_pieces() -> None:
+    key = episodes_key("medium", "greedy", split_seeds("test", 23), "test")
+    whole, pieces = run_episodes(key), list(run_in_chunks(key, chunk=5))
+    assert [len(piece.seeds) for piece in pieces] == [5, 5, 5, 5, 3]
+    together = concatenate(pieces)
+    assert together.key == key
+    for name in ("seeds", "scores", "steps", "deliveries", "success", "optimal_scores", "optimal_steps"):
+        assert np.array_equal(getattr(whole, name), getattr(together, name))
+        assert getattr(whole, name).dtype == getattr(together, name).dtype
+    assert summarise(whole) == summarise(together)
+
+
+def test_no_agent_beats_the_optimum_and_the_optimal_agent_reaches_it() -> None:
+    for agent in ("random", "greedy", "optimal"):
+        results = run_episodes(episodes_key("hard", agent, range(40)))
+        assert (results.scores <= results.optimal_scores).all()
+        if agent == "optimal":
+            assert (results.scores == results.optimal_scores).all()
+            assert (results.steps == results.optimal_steps).all()
+
+
+def test_figures_by_hand() -> None:
+    results = EpisodeResults(
+        key=episodes_key("easy", "greedy", range(3)),
+        seeds=np.arange(3),
+        scores=np.array([0.9, 0.8, 0.01]),
+        steps=np.array([10, 20, 60], np.int32),
+        deliveries=np.array([1, 1, 0], np.int32),
+        success=np.array([True, True, False]),
+        optimal_scores=np.array([0.95, 0.95, 0.95]),
+        optimal_steps=np.array([8, 15, 15], np.int32),
+    )
+    figures = summarise(results)
+    assert figures["mean_score"] == pytest.approx(0.57)
+    # Deviations 0.33, 0.23, -0.56; their squares add up to 0.4754, divided by n - 1 = 2.
+    half = 1.96 * (0.4754 / 2) ** 0.5 / 3**0.5
+    assert figures["score_ci95"] == pytest.approx([0.57 - half, 0.57 + half], abs=1e-12)
+    assert figures["success_rate"] == pytest.approx(2 / 3)
+    assert figures["mean_steps"] == 30
+    assert figures["mean_optimal_score"] == pytest.approx(0.95)
+    assert figures["score_ratio"] == pytest.approx(0.6)
+    assert figures["mean_regret"] == pytest.approx(0.38)
+    assert figures["mean_excess_steps"] == 3.5
+
+
+def test_no_delivered_map_means_no_excess_steps() -> None:
+    figures = summarise(run_episodes(episodes_key("hard", "random", range(2))))
+    assert figures["success_rate"] == 0
+    assert figures["mean_excess_steps"] is None
+
+
+def test_a_single_episode_has_an_interval_of_no_width() -> None:
+    figures = summarise(run_episodes(episodes_key("easy", "greedy", range(1))))
+    assert figures["score_ci95"] == [figures["mean_score"]] * 2
+
+
+def test_a_key_from_another_configuration_is_refused() -> None:
+    key = episodes_key("easy", "greedy", range(2))
+    with pytest.raises(InvalidValueError, match="made under"):
+        run_episodes(key._replace(config_hash="0" * 16))
+    with pytest.raises(InvalidValueError):
+        run_episodes(key._replace(agent="optimal"))
+    with pytest.raises(UnknownNameError, match="version"):
+        run_episodes(key._replace(version=99))
+
+
+def test_keys_differ_where_task_or_agent_differ() -> None:
+    hashes = {episodes_key(t, a, range(1)).config_hash for t in ("easy", "hard") for a in ("greedy", "random")}
+    assert len(hashes) == 4
+
+
+@pytest.mark.parametrize("seeds", [range(0), range(0, 10, 2), range(-1, 3), range(2**53 - 1, 2**53 + 1)])
+def test_seeds_outside_what_is_allowed_are_refused(seeds: range) -> None:
+    with pytest.raises(InvalidValueError):
+        episodes_key("easy", "greedy", seeds)
+
+
+def test_only_neighbours_are_put_together() -> None:
+    results = [run_episodes(episodes_key("easy", "greedy", range(a, a + 2))) for a in (0, 2, 6)]
+    assert len(concatenate(results[:2]).seeds) == 4
+    with pytest.raises(InvalidValueError, match="neighbours"):
+        concatenate(results[1:])
+    with pytest.raises(InvalidValueError, match="no results"):
+        concatenate([])

@@ -1,0 +1,120 @@
+"""Graders: the one formula, by hand, on models and dictionaries."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS
+from drone_env.errors import InvalidValueError
+from drone_env.graders import GRADERS, grade_easy, grade_hard, grade_medium
+from drone_env.models import DroneState
+from drone_env.planning.optimal import solve
+
+ROOT = Path(__file__).parents[2]
+
+
+def state_of(task: str, **changes: object) -> dict:
+    episode = Episode(task)
+    episode.reset(0)
+    return {**DroneState.of(episode).model_dump(mode="json"), **changes}
+
+
+def test_every_task_has_its_grader() -> None:
+    assert GRADERS == {"easy_delivery": grade_easy, "medium_delivery": grade_medium, "hard_delivery": grade_hard}
+    assert [task.grader for task in TASKS.values()] == [
+        f"drone_env.graders:{grader.__name__}" for grader in GRADERS.values()
+    ]
+
+
+@pytest.mark.parametrize(
+    ("task", "done", "battery", "steps", "score"),
+    [
+        ("easy", 0, 60, 0, 0.20),
+        ("easy", 0, 0, 60, 0.01),
+        ("easy", 1, 0, 60, 0.80),
+        ("easy", 1, 54, 6, 0.98),
+        ("easy", 1, 60, 0, 0.99),
+        ("medium", 2, 50, 50, 0.8 * 2 / 3 + 0.1),
+        ("hard", 3, 0, 160, 0.48),
+        ("hard", 5, 120, 40, 0.95),
+    ],
+)
+def test_scores_by_hand(task: str, done: int, battery: int, steps: int, score: float) -> None:
+    state = state_of(task, deliveries_done=done, battery_steps_remaining=battery, step_count=steps)
+    assert GRADERS[f"{task}_delivery"](state) == pytest.approx(score, abs=1e-15)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_model_dictionary_and_episode_agree_on_a_whole_flight(task: str) -> None:
+    episode = Episode(task)
+    solution = solve(task, episode.reset(2))
+    for action in solution.actions:
+        episode.step(action)
+        state = DroneState.of(episode)
+        assert GRADERS[task](state) == GRADERS[task](state.model_dump()) == episode.score == state.score
+
+
+def test_the_score_inside_the_state_is_not_believed() -> None:
+    assert grade_easy(state_of("easy", score=0.99)) == 0.20
+
+
+def test_a_state_of_another_task_is_refused() -> None:
+    with pytest.raises(InvalidValueError, match="'easy_delivery' was given a state of 'hard_delivery'"):
+        grade_easy(state_of("hard"))
+
+
+def test_numbers_of_another_task_are_refused() -> None:
+    with pytest.raises(InvalidValueError, match="max_steps"):
+        grade_easy(state_of("easy", max_steps=1000))
+
+
+@pytest.mark.parametrize("broken", [{}, {"task_name": "easy_delivery"}, {"nonsense": 1}])
+def test_what_is_no_state_is_refused(broken: dict) -> None:
+    with pytest.raises(ValidationError):
+        grade_easy(broken)
+
+
+def check_graders(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "check_graders.py", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+
+
+def test_check_graders_passes_on_our_manifest() -> None:
+    result = check_graders()
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert result.stdout.splitlines()[-2:] == ["Summary: 3 valid graders found.", "LOCAL CHECK PASSED."]
+
+
+@pytest.mark.parametrize(
+    ("manifest", "complaint"),
+    [
+        ("tasks: [{id: easy_delivery, grader: 'drone_env.graders:grade_none'}]\ngraders: []", "grade_none"),
+        ("tasks: [{id: easy_delivery, grader: 'no_such_module:grade'}]\ngraders: []", "no_such_module"),
+        ("tasks: [{id: easy_delivery, grader: 'drone_env.graders:grade_hard'}]\ngraders: []", "grade_hard"),
+        ("tasks: [{id: no_task, grader: 'drone_env.graders:grade_easy'}]\ngraders: []", "no_task"),
+        ("tasks: [{id: easy_delivery, grader: 'drone_env.graders.grade_easy'}]\ngraders: []", "module:function"),
+        ("tasks: []\ngraders: []", "0 valid graders"),
+        ("tasks: []\ngraders: [{id: 'drone_env.graders:grade_easy'}]", "no task names it"),
+        ("nothing: here", "tasks"),
+        ("[", "cannot read"),
+    ],
+)
+def test_check_graders_fails_on_a_broken_manifest(tmp_path: Path, manifest: str, complaint: str) -> None:
+    file = tmp_path / "openenv.yaml"
+    file.write_text(manifest)
+    result = check_graders(str(file))
+    assert result.returncode == 1
+    assert complaint in result.stdout
+    assert "PASSED" not in result.stdout
+    assert "Traceback" not in result.stderr
+
+
+def test_check_graders_fails_without_a_manifest(tmp_path: Path) -> None:
+    result = check_graders(str(tmp_path / "missing.yaml"))
+    assert result.returncode == 1
+    assert "missing.yaml" in result.stdout

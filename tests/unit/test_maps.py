@@ -1,0 +1,194 @@
+"""A map is a pure function of (task, version, seed), and a fair one."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drone_env.core.cells import Cell
+from drone_env.core.grid_generator import CityMap, generate_city_map
+from drone_env.core.seeds import SPLITS, split_seeds
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.errors import InvalidValueError, UnknownNameError
+from tests.tools import missing_tool
+
+EASY = TASKS["easy_delivery"]
+SEEDS = [seed for split in SPLITS for seed in split_seeds(split, 100)]
+
+
+def contents(city: CityMap) -> tuple[bytes, tuple[int, int], tuple[tuple[int, int], ...]]:
+    return city.grid.tobytes(), city.start, city.deliveries
+
+
+def chi_square(counts: "np.ndarray[Any, Any]") -> float:
+    """Squared deviations from equal counts, in units of the expected count."""
+    expected = counts.sum() / counts.size
+    return float(((counts - expected) ** 2).sum() / expected)
+
+
+class TestContents:
+    @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+    def test_right_number_of_every_kind_on_distinct_cells(self, task: TaskConfig) -> None:
+        for seed in SEEDS:
+            city = generate_city_map(task, seed)
+            counts = np.bincount(city.grid.ravel(), minlength=len(Cell)).tolist()
+            placed = [task.buildings, task.trees, task.obstacles, task.deliveries]
+            assert counts == [task.width * task.height - sum(placed), *placed, 0, 0, 0, 0]
+
+    @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+    def test_start_is_road_and_deliveries_are_where_the_grid_shows_them(self, task: TaskConfig) -> None:
+        for seed in SEEDS:
+            city = generate_city_map(task, seed)
+            x, y = city.start
+            assert city.grid[y, x] == Cell.ROAD
+            drawn = {(int(x), int(y)) for y, x in np.argwhere(city.grid == Cell.DELIVERY)}
+            assert set(city.deliveries) == drawn
+            assert len(city.deliveries) == task.deliveries
+
+    def test_other_than_square_and_with_pads(self) -> None:
+        task = replace(EASY, width=7, height=3, pads=2, buildings=1, trees=0, obstacles=0, deliveries=3)
+        city = generate_city_map(task, 1)
+        assert city.grid.shape == (3, 7)
+        assert np.bincount(city.grid.ravel()).tolist() == [15, 1, 0, 0, 3, 0, 0, 0, 2]
+
+    @pytest.mark.parametrize(
+        "task",
+        [
+            replace(EASY, width=2, height=2, deliveries=3, buildings=0, trees=0, obstacles=0),
+            replace(EASY, buildings=91),
+            replace(EASY, width=64, height=64, deliveries=16, buildings=4000, trees=40, obstacles=30, pads=9),
+        ],
+        ids=["2x2", "10x10", "64x64"],
+    )
+    def test_a_map_without_a_free_cell_is_finished(self, task: TaskConfig) -> None:
+        city = generate_city_map(task, 0)
+        assert np.argwhere(city.grid == Cell.ROAD).tolist() == [[city.start[1], city.start[0]]]
+
+
+class TestSeed:
+    @pytest.mark.parametrize("task", TASKS)
+    def test_equal_seed_gives_an_equal_map(self, task: str) -> None:
+        for seed in SEEDS[::10]:
+            assert contents(generate_city_map(task, seed)) == contents(generate_city_map(task, seed))
+
+    @pytest.mark.parametrize("task", TASKS)
+    def test_different_seeds_give_different_maps(self, task: str) -> None:
+        assert len({contents(generate_city_map(task, seed)) for seed in SEEDS}) == len(SEEDS)
+
+    @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+    def test_reset_flies_the_map_of_the_seed(self, task: TaskConfig) -> None:
+        episode = Episode(task)
+        for seed in [*SEEDS[::10], 2**53 - 1]:
+            episode.reset(seed)
+            city = generate_city_map(task, seed)
+            x, y = city.start
+            seen = city.grid.copy()
+            seen[y, x] = Cell.DRONE
+            assert city.seed == seed
+            assert episode.position == city.start
+            assert episode.parcels == [(*position, False) for position in city.deliveries]
+            assert np.array_equal(episode.grid(), seen)
+
+    @pytest.mark.parametrize("changes", [{"version": 2}, {"id": "another_delivery"}])
+    def test_another_version_or_task_has_other_maps(self, changes: dict[str, Any]) -> None:
+        other = replace(EASY, **changes)
+        same = sum(
+            contents(generate_city_map(EASY, seed)) == contents(generate_city_map(other, seed)) for seed in SEEDS
+        )
+        assert same == 0
+
+    def test_maps_do_not_depend_on_rewards(self) -> None:
+        other = replace(EASY, r_step=0.5, max_steps=99)
+        assert contents(generate_city_map(EASY, 3)) == contents(generate_city_map(other, 3))
+
+
+class TestGenerators:
+    def test_equal_numpy_generator_state_gives_an_equal_map(self) -> None:
+        one, two = np.random.default_rng(5), np.random.default_rng(5)
+        for _ in range(5):
+            assert contents(generate_city_map("hard", one)) == contents(generate_city_map("hard", two))
+
+    def test_numpy_generator_draws_different_train_seeds(self) -> None:
+        rng = np.random.default_rng(5)
+        seeds = [generate_city_map("easy", rng).seed for _ in range(300)]
+        assert len(set(seeds)) == 300
+        assert all(0 <= seed < 2**52 for seed in seeds)
+        assert max(seeds) > 2**51
+
+    def test_torch_generator(self) -> None:
+        try:
+            import torch
+        except ImportError:
+            missing_tool("PyTorch")
+        one, two = torch.Generator().manual_seed(5), torch.Generator().manual_seed(5)
+        seeds = []
+        for _ in range(300):
+            city = generate_city_map("hard", one)
+            assert contents(city) == contents(generate_city_map("hard", two))
+            seeds.append(city.seed)
+        assert len(set(seeds)) == 300
+        assert all(0 <= seed < 2**52 for seed in seeds)
+        assert max(seeds) > 2**51
+
+    def test_the_drawn_seed_gives_the_map_again(self) -> None:
+        city = generate_city_map("medium", np.random.default_rng(6))
+        assert contents(generate_city_map("medium", city.seed)) == contents(city)
+
+    @pytest.mark.parametrize("seed", [3, np.int64(3), np.uint8(3)])
+    def test_any_integer_type_is_a_seed(self, seed: Any) -> None:
+        assert contents(generate_city_map("easy", seed)) == contents(generate_city_map("easy", 3))
+
+    @pytest.mark.parametrize(
+        "junk", [None, "7", 1.5, True, -1, 2**53, [1], np.random.RandomState(0), np.float64(1), object()]
+    )
+    def test_anything_else_is_refused(self, junk: Any) -> None:
+        with pytest.raises(InvalidValueError, match=r"seed|numpy\.random\.Generator"):
+            generate_city_map("easy", junk)
+
+    def test_unknown_task_is_refused(self) -> None:
+        with pytest.raises(UnknownNameError, match="easy_delivery"):
+            generate_city_map("expert", 1)
+
+
+class TestFairness:
+    """The bounds lie some six standard deviations from the mean of a fair generator; the seeds are fixed."""
+
+    def test_start_and_delivery_are_uniform(self) -> None:
+        starts, deliveries = np.zeros((10, 10)), np.zeros((10, 10))
+        for seed in range(20_000):
+            city = generate_city_map(EASY, seed)
+            starts[city.start] += 1
+            deliveries[city.deliveries[0]] += 1
+        # 99 degrees of freedom: mean 99, standard deviation 14
+        assert 30 < chi_square(starts) < 185
+        assert 30 < chi_square(deliveries) < 185
+
+    def test_terrain_is_uniform(self) -> None:
+        cells = {kind: np.zeros((10, 10)) for kind in (Cell.BUILDING, Cell.TREE, Cell.OBSTACLE)}
+        for seed in split_seeds("test", 5_000):
+            city = generate_city_map(EASY, seed)
+            for kind, counts in cells.items():
+                counts += city.grid == kind
+        for counts in cells.values():
+            assert 30 < chi_square(counts) < 185
+
+    def test_start_and_delivery_of_one_map_are_independent(self) -> None:
+        task = replace(EASY, width=3, height=3, buildings=0, trees=0, obstacles=0)
+        pairs = np.zeros((9, 9))
+        for seed in range(10_000):
+            city = generate_city_map(task, seed)
+            (x, y), (tx, ty) = city.start, city.deliveries[0]
+            pairs[y * 3 + x, ty * 3 + tx] += 1
+        # 72 pairs of distinct cells, 71 degrees of freedom: mean 71, standard deviation 12
+        assert 15 < chi_square(pairs[~np.eye(9, dtype=bool)]) < 145
+        assert pairs.trace() == 0
+
+    def test_maps_of_neighbouring_seeds_are_independent(self) -> None:
+        task = replace(EASY, width=3, height=3, buildings=0, trees=0, obstacles=0)
+        starts = [y * 3 + x for x, y in (generate_city_map(task, seed).start for seed in range(10_001))]
+        pairs = np.zeros((9, 9))
+        np.add.at(pairs, (starts[:-1], starts[1:]), 1)
+        # 80 degrees of freedom: mean 80, standard deviation 13
+        assert 20 < chi_square(pairs) < 160

@@ -1,0 +1,142 @@
+"""What travels: complete, documented, and strict about what it takes in."""
+
+import json
+
+import pytest
+from pydantic import BaseModel, ValidationError
+
+from drone_env.core.actions import Action
+from drone_env.core.cells import CELL_KINDS, Cell
+from drone_env.core.state_manager import Episode
+from drone_env.models import DroneAction, DroneObservation, DroneState
+
+OBSERVATION_FIELDS = {
+    "grid", "cell_types", "grid_width", "grid_height", "drone_x", "drone_y", "battery", "battery_steps_remaining",
+    "deliveries_total", "deliveries_done", "current_target", "distance_to_target", "step_count", "max_steps",
+    "reward_last", "reward_total", "score", "done", "message", "legend",
+}  # fmt: skip
+
+
+@pytest.fixture
+def episode() -> Episode:
+    episode = Episode("medium")
+    episode.reset(4)
+    for action in (0, 3, 3, 4, 1):
+        episode.step(action)
+    return episode
+
+
+def test_observation_has_exactly_the_promised_fields_each_described() -> None:
+    assert set(DroneObservation.model_fields) == OBSERVATION_FIELDS
+    assert all(field.description for field in DroneObservation.model_fields.values())
+
+
+def test_observation_says_what_the_episode_holds(episode: Episode) -> None:
+    seen = DroneObservation.of(episode)
+    x, y = episode.position
+    assert (seen.drone_x, seen.drone_y) == (x, y)
+    assert seen.cell_types[y][x] == "drone"
+    assert len(seen.grid) == len(seen.cell_types) == seen.grid_height == 14
+    assert [len(line) for line in seen.cell_types] == [14] * 14
+    names = {kind.emoji: kind.name for kind in CELL_KINDS.values()}
+    assert [[names[emoji] for emoji in line] for line in seen.grid] == seen.cell_types
+    assert seen.current_target == episode.target
+    assert seen.distance_to_target == episode.distance_to_target
+    assert (seen.step_count, seen.max_steps, seen.battery_steps_remaining) == (5, 100, 95)
+    assert seen.battery == 0.95
+    assert (seen.reward_last, seen.reward_total) == (episode.reward_last, episode.reward_total)
+    assert (seen.score, seen.done, seen.message) == (episode.score, False, episode.message)
+    assert set(seen.legend) == {kind.emoji for cell, kind in CELL_KINDS.items() if cell is not Cell.UNKNOWN}
+
+
+def test_target_is_null_when_all_is_delivered() -> None:
+    episode = Episode("easy")
+    episode.reset(0)
+    while not episode.ended:
+        dx, dy = (t - p for t, p in zip(episode.target, episode.position, strict=True))
+        episode.step(Action.RIGHT if dx > 0 else Action.LEFT if dx else Action.DOWN if dy > 0 else Action.UP)
+    seen = json.loads(DroneObservation.of(episode).model_dump_json())
+    assert seen["current_target"] is None
+    assert seen["distance_to_target"] is None
+    assert seen["done"] is True
+
+
+@pytest.mark.parametrize("model", [DroneObservation, DroneState])
+def test_round_trip_through_json_and_dictionaries(model: type[BaseModel], episode: Episode) -> None:
+    value = model.of(episode)
+    assert model.model_validate_json(value.model_dump_json()) == value
+    assert model.model_validate(value.model_dump(mode="json")) == value
+    assert model.model_validate(value.model_dump()) == value
+
+
+def test_state_holds_the_flight(episode: Episode) -> None:
+    state = DroneState.of(episode)
+    assert [point.action for point in state.path_history] == ["UP", "RIGHT", "RIGHT", "WAIT", "DOWN"]
+    assert [point.step for point in state.path_history] == [1, 2, 3, 4, 5]
+    last = state.path_history[-1]
+    assert (last.x, last.y) == episode.position == (state.drone_x, state.drone_y)
+    assert last.battery_steps_remaining == state.battery_steps_remaining == 95
+    assert sum(point.reward for point in state.path_history) == pytest.approx(state.reward_total)
+    assert state.grid == episode.grid().tolist()
+    assert (state.task_name, state.task_version, state.seed, state.outcome) == ("medium_delivery", 1, 4, "flying")
+
+
+@pytest.mark.parametrize("direction", list(Action))
+def test_every_direction_is_an_action(direction: Action) -> None:
+    assert DroneAction(direction=direction.name).action is direction
+
+
+@pytest.mark.parametrize("value", ["up", "NORTH", "", 0, None, ["UP"]])
+def test_a_wrong_direction_names_what_is_allowed(value: object) -> None:
+    with pytest.raises(ValidationError, match="'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"):
+        DroneAction.model_validate({"direction": value})
+
+
+@pytest.mark.parametrize("extra", [{}, {"direction": "UP", "speed": 2}])
+def test_missing_and_unknown_fields_are_refused(extra: dict) -> None:
+    with pytest.raises(ValidationError):
+        DroneAction.model_validate(extra)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("battery", 1.5),
+        ("battery", float("nan")),
+        ("drone_x", -1),
+        ("drone_x", 14),
+        ("drone_x", "3"),
+        ("drone_y", 2.5),
+        ("score", 1.0),
+        ("score", 0.0),
+        ("deliveries_done", 4),
+        ("step_count", 101),
+        ("grid", ["too short"]),
+        ("cell_types", []),
+        ("cell_types", [["road"] * 13] * 14),
+        ("current_target", [1]),
+        ("current_target", [1, "2"]),
+        ("reward_total", float("inf")),
+        ("done", "yes"),
+        ("nonsense", 1),
+    ],
+)
+def test_a_wrong_field_is_refused_by_name(episode: Episode, field: str, value: object) -> None:
+    fields = DroneObservation.of(episode).model_dump()
+    with pytest.raises(ValidationError) as refused:
+        DroneObservation.model_validate({**fields, field: value})
+    assert field in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("battery_steps_remaining", 101), ("step_count", 101), ("deliveries_done", 4), ("seed", 2**53)]
+)
+def test_an_impossible_state_is_refused(episode: Episode, field: str, value: int) -> None:
+    fields = DroneState.of(episode).model_dump()
+    with pytest.raises(ValidationError, match=field):
+        DroneState.model_validate({**fields, field: value})
+
+
+def test_models_are_immutable() -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        DroneAction(direction="UP").direction = "DOWN"

@@ -1,0 +1,232 @@
+"""The numbers of the tasks, their names, and the splits of the seeds."""
+
+import itertools
+from dataclasses import replace
+from decimal import Decimal
+from typing import Any
+
+import pytest
+
+from drone_env.core import tasks
+from drone_env.core.cells import Cell
+from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, get_reward_profile
+from drone_env.core.seeds import SPLITS, split_of, split_seeds
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import DroneEnvError, InvalidTaskError, InvalidValueError, UnknownNameError
+
+EASY = TASKS["easy_delivery"]
+
+
+class TestStandardTasks:
+    @pytest.mark.parametrize(
+        ("name", "side", "terrain", "deliveries", "steps", "r_delivery", "r_other"),
+        [
+            ("easy_delivery", 10, (4, 4, 3), 1, 60, 0.95, 0.10),
+            ("medium_delivery", 14, (8, 6, 6), 3, 100, 0.90, 0.15),
+            ("hard_delivery", 18, (12, 10, 10), 5, 160, 0.85, 0.25),
+        ],
+    )
+    def test_numbers(
+        self,
+        name: str,
+        side: int,
+        terrain: tuple[int, int, int],
+        deliveries: int,
+        steps: int,
+        r_delivery: float,
+        r_other: float,
+    ) -> None:
+        task = TASKS[name]
+        assert (task.id, task.version) == (name, 1)
+        assert (task.width, task.height) == (side, side)
+        assert (task.buildings, task.trees, task.obstacles, task.pads) == (*terrain, 0)
+        assert task.deliveries == deliveries
+        assert (task.max_steps, task.battery_capacity) == (steps, steps)
+        assert task.r_delivery == r_delivery
+        others = (task.r_step, task.r_wait, task.r_building, task.r_tree, task.r_obstacle, task.r_battery_dead)
+        assert (*others, task.r_wall, task.r_blocked) == (r_other,) * 8
+
+    def test_these_are_all(self) -> None:
+        assert list(TASKS) == ["easy_delivery", "medium_delivery", "hard_delivery"]
+
+    @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+    def test_everything_is_passable_and_drains_one_unit(self, task: TaskConfig) -> None:
+        assert (task.impassable, task.drain, task.charge_rate) == (frozenset(), (), 0)
+        assert task.uniform
+        assert task.telemetry_size == 5
+
+    @pytest.mark.parametrize(
+        ("task", "gym_id"),
+        [
+            ("easy", "DroneDelivery-Easy-v1"),
+            ("medium", "DroneDelivery-Medium-v1"),
+            ("hard", "DroneDelivery-Hard-v1"),
+        ],
+    )
+    def test_gymnasium_ids(self, task: str, gym_id: str) -> None:
+        assert get_task(task).gym_id == gym_id
+
+
+class TestNames:
+    @pytest.mark.parametrize("short", ["easy", "medium", "hard"])
+    def test_id_short_name_and_grader_name_the_task(self, short: str) -> None:
+        task = TASKS[f"{short}_delivery"]
+        assert get_task(f"{short}_delivery") is task
+        assert get_task(short) is task
+        assert get_task(f"drone_env.graders:grade_{short}") is task
+        assert get_task(task) is task
+
+    @pytest.mark.parametrize("name", ["", "EASY", "easy ", "expert", "drone_env.graders:grade_expert"])
+    def test_unknown_name_lists_the_valid_ones(self, name: str) -> None:
+        with pytest.raises(UnknownNameError) as caught:
+            get_task(name)
+        assert isinstance(caught.value, DroneEnvError)
+        assert isinstance(caught.value, LookupError)
+        for known in ("easy", "medium", "hard"):
+            assert known in caught.value.allowed
+            assert f"{known}_delivery" in str(caught.value)
+
+    def test_unknown_profile_lists_the_valid_ones(self) -> None:
+        with pytest.raises(UnknownNameError, match="aligned, composite, score, tiered"):
+            get_reward_profile("sparse")
+
+    @pytest.mark.parametrize("name", ["tiered", "composite", "aligned", "score"])
+    def test_profiles(self, name: str) -> None:
+        assert get_reward_profile(name).id == name
+        assert get_reward_profile(REWARD_PROFILES[name]) is REWARD_PROFILES[name]
+
+    def test_shaping_gamma_is_recorded(self) -> None:
+        assert REWARD_PROFILES["aligned"].shaping_gamma == Decimal("0.99")
+        assert [p.id for p in REWARD_PROFILES.values() if p.shaping_gamma is not None] == ["aligned"]
+
+
+class TestVersions:
+    def test_version_of_a_name(self) -> None:
+        assert get_task("easy", 1) is EASY
+
+    def test_unknown_version_lists_the_valid_ones(self) -> None:
+        with pytest.raises(UnknownNameError, match="version of task 'easy_delivery' 2; allowed: 1"):
+            get_task("easy", 2)
+
+    def test_a_past_version_keeps_working_and_the_newest_is_the_default(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        newest = replace(EASY, version=2, max_steps=50)
+        monkeypatch.setitem(tasks.TASKS, "easy_delivery", newest)
+        monkeypatch.setattr(tasks, "PAST_TASKS", (EASY,))
+        assert get_task("easy") is newest
+        assert get_task("easy", 2) is newest
+        assert get_task("easy", 1) is EASY
+        with pytest.raises(UnknownNameError, match="3; allowed: 1, 2"):
+            get_task("easy", 3)
+
+
+class TestInvalidTasks:
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"width": 1}, "width and height must be 2 to 64"),
+            ({"width": 65}, "width and height must be 2 to 64"),
+            ({"height": 1}, "width and height must be 2 to 64"),
+            ({"height": 65}, "width and height must be 2 to 64"),
+            ({"deliveries": 0}, "deliveries must be 1 to 16"),
+            ({"deliveries": 17}, "deliveries must be 1 to 16"),
+            ({"buildings": -1}, "must not be negative"),
+            ({"trees": -1}, "must not be negative"),
+            ({"obstacles": -1}, "must not be negative"),
+            ({"pads": -1}, "must not be negative"),
+            ({"buildings": 92}, "101 things do not fit on 100 cells"),
+            ({"max_steps": 0}, "max_steps must be 1 to 32000"),
+            ({"max_steps": 32_001}, "max_steps must be 1 to 32000"),
+            ({"battery_capacity": 0}, "battery_capacity must be 1 to 32000"),
+            ({"battery_capacity": 32_001}, "battery_capacity must be 1 to 32000"),
+            ({"drain": ((Cell.DRONE, 1),)}, "drain is for kinds under the drone"),
+            ({"drain": ((Cell.UNKNOWN, 1),)}, "drain is for kinds under the drone"),
+            ({"drain": ((Cell.TREE, -1),)}, "drain must be 0 to 32000"),
+            ({"drain": ((Cell.TREE, 32_001),)}, "drain must be 0 to 32000"),
+            ({"impassable": frozenset({Cell.ROAD})}, "impassable may hold"),
+            ({"impassable": frozenset({Cell.TREE, Cell.DELIVERY})}, "impassable may hold"),
+            ({"impassable": frozenset({Cell.PAD})}, "impassable may hold"),
+            ({"charge_rate": -1}, "charge_rate must be 0 to 32000"),
+            ({"charge_rate": 32_001}, "charge_rate must be 0 to 32000"),
+            ({"version": 0}, "version must be at least 1"),
+        ],
+    )
+    def test_is_refused_and_says_why(self, changes: dict[str, Any], message: str) -> None:
+        with pytest.raises(InvalidTaskError, match=f"^task 'easy_delivery': .*{message}") as caught:
+            replace(EASY, **changes)
+        assert isinstance(caught.value, InvalidValueError)
+        assert isinstance(caught.value, ValueError)
+
+    @pytest.mark.parametrize(
+        "changes",
+        [
+            {"width": 2, "height": 2, "buildings": 2, "trees": 0, "obstacles": 0},
+            {"width": 64, "height": 64, "deliveries": 16, "max_steps": 32_000, "battery_capacity": 32_000},
+            {"max_steps": 1, "battery_capacity": 1, "buildings": 91},
+            {"drain": ((Cell.DELIVERED, 0), (Cell.PAD, 32_000)), "charge_rate": 32_000},
+            {"impassable": frozenset({Cell.BUILDING, Cell.TREE, Cell.OBSTACLE})},
+        ],
+    )
+    def test_the_bounds_themselves_are_allowed(self, changes: dict[str, Any]) -> None:
+        assert replace(EASY, **changes) != EASY
+
+    def test_reward_profile_with_crossed_clamp_is_refused(self) -> None:
+        with pytest.raises(InvalidTaskError, match="clamp"):
+            RewardProfile("odd", "", clamp=(Decimal("0.9"), Decimal("0.1")))
+
+    @pytest.mark.parametrize("gamma", ["-0.1", "1.1"])
+    def test_reward_profile_with_a_discount_outside_0_to_1_is_refused(self, gamma: str) -> None:
+        with pytest.raises(InvalidTaskError, match="shaping_gamma"):
+            RewardProfile("odd", "", shaping_gamma=Decimal(gamma))
+
+    @pytest.mark.parametrize(
+        ("changes", "uniform", "size"),
+        [
+            ({"battery_capacity": 50}, True, 6),
+            ({"drain": ((Cell.TREE, 2),)}, False, 6),
+            ({"drain": ((Cell.TREE, 1),)}, True, 5),
+            ({"impassable": frozenset({Cell.TREE})}, False, 6),
+            ({"impassable": frozenset({Cell.TREE}), "trees": 0}, True, 5),
+            ({"pads": 1}, True, 5),
+            ({"charge_rate": 1}, True, 5),
+            ({"pads": 1, "charge_rate": 1}, False, 6),
+        ],
+    )
+    def test_uniform_means_one_unit_per_step_and_a_free_way(
+        self, changes: dict[str, Any], uniform: bool, size: int
+    ) -> None:
+        task = replace(EASY, **changes)
+        assert (task.uniform, task.telemetry_size) == (uniform, size)
+
+
+class TestSplits:
+    def test_ranges(self) -> None:
+        assert SPLITS == {"train": (0, 2**52), "validation": (2**52, 2**52 + 2**51), "test": (2**52 + 2**51, 2**53)}
+
+    def test_are_disjoint_and_cover_all_seeds(self) -> None:
+        spans = sorted(SPLITS.values())
+        assert (spans[0].start, spans[-1].stop) == (0, 2**53)
+        assert all(left.stop == right.start for left, right in itertools.pairwise(spans))
+
+    @pytest.mark.parametrize("split", SPLITS)
+    def test_split_of_a_seed(self, split: str) -> None:
+        assert split_of(SPLITS[split].start) == split_of(SPLITS[split].stop - 1) == split
+
+    def test_the_thousand_test_maps_are_the_first_of_the_split(self) -> None:
+        seeds = split_seeds("test", 1000)
+        assert (seeds[0], seeds[-1], len(seeds)) == (2**52 + 2**51, 2**52 + 2**51 + 999, 1000)
+
+    def test_offset(self) -> None:
+        assert list(split_seeds("validation", 3, offset=5)) == [2**52 + 5, 2**52 + 6, 2**52 + 7]
+
+    def test_may_be_empty_or_everything(self) -> None:
+        assert len(split_seeds("train", 0)) == 0
+        assert split_seeds("test", 2**51) == range(2**52 + 2**51, 2**53)
+
+    @pytest.mark.parametrize(("episodes", "offset"), [(-1, 0), (1, -1), (2**51 + 1, 0), (1, 2**51), (2**51, 1)])
+    def test_asking_for_more_than_the_split_holds_is_refused(self, episodes: int, offset: int) -> None:
+        with pytest.raises(InvalidValueError, match="split 'test' holds 2251799813685248 seeds"):
+            split_seeds("test", episodes, offset)
+
+    def test_unknown_split_lists_the_valid_ones(self) -> None:
+        with pytest.raises(UnknownNameError, match="test, train, validation"):
+            split_seeds("dev", 1)
