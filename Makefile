@@ -27,7 +27,7 @@ demo: .venv/.base
 	@$(BIN)/drone-env evaluate --task all --agents random greedy optimal --split test --episodes 100
 
 test: .venv/.dev
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 # Lint, formatting, types.
 check: .venv/.dev
@@ -37,7 +37,7 @@ check: .venv/.dev
 
 # The same properties over many more cases; takes long.
 verify: .venv/.dev
-	HYPOTHESIS_PROFILE=campaign $(BIN)/python -m pytest -n auto tests/property tests/parity
+	DRONE_ENV_EXAMPLES=30000 $(BIN)/python -m pytest -n auto --timeout 3600 tests/property tests/parity
 
 bench: .venv/.base
 	$(BIN)/python benchmarks/scalar_step.py

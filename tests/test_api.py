@@ -11,7 +11,7 @@ import drone_env
 
 
 def test_everything_promised_is_there_and_nothing_else() -> None:
-    assert dir(drone_env) == drone_env.__all__
+    assert dir(drone_env) == sorted(drone_env.__all__)
     for name in drone_env.__all__:
         assert getattr(drone_env, name) is not None
 

@@ -23,7 +23,7 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
         UnknownNameError: if there is no such agent or task; the message lists the valid names.
         UnsupportedTaskError: if the agent cannot fly that task.
     """
-    if name not in AGENTS:
+    if name not in list(AGENTS):
         raise UnknownNameError("agent", name, AGENTS)
     return AGENTS[name](get_task(task))
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -61,7 +62,7 @@ def evaluate(
     if json == "-":
         sys.stdout.write(text)
         return
-    Console().print(_table(report))
+    Console(width=None if sys.stdout.isatty() else 120).print(_table(report))
     if json is not None:
         _write_whole(Path(json), text)
 
@@ -89,21 +90,25 @@ def _evaluate_task(task: TaskConfig, keys: dict[str, EpisodesKey]) -> dict[str, 
 
 
 def _table(report: dict[str, Any]) -> Table:
-    table = Table(title="Graded score beside the exact optimum of the same maps")
-    table.add_column("task")
-    table.add_column("agent")
-    for heading in ("score", "95 % interval", "optimum", "ratio", "success", "steps", "excess"):
-        table.add_column(heading, justify="right")
+    table = Table(
+        title="Graded score beside the exact optimum of the same maps",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    table.add_column("task", no_wrap=True)
+    table.add_column("agent", no_wrap=True)
+    for heading in ("score (95 %)", "optimum", "ratio", "success", "steps", "excess"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for task_id, of_task in report["tasks"].items():
         table.add_section()
         for agent, figures in of_task["agents"].items():
-            low, high = figures["score_ci95"]
+            half_width = figures["score_ci95"][1] - figures["mean_score"]
             excess = figures["mean_excess_steps"]
             table.add_row(
-                task_id,
+                get_task(task_id).short_name,
                 agent,
-                f"{figures['mean_score']:.4f}",
-                f"{low:.4f}-{high:.4f}",
+                f"{figures['mean_score']:.4f} ± {half_width:.4f}",
                 f"{figures['mean_optimal_score']:.4f}",
                 f"{figures['score_ratio']:.4f}",
                 f"{figures['success_rate']:.1%}",

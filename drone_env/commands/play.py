@@ -1,9 +1,10 @@
 """`drone-env play`: a person flies, in the terminal."""
 
+import os
+import re
 import sys
 from collections.abc import Iterator
 
-import readchar
 from rich.console import Console
 
 from drone_env.commands.arguments import ProfileName, Seed, TaskName
@@ -12,11 +13,17 @@ from drone_env.core.state_manager import Episode
 from drone_env.envs.ansi import draw_text
 from drone_env.planning.optimal import solve
 
+try:
+    import termios
+    import tty
+except ImportError:  # not on Windows: keys then come with Enter
+    termios = tty = None
+
 KEYS = {
-    readchar.key.UP: Action.UP,
-    readchar.key.DOWN: Action.DOWN,
-    readchar.key.LEFT: Action.LEFT,
-    readchar.key.RIGHT: Action.RIGHT,
+    "\x1b[A": Action.UP,
+    "\x1b[B": Action.DOWN,
+    "\x1b[C": Action.RIGHT,
+    "\x1b[D": Action.LEFT,
     "w": Action.UP,
     "s": Action.DOWN,
     "a": Action.LEFT,
@@ -24,7 +31,8 @@ KEYS = {
     " ": Action.WAIT,
     ".": Action.WAIT,
 }
-QUIT = {"q", readchar.key.ESC, readchar.key.CTRL_C, readchar.key.CTRL_D}
+QUIT = {"q", "\x1b", "\x04"}
+ONE_KEY = re.compile(r"\x1b[\[O][A-D]|.", re.DOTALL)
 HELP = "Arrow keys or w a s d fly, space or . waits, q gives up."
 
 
@@ -75,12 +83,17 @@ def _show(console: Console, episode: Episode) -> None:
 
 def _keys() -> Iterator[str]:
     """Keys as they are pressed; characters of standard input where that is no terminal."""
-    if not sys.stdin.isatty():
+    if termios is None or tty is None or not sys.stdin.isatty():
         while character := sys.stdin.read(1):
             yield character
         return
-    while True:
-        try:
-            yield readchar.readkey()
-        except KeyboardInterrupt:
-            yield readchar.key.CTRL_C
+    terminal = sys.stdin.fileno()
+    before = termios.tcgetattr(terminal)
+    try:
+        # Without flushing: what is typed while the map is drawn counts.
+        tty.setcbreak(terminal, termios.TCSADRAIN)
+        while pressed := os.read(terminal, 64):
+            for key in ONE_KEY.findall(pressed.decode(errors="replace")):
+                yield key.replace("\x1bO", "\x1b[")
+    finally:
+        termios.tcsetattr(terminal, termios.TCSADRAIN, before)

@@ -98,7 +98,7 @@ def get_reward_profile(name: str | RewardProfile) -> RewardProfile:
     """
     if isinstance(name, RewardProfile):
         return name
-    if name not in REWARD_PROFILES:
+    if name not in list(REWARD_PROFILES):
         raise UnknownNameError("reward profile", name, REWARD_PROFILES)
     return REWARD_PROFILES[name]
 

@@ -103,7 +103,7 @@ def split_seeds(split: str, episodes: int, offset: int = 0) -> range:
         UnknownNameError: if there is no such split.
         InvalidValueError: if the split does not hold that many seeds.
     """
-    if split not in SPLITS:
+    if split not in list(SPLITS):
         raise UnknownNameError("split", split, SPLITS)
     start, stop = SPLITS[split]
     if episodes < 0 or offset < 0 or start + offset + episodes > stop:
@@ -114,5 +114,10 @@ def split_seeds(split: str, episodes: int, offset: int = 0) -> range:
 
 
 def split_of(seed: int) -> str:
-    """The name of the split that `seed` belongs to."""
+    """The name of the split that `seed` belongs to.
+
+    Raises:
+        InvalidValueError: if it is not an integer in [0, 2^53).
+    """
+    seed = check_seed(seed)
     return next(name for name, (start, stop) in SPLITS.items() if start <= seed < stop)

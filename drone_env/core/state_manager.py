@@ -3,7 +3,7 @@
 import operator
 import secrets
 from dataclasses import dataclass
-from typing import NamedTuple, SupportsIndex, TypedDict
+from typing import Any, NamedTuple, SupportsIndex, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from drone_env.core.rules import (
     STEPS,
     TARGET,
     UNDER,
+    Buffer,
     interpreted,
     row_size,
     view,
@@ -69,8 +70,19 @@ class EpisodeState:
     path: tuple[tuple[int, int, int, float, int], ...]
 
 
+class _NoEpisode:
+    """Stands for the state before the first reset: whoever reads it is told so."""
+
+    def __getitem__(self, index: object) -> Any:
+        raise EpisodeError(NOT_STARTED)
+
+
+NOT_STARTED = "no episode yet: call reset() first"
+_NO_EPISODE: Any = _NoEpisode()
+
+
 class Episode:
-    """A single drone on a single map.
+    """A single drone on a single map. Before the first reset there is nothing to read: that raises `EpisodeError`.
 
     Args:
         task: A task or its name.
@@ -89,7 +101,7 @@ class Episode:
         self._grid_array = np.zeros(self.rules.cells, np.uint8)
         self._row_array = np.zeros(row_size(self.rules), np.int16)
         self._grid = view(self._grid_array)
-        self._row = view(self._row_array)
+        self._row: Buffer = _NO_EPISODE
         self._seed: int | None = None
         self._reward_last = 0.0
         self._reward_total = 0.0
@@ -117,6 +129,7 @@ class Episode:
             chosen = next_seed(self._seed)
         self._seed = chosen
         self._choose_rewards(profile)
+        self._row = view(self._row_array)
         dynamics.reset(self.rules, self._grid, self._row, chosen)
         self._reward_last = 0.0
         self._reward_total = 0.0
@@ -132,13 +145,11 @@ class Episode:
             EpisodeError: before the first reset.
         """
         try:
-            number = operator.index(action)
+            number = -1 if isinstance(action, bool) else operator.index(action)
         except TypeError:
             number = -1
         if not 0 <= number < N_ACTIONS:
             raise InvalidValueError(f"action must be one of {ALLOWED_ACTIONS}; got {action!r}")
-        if self._seed is None:
-            raise EpisodeError("no episode yet: call reset() before step()")
         row = self._row
         if row[OUTCOME]:
             self._refused = True
@@ -157,7 +168,7 @@ class Episode:
             EpisodeError: before the first reset.
         """
         if self._seed is None:
-            raise EpisodeError("no episode yet: call reset() first")
+            raise EpisodeError(NOT_STARTED)
         return self._seed
 
     @property
@@ -271,7 +282,7 @@ class Episode:
         )
 
     def counted_score(self) -> float:
-        """The score to report: the final one, or of an unfinished episode the one that waiting to its end would earn."""
+        """The score to report: the final one, or of an unfinished episode what waiting to its end would earn."""
         grid, row = view(np.array(self._grid_array)), view(np.array(self._row_array))
         while not row[OUTCOME]:
             dynamics.step(self.rules, self._rewards, grid, row, Action.WAIT)
@@ -284,7 +295,13 @@ class Episode:
         return {"grid": self.grid(), "telemetry": telemetry}
 
     def grid(self) -> npt.NDArray[np.uint8]:
-        """The cell ids as the drone sees them: a copy, uint8[height, width]."""
+        """The cell ids as the drone sees them: a copy, uint8[height, width].
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        if not self.started:
+            raise EpisodeError(NOT_STARTED)
         return np.array(np.reshape(self._grid_array, (self.rules.height, self.rules.width)))
 
     def action_mask(self) -> npt.NDArray[np.int8]:
@@ -314,14 +331,20 @@ class Episode:
         """Return to a snapshot of an episode of the same task and reward profile.
 
         Raises:
-            InvalidValueError: if the snapshot is of another task or profile; the state is left as it was.
+            InvalidValueError: if the snapshot is of another task, profile or size; the state is left as it was.
         """
         if state.task != self.task or state.reward_profile != self.reward_profile:
             raise InvalidValueError(
                 f"the snapshot is of {state.task.id!r} with rewards {state.reward_profile.id!r}; "
                 f"this episode flies {self.task.id!r} with {self.reward_profile.id!r}"
             )
+        if (len(state.grid), len(state.row)) != (self._grid_array.nbytes, self._row_array.nbytes):
+            raise InvalidValueError(
+                f"the snapshot holds {len(state.grid)} and {len(state.row)} bytes of grid and row; "
+                f"{self.task.id!r} has {self._grid_array.nbytes} and {self._row_array.nbytes}"
+            )
         self._seed = state.seed
+        self._row = view(self._row_array)
         self._grid_array[:] = np.frombuffer(state.grid, np.uint8)
         self._row_array[:] = np.frombuffer(state.row, np.int16)
         self._reward_last = state.reward_last

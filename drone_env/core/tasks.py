@@ -1,6 +1,7 @@
 """The tasks: all their numbers, in one place. A new task is one more entry in `TASKS`."""
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 
 from drone_env.core.cells import Cell
@@ -70,6 +71,19 @@ class TaskConfig:
             if not holds:
                 raise InvalidTaskError(f"task {self.id!r}: {message}")
 
+        for number in fields(self):
+            value = getattr(self, number.name)
+            if number.type is int:
+                require(type(value) is int, f"{number.name} must be an integer, got {value!r}")
+            elif number.type is float:
+                finite = isinstance(value, float | int) and math.isfinite(value)
+                require(finite, f"{number.name} must be a finite number, got {value!r}")
+        try:
+            object.__setattr__(self, "drain", tuple((Cell(kind), units) for kind, units in self.drain))
+            object.__setattr__(self, "impassable", frozenset(Cell(kind) for kind in self.impassable))
+        except (TypeError, ValueError) as error:
+            message = f"drain holds pairs (Cell, units), impassable holds Cells: {error}"
+            raise InvalidTaskError(f"task {self.id!r}: {message}") from None
         sides = (self.width, self.height)
         require(all(2 <= side <= MAX_SIDE for side in sides), f"width and height must be 2 to {MAX_SIDE}, got {sides}")
         require(
@@ -82,7 +96,9 @@ class TaskConfig:
         for name in ("max_steps", "battery_capacity"):
             value = getattr(self, name)
             require(1 <= value <= MAX_UNITS, f"{name} must be 1 to {MAX_UNITS}, got {value}")
+        require(len(dict(self.drain)) == len(self.drain), "drain names a kind of cell twice")
         for kind, units in self.drain:
+            require(type(units) is int, f"drain must be whole units, got {units!r} for {kind.name}")
             require(kind in TERRAIN, f"drain is for kinds under the drone {[str(c.name) for c in TERRAIN]}, got {kind}")
             require(0 <= units <= MAX_UNITS, f"drain must be 0 to {MAX_UNITS}, got {units} for {kind.name}")
         can_block = {Cell.BUILDING, Cell.TREE, Cell.OBSTACLE}
@@ -181,6 +197,8 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
         UnknownNameError: if there is none; the message lists the valid ids and short names, or the valid versions.
     """
     if isinstance(name, TaskConfig):
+        if version not in (None, name.version):
+            raise UnknownNameError(f"version of task {name.id!r}", version, [str(name.version)])
         return name
     named = [t for t in (*TASKS.values(), *PAST_TASKS) if name in (t.id, t.short_name, t.grader)]
     if not named:

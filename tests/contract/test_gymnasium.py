@@ -70,7 +70,7 @@ def test_sb3_check_env_passes_with_nothing_but_its_advice_on_two_dimensional_box
     assert ["grid has an unconventional shape" in str(warning.message) for warning in caught] == [True]
 
 
-@pytest.mark.parametrize(("env_id", "task"), zip(IDS, TASKS.values(), strict=True), ids=TASKS)
+@pytest.mark.parametrize(("env_id", "task"), list(zip(IDS, TASKS.values(), strict=True)), ids=TASKS)
 def test_spaces_are_the_promised_ones(env_id: str, task: Any) -> None:
     env = make(env_id)
     assert env.action_space == gymnasium.spaces.Discrete(5)

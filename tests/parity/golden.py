@@ -4,15 +4,15 @@
     python tests/parity/golden.py --compiled   print them, computed by the compiled functions
     python tests/parity/golden.py --write      make them the ones that the test expects
 
-Needs NumPy alone, with `drone_env` on the path. A change of a hash means a new version of the task.
+Needs NumPy and Gymnasium, with `drone_env` on the path. A change of a hash means a new version of the task.
 
 Per task there are two SHA-256 digests over the same seeds, all numbers little-endian:
 
 - `maps`: of each map, the grid without the drone (uint8 per cell, row by row), then the cells of the start and of the
   deliveries (int16).
-- `trajectories`: of each flight, after the reset and after every step up to the end, the grid (uint8), the row
-  (int16), the telemetry (float32), the action mask (int8) and the score (float64); then, of each reward profile by
-  name, the rewards of all steps (float64).
+- `trajectories`: of each flight, as they stand after the reset and after every step up to the end, all grids (uint8),
+  all telemetry (float32), all action masks (int8) and all scores (float64); then, under each reward
+  profile in the order of their names, the rewards of all steps (float64).
 
 The actions are `pattern(seed, step)`.
 """
@@ -27,10 +27,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core import dynamics, observation
+from drone_env.core import dynamics, observation, score
 from drone_env.core.rewards import REWARD_PROFILES, interpreted_rewards, tabulate_rewards
 from drone_env.core.rules import CELL, OUTCOME, PARCELS, UNDER, interpreted, row_size, tabulate
-from drone_env.core.score import score
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import TASKS, TaskConfig
 
@@ -49,40 +48,59 @@ class Backend(NamedTuple):
     buffer: Callable[..., Any]
     """Turns an array into what the functions below take."""
     reset: Callable[..., None]
-    step: Callable[..., float]
-    write_telemetry: Callable[..., None]
-    write_action_mask: Callable[..., None]
-    score: Callable[..., float]
+    fly_logging: Callable[..., int]
+    fly: Callable[..., int]
 
 
 def interpreted_backend() -> Backend:
-    return Backend(
-        interpreted,
-        interpreted_rewards,
-        memoryview,
-        dynamics.reset,
-        dynamics.step,
-        observation.write_telemetry,
-        observation.write_action_mask,
-        score,
+    fly_logging, fly = make_flights(
+        dynamics.step, observation.write_telemetry, observation.write_action_mask, score.score
     )
+    return Backend(interpreted, interpreted_rewards, memoryview, dynamics.reset, fly_logging, fly)
 
 
 def compiled_backend() -> Backend:
-    import numba
+    from numba import njit
 
     from drone_env.core import compiled
 
-    return Backend(
-        tabulate,
-        tabulate_rewards,
-        lambda array: array,
-        compiled.reset,
-        compiled.step,
-        numba.njit(observation.write_telemetry),
-        numba.njit(observation.write_action_mask),
-        numba.njit(score),
+    fly_logging, fly = make_flights(
+        compiled.step, njit(observation.write_telemetry), njit(observation.write_action_mask), njit(score.score)
     )
+    return Backend(tabulate, tabulate_rewards, lambda array: array, compiled.reset, njit(fly_logging), njit(fly))
+
+
+def make_flights(
+    step: Callable[..., float],
+    write_telemetry: Callable[..., None],
+    write_action_mask: Callable[..., None],
+    score: Callable[..., float],
+) -> tuple[Callable[..., int], Callable[..., int]]:
+    """Two functions that fly to the end and return the number of steps: one logs every state, the other none."""
+
+    def fly_logging(
+        rules: Any, rewards: Any, grid: Any, row: Any, actions: Any, paid: Any,
+        grids: Any, telemetry: Any, masks: Any, scores: Any,
+    ) -> int:  # fmt: skip
+        n = 0
+        while True:
+            grids[n] = grid
+            write_telemetry(rules, row, telemetry[n])
+            write_action_mask(rules, grid, row, masks[n])
+            scores[n] = score(rules, row)
+            if row[OUTCOME] != 0:
+                return n
+            paid[n] = step(rules, rewards, grid, row, actions[n])
+            n += 1
+
+    def fly(rules: Any, rewards: Any, grid: Any, row: Any, actions: Any, paid: Any) -> int:
+        n = 0
+        while row[OUTCOME] == 0:
+            paid[n] = step(rules, rewards, grid, row, actions[n])
+            n += 1
+        return n
+
+    return fly_logging, fly
 
 
 def golden_seeds(count: int) -> list[int]:
@@ -107,8 +125,8 @@ def little(array: npt.NDArray[Any]) -> bytes:
     return array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
 
 
-class Flight:
-    """One episode's buffers for one backend and task."""
+class Flights:
+    """Maps and flights of one task under one backend, as bytes."""
 
     def __init__(self, backend: Backend, task: TaskConfig) -> None:
         self.backend = backend
@@ -116,52 +134,47 @@ class Flight:
         self.rewards = [backend.tabulate_rewards(task, REWARD_PROFILES[name]) for name in PROFILES]
         self.grid = np.zeros(self.rules.cells, np.uint8)
         self.row = np.zeros(row_size(self.rules), np.int16)
-        self.telemetry = np.zeros(self.rules.telemetry_size, np.float32)
-        self.mask = np.zeros(5, np.int8)
-        self._buffers = [backend.buffer(array) for array in (self.grid, self.row, self.telemetry, self.mask)]
+        states = task.max_steps + 1
+        self.actions = np.zeros(states, np.int64)
+        self.paid = np.zeros(states, np.float64)
+        self.log = (
+            np.zeros((states, self.grid.size), np.uint8),
+            np.zeros((states, self.rules.telemetry_size), np.float32),
+            np.zeros((states, 5), np.int8),
+            np.zeros(states, np.float64),
+        )
+        self.buffers = [backend.buffer(array) for array in (self.grid, self.row, self.actions, self.paid)]
 
     def reset(self, seed: int) -> None:
-        grid, row, _, _ = self._buffers
-        self.backend.reset(self.rules, grid, row, seed)
+        self.backend.reset(self.rules, self.buffers[0], self.buffers[1], seed)
 
-    def map_bytes(self) -> bytes:
-        grid = self.grid.copy()
-        grid[self.row[CELL]] = self.row[UNDER]
-        return little(grid) + little(self.row[[CELL]]) + little(self.row[PARCELS:])
-
-    def state_bytes(self) -> bytes:
-        grid, row, telemetry, mask = self._buffers
-        self.backend.write_telemetry(self.rules, row, telemetry)
-        self.backend.write_action_mask(self.rules, grid, row, mask)
-        scored = np.array([self.backend.score(self.rules, row)], np.float64)
-        return b"".join(map(little, (self.grid, self.row, self.telemetry, self.mask, scored)))
-
-    def fly(self, seed: int, rewards: Any, digest: Any = None) -> bytes:
-        """Fly map `seed` to the end and return all rewards; with a digest, hash every state on the way."""
+    def map_bytes(self, seed: int) -> bytes:
         self.reset(seed)
-        grid, row, _, _ = self._buffers
-        paid: list[float] = []
-        while True:
-            if digest is not None:
-                digest.update(self.state_bytes())
-            if row[OUTCOME]:
-                return little(np.array(paid, np.float64))
-            paid.append(self.backend.step(self.rules, rewards, grid, row, pattern(seed, len(paid))))
+        self.grid[self.row[CELL]] = self.row[UNDER]
+        return little(self.grid) + little(self.row[[CELL]]) + little(self.row[PARCELS:])
+
+    def trajectory_bytes(self, seed: int) -> bytes:
+        self.actions[:] = [pattern(seed, step) for step in range(len(self.actions))]
+        first, *others = self.rewards
+        self.reset(seed)
+        steps = self.backend.fly_logging(self.rules, first, *self.buffers, *self.log)
+        parts = [little(array[: steps + 1]) for array in self.log]
+        parts.append(little(self.paid[:steps]))
+        for rewards in others:
+            self.reset(seed)
+            steps = self.backend.fly(self.rules, rewards, *self.buffers)
+            parts.append(little(self.paid[:steps]))
+        return b"".join(parts)
 
 
 def golden_hashes(backend: Backend, seeds: list[int]) -> Hashes:
     hashes = {}
     for name, task in TASKS.items():
-        flight = Flight(backend, task)
+        flights = Flights(backend, task)
         maps, trajectories = hashlib.sha256(), hashlib.sha256()
         for seed in seeds:
-            flight.reset(seed)
-            maps.update(flight.map_bytes())
-            # The states do not depend on the rewards: hashed under the first profile only.
-            first, *others = flight.rewards
-            trajectories.update(flight.fly(seed, first, trajectories))
-            for rewards in others:
-                trajectories.update(flight.fly(seed, rewards))
+            maps.update(flights.map_bytes(seed))
+            trajectories.update(flights.trajectory_bytes(seed))
         hashes[name] = {"maps": maps.hexdigest(), "trajectories": trajectories.hexdigest()}
     return hashes
 

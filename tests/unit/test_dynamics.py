@@ -1,18 +1,23 @@
 """Every rule of a step, its reward and its score, with numbers computed by hand."""
 
+import pickle
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
 
+from drone_env.core import dynamics
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.cells import Cell
+from drone_env.core.rewards import get_reward_profile, interpreted_rewards
+from drone_env.core.rules import interpreted, row_size
 from drone_env.core.score import score_of
 from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError
+from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, UnknownNameError
 from tests.toy import fly, toy_episode
 
 KINDS = [("B", Cell.BUILDING), ("T", Cell.TREE), ("O", Cell.OBSTACLE)]
@@ -188,6 +193,11 @@ class TestDelivery:
         fly(episode, "RR")
         assert (episode.target, episode.distance_to_target) == ((0, 0), 5)
 
+    def test_delivery_of_another_target_does_not_make_the_nearest_one_current(self) -> None:
+        episode = toy_episode(["@.02", "1..."])
+        fly(episode, "RR")
+        assert (episode.deliveries_done, episode.target, episode.distance_to_target) == (1, (0, 1), 3)
+
     def test_first_target_is_the_nearest(self) -> None:
         episode = toy_episode(["0..@.1", "......"])
         assert (episode.target, episode.distance_to_target) == ((5, 0), 2)
@@ -318,6 +328,17 @@ class TestEnd:
         assert episode.get_state() == before
         assert episode.message != message
         assert f"ended ({outcome})" in episode.message
+
+    def test_the_functions_below_an_episode_refuse_it_too(self) -> None:
+        task = replace(TASKS["easy_delivery"], max_steps=1)
+        rules, rewards = interpreted(task), interpreted_rewards(task, get_reward_profile("tiered"))
+        grid, row = memoryview(np.zeros(rules.cells, np.uint8)), memoryview(np.zeros(row_size(rules), np.int16))
+        dynamics.reset(rules, grid, row, 0)
+        dynamics.step(rules, rewards, grid, row, Action.WAIT)
+        before = grid.tobytes(), row.tobytes()
+        for action in Action:
+            assert dynamics.step(rules, rewards, grid, row, action) == 0
+        assert (grid.tobytes(), row.tobytes()) == before
 
     def test_reset_after_a_refused_step_starts_afresh(self) -> None:
         episode = toy_episode(["@0", ".."])
@@ -601,6 +622,15 @@ class TestState:
             episode.set_state(other.get_state())
         assert episode.get_state() == before
 
+    def test_a_snapshot_can_be_pickled(self) -> None:
+        episode = toy_episode(["@0.1", "...."], "composite")
+        fly(episode, "R")
+        state = pickle.loads(pickle.dumps(episode.get_state()))
+        assert state == episode.get_state()
+        fly(episode, "R")
+        episode.set_state(state)
+        assert episode.get_state() == state
+
     def test_observation_is_a_copy(self) -> None:
         episode = toy_episode(["@0", ".."])
         episode.observation()["grid"][:] = 0
@@ -697,6 +727,24 @@ class TestReset:
         distances = [abs(px - x) + abs(py - y) for px, py, _ in episode.parcels]
         assert episode.distance_to_target == min(distances) == abs(tx - x) + abs(ty - y)
         assert episode.parcels[distances.index(min(distances))] == (tx, ty, False)
+
+    def test_the_reward_profile_is_chosen_per_episode_and_kept_until_another_is(self) -> None:
+        episode = Episode("easy", "tiered")
+        episode.reset(1, "score")
+        assert (episode.reward_profile.id, episode.get_state().reward_profile.id) == ("score", "score")
+        assert fly(episode, "W") == [0.0]
+        episode.reset(2)
+        assert episode.reward_profile.id == "score"
+        assert fly(episode, "W") == [0.0]
+
+    @pytest.mark.parametrize("arguments", [(2, "no_such"), (-1, "score")])
+    def test_a_refused_reset_keeps_the_episode_and_its_profile(self, arguments: tuple[int, str]) -> None:
+        episode = Episode("easy", "tiered")
+        episode.reset(1)
+        before = episode.get_state()
+        with pytest.raises(DroneEnvError):
+            episode.reset(*arguments)
+        assert episode.get_state() == before
 
     def test_equal_seed_gives_the_equal_start_whatever_was_flown_before(self) -> None:
         fresh, used = Episode(), Episode()

@@ -1,62 +1,76 @@
-"""What importing the package costs and what it needs, each seen from a fresh process."""
+"""What importing the package loads, and who may import whom."""
 
+import ast
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-HEAVY = ("numba", "torch", "openenv", "fastapi")
+PACKAGE = Path(__file__).parents[2] / "drone_env"
+HEAVY = ("numba", "torch", "openenv", "fastapi", "pydantic", "PIL", "pygame")
+ALLOWED_IN_CORE = {"numpy", "numba", *sys.stdlib_module_names}
 
-MEASURE = """
-import json, sys, time
-before = time.process_time()
-import {module}
-print(json.dumps([time.process_time() - before, sorted(sys.modules)]))
-"""
-
-NUMPY_ALONE = """
-import importlib, os, pkgutil, sys
-
-class NumpyAlone:
-    def find_spec(self, name, path=None, target=None):
-        top = name.partition(".")[0]
-        if top not in sys.stdlib_module_names and top not in ("numpy", "drone_env"):
-            raise ModuleNotFoundError("not to be needed: " + name, name=name)
-
-import numpy
-sys.meta_path.insert(0, NumpyAlone())
-import drone_env.core
-for module in pkgutil.iter_modules(drone_env.core.__path__):
-    if module.name not in ("compiled", "batch"):
-        importlib.import_module("drone_env.core." + module.name)
-"""
+# Each floor may import from the floors below it, and from its own.
+FLOORS = [
+    {"errors"},
+    {"core"},
+    {"planning", "models"},
+    {"agents", "graders", "episodes"},
+    {"envs", "evaluation"},
+    {"commands", "cli"},
+]
 
 
-def run_python(code: str) -> str:
-    """What a fresh interpreter prints; its message becomes the test's if it fails."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+def imported_names(file: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: relative import"
+            yield str(node.module)
 
 
-def imported(module: str) -> tuple[float, list[str]]:
-    """CPU seconds that the import takes, and all modules that are loaded then."""
-    seconds, modules = json.loads(run_python(MEASURE.format(module=module)))
-    return seconds, modules
+def modules() -> Iterator[tuple[str, Path]]:
+    """(part of the package, file) of every module but the package's face."""
+    for file in sorted(PACKAGE.rglob("*.py")):
+        part = file.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        if part != "__init__":
+            yield part, file
 
 
-def test_importing_the_package_takes_less_than_03_seconds_of_cpu() -> None:
-    # The best of three: a busy machine can only add to it.
-    assert min(imported("drone_env")[0] for _ in range(3)) < 0.3
+def floor(part: str) -> int:
+    return next(i for i, parts in enumerate(FLOORS) if part in parts)
 
 
 @pytest.mark.parametrize("module", ["drone_env", "drone_env.core.state_manager"])
 def test_importing_loads_nothing_heavy(module: str) -> None:
-    loaded = imported(module)[1]
+    code = f"import json, sys, {module}; print(json.dumps(sorted(sys.modules)))"
+    loaded = json.loads(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout)
     assert module in loaded
     assert [name for name in HEAVY if name in loaded] == []
 
 
-def test_the_core_needs_nothing_but_numpy() -> None:
-    run_python(NUMPY_ALONE)
+def test_the_core_imports_numpy_and_numba_alone() -> None:
+    foreign = {
+        (file.name, name)
+        for part, file in modules()
+        if part == "core"
+        for name in imported_names(file)
+        if name.partition(".")[0] not in ALLOWED_IN_CORE
+        and not name.startswith("drone_env.core")
+        and name != "drone_env.errors"
+    }
+    assert foreign == set()
+
+
+def test_imports_point_inwards() -> None:
+    outwards = [
+        (str(file.relative_to(PACKAGE)), name)
+        for part, file in modules()
+        for name in imported_names(file)
+        if name.startswith("drone_env.") and floor(name.split(".")[1]) > floor(part)
+    ]
+    assert outwards == []

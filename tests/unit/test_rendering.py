@@ -1,0 +1,396 @@
+"""Pictures, text and the window."""
+
+import math
+import sys
+import time
+import unicodedata
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from gymnasium.error import DependencyNotInstalled
+from PIL import Image
+
+from drone_env.core.actions import Action, Event
+from drone_env.core.cells import CELL_KINDS, Cell
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.envs import rendering
+from drone_env.envs.ansi import ROAD, TARGET, draw_text
+from drone_env.envs.rendering import PALETTE, PANEL, TEXT, draw_mission, save_picture
+from drone_env.envs.window import Window
+from drone_env.errors import EpisodeError, InvalidValueError
+from drone_env.planning.greedy import greedy_action
+
+EASY = get_task("easy")
+HARD = get_task("hard")
+EMPTY = replace(EASY, id="empty", buildings=0, trees=0, obstacles=0, deliveries=2)
+SMALLEST = replace(EASY, id="smallest", width=2, height=2, buildings=1, trees=0, obstacles=1)
+LARGEST = replace(
+    HARD, id="largest", width=64, height=64, buildings=900, trees=500, obstacles=300, deliveries=16, pads=20
+)
+WIDEST = replace(HARD, id="widest", width=64, height=2)
+TALLEST = replace(HARD, id="tallest", width=2, height=64)
+
+Picture = npt.NDArray[np.uint8]
+
+
+def fresh(task: str | TaskConfig = "easy", seed: int = 7) -> Episode:
+    episode = Episode(task)
+    episode.reset(seed)
+    return episode
+
+
+def fly(episode: Episode, steps: int = 1000) -> Episode:
+    """Fly towards the target until the end, at most so many steps."""
+    for _ in range(steps):
+        if not episode.ended:
+            episode.step(greedy_action(episode.task, episode.observation()))
+    return episode
+
+
+def cell_of(picture: Picture, episode: Episode, x: float, y: float) -> Picture:
+    """The pixels in the middle of a cell."""
+    layout = rendering._layout(episode.task, picture.shape[0])
+    column, row = (round(value) for value in layout.centre(x, y))
+    reach = max(1, layout.cell // 4)
+    return picture[row - reach : row + reach, column - reach : column + reach]
+
+
+def panel_of(picture: Picture, episode: Episode) -> Picture:
+    return picture[:, rendering._layout(episode.task, picture.shape[0]).city :]
+
+
+def count(picture: Picture, colour: str) -> int:
+    """How many pixels have exactly this colour of the palette."""
+    return int((picture == np.frombuffer(bytes.fromhex(PALETTE[colour][1:]), np.uint8)).all(axis=2).sum())
+
+
+def flown_right(steps: int) -> tuple[Episode, int, int]:
+    """An episode of the empty city that has flown to the right from (x, y)."""
+    episode = next(e for e in (fresh(EMPTY, seed) for seed in range(99)) if e.position[0] + steps < 10)
+    x, y = episode.position
+    for _ in range(steps):
+        episode.step(Action.RIGHT)
+    return episode, x, y
+
+
+def has_trail(picture: Picture, episode: Episode, x: float, y: float) -> bool:
+    """Whether something in a cell is bluish, as neither streets nor lawns are."""
+    cell = cell_of(picture, episode, x, y).astype(int)
+    return (cell[:, :, 2] - cell[:, :, 0]).max() > 20
+
+
+class TestPicture:
+    @pytest.mark.parametrize("task", [*TASKS.values(), SMALLEST, LARGEST, WIDEST, TALLEST], ids=lambda task: task.id)
+    @pytest.mark.parametrize("size", [96, 241, 720])
+    def test_shape_and_type(self, task: TaskConfig, size: int) -> None:
+        picture = draw_mission(fresh(task), size)
+        height, width, channels = picture.shape
+        assert (height, channels) == (size, 3)
+        assert width % 2 == 0
+        assert picture.dtype == np.uint8
+        assert width < 2.6 * size
+
+    def test_equal_episodes_give_equal_pictures(self) -> None:
+        first = draw_mission(fly(fresh("hard", 3), 12))
+        rendering._city.cache_clear()
+        rendering._figure.cache_clear()
+        assert np.array_equal(first, draw_mission(fly(fresh("hard", 3), 12)))
+
+    def test_leaves_the_episode_as_it_is(self) -> None:
+        episode = fly(fresh("hard"), 9)
+        before = episode.get_state()
+        draw_mission(episode, 200)
+        draw_text(episode)
+        assert episode.get_state() == before
+
+    def test_belongs_to_the_caller(self) -> None:
+        episode = fresh()
+        picture = draw_mission(episode, 200)
+        kept = picture.copy()
+        picture[:] = 0
+        assert np.array_equal(draw_mission(episode, 200), kept)
+
+    def test_shows_the_map_after_a_reset_without_seed(self) -> None:
+        episode = fly(fresh("medium", 4), 5)
+        seed = episode.reset()
+        assert np.array_equal(draw_mission(episode, 200), draw_mission(fresh("medium", seed), 200))
+
+    def test_every_kind_of_cell_looks_different(self) -> None:
+        episode = fresh(LARGEST)
+        picture = draw_mission(episode, 2000)
+        grid = episode.grid()
+        looks = {}
+        for kind in (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERY, Cell.PAD, Cell.DRONE):
+            y, x = np.argwhere(grid == kind)[-1].tolist()
+            looks[kind] = cell_of(picture, episode, x, y).astype(int)
+        for a in looks:
+            for b in looks:
+                assert a == b or np.abs(looks[a] - looks[b]).mean() > 5, f"{a.name} looks like {b.name}"
+
+    def test_drone_is_where_it_has_flown_to(self) -> None:
+        episode = fresh(EMPTY)
+        x, y = episode.position
+        action, to_x = (Action.RIGHT, x + 1) if x < 5 else (Action.LEFT, x - 1)
+        before = draw_mission(episode)
+        assert count(cell_of(before, episode, x, y), "hull") > 50
+        assert count(cell_of(before, episode, to_x, y), "hull") == 0
+        episode.step(action)
+        after = draw_mission(episode)
+        assert count(cell_of(after, episode, x, y), "hull") == 0
+        assert count(cell_of(after, episode, to_x, y), "hull") > 50
+
+    def test_target_is_marked_and_only_while_there_is_one(self) -> None:
+        episode = fresh()
+        layout = rendering._layout(EASY, 720)
+        assert count(draw_mission(episode)[:, : layout.city], "target") > 300
+        assert fly(episode).success
+        marks = count(draw_mission(episode)[:, : layout.city], "target")
+        assert marks < 150, "only the lamps of the drone have this colour"
+
+    def test_delivered_parcel_turns_into_a_tick(self) -> None:
+        episode = fresh("medium", 3)
+        x, y = episode.target or (-1, -1)
+        waiting = cell_of(draw_mission(episode), episode, x, y)
+        assert count(waiting, "box") > 20
+        assert count(waiting, "done") == 0
+        while episode.deliveries_done == 0:
+            fly(episode, 1)
+        fly(episode, 4)
+        assert episode.position != (x, y)
+        delivered = cell_of(draw_mission(episode), episode, x, y)
+        assert count(delivered, "box") == 0
+        assert count(delivered, "done") > 20
+
+    def test_trail_shows_the_way_and_not_only_where_it_led(self) -> None:
+        flights = []
+        for actions in ((Action.RIGHT, Action.DOWN), (Action.DOWN, Action.RIGHT)):
+            episode = next(e for e in (fresh(EMPTY, seed) for seed in range(99)) if max(e.position) < 7)
+            x, y = episode.position
+            for action in (*actions, *actions):
+                episode.step(action)
+            flights.append((draw_mission(episode), episode))
+        (first, episode), (second, other) = flights
+        assert episode.position == other.position == (x + 2, y + 2)
+        assert episode.message == other.message
+        corner = cell_of(first, episode, x + 2, y + 1), cell_of(second, other, x + 2, y + 1)
+        assert not np.array_equal(*corner), "the trail passes this cell on one flight only"
+        assert np.array_equal(panel_of(first, episode), panel_of(second, other))
+
+    def test_trail_leads_from_the_start_to_the_drone_and_fades(self) -> None:
+        episode, x, y = flown_right(6)
+        picture = draw_mission(episode)
+        assert all(has_trail(picture, episode, x + i + 0.6, y) for i in range(6))
+        assert not has_trail(picture, episode, x + 3, (y + 1) % 10)
+        assert cell_of(picture, episode, x + 1, y).min() > cell_of(picture, episode, x + 4, y).min()
+
+    def test_trail_of_a_long_flight_is_limited(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(rendering, "MAX_TRAIL", 2)
+        episode, x, y = flown_right(6)
+        picture = draw_mission(episode)
+        assert has_trail(picture, episode, x + 5, y)
+        assert not has_trail(picture, episode, x + 2, y)
+
+    def test_impassable_cells_are_marked(self) -> None:
+        marked = fresh(replace(EASY, impassable=frozenset({Cell.BUILDING})))
+        before, after = draw_mission(fresh()), draw_mission(marked)
+        layout = rendering._layout(EASY, 720)
+        for (y, x), kind in np.ndenumerate(marked.grid()):
+            column, row = (round(value) for value in layout.centre(x, y))
+            corner = np.s_[row - layout.cell * 2 // 5 : row, column : column + layout.cell * 2 // 5]
+            assert np.array_equal(before[corner], after[corner]) == (kind != Cell.BUILDING)
+
+    @pytest.mark.parametrize(("used", "colour"), [(10, "good"), (70, "fair"), (90, "low")])
+    def test_battery_gauge_has_the_colour_of_its_level(self, used: int, colour: str) -> None:
+        task = replace(EMPTY, max_steps=100, battery_capacity=100)
+        episode = fresh(task)
+        for _ in range(used):
+            episode.step(Action.WAIT)
+        panel = panel_of(draw_mission(episode), episode)
+        assert {name for name in ("good", "fair", "low") if count(panel, name) > 200} == {colour}
+
+    def test_panel_follows_the_flight(self) -> None:
+        episode = fresh("hard", 5)
+        seen = {panel_of(draw_mission(episode, 300), episode).tobytes()}
+        for steps in range(2, 12):
+            seen.add(panel_of(draw_mission(fly(episode, 1), 300), episode).tobytes())
+            assert len(seen) == steps
+
+    def test_outcome_is_shown(self) -> None:
+        waited = fly(fresh(replace(EMPTY, max_steps=1)))
+        assert count(panel_of(draw_mission(waited), waited), "fair") > 2000
+
+    @pytest.mark.parametrize("deliveries", [1, 16])
+    @pytest.mark.parametrize("size", [480, 720])
+    def test_nothing_runs_out_of_the_panel(self, size: int, deliveries: int) -> None:
+        task = replace(
+            LARGEST,
+            id="a_task_with_quite_a_long_name_that_no_panel_was_ever_made_for",
+            deliveries=deliveries,
+            max_steps=32000,
+            battery_capacity=32000,
+            impassable=frozenset({Cell.TREE}),
+        )
+        episode = fresh(task, 2**53 - 1)
+        left = rendering._layout(task, size).city
+        picture = draw_mission(episode, size)
+        unit = size / 100
+        beside = np.s_[left + math.ceil((TEXT + 3.7) * unit) : left + math.floor((PANEL - 3.6) * unit)]
+        margin = picture[size // 14 : -size // 14, beside]
+        assert margin.size > 0
+        assert count(margin, "card") == margin.shape[0] * margin.shape[1]
+
+    @pytest.mark.parametrize("size", [0, 63, 4097, -720])
+    def test_size_out_of_range_is_refused(self, size: int) -> None:
+        with pytest.raises(InvalidValueError, match="size must be 64 to 4096"):
+            draw_mission(fresh(), size)
+
+    def test_needs_a_reset(self, tmp_path: Path) -> None:
+        for draw in (draw_mission, draw_text, lambda episode: save_picture(episode, tmp_path / "a.png")):
+            with pytest.raises(EpisodeError, match="reset"):
+                draw(Episode())
+        assert list(tmp_path.iterdir()) == []
+
+    def test_every_figure_can_be_drawn(self) -> None:
+        parts = {"building", "top0", "top1", "top2", "top3"}
+        pictures = {rendering._figure(name, 40).tobytes() for name in rendering.FIGURES.keys() - parts}
+        assert len(pictures) == len(rendering.FIGURES) - len(parts)
+
+
+class TestSaving:
+    def test_writes_the_picture_and_its_folders(self, tmp_path: Path) -> None:
+        episode = fly(fresh("medium"), 6)
+        path = tmp_path / "some" / "where" / "mission.png"
+        for name in (path, str(path)):
+            save_picture(episode, name, size=128)
+            with Image.open(path) as image:
+                assert image.format == "PNG"
+                assert np.array_equal(np.asarray(image), draw_mission(episode, 128))
+            path.unlink()
+
+    def test_unknown_format_is_refused(self, tmp_path: Path) -> None:
+        with pytest.raises(ValueError, match="unknown file extension"):
+            save_picture(fresh(), tmp_path / "mission.parcel")
+
+
+def columns(text: str) -> int:
+    """How many columns a terminal gives to a text."""
+    return sum(2 if unicodedata.east_asian_width(letter) in "WF" else 1 for letter in text)
+
+
+class TestText:
+    @pytest.mark.parametrize("task", [*TASKS.values(), SMALLEST, LARGEST, WIDEST, TALLEST], ids=lambda task: task.id)
+    def test_rows_are_aligned(self, task: TaskConfig) -> None:
+        episode = fly(fresh(task), 10)
+        rows = draw_text(episode).split("\n")[: task.height]
+        assert {columns(row) for row in rows} == {2 * task.width}
+
+    @pytest.mark.parametrize("steps", [0, 9, 1000])
+    def test_rows_hold_what_the_episode_holds(self, steps: int) -> None:
+        episode = fly(fresh(LARGEST), steps)
+        rows = "".join(draw_text(episode).split("\n")[:64])
+        grid = episode.grid()
+        for cell in (Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERED, Cell.PAD, Cell.DRONE):
+            assert rows.count(CELL_KINDS[cell].emoji) == (grid == cell).sum(), cell.name
+        assert rows.count(ROAD) == (grid == Cell.ROAD).sum()
+        targets = int(episode.target is not None)
+        assert rows.count(TARGET) == targets
+        assert rows.count(CELL_KINDS[Cell.DELIVERY].emoji) == (grid == Cell.DELIVERY).sum() - targets
+
+    def test_things_stand_where_they_are(self) -> None:
+        episode = fresh("hard", 3)
+        rows = draw_text(episode).split("\n")
+        assert episode.target is not None
+        for (x, y), symbol in ((episode.position, "🚁"), (episode.target, TARGET)):
+            at = rows[y].index(symbol)
+            assert columns(rows[y][:at]) == 2 * x
+
+    def test_tells_how_the_flight_stands(self) -> None:
+        episode = fly(fresh("hard", 42), 7)
+        *_, status, message = draw_text(episode).split("\n")
+        score = f"score {100 * episode.score:.1f}"
+        for words in ("hard_delivery", "map 42", "step 7/160", "battery 153/160", "delivered 2/5", score):
+            assert words in status.split(" · ")
+        assert message == episode.message
+
+    def test_every_step_changes_it(self) -> None:
+        episode = fresh("medium")
+        texts = [draw_text(episode)]
+        while not episode.ended:
+            texts.append(draw_text(fly(episode, 1)))
+        assert len(set(texts)) == len(texts)
+        assert episode.event == Event.DELIVERY
+        assert "Mission accomplished" in texts[-1]
+
+
+@pytest.fixture
+def pygame(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    """pygame on a screen that is not there."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    module = pytest.importorskip("pygame")
+    yield module
+    module.display.quit()
+
+
+class TestWindow:
+    def test_opens_with_the_first_picture_and_follows_their_size(self, pygame: Any) -> None:
+        window = Window(fps=1000)
+        assert not window.is_open
+        assert not pygame.display.get_init()
+        picture = draw_mission(fresh(), 200)
+        for view in (picture, picture[::2, ::-2]):
+            window.show(view)
+            assert window.is_open
+            shown = pygame.surfarray.array3d(pygame.display.get_surface()).transpose(1, 0, 2)
+            assert np.array_equal(shown, view)
+
+    def test_keeps_its_pace(self, pygame: Any) -> None:
+        window, picture = Window(fps=20), np.zeros((20, 30, 3), np.uint8)
+        window.show(picture)
+        start = time.perf_counter()
+        for _ in range(4):
+            window.show(picture)
+        assert time.perf_counter() - start > 0.15
+
+    def test_close_and_open_again(self, pygame: Any) -> None:
+        window, picture = Window(fps=1000), np.zeros((20, 30, 3), np.uint8)
+        window.close()
+        for _ in range(2):
+            window.show(picture)
+            window.close()
+            window.close()
+            assert not window.is_open
+            assert not pygame.display.get_init()
+
+    def test_closed_by_its_x_it_stays_closed(self, pygame: Any) -> None:
+        window, picture = Window(fps=1000), np.zeros((20, 30, 3), np.uint8)
+        window.show(picture)
+        pygame.event.post(pygame.event.Event(pygame.QUIT))
+        window.show(picture)
+        assert not window.is_open
+        window.show(picture)
+        assert not window.is_open
+        assert not pygame.display.get_init()
+        window.close()
+        window.show(picture)
+        assert window.is_open
+
+    def test_missing_pygame_is_named(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "pygame", None)
+        window = Window()
+        with pytest.raises(DependencyNotInstalled, match=r'pip install "drone-env\[human\]"'):
+            window.show(np.zeros((20, 30, 3), np.uint8))
+        assert not window.is_open
+        window.close()
+
+    def test_pictures_and_text_need_no_pygame(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "pygame", None)
+        assert draw_mission(fresh(), 100).any()
+        assert draw_text(fresh())
