@@ -33,6 +33,8 @@ INLINED = (
     dynamics.outcome,
     dynamics.event,
     observation.write_telemetry,
+    observation.write_own_telemetry,
+    observation.write_target_telemetry,
     observation.write_action_mask,
 )
 # No step allocates, so reference counts are only a cost (`_nrt`); no divisor is ever zero (`error_model`); and the

@@ -13,15 +13,24 @@ def write_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
     Where nothing is left to deliver, the drone's own position stands for the target. Tasks whose battery does not
     tell the time have a sixth value: the share of steps left.
     """
-    cell = row[CELL]
-    target = row[TARGET] if row[TARGET] >= 0 else cell
-    telemetry[0] = rules.columns[cell] / rules.width
-    telemetry[1] = rules.lines[cell] / rules.height
-    telemetry[2] = row[BATTERY] / rules.capacity
-    telemetry[3] = rules.columns[target] / rules.width
-    telemetry[4] = rules.lines[target] / rules.height
+    write_own_telemetry(rules, row, telemetry)
+    write_target_telemetry(rules, row, telemetry)
+
+
+def write_own_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
+    """The part that every step changes: position, battery, steps left."""
+    telemetry[0] = rules.x_share[row[CELL]]
+    telemetry[1] = rules.y_share[row[CELL]]
+    telemetry[2] = rules.battery_share[row[BATTERY]]
     if rules.telemetry_size > 5:
-        telemetry[5] = (rules.max_steps - row[STEPS]) / rules.max_steps
+        telemetry[5] = rules.steps_share[row[STEPS]]
+
+
+def write_target_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
+    """The part that only a delivery or a reset changes: the target."""
+    target = row[TARGET] if row[TARGET] >= 0 else row[CELL]
+    telemetry[3] = rules.x_share[target]
+    telemetry[4] = rules.y_share[target]
 
 
 def write_action_mask(rules: Rules, grid: Buffer, row: Buffer, mask: Buffer) -> None:

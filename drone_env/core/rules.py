@@ -82,6 +82,14 @@ class Rules(NamedTuple):
     """Kinds in the order in which they are placed on the map, uint8[...]."""
     telemetry_size: int
     """Values in the telemetry: 5, or 6 with the share of steps left."""
+    x_share: FloatBuffer
+    """x / width of each cell, float32[cells]."""
+    y_share: FloatBuffer
+    """y / height of each cell, float32[cells]."""
+    battery_share: FloatBuffer
+    """units / capacity for each number of units, float32[capacity + 1]."""
+    steps_share: FloatBuffer
+    """Share of steps left after each number of steps, float32[max_steps + 1]."""
 
 
 def row_size(rules: Rules) -> int:
@@ -133,6 +141,10 @@ def tabulate(task: TaskConfig) -> Rules:
         "counts": counts,
         "placed": np.array(list(task.cell_counts()), np.uint8),
         "telemetry_size": task.telemetry_size,
+        "x_share": (numbers % width / width).astype(np.float32),
+        "y_share": (numbers // width / height).astype(np.float32),
+        "battery_share": (np.arange(task.battery_capacity + 1) / task.battery_capacity).astype(np.float32),
+        "steps_share": (np.arange(task.max_steps, -1, -1) / task.max_steps).astype(np.float32),
     }
     return read_only(Rules(**tables))
 
