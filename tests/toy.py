@@ -68,7 +68,7 @@ def toy_episode(drawing: list[str], profile: str = "tiered", **changes: Any) -> 
     task = toy_task(drawing, **changes)
     rules = interpreted(task)
     grid = np.zeros(rules.cells, np.uint8)
-    row = np.zeros(row_size(rules), np.int16)
+    row = np.zeros(row_size(rules), np.uint16)
     for cell, letter in enumerate("".join(drawing)):
         grid[cell] = Cell.DELIVERY if letter.isdigit() else KINDS[letter]
         if letter.isdigit():

@@ -1,29 +1,26 @@
-"""The drone itself: where it can fly and what that costs the battery."""
+"""The drone itself: how it moves over the grid and what that costs the battery."""
 
-from drone_env.core.actions import Action
+from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import Cell
 from drone_env.core.rules import BATTERY, CELL, UNDER, Buffer, Rules
 
 DRONE = int(Cell.DRONE)
-PAD = int(Cell.PAD)
-WAIT = int(Action.WAIT)
 
 
-def place(grid: Buffer, row: Buffer, cell: int) -> None:
-    """Put the drone on `cell` and uncover the cell that it leaves."""
-    grid[row[CELL]] = row[UNDER]
-    row[CELL] = cell
-    row[UNDER] = grid[cell]
-    grid[cell] = DRONE
+def move(rules: Rules, grid: Buffer, row: Buffer, action: int) -> None:
+    """Fly an action that nothing stops: uncover the cell that the drone leaves, cover the one that it reaches."""
+    cell = row[CELL]
+    to = rules.moves[cell * N_ACTIONS + action]
+    grid[cell] = row[UNDER]
+    row[UNDER] = grid[to]
+    row[CELL] = to
+    grid[to] = DRONE
 
 
 def use_battery(rules: Rules, row: Buffer, action: int) -> None:
-    """Drain by the kind of cell below the drone, never under 0; WAIT on a pad charges instead, never over capacity."""
-    under = row[UNDER]
-    if action == WAIT and under == PAD and rules.charge_rate > 0:
-        row[BATTERY] = min(rules.capacity, row[BATTERY] + rules.charge_rate)
-    else:
-        row[BATTERY] = max(0, row[BATTERY] - rules.drain[under])
+    """Drain, or charge, by the action and the kind of cell below the drone; never under 0 or over capacity."""
+    units = row[BATTERY] - rules.drain[row[UNDER] * N_ACTIONS + action]
+    row[BATTERY] = min(max(units, 0), rules.capacity)
 
 
 def distance(rules: Rules, a: int, b: int) -> int:

@@ -4,18 +4,20 @@ These functions, and the ones that they call, are the only place where the rules
 single episode (`state_manager.Episode`) and compiled by Numba (`compiled`), with the same bits as a result.
 """
 
-from drone_env.core.actions import N_ACTIONS, Event, Outcome
+from drone_env.core.actions import Event, Outcome
 from drone_env.core.cells import Cell
-from drone_env.core.drone import distance, place, use_battery
+from drone_env.core.drone import distance, move, use_battery
 from drone_env.core.grid_generator import scatter
-from drone_env.core.obstacles import collision, terrain_event
+from drone_env.core.obstacles import collision, flight_event
 from drone_env.core.rewards import Rewards, reward_of
 from drone_env.core.rules import (
     BATTERY,
     CELL,
+    DELIVERED_FLAG,
     DELIVERIES,
     DISTANCE,
     EVENT,
+    NOWHERE,
     OUTCOME,
     PARCELS,
     STEPS,
@@ -30,16 +32,12 @@ DELIVERED_CELL = int(Cell.DELIVERED)
 
 DELIVERY = int(Event.DELIVERY)
 DEAD = int(Event.BATTERY_DEAD)
-WAITED = int(Event.WAIT)
-STEPPED = int(Event.STEP)
 NONE = int(Event.NONE)
 
 FLYING = int(Outcome.FLYING)
 DELIVERED = int(Outcome.DELIVERED)
 BATTERY_DEAD = int(Outcome.BATTERY_DEAD)
 OUT_OF_STEPS = int(Outcome.OUT_OF_STEPS)
-
-WAIT = N_ACTIONS - 1
 
 
 def reset(rules: Rules, grid: Buffer, row: Buffer, seed: int) -> None:
@@ -63,43 +61,42 @@ def step(rules: Rules, rewards: Rewards, grid: Buffer, row: Buffer, action: int)
     if row[OUTCOME] != FLYING:
         return 0.0
     deliveries_before = row[DELIVERIES]
-    target_before = row[TARGET]
     distance_before = row[DISTANCE]
 
     bump = collision(rules, grid, row, action)
     if bump == NONE:
-        place(grid, row, rules.moves[row[CELL] * N_ACTIONS + action])
+        move(rules, grid, row, action)
     row[STEPS] += 1
     use_battery(rules, row, action)
-    deliver(rules, row)
-    row[DISTANCE] = distance(rules, row[CELL], target_before)
-    closer = distance_before - row[DISTANCE]
-    if row[CELL] == target_before:
+    if row[UNDER] == DELIVERY_CELL:
+        deliver(rules, row)
+    far = distance(rules, row[CELL], row[TARGET])
+    if far == 0:
         choose_target(rules, row)
+    else:
+        row[DISTANCE] = far
     row[OUTCOME] = outcome(rules, row)
     row[EVENT] = event(rules, row, action, bump, deliveries_before)
-    return reward_of(rules, rewards, row, closer, deliveries_before, distance_before)
+    return reward_of(rules, rewards, row, distance_before - far, deliveries_before, distance_before)
 
 
 def deliver(rules: Rules, row: Buffer) -> None:
-    """Deliver the parcel that waits for the drone on its cell, if there is one."""
-    if row[UNDER] != DELIVERY_CELL:
-        return
+    """Deliver the parcel that waits for the drone on its cell."""
     row[UNDER] = DELIVERED_CELL
     row[DELIVERIES] += 1
     for i in range(PARCELS, PARCELS + rules.deliveries):
         if row[i] == row[CELL]:
-            row[i] = ~row[i]
+            row[i] += DELIVERED_FLAG
 
 
 def choose_target(rules: Rules, row: Buffer) -> None:
     """Make the nearest undelivered parcel the current target (the first of equally near ones)."""
-    row[TARGET] = -1
+    row[TARGET] = NOWHERE
     row[DISTANCE] = 0
     for i in range(PARCELS, PARCELS + rules.deliveries):
-        if row[i] >= 0:
+        if row[i] < DELIVERED_FLAG:
             far = distance(rules, row[CELL], row[i])
-            if row[TARGET] < 0 or far < row[DISTANCE]:
+            if row[TARGET] == NOWHERE or far < row[DISTANCE]:
                 row[TARGET] = row[i]
                 row[DISTANCE] = far
 
@@ -123,7 +120,4 @@ def event(rules: Rules, row: Buffer, action: int, bump: int, deliveries_before: 
         return DEAD
     if bump != NONE:
         return bump
-    terrain = terrain_event(rules, row)
-    if terrain != STEPPED:
-        return terrain
-    return WAITED if action == WAIT else STEPPED
+    return flight_event(rules, row, action)

@@ -80,7 +80,7 @@ def generate_city_map(config: str | TaskConfig, rng: Any) -> CityMap:
     seed = _seed_from(rng)
     rules = interpreted(task)
     grid = np.zeros(rules.cells, np.uint8)
-    row = np.zeros(row_size(rules), np.int16)
+    row = np.zeros(row_size(rules), np.uint16)
     scatter(rules, view(grid), view(row), seed)
     grid[row[CELL]] = ROAD
 

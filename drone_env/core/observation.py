@@ -2,7 +2,7 @@
 
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.obstacles import collision
-from drone_env.core.rules import BATTERY, CELL, STEPS, TARGET, Buffer, FloatBuffer, Rules
+from drone_env.core.rules import BATTERY, CELL, NOWHERE, STEPS, TARGET, Buffer, FloatBuffer, Rules
 
 FREE = int(Event.NONE)
 
@@ -28,12 +28,17 @@ def write_own_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> No
 
 def write_target_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
     """The part that only a delivery or a reset changes: the target."""
-    target = row[TARGET] if row[TARGET] >= 0 else row[CELL]
+    target = row[TARGET] if row[TARGET] != NOWHERE else row[CELL]
     telemetry[3] = rules.x_share[target]
     telemetry[4] = rules.y_share[target]
 
 
 def write_action_mask(rules: Rules, grid: Buffer, row: Buffer, mask: Buffer) -> None:
     """Write into int8[5] 1 for each action that moves or waits, 0 for each that would bump. Advice, never enforced."""
+    first = row[CELL] * N_ACTIONS
     for action in range(N_ACTIONS):
-        mask[action] = 1 if collision(rules, grid, row, action) == FREE else 0
+        mask[action] = rules.open_moves[first + action]
+    if rules.any_impassable:
+        for action in range(N_ACTIONS):
+            if collision(rules, grid, row, action) != FREE:
+                mask[action] = 0

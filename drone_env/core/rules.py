@@ -8,8 +8,8 @@ The state of one episode is two buffers:
 
 - `grid`: one cell id per cell, row by row (cell number = y * width + x), as the drone sees it: its own id hides what
   lies below it.
-- `row`: the integers named below, then one entry per delivery: its cell number, or the cell number inverted (`~cell`,
-  below zero) once it has been delivered.
+- `row`: the integers named below, then one entry per delivery: its cell number, plus `DELIVERED_FLAG` once it has been
+  delivered. They are unsigned 16-bit integers: compiled code then needs no care for indices below zero.
 """
 
 from functools import lru_cache
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import ACTION_OFFSETS, Event
+from drone_env.core.actions import ACTION_OFFSETS, N_ACTIONS, Action, Event
 from drone_env.core.cells import N_CELL_KINDS, Cell
 from drone_env.core.seeds import task_key
 from drone_env.core.tasks import TaskConfig
@@ -41,7 +41,7 @@ BATTERY = 3
 DELIVERIES = 4
 """Parcels delivered."""
 TARGET = 5
-"""Cell of the current target, or -1 when none is left."""
+"""Cell of the current target, or `NOWHERE` when none is left."""
 DISTANCE = 6
 """Manhattan distance to the current target; 0 when none is left."""
 EVENT = 7
@@ -50,6 +50,11 @@ OUTCOME = 8
 """How the episode stands (`Outcome`)."""
 PARCELS = 9
 """From here on: one entry per delivery."""
+
+NOWHERE = (1 << 16) - 1
+"""Stands for a cell that does not exist: off the grid, or no target."""
+DELIVERED_FLAG = 1 << 15
+"""Added to the cell of a parcel that has been delivered."""
 
 
 class Rules(NamedTuple):
@@ -63,19 +68,24 @@ class Rules(NamedTuple):
     deliveries: int
     max_steps: int
     capacity: int
-    charge_rate: int
     columns: Buffer
     """x of each cell, int16[cells]."""
     lines: Buffer
     """y of each cell, int16[cells]."""
     moves: Buffer
-    """Cell reached from `cell` by `action`, or -1 for the wall: int16[cells * 5], at cell * N_ACTIONS + action."""
+    """Cell reached from `cell` by `action`, `NOWHERE` at the wall: uint16[cells * 5], at cell * N_ACTIONS + action."""
+    open_moves: Buffer
+    """1 where an action does not meet the wall, int8[cells * 5], laid out alike."""
+    any_impassable: int
+    """1 if some kind of cell is impassable."""
     passable: Buffer
     """Whether the drone can enter a kind of cell, uint8[kinds]."""
     drain: Buffer
-    """Battery units a step above a kind of cell costs, int16[kinds]."""
-    terrain_event: Buffer
-    """The event of being above a kind of cell, uint8[kinds]; `Event.STEP` where there is nothing to report."""
+    """Battery units that an action costs above a kind of cell, below zero where it charges: int16[kinds * 5], at
+    kind * N_ACTIONS + action."""
+    flight_event: Buffer
+    """The event of an action that ends above a kind of cell, if nothing else happened: uint8[kinds * 5], laid out
+    alike."""
     counts: Buffer
     """How many cells of a kind a map holds, int16[kinds]; `placed` says in which order they are placed."""
     placed: Buffer
@@ -102,7 +112,7 @@ def tabulate(task: TaskConfig) -> Rules:
     """The task's tables as NumPy arrays, for compiled code. Shared: do not write to them."""
     width, height = task.width, task.height
     cells = width * height
-    moves = np.full((height, width, len(ACTION_OFFSETS)), -1, np.int16)
+    moves = np.full((height, width, N_ACTIONS), NOWHERE, np.uint16)
     for y in range(height):
         for x in range(width):
             for action, (dx, dy) in ACTION_OFFSETS.items():
@@ -111,13 +121,16 @@ def tabulate(task: TaskConfig) -> Rules:
 
     passable = np.ones(N_CELL_KINDS, np.uint8)
     passable[list(task.impassable)] = 0
-    drain = np.ones(N_CELL_KINDS, np.int16)
+    drain = np.ones((N_CELL_KINDS, N_ACTIONS), np.int16)
     for kind, units in task.drain:
         drain[kind] = units
-    terrain_event = np.full(N_CELL_KINDS, Event.STEP, np.uint8)
-    terrain_event[Cell.OBSTACLE] = Event.OBSTACLE
-    terrain_event[Cell.BUILDING] = Event.BUILDING
-    terrain_event[Cell.TREE] = Event.TREE
+    if task.charge_rate:
+        drain[Cell.PAD, Action.WAIT] = -task.charge_rate
+    flight_event = np.full((N_CELL_KINDS, N_ACTIONS), Event.STEP, np.uint8)
+    flight_event[:, Action.WAIT] = Event.WAIT
+    flight_event[Cell.OBSTACLE] = Event.OBSTACLE
+    flight_event[Cell.BUILDING] = Event.BUILDING
+    flight_event[Cell.TREE] = Event.TREE
     counts = np.zeros(N_CELL_KINDS, np.int16)
     for kind, count in task.cell_counts().items():
         counts[kind] = count
@@ -131,13 +144,14 @@ def tabulate(task: TaskConfig) -> Rules:
         "deliveries": task.deliveries,
         "max_steps": task.max_steps,
         "capacity": task.battery_capacity,
-        "charge_rate": task.charge_rate,
         "columns": numbers % width,
         "lines": numbers // width,
         "moves": np.ravel(moves),
+        "open_moves": np.ravel(moves != NOWHERE).astype(np.int8),
+        "any_impassable": int(not passable.all()),
         "passable": passable,
-        "drain": drain,
-        "terrain_event": terrain_event,
+        "drain": np.ravel(drain),
+        "flight_event": np.ravel(flight_event),
         "counts": counts,
         "placed": np.array(list(task.cell_counts()), np.uint8),
         "telemetry_size": task.telemetry_size,

@@ -15,9 +15,11 @@ from drone_env.core.rewards import RewardProfile, get_reward_profile, interprete
 from drone_env.core.rules import (
     BATTERY,
     CELL,
+    DELIVERED_FLAG,
     DELIVERIES,
     DISTANCE,
     EVENT,
+    NOWHERE,
     OUTCOME,
     PARCELS,
     STEPS,
@@ -99,7 +101,7 @@ class Episode:
         self.rules = interpreted(self.task)
         self._choose_rewards(get_reward_profile(reward_profile))
         self._grid_array = np.zeros(self.rules.cells, np.uint8)
-        self._row_array = np.zeros(row_size(self.rules), np.int16)
+        self._row_array = np.zeros(row_size(self.rules), np.uint16)
         self._grid = view(self._grid_array)
         self._row: Buffer = _NO_EPISODE
         self._seed: int | None = None
@@ -224,18 +226,18 @@ class Episode:
     @property
     def target(self) -> tuple[int, int] | None:
         """(x, y) of the current target, None when nothing is left."""
-        return None if self._row[TARGET] < 0 else self._xy(self._row[TARGET])
+        return None if self._row[TARGET] == NOWHERE else self._xy(self._row[TARGET])
 
     @property
     def distance_to_target(self) -> int | None:
         """Manhattan distance to the current target in cells, None when nothing is left."""
-        return None if self._row[TARGET] < 0 else self._row[DISTANCE]
+        return None if self._row[TARGET] == NOWHERE else self._row[DISTANCE]
 
     @property
     def parcels(self) -> list[tuple[int, int, bool]]:
         """(x, y, delivered) of each parcel, by its index."""
         entries = self._row[PARCELS:].tolist()
-        return [(*self._xy(cell if cell >= 0 else ~cell), cell < 0) for cell in entries]
+        return [(*self._xy(cell % DELIVERED_FLAG), cell >= DELIVERED_FLAG) for cell in entries]
 
     @property
     def under(self) -> int:
@@ -346,7 +348,7 @@ class Episode:
         self._seed = state.seed
         self._row = view(self._row_array)
         self._grid_array[:] = np.frombuffer(state.grid, np.uint8)
-        self._row_array[:] = np.frombuffer(state.row, np.int16)
+        self._row_array[:] = np.frombuffer(state.row, np.uint16)
         self._reward_last = state.reward_last
         self._reward_total = state.reward_total
         self._refused = False

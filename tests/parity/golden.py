@@ -9,7 +9,7 @@ Needs NumPy and Gymnasium, with `drone_env` on the path. A change of a hash mean
 Per task there are two SHA-256 digests over the same seeds, all numbers little-endian:
 
 - `maps`: of each map, the grid without the drone (uint8 per cell, row by row), then the cells of the start and of the
-  deliveries (int16).
+  deliveries (uint16).
 - `trajectories`: of each flight, as they stand after the reset and after every step up to the end, all grids (uint8),
   all telemetry (float32), all action masks (int8) and all scores (float64); then, under each reward
   profile in the order of their names, the rewards of all steps (float64).
@@ -133,7 +133,7 @@ class Flights:
         self.rules = backend.tabulate(task)
         self.rewards = [backend.tabulate_rewards(task, REWARD_PROFILES[name]) for name in PROFILES]
         self.grid = np.zeros(self.rules.cells, np.uint8)
-        self.row = np.zeros(row_size(self.rules), np.int16)
+        self.row = np.zeros(row_size(self.rules), np.uint16)
         states = task.max_steps + 1
         self.actions = np.zeros(states, np.int64)
         self.paid = np.zeros(states, np.float64)

@@ -52,7 +52,7 @@ def bits(number: Any) -> bytes:
 @pytest.mark.parametrize("task", ALL_TASKS.values(), ids=ALL_TASKS)
 def test_states_and_rewards_agree_to_the_last_bit(task: TaskConfig, profile: str) -> None:
     rules, rewards = tabulate(task), tabulate_rewards(task, get_reward_profile(profile))
-    grid, row = np.zeros(rules.cells, np.uint8), np.zeros(row_size(rules), np.int16)
+    grid, row = np.zeros(rules.cells, np.uint8), np.zeros(row_size(rules), np.uint16)
     episode = Episode(task, profile)
     draw = random.Random(f"{task.id} {profile}")
     row[OUTCOME] = 1
@@ -72,7 +72,7 @@ def test_states_and_rewards_agree_to_the_last_bit(task: TaskConfig, profile: str
 @pytest.mark.parametrize("task", ALL_TASKS.values(), ids=ALL_TASKS)
 def test_maps_agree_at_the_edges_of_the_splits(task: TaskConfig) -> None:
     rules = tabulate(task)
-    grid, row = np.zeros(rules.cells, np.uint8), np.zeros(row_size(rules), np.int16)
+    grid, row = np.zeros(rules.cells, np.uint8), np.zeros(row_size(rules), np.uint16)
     episode = Episode(task)
     for seed in [edge for start, stop in SPLITS.values() for edge in (start, stop - 1)]:
         compiled.reset(rules, grid, row, seed)
@@ -84,7 +84,7 @@ def test_maps_agree_at_the_edges_of_the_splits(task: TaskConfig) -> None:
 def test_a_step_after_the_end_changes_nothing() -> None:
     task = replace(TASKS["easy_delivery"], max_steps=1)
     rules, rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("tiered"))
-    grid, row = np.zeros(rules.cells, np.uint8), np.zeros(row_size(rules), np.int16)
+    grid, row = np.zeros(rules.cells, np.uint8), np.zeros(row_size(rules), np.uint16)
     compiled.reset(rules, grid, row, 0)
     compiled.step(rules, rewards, grid, row, 4)
     before = grid.tobytes(), row.tobytes()

@@ -332,7 +332,7 @@ class TestEnd:
     def test_the_functions_below_an_episode_refuse_it_too(self) -> None:
         task = replace(TASKS["easy_delivery"], max_steps=1)
         rules, rewards = interpreted(task), interpreted_rewards(task, get_reward_profile("tiered"))
-        grid, row = memoryview(np.zeros(rules.cells, np.uint8)), memoryview(np.zeros(row_size(rules), np.int16))
+        grid, row = memoryview(np.zeros(rules.cells, np.uint8)), memoryview(np.zeros(row_size(rules), np.uint16))
         dynamics.reset(rules, grid, row, 0)
         dynamics.step(rules, rewards, grid, row, Action.WAIT)
         before = grid.tobytes(), row.tobytes()
