@@ -1,9 +1,11 @@
 """`drone-env`: the command line. A new subcommand is one more line in `_app`."""
 
+import io
 import os
 import sys
 from collections.abc import Sequence
 
+import tyro
 from tyro.extras import SubcommandApp
 
 from drone_env import __version__
@@ -26,13 +28,19 @@ def _app() -> SubcommandApp:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status: 0 done, 2 an argument that is not allowed, 1 anything else."""
+    """Run one command and return its exit status: 0 done, 2 what is not allowed, 1 a failing file or stream."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    if sys.stdin is None or sys.stdout is None or sys.stderr is None:
+        return 1  # closed by whoever started us: there is nowhere to say so
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A map whose emoji the terminal lacks is better than none.
+            stream.reconfigure(errors="replace")
     if list(arguments) == ["--version"]:
         print(f"drone-env {__version__}")
         return 0
     try:
-        _app().cli(prog="drone-env", description=DESCRIPTION, args=arguments)
+        _app().cli(prog="drone-env", description=DESCRIPTION, args=arguments, config=[tyro.conf.DisallowNone])
         sys.stdout.flush()
     except DroneEnvError as error:
         print(f"drone-env: {error}", file=sys.stderr)

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents import Agent, make_agent
-from drone_env.core.seeds import check_seed
+from drone_env.core.seeds import SPLITS, check_seed, split_of
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.errors import InvalidValueError
-from drone_env.planning.optimal import solve
+from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.planning.optimal import best_of
 
 
 class EpisodesKey(NamedTuple):
@@ -34,7 +34,7 @@ class EpisodesKey(NamedTuple):
     config_hash: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EpisodeResults:
     """What came of the episodes of one key, one entry per episode, in the order of the seeds.
 
@@ -45,8 +45,8 @@ class EpisodeResults:
         steps: int32[n], steps flown.
         deliveries: int32[n], parcels delivered.
         success: bool[n], whether all were.
-        optimal_scores: float64[n], the exact optimum of each map.
-        optimal_steps: int32[n], steps of the optimal flight.
+        optimal_scores: float64[n], the exact optimum of each map; NaN where no planner knows it.
+        optimal_steps: int32[n], steps of the optimal flight; -1 where no planner knows it.
     """
 
     key: EpisodesKey
@@ -63,14 +63,21 @@ def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = 
     """The key of flying consecutive seeds of a task with an agent.
 
     Raises:
-        UnknownNameError: if there is no such task or agent.
-        InvalidValueError: if the seeds are not consecutive integers in [0, 2^53), or there are none.
+        UnknownNameError: if there is no such task, agent or split.
+        InvalidValueError: if the seeds are not consecutive integers in [0, 2^53), there are none, they are not of the
+            split, or the task is not the registered one of its name.
     """
     task = get_task(task)
-    if len(seeds) == 0 or seeds.step != 1:
+    if get_task(task.id, task.version) != task:
+        raise InvalidValueError(f"task {task.id!r} is not the one in TASKS: a key names its task, so register it first")
+    if not seeds or seeds.step != 1:
         raise InvalidValueError(f"seeds must be a range of at least one, with step 1; got {seeds}")
-    check_seed(seeds[0])
-    check_seed(seeds[-1])
+    check_seed(seeds.start)
+    check_seed(seeds.stop - 1)
+    if split != "custom" and split not in SPLITS:
+        raise UnknownNameError("split", split, ["custom", *SPLITS])
+    if split != "custom" and {split_of(seeds.start), split_of(seeds.stop - 1)} != {split}:
+        raise InvalidValueError(f"seeds {seeds.start} to {seeds.stop - 1} are not of the split {split!r}")
     return EpisodesKey(task.id, task.version, split, (seeds.start, seeds.stop), agent, config_hash(task, agent))
 
 
@@ -86,9 +93,12 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
 
     Raises:
         UnknownNameError: if the key names a task, version or agent that does not exist.
-        InvalidValueError: if the key was made under another configuration than the one that would fly now.
+        InvalidValueError: if the key was made under another configuration than the one that would fly now, or holds
+            no seeds.
     """
     task = get_task(key.task, key.version)
+    if key.seeds[0] >= key.seeds[1]:
+        raise InvalidValueError(f"the key holds no seeds: {key.seeds}")
     now = config_hash(task, key.agent)
     if now != key.config_hash:
         raise InvalidValueError(
@@ -136,26 +146,27 @@ def concatenate(pieces: Sequence[EpisodeResults]) -> EpisodeResults:
 
 
 def summarise(results: EpisodeResults) -> dict[str, Any]:
-    """The figures of a report, as JSON values.
+    """The figures of a report, as JSON values; what could not be measured is null.
 
-    `score_ci95` is mean +- 1.96 standard errors (normal approximation; the mean twice for a single episode).
-    `score_ratio` is mean score / mean optimal score on the same maps. `mean_excess_steps` counts the steps beyond the
-    optimal flight's, over maps that the agent delivered in full; null where there is none.
+    `score_ci95` is mean +- 1.96 standard errors (normal approximation), null for a single episode. `score_ratio` is
+    mean score / mean optimal score on the same maps. `mean_excess_steps` counts the steps beyond the optimal flight's,
+    over maps that the agent delivered in full; null where there is none.
     """
     n = len(results.scores)
     mean = _mean(results.scores)
-    error = 1.96 * float(results.scores.std(ddof=1)) / math.sqrt(n) if n > 1 else 0.0
-    optimal = _mean(results.optimal_scores)
+    error = 1.96 * float(results.scores.std(ddof=1)) / math.sqrt(n) if n > 1 else None
+    solved = not np.isnan(results.optimal_scores).any()
+    optimal = _mean(results.optimal_scores) if solved else None
     excess = (results.steps - results.optimal_steps)[results.success]
     return {
         "mean_score": mean,
-        "score_ci95": [mean - error, mean + error],
+        "score_ci95": None if error is None else [mean - error, mean + error],
         "success_rate": _mean(results.success),
         "mean_steps": _mean(results.steps),
         "mean_optimal_score": optimal,
-        "score_ratio": mean / optimal,
-        "mean_regret": _mean(results.optimal_scores - results.scores),
-        "mean_excess_steps": _mean(excess) if len(excess) else None,
+        "score_ratio": None if optimal is None else mean / optimal,
+        "mean_regret": _mean(results.optimal_scores - results.scores) if solved else None,
+        "mean_excess_steps": _mean(excess) if solved and len(excess) else None,
     }
 
 
@@ -175,5 +186,5 @@ def _fly(task: TaskConfig, agent: Agent, seed: int) -> tuple[float, int, int, bo
 
 @lru_cache(maxsize=1 << 16)
 def _optimum(task: TaskConfig, seed: int) -> tuple[float, int]:
-    solution = solve(task, seed)
-    return solution.score, solution.steps
+    solution = best_of(task, seed)
+    return (math.nan, -1) if solution is None else (solution.score, solution.steps)

@@ -4,7 +4,8 @@ Unknown fields, wrong types and numbers out of range are validation errors that 
 immutable; positions are `[x, y]` in JSON.
 """
 
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import Annotated, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from typing_extensions import Self
@@ -15,6 +16,9 @@ from drone_env.core.state_manager import Episode
 
 Direction = Literal["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
 Count = Annotated[int, Field(ge=0)]
+CellName = Literal["road", "building", "tree", "obstacle", "delivery", "delivered", "drone", "unknown", "pad"]
+EventName = Literal["delivery", "battery_dead", "wall", "blocked", "obstacle", "building", "tree", "wait", "step"]
+OutcomeName = Literal["flying", "delivered", "battery_dead", "out_of_steps"]
 Score = Annotated[float, Field(ge=0.01, le=0.99)]
 Position = Annotated[tuple[Count, Count], Field(strict=False)]
 
@@ -23,12 +27,32 @@ LEGEND: dict[str, str] = {
 }
 EMOJI = [CELL_KINDS[cell].emoji for cell in Cell]
 NAMES = [CELL_KINDS[cell].name for cell in Cell]
+EMOJI_OF = dict(zip(NAMES, EMOJI, strict=True))
 
 
 class Message(BaseModel):
     """Base of all that travels: immutable, strict, no unknown fields, no NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def _require(holds: bool, message: str) -> None:
+    if not holds:
+        raise ValueError(message)
+
+
+def _require_at_most(name: str, value: int, bound: str, most: int) -> None:
+    _require(value <= most, f"{name} {value} exceeds {bound} {most}")
+
+
+def _require_inside(name: str, position: tuple[int, int] | None, width: int, height: int) -> None:
+    inside = position is None or (position[0] < width and position[1] < height)
+    _require(inside, f"{name} {position} is off the {width} x {height} grid")
+
+
+def _require_shape(name: str, lines: Sequence[Sequence[object]], width: int, height: int) -> None:
+    fits = len(lines) == height and all(len(line) == width for line in lines)
+    _require(fits, f"{name} is not {height} rows of {width}")
 
 
 class DroneAction(Message):
@@ -46,7 +70,7 @@ class DroneObservation(Message):
     """What an agent sees after a reset or a step."""
 
     grid: list[str] = Field(description="The map as one row of emoji per line, top row first.")
-    cell_types: list[list[str]] = Field(description="Names of the cell kinds, cell_types[y][x].")
+    cell_types: list[list[CellName]] = Field(description="Names of the cell kinds, cell_types[y][x].")
     grid_width: int = Field(ge=2, description="Columns of the grid.")
     grid_height: int = Field(ge=2, description="Rows of the grid.")
     drone_x: Count = Field(description="Column of the drone, 0 at the left.")
@@ -72,17 +96,16 @@ class DroneObservation(Message):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        shape = (self.grid_height, self.grid_width)
-        if len(self.grid) != self.grid_height:
-            raise ValueError(f"grid has {len(self.grid)} rows, grid_height says {self.grid_height}")
-        if any((len(self.cell_types), len(line)) != shape for line in self.cell_types) or not self.cell_types:
-            raise ValueError(f"cell_types is not {self.grid_height} rows of {self.grid_width} names")
-        if self.drone_x >= self.grid_width or self.drone_y >= self.grid_height:
-            raise ValueError(f"drone_x {self.drone_x}, drone_y {self.drone_y} is off the grid")
-        if self.deliveries_done > self.deliveries_total:
-            raise ValueError(f"deliveries_done {self.deliveries_done} exceeds deliveries_total {self.deliveries_total}")
-        if self.step_count > self.max_steps:
-            raise ValueError(f"step_count {self.step_count} exceeds max_steps {self.max_steps}")
+        width, height = self.grid_width, self.grid_height
+        _require(len(self.grid) == height, f"grid has {len(self.grid)} rows, grid_height says {height}")
+        _require_shape("cell_types", self.cell_types, width, height)
+        for y, line in enumerate(self.cell_types):
+            emoji = "".join([EMOJI_OF[name] for name in line])
+            _require(self.grid[y] == emoji, f"row {y} of grid is {self.grid[y]!r}; cell_types makes it {emoji!r}")
+        _require_inside("drone_x, drone_y", (self.drone_x, self.drone_y), width, height)
+        _require_inside("current_target", self.current_target, width, height)
+        _require_at_most("deliveries_done", self.deliveries_done, "deliveries_total", self.deliveries_total)
+        _require_at_most("step_count", self.step_count, "max_steps", self.max_steps)
         return self
 
     @classmethod
@@ -125,7 +148,7 @@ class PathPoint(Message):
     action: Direction
     x: Count = Field(description="Column of the drone after the step.")
     y: Count = Field(description="Row of the drone after the step.")
-    event: str = Field(description="What the step came to, such as `step`, `delivery`, `wall`.")
+    event: EventName = Field(description="What the step came to, such as `step`, `delivery`, `wall`.")
     reward: float
     battery_steps_remaining: Count = Field(description="Battery units left after the step.")
 
@@ -160,22 +183,33 @@ class DroneState(Message):
     reward_total: float = Field(description="Sum of all rewards.")
     score: Score = Field(description="The graded score as the episode stands.")
     done: bool = Field(description="Whether the episode has ended.")
-    outcome: Literal["flying", "delivered", "battery_dead", "out_of_steps"] = Field(
-        description="How the episode stands."
-    )
-    path_history: list[PathPoint] = Field(description="All steps flown, in order.")
+    outcome: OutcomeName = Field(description="How the episode stands.")
+    path_history: list[PathPoint] = Field(description="All steps flown, in order; may be left empty.")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.deliveries_done > self.deliveries_total:
-            raise ValueError(f"deliveries_done {self.deliveries_done} exceeds deliveries_total {self.deliveries_total}")
-        if self.battery_steps_remaining > self.battery_capacity:
-            raise ValueError(
-                f"battery_steps_remaining {self.battery_steps_remaining} exceeds "
-                f"battery_capacity {self.battery_capacity}"
-            )
-        if self.step_count > self.max_steps:
-            raise ValueError(f"step_count {self.step_count} exceeds max_steps {self.max_steps}")
+        _require(bool(self.grid), "grid is empty")
+        width, height = len(self.grid[0]), len(self.grid)
+        _require_shape("grid", self.grid, width, height)
+        _require_inside("drone_x, drone_y", (self.drone_x, self.drone_y), width, height)
+        _require_inside("current_target", self.current_target, width, height)
+        for parcel in self.parcels:
+            _require_inside("parcels", (parcel.x, parcel.y), width, height)
+        counts = (len(self.parcels), sum(parcel.delivered for parcel in self.parcels))
+        expected = (self.deliveries_total, self.deliveries_done)
+        _require(counts == expected, f"parcels say {counts}; (deliveries_total, deliveries_done) say {expected}")
+        units, capacity = self.battery_steps_remaining, self.battery_capacity
+        _require_at_most("battery_steps_remaining", units, "battery_capacity", capacity)
+        _require(self.battery == units / capacity, f"battery {self.battery} is not {units} / {capacity}")
+        _require_at_most("step_count", self.step_count, "max_steps", self.max_steps)
+        _require(self.done == (self.outcome != "flying"), f"done {self.done} contradicts outcome {self.outcome!r}")
+        complete = self.deliveries_done == self.deliveries_total
+        _require(
+            complete == (self.outcome == "delivered"),
+            f"outcome {self.outcome!r} contradicts deliveries_done {self.deliveries_done}",
+        )
+        flown = len(self.path_history)
+        _require(flown in (0, self.step_count), f"path_history holds {flown} of {self.step_count} steps")
         return self
 
     @classmethod
@@ -206,14 +240,14 @@ class DroneState(Message):
             reward_total=episode.reward_total,
             score=episode.score,
             done=episode.ended,
-            outcome=episode.outcome.name.lower(),  # type: ignore[arg-type]
+            outcome=cast(OutcomeName, episode.outcome.name.lower()),
             path_history=[
                 PathPoint(
                     step=i,
-                    action=point.action.name,  # type: ignore[arg-type]
+                    action=cast(Direction, point.action.name),
                     x=point.x,
                     y=point.y,
-                    event=point.event.name.lower(),
+                    event=cast(EventName, point.event.name.lower()),
                     reward=point.reward,
                     battery_steps_remaining=point.battery,
                 )

@@ -6,6 +6,7 @@ import tyro
 
 from drone_env.agents import AGENTS
 from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError
 
@@ -24,6 +25,7 @@ def parse_seeds(text: str) -> range:
         InvalidValueError: if it is not of that form, or empty.
     """
     start, colon, stop = text.partition(":")
-    if not (colon and start.isdecimal() and stop.isdecimal() and int(start) < int(stop)):
-        raise InvalidValueError(f"--seeds takes A:B with integers 0 <= A < B, such as 0:100; got {text!r}")
+    numbers = [number for number in (start, stop) if number.isdecimal() and len(number) <= len(str(N_SEEDS))]
+    if not (colon and len(numbers) == 2 and int(start) < int(stop) <= N_SEEDS):
+        raise InvalidValueError(f"--seeds takes A:B with integers 0 <= A < B <= 2^53, such as 0:100; got {text!r}")
     return range(int(start), int(stop))

@@ -1,6 +1,7 @@
 """`drone-env evaluate`: agents side by side on the same maps, beside the exact optimum."""
 
 import json as json_format
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -52,27 +53,33 @@ def evaluate(
         raise InvalidValueError("--seeds names the maps itself: give it without --split and --episodes")
     if episodes is not None and episodes < 1:
         raise InvalidValueError(f"--episodes must be at least 1, got {episodes}")
+    if not task or not agents:
+        raise InvalidValueError("--task and --agents take one name or more")
+    target = None if json in (None, "-") else Path(json)
+    if target is not None and (not target.name or target.is_dir() or not target.parent.is_dir()):
+        raise InvalidValueError(f"--json takes - or a file in a folder that exists, got {json!r}")
     chosen_split = "custom" if seeds is not None else split or "test"
     maps = split_seeds(chosen_split, episodes or 1000) if seeds is None else parse_seeds(seeds)
-    tasks = list(TASKS.values()) if "all" in task else [get_task(name) for name in task]
-    keys = {t: {agent: episodes_key(t, agent, maps, chosen_split) for agent in agents} for t in dict.fromkeys(tasks)}
+    named = [t for name in task for t in (TASKS.values() if name == "all" else [get_task(name)])]
+    keys = {t: {agent: episodes_key(t, agent, maps, chosen_split) for agent in agents} for t in dict.fromkeys(named)}
 
     report = {"tasks": {t.id: _evaluate_task(t, of_agent) for t, of_agent in keys.items()}}
     text = json_format.dumps(report, indent=2) + "\n"
     if json == "-":
         sys.stdout.write(text)
         return
+    if target is not None:
+        _write_whole(target, text)
     Console(width=None if sys.stdout.isatty() else 120).print(_table(report))
-    if json is not None:
-        _write_whole(Path(json), text)
 
 
 def _evaluate_task(task: TaskConfig, keys: dict[str, EpisodesKey]) -> dict[str, Any]:
     key = next(iter(keys.values()))
     start, stop = key.seeds
     summaries: dict[str, Any] = {}
+    console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         for agent, agent_key in keys.items():
             bar = progress.add_task(f"{task.short_name} {agent}", total=stop - start)
             pieces = []
@@ -103,25 +110,29 @@ def _table(report: dict[str, Any]) -> Table:
     for task_id, of_task in report["tasks"].items():
         table.add_section()
         for agent, figures in of_task["agents"].items():
-            half_width = figures["score_ci95"][1] - figures["mean_score"]
-            excess = figures["mean_excess_steps"]
+            interval = figures["score_ci95"]
+            half_width = "" if interval is None else f" ± {interval[1] - figures['mean_score']:.4f}"
             table.add_row(
                 get_task(task_id).short_name,
                 agent,
-                f"{figures['mean_score']:.4f} ± {half_width:.4f}",
-                f"{figures['mean_optimal_score']:.4f}",
-                f"{figures['score_ratio']:.4f}",
+                f"{figures['mean_score']:.4f}{half_width}",
+                _figure(figures["mean_optimal_score"], ".4f"),
+                _figure(figures["score_ratio"], ".4f"),
                 f"{figures['success_rate']:.1%}",
                 f"{figures['mean_steps']:.1f}",
-                "-" if excess is None else f"{excess:.2f}",
+                _figure(figures["mean_excess_steps"], ".2f"),
             )
     seeds = next(iter(report["tasks"].values()))["seeds"]
     table.caption = f"{seeds[1] - seeds[0]:,} maps a task, seeds {seeds[0]} to {seeds[1] - 1}"
     return table
 
 
+def _figure(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
 def _write_whole(path: Path, text: str) -> None:
     """Write a file so that it is there whole or not at all."""
-    temporary = path.with_name(path.name + ".part")
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
     temporary.write_text(text, encoding="utf-8")
     temporary.replace(path)

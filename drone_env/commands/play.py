@@ -2,8 +2,10 @@
 
 import os
 import re
+import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import closing
 
 from rich.console import Console
 
@@ -11,13 +13,11 @@ from drone_env.commands.arguments import ProfileName, Seed, TaskName
 from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
 from drone_env.envs.ansi import draw_text
-from drone_env.planning.optimal import solve
+from drone_env.planning.optimal import best_of
 
-try:
+if sys.platform != "win32":  # where keys come with Enter
     import termios
     import tty
-except ImportError:  # not on Windows: keys then come with Enter
-    termios = tty = None
 
 KEYS = {
     "\x1b[A": Action.UP,
@@ -31,9 +31,10 @@ KEYS = {
     " ": Action.WAIT,
     ".": Action.WAIT,
 }
-QUIT = {"q", "\x1b", "\x04"}
-ONE_KEY = re.compile(r"\x1b[\[O][A-D]|.", re.DOTALL)
+QUIT = {"q", "\x04"}
 HELP = "Arrow keys or w a s d fly, space or . waits, q gives up."
+KEY = re.compile(r"\x1b\[[0-9;]*[A-Za-z~]|\x1bO.|\x1b[^\[O]|[^\x1b]", re.DOTALL)
+"""One key: an escape sequence as a whole, or a character."""
 
 
 def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName = "tiered") -> None:
@@ -50,21 +51,25 @@ def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName
     """
     console = Console(highlight=False)
     episode = Episode(task, reward_profile)
-    optimum = solve(task, episode.reset(seed))
+    episode.reset(seed)
+    optimum = best_of(episode.task, episode.seed)
     _show(console, episode)
-    for pressed in _keys():
-        if pressed in QUIT:
-            break
-        if pressed not in KEYS:
-            continue
-        episode.step(KEYS[pressed])
-        _show(console, episode)
-        if episode.ended:
-            break
+    with closing(_keys()) as keys:
+        for pressed in keys:
+            if pressed in QUIT:
+                break
+            if pressed in KEYS:
+                episode.step(KEYS[pressed])
+                _show(console, episode)
+            if episode.ended:
+                break
     score = episode.counted_score()
     if not episode.ended:
         console.print(f"Given up after {episode.steps} steps; counted as if you had waited to the end.")
     console.print(f"Your score: {score * 100:.1f} in {episode.steps} steps")
+    if optimum is None:
+        console.print("The optimum of this task is not known.")
+        return
     console.print(f"The optimum: {optimum.score * 100:.1f} in {optimum.steps} steps")
     if score == optimum.score:
         console.print("You flew the optimum!")
@@ -81,19 +86,36 @@ def _show(console: Console, episode: Episode) -> None:
     console.print(HELP)
 
 
-def _keys() -> Iterator[str]:
+def _keys() -> Generator[str, None, None]:
     """Keys as they are pressed; characters of standard input where that is no terminal."""
-    if termios is None or tty is None or not sys.stdin.isatty():
-        while character := sys.stdin.read(1):
-            yield character
+    if sys.platform == "win32" or not sys.stdin.isatty():
+        yield from split_keys(iter(lambda: sys.stdin.read(1), ""))
         return
     terminal = sys.stdin.fileno()
     before = termios.tcgetattr(terminal)
-    try:
+
+    def set_cbreak(*_: object) -> None:
         # Without flushing: what is typed while the map is drawn counts.
         tty.setcbreak(terminal, termios.TCSADRAIN)
-        while pressed := os.read(terminal, 64):
-            for key in ONE_KEY.findall(pressed.decode(errors="replace")):
-                yield key.replace("\x1bO", "\x1b[")
+
+    handlers = {
+        signal.SIGCONT: signal.signal(signal.SIGCONT, set_cbreak),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, lambda *_: sys.exit(143)),
+    }
+    try:
+        set_cbreak()
+        yield from split_keys(iter(lambda: os.read(terminal, 64).decode(errors="replace"), ""))
     finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+
+
+def split_keys(pieces: Iterable[str]) -> Iterator[str]:
+    """The keys in a stream of text, whose pieces may end in the middle of an escape sequence."""
+    rest = ""
+    for piece in pieces:
+        rest += piece
+        while key := KEY.match(rest):
+            rest = rest[key.end() :]
+            yield key[0].lower() if len(key[0]) == 1 else key[0].replace("\x1bO", "\x1b[")

@@ -60,24 +60,30 @@ def step(rules: Rules, rewards: Rewards, grid: Buffer, row: Buffer, action: int)
     """Fly one action and return its reward. After the end of the episode it changes nothing and pays 0."""
     if row[OUTCOME] != FLYING:
         return 0.0
-    deliveries_before = row[DELIVERIES]
+    deliveries = row[DELIVERIES]
     distance_before = row[DISTANCE]
 
-    bump = collision(rules, grid, row, action)
+    to = rules.moves[row[CELL], action]
+    bump = collision(rules, grid, to)
     if bump == NONE:
-        move(rules, grid, row, action)
-    row[STEPS] += 1
-    use_battery(rules, row, action)
+        move(grid, row, to)
+    battery = use_battery(rules, row, action)
+    steps = row[STEPS] + 1
+    row[STEPS] = steps
+    happened = flight_event(rules, row, action) if bump == NONE else bump
+    far = distance(rules, row[CELL], row[TARGET])
+    row[DISTANCE] = far
     if row[UNDER] == DELIVERY_CELL:
         deliver(rules, row)
-    far = distance(rules, row[CELL], row[TARGET])
-    if far == 0:
-        choose_target(rules, row)
-    else:
-        row[DISTANCE] = far
-    row[OUTCOME] = outcome(rules, row)
-    row[EVENT] = event(rules, row, action, bump, deliveries_before)
-    return reward_of(rules, rewards, row, distance_before - far, deliveries_before, distance_before)
+        happened = DELIVERY
+        if far == 0:
+            choose_target(rules, row)
+    if battery == 0 or steps == rules.max_steps or happened == DELIVERY:
+        row[OUTCOME] = outcome(rules, row)
+        if row[OUTCOME] == BATTERY_DEAD and happened != DELIVERY:
+            happened = DEAD
+    row[EVENT] = happened
+    return reward_of(rules, rewards, row, distance_before - far, deliveries, distance_before)
 
 
 def deliver(rules: Rules, row: Buffer) -> None:
@@ -110,14 +116,3 @@ def outcome(rules: Rules, row: Buffer) -> int:
     if row[STEPS] == rules.max_steps:
         return OUT_OF_STEPS
     return FLYING
-
-
-def event(rules: Rules, row: Buffer, action: int, bump: int, deliveries_before: int) -> int:
-    """What the step came to: the first of the events in `Event` that holds."""
-    if row[DELIVERIES] > deliveries_before:
-        return DELIVERY
-    if row[OUTCOME] == BATTERY_DEAD:
-        return DEAD
-    if bump != NONE:
-        return bump
-    return flight_event(rules, row, action)

@@ -45,7 +45,7 @@ def scatter(rules: Rules, grid: Buffer, row: Buffer, seed: int) -> None:
             grid[cell] = kind
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CityMap:
     """A map before the flight.
 

@@ -33,12 +33,12 @@ def write_target_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) ->
     telemetry[4] = rules.y_share[target]
 
 
-def write_action_mask(rules: Rules, grid: Buffer, row: Buffer, mask: Buffer) -> None:
-    """Write into int8[5] 1 for each action that moves or waits, 0 for each that would bump. Advice, never enforced."""
-    first = row[CELL] * N_ACTIONS
-    for action in range(N_ACTIONS):
-        mask[action] = rules.open_moves[first + action]
+def open_actions(rules: Rules, grid: Buffer, row: Buffer) -> int:
+    """The actions that do not bump, as bits (1 << action). Advice, never enforced."""
+    bits = rules.open_moves[row[CELL]]
     if rules.any_impassable:
         for action in range(N_ACTIONS):
-            if collision(rules, grid, row, action) != FREE:
-                mask[action] = 0
+            to = rules.moves[row[CELL], action]
+            if to != NOWHERE and collision(rules, grid, to) != FREE:
+                bits -= 1 << action
+    return bits

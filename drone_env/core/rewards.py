@@ -44,6 +44,14 @@ class RewardProfile:
     pays_score: bool = False
 
     def __post_init__(self) -> None:
+        numbers: tuple[Any, ...] = (
+            self.shaping,
+            self.shaping_gamma or Decimal(0),
+            *(self.clamp or ()),
+            *(v for _, v in self.events),
+        )
+        if not all(isinstance(number, Decimal) and number.is_finite() for number in numbers):
+            raise InvalidTaskError(f"reward profile {self.id!r}: numbers must be Decimal, such as Decimal('0.05')")
         if self.clamp is not None and self.clamp[0] > self.clamp[1]:
             raise InvalidTaskError(f"reward profile {self.id!r}: clamp {self.clamp} has no room between its bounds")
         if self.shaping_gamma is not None and not 0 <= self.shaping_gamma <= 1:

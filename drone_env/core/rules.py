@@ -24,7 +24,7 @@ from drone_env.core.seeds import task_key
 from drone_env.core.tasks import TaskConfig
 
 Buffer: TypeAlias = "memoryview[int]"
-"""A one-dimensional buffer of integers: a memory view when interpreted, a NumPy array when compiled."""
+"""A buffer of integers: a memory view when interpreted, a NumPy array when compiled."""
 FloatBuffer: TypeAlias = "memoryview[float]"
 """The same, of floating-point numbers."""
 
@@ -73,19 +73,17 @@ class Rules(NamedTuple):
     lines: Buffer
     """y of each cell, int16[cells]."""
     moves: Buffer
-    """Cell reached from `cell` by `action`, `NOWHERE` at the wall: uint16[cells * 5], at cell * N_ACTIONS + action."""
+    """Cell reached from `cell` by `action`, `NOWHERE` at the wall: uint16[cells, 5]."""
     open_moves: Buffer
-    """1 where an action does not meet the wall, int8[cells * 5], laid out alike."""
+    """The actions that do not meet the wall, as bits (1 << action): uint8[cells]."""
     any_impassable: int
     """1 if some kind of cell is impassable."""
     passable: Buffer
     """Whether the drone can enter a kind of cell, uint8[kinds]."""
     drain: Buffer
-    """Battery units that an action costs above a kind of cell, below zero where it charges: int16[kinds * 5], at
-    kind * N_ACTIONS + action."""
+    """Battery units that an action costs above a kind of cell, below zero where it charges: int16[kinds, 5]."""
     flight_event: Buffer
-    """The event of an action that ends above a kind of cell, if nothing else happened: uint8[kinds * 5], laid out
-    alike."""
+    """The event of an action that ends above a kind of cell, if nothing else happened: uint8[kinds, 5]."""
     counts: Buffer
     """How many cells of a kind a map holds, int16[kinds]; `placed` says in which order they are placed."""
     placed: Buffer
@@ -146,12 +144,12 @@ def tabulate(task: TaskConfig) -> Rules:
         "capacity": task.battery_capacity,
         "columns": numbers % width,
         "lines": numbers // width,
-        "moves": np.ravel(moves),
-        "open_moves": np.ravel(moves != NOWHERE).astype(np.int8),
+        "moves": np.reshape(moves, (cells, N_ACTIONS)),
+        "open_moves": np.packbits(np.reshape(moves != NOWHERE, (cells, N_ACTIONS)), axis=1, bitorder="little")[:, 0],
         "any_impassable": int(not passable.all()),
         "passable": passable,
-        "drain": np.ravel(drain),
-        "flight_event": np.ravel(flight_event),
+        "drain": drain,
+        "flight_event": flight_event,
         "counts": counts,
         "placed": np.array(list(task.cell_counts()), np.uint8),
         "telemetry_size": task.telemetry_size,

@@ -2,7 +2,7 @@
 
 import operator
 import secrets
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, SupportsIndex, TypedDict
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from drone_env.core import dynamics
 from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
-from drone_env.core.observation import write_action_mask, write_telemetry
+from drone_env.core.observation import open_actions, write_telemetry
 from drone_env.core.rewards import RewardProfile, get_reward_profile, interpreted_rewards
 from drone_env.core.rules import (
     BATTERY,
@@ -70,6 +70,8 @@ class EpisodeState:
     reward_last: float
     reward_total: float
     path: tuple[tuple[int, int, int, float, int], ...]
+    refused: bool = field(default=False, compare=False)
+    """Whether the last step came after the end."""
 
 
 class _NoEpisode:
@@ -84,7 +86,7 @@ _NO_EPISODE: Any = _NoEpisode()
 
 
 class Episode:
-    """A single drone on a single map. Before the first reset there is nothing to read: that raises `EpisodeError`.
+    """A single drone on a single map. Before the first reset there is no state to read: that raises `EpisodeError`.
 
     Args:
         task: A task or its name.
@@ -285,7 +287,7 @@ class Episode:
 
     def counted_score(self) -> float:
         """The score to report: the final one, or of an unfinished episode what waiting to its end would earn."""
-        grid, row = view(np.array(self._grid_array)), view(np.array(self._row_array))
+        grid, row = view(np.ravel(self.grid())), view(np.array(self._row_array))
         while not row[OUTCOME]:
             dynamics.step(self.rules, self._rewards, grid, row, Action.WAIT)
         return score(self.rules, row)
@@ -308,9 +310,8 @@ class Episode:
 
     def action_mask(self) -> npt.NDArray[np.int8]:
         """int8[5]: 0 for each action that would bump into a wall or an impassable cell."""
-        mask = np.zeros(N_ACTIONS, np.int8)
-        write_action_mask(self.rules, self._grid, self._row, view(mask))
-        return mask
+        bits = open_actions(self.rules, self._grid, self._row)
+        return np.array([bits >> action & 1 for action in range(N_ACTIONS)], np.int8)
 
     def get_state(self) -> EpisodeState:
         """A snapshot for planners; `set_state` returns to it.
@@ -326,6 +327,7 @@ class Episode:
             row=self._row_array.tobytes(),
             reward_last=self._reward_last,
             reward_total=self._reward_total,
+            refused=self._refused,
             path=tuple(self._path),
         )
 
@@ -351,7 +353,7 @@ class Episode:
         self._row_array[:] = np.frombuffer(state.row, np.uint16)
         self._reward_last = state.reward_last
         self._reward_total = state.reward_total
-        self._refused = False
+        self._refused = state.refused
         self._path = list(state.path)
 
     def __getstate__(self) -> tuple[TaskConfig, RewardProfile, EpisodeState | None]:

@@ -1,6 +1,7 @@
 """The tasks: all their numbers, in one place. A new task is one more entry in `TASKS`."""
 
 import math
+import re
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 
@@ -71,12 +72,16 @@ class TaskConfig:
             if not holds:
                 raise InvalidTaskError(f"task {self.id!r}: {message}")
 
+        for name in ("id", "short_name"):
+            value = getattr(self, name)
+            valid = isinstance(value, str) and re.fullmatch("[a-z][a-z0-9_]*", value)
+            require(bool(valid), f"{name} must be lower-case letters, digits and _, got {value!r}")
         for number in fields(self):
             value = getattr(self, number.name)
             if number.type is int:
                 require(type(value) is int, f"{number.name} must be an integer, got {value!r}")
             elif number.type is float:
-                finite = isinstance(value, float | int) and math.isfinite(value)
+                finite = type(value) in (int, float) and math.isfinite(value)
                 require(finite, f"{number.name} must be a finite number, got {value!r}")
         try:
             object.__setattr__(self, "drain", tuple((Cell(kind), units) for kind, units in self.drain))

@@ -16,14 +16,15 @@ from drone_env.envs.ansi import draw_text
 from drone_env.envs.rendering import draw_mission
 from drone_env.envs.window import Window
 from drone_env.errors import InvalidValueError
-from drone_env.planning.optimal import solve
+from drone_env.planning.optimal import best_of
 
 
 class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
     """Deliver parcels on a generated city grid.
 
     Observation: `{"grid": uint8[H, W], "telemetry": float32[5]}`; cell ids are those of `core.cells.Cell`, the
-    telemetry is drone x/width, y/height, battery, target x/width, y/height. Actions: 0 UP, 1 DOWN, 2 LEFT, 3 RIGHT,
+    telemetry is drone x/width, y/height, battery, target x/width, y/height (and the share of steps left where the
+    battery does not tell it: float32[6]). Actions: 0 UP, 1 DOWN, 2 LEFT, 3 RIGHT,
     4 WAIT. All endings are part of the task and so `terminated`; nothing here truncates.
 
     `info` holds `seed` (the number of the map), `score` (graded, provisional until the end), `action_mask` (int8[5],
@@ -82,7 +83,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         options = dict(options or {})
         profile = options.pop("reward_profile", None)
         if options:
-            raise InvalidValueError(f"unknown reset options {sorted(options)}; allowed: reward_profile")
+            raise InvalidValueError(f"unknown reset options {list(options)}; allowed: reward_profile")
         self.episode.reset(seed, reward_profile=profile)
         super().reset(seed=None if seed is None else self.episode.seed)
         if self.render_mode == "human":
@@ -142,7 +143,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
             "event": episode.event.name.lower(),
         }
         if episode.ended:
-            optimum = solve(self.task, episode.seed) if self.task.uniform else None
+            optimum = best_of(self.task, episode.seed)
             info["outcome"] = episode.outcome.name.lower()
             info["optimal_score"] = optimum and optimum.score
             info["optimal_steps"] = optimum and optimum.steps

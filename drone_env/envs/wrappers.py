@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from drone_env.core.cells import CELL_KINDS, N_CELL_KINDS
+from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.state_manager import Observation
-from drone_env.envs.ansi import draw_text
+from drone_env.envs.ansi import SYMBOLS, TARGET, draw_text
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 
 Env = gymnasium.Env[Observation, int]
@@ -62,7 +62,7 @@ class TextObservation(gymnasium.ObservationWrapper[str, int, Observation], gymna
         gymnasium.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
         height, width = cast(tuple[int, int], cast(spaces.Dict, env.observation_space)["grid"].shape)
-        charset = set(string.printable) | {c for kind in CELL_KINDS.values() for c in kind.emoji} | set("·×│─┌┐└┘🎯")
+        charset = set(string.printable) | {c for symbol in (*SYMBOLS.values(), TARGET) for c in symbol}
         self.observation_space = spaces.Text(
             max_length=4 * (width + 2) * (height + 2) + 500, charset="".join(sorted(charset))
         )

@@ -1,8 +1,10 @@
 """The log lines of a flight: `[START]`, one `[STEP]` per step, `[END]`.
 
     [START] task=drone_env.graders:grade_easy env=drone_env_v1 model=greedy
-    [STEP] step=1 action=RIGHT reward=0.15 done=false error=null
-    [END] success=true steps=1 score=0.997 rewards=0.99
+    [STEP] step=1 action=LEFT reward=0.15 done=false error=null
+    [STEP] step=2 action=UP reward=0.15 done=false error=null
+    [STEP] step=3 action=UP reward=0.99 done=true error=null
+    [END] success=true steps=3 score=0.990 rewards=0.15,0.15,0.99
 
 Rewards have two decimals, the score three. `success` means that every parcel was delivered.
 """

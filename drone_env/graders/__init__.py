@@ -1,19 +1,23 @@
-"""Graders: from the state of an episode to its score."""
+"""Graders: from the state of an episode to its score. Every task in `TASKS` has one."""
 
-from collections.abc import Callable, Mapping
-from typing import Any
-
+from drone_env.core.tasks import TASKS
 from drone_env.graders.easy import grade_easy
+from drone_env.graders.formula import Grader, grade, make_grader
 from drone_env.graders.hard import grade_hard
 from drone_env.graders.medium import grade_medium
-from drone_env.models import DroneState
 
-Grader = Callable[[DroneState | Mapping[str, Any]], float]
-
-GRADERS: dict[str, Grader] = {
+GRADERS: dict[str, Grader] = {task.id: make_grader(task.id) for task in TASKS.values()} | {
     "easy_delivery": grade_easy,
     "medium_delivery": grade_medium,
     "hard_delivery": grade_hard,
 }
 
-__all__ = ["GRADERS", "Grader", "grade_easy", "grade_hard", "grade_medium"]
+__all__ = ["GRADERS", "Grader", "grade", "grade_easy", "grade_hard", "grade_medium"]
+
+
+def __getattr__(name: str) -> Grader:
+    """The grader that a task names as `drone_env.graders:name`."""
+    for task in TASKS.values():
+        if task.grader == f"{__name__}:{name}":
+            return GRADERS[task.id]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,12 +1,20 @@
 """From a state to its score: the one formula of `core.score`, behind every grader."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from drone_env.core.score import score_of
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.models import DroneState
+
+Grader = Callable[[DroneState | Mapping[str, Any]], float]
+
+
+def make_grader(task_name: str) -> Grader:
+    """The grader of a task: `grade` with the task filled in."""
+    return partial(grade, task_name)
 
 
 def grade(task_name: str, state: DroneState | Mapping[str, Any]) -> float:

@@ -53,9 +53,7 @@ class Backend(NamedTuple):
 
 
 def interpreted_backend() -> Backend:
-    fly_logging, fly = make_flights(
-        dynamics.step, observation.write_telemetry, observation.write_action_mask, score.score
-    )
+    fly_logging, fly = make_flights(dynamics.step, observation.write_telemetry, observation.open_actions, score.score)
     return Backend(interpreted, interpreted_rewards, memoryview, dynamics.reset, fly_logging, fly)
 
 
@@ -65,7 +63,7 @@ def compiled_backend() -> Backend:
     from drone_env.core import compiled
 
     fly_logging, fly = make_flights(
-        compiled.step, njit(observation.write_telemetry), njit(observation.write_action_mask), njit(score.score)
+        compiled.step, njit(observation.write_telemetry), njit(observation.open_actions), njit(score.score)
     )
     return Backend(tabulate, tabulate_rewards, lambda array: array, compiled.reset, njit(fly_logging), njit(fly))
 
@@ -73,7 +71,7 @@ def compiled_backend() -> Backend:
 def make_flights(
     step: Callable[..., float],
     write_telemetry: Callable[..., None],
-    write_action_mask: Callable[..., None],
+    open_actions: Callable[..., int],
     score: Callable[..., float],
 ) -> tuple[Callable[..., int], Callable[..., int]]:
     """Two functions that fly to the end and return the number of steps: one logs every state, the other none."""
@@ -86,7 +84,9 @@ def make_flights(
         while True:
             grids[n] = grid
             write_telemetry(rules, row, telemetry[n])
-            write_action_mask(rules, grid, row, masks[n])
+            bits = open_actions(rules, grid, row)
+            for action in range(5):
+                masks[n, action] = bits >> action & 1
             scores[n] = score(rules, row)
             if row[OUTCOME] != 0:
                 return n

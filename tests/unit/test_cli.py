@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from drone_env.cli import main
+from drone_env.commands.play import split_keys
 from drone_env.core.actions import Action
 from drone_env.core.seeds import split_seeds
 from drone_env.core.state_manager import Episode
@@ -148,7 +149,13 @@ def test_solve_as_json_can_be_flown(capsys: pytest.CaptureFixture[str]) -> None:
         (["evaluate", "--seeds", "5:5"], "A < B"),
         (["evaluate", "--seeds", "a:b"], "A:B"),
         (["evaluate", "--seeds", "1:2", "--split", "test"], "without --split"),
-        (["evaluate", "--seeds", f"{2**53 - 1}:{2**53 + 1}"], "[0, 2^53)"),
+        (["evaluate", "--seeds", f"{2**53 - 1}:{2**53 + 1}"], "2^53"),
+        (["evaluate", "--seeds", "0:" + "9" * 5000], "2^53"),
+        (["evaluate", "--task", "extreme", "all"], "easy_delivery"),
+        (["evaluate", "--agents"], "--agents"),
+        (["evaluate", "--json", ""], "--json"),
+        (["evaluate", "--json", "/missing/x.json"], "'/missing/x.json'"),
+        (["fly", "--picture", "flight.xyz"], ".png"),
         (["solve", "--task", "extreme"], "easy_delivery"),
         (["play", "--task", "extreme"], "easy_delivery"),
         (["fly", "--sped", "1"], "--seed"),
@@ -187,9 +194,9 @@ def test_help_is_a_manual(command: list[str], capsys: pytest.CaptureFixture[str]
 def test_a_file_that_cannot_be_written_is_an_error_without_a_traceback(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    target = tmp_path / "missing" / "results.json"
-    assert main(["evaluate", "--task", "easy", "--episodes", "1", "--agents", "greedy", "--json", str(target)]) == 1
-    assert "missing" in capsys.readouterr().err
+    (tmp_path / "file").write_text("in the way")
+    assert main(["fly", "--seed", "1", "--picture", str(tmp_path / "file" / "flight.png")]) == 1
+    assert "file" in capsys.readouterr().err
 
 
 def run(arguments: list[str], **options: object) -> subprocess.CompletedProcess[str]:
@@ -226,6 +233,19 @@ def test_giving_up_is_counted_as_waiting_to_the_end() -> None:
     assert "Given up after 1 steps" in flown.stdout
     assert "Your score: 1.0 in 1 steps" in flown.stdout
     assert "Regret:" in flown.stdout
+
+
+def test_keys_are_told_apart_wherever_the_stream_is_cut() -> None:
+    typed = "\x1b[AW\x1bOB \x1b[1;2C\x1b[3~\x1bxq"
+    expected = ["\x1b[A", "w", "\x1b[B", " ", "\x1b[1;2C", "\x1b[3~", "\x1bx", "q"]
+    for cut in range(len(typed) + 1):
+        assert list(split_keys([typed[:cut], typed[cut:]])) == expected
+
+
+def test_play_where_emoji_cannot_be_printed() -> None:
+    flown = run(["play", "--seed", "7"], input="q", env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert flown.returncode == 0
+    assert "Your score: 1.0" in flown.stdout
 
 
 def test_play_in_a_terminal_takes_arrow_keys() -> None:

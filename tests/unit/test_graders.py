@@ -45,6 +45,11 @@ def test_every_task_has_its_grader() -> None:
 )
 def test_scores_by_hand(task: str, done: int, battery: int, steps: int, score: float) -> None:
     state = state_of(task, deliveries_done=done, battery_steps_remaining=battery, step_count=steps)
+    state["battery"] = battery / state["battery_capacity"]
+    for parcel in state["parcels"][:done]:
+        parcel["delivered"] = True
+    state["outcome"] = "delivered" if done == state["deliveries_total"] else "flying" if battery else "battery_dead"
+    state["done"] = state["outcome"] != "flying"
     assert GRADERS[f"{task}_delivery"](state) == pytest.approx(score, abs=1e-15)
 
 

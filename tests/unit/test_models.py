@@ -114,6 +114,9 @@ def test_missing_and_unknown_fields_are_refused(extra: dict) -> None:
         ("grid", ["too short"]),
         ("cell_types", []),
         ("cell_types", [["road"] * 13] * 14),
+        ("cell_types", [["street"] * 14] * 14),
+        ("grid", ["🌳" * 14] * 14),
+        ("current_target", [14, 0]),
         ("current_target", [1]),
         ("current_target", [1, "2"]),
         ("reward_total", float("inf")),
@@ -129,7 +132,23 @@ def test_a_wrong_field_is_refused_by_name(episode: Episode, field: str, value: o
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("battery_steps_remaining", 101), ("step_count", 101), ("deliveries_done", 4), ("seed", 2**53)]
+    ("field", "value"),
+    [
+        ("battery_steps_remaining", 101),
+        ("battery", 0.5),
+        ("step_count", 101),
+        ("deliveries_done", 4),
+        ("deliveries_done", 1),
+        ("seed", 2**53),
+        ("grid", []),
+        ("grid", [[0] * 14] * 13 + [[0]]),
+        ("drone_x", 14),
+        ("current_target", [0, 14]),
+        ("parcels", []),
+        ("outcome", "delivered"),
+        ("done", True),
+        ("path_history", [{}]),
+    ],
 )
 def test_an_impossible_state_is_refused(episode: Episode, field: str, value: int) -> None:
     fields = DroneState.of(episode).model_dump()

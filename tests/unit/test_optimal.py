@@ -36,7 +36,7 @@ def small_task(rng: random.Random) -> TaskConfig:
     steps = rng.randint(1, 12)
     return replace(
         get_task("easy"),
-        id=f"small_{rng.random()}",
+        id=f"small_{rng.getrandbits(32)}",
         width=rng.randint(2, 5),
         height=rng.randint(2, 5),
         deliveries=rng.randint(1, 3),

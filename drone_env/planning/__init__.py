@@ -1,0 +1,1 @@
+"""Planners: exact and greedy."""
