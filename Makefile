@@ -37,7 +37,7 @@ check: .venv/.dev
 
 # The same properties over many more cases; takes long.
 verify: .venv/.dev
-	DRONE_ENV_EXAMPLES=30000 $(BIN)/python -m pytest -n auto --timeout 3600 tests/property tests/parity
+	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(BIN)/python -m pytest -n auto --timeout 36000 tests/property tests/parity
 
 bench: .venv/.base
 	$(BIN)/python benchmarks/scalar_step.py

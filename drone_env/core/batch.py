@@ -9,9 +9,11 @@ from typing import Any, NamedTuple
 import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 import numpy.typing as npt
+from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Event, Outcome
+from drone_env.core.compile_cache import cached_on_disk, tell_before_compiling
 from drone_env.core.dynamics import reset as reset_episode
 from drone_env.core.dynamics import step as step_episode
 from drone_env.core.observation import (
@@ -41,6 +43,8 @@ class Buffers(NamedTuple):
     """uint16[N, row size]"""
     seeds: Any
     """int64[N], the map of each episode"""
+    actions: Any
+    """uint8[N], what the coming step flies"""
     telemetry: Any
     """float32[N, 5 or 6]"""
     open_actions: Any
@@ -60,66 +64,106 @@ class Buffers(NamedTuple):
     final_seeds: Any
 
 
-@numba.njit(nogil=True, **compiled.OPTIONS)
+def begin(rules: Rules, buffers: Buffers, i: int) -> None:
+    """Begin episode `i` on the map that stands in `seeds`."""
+    grid, row = buffers.grids[i], buffers.rows[i]
+    reset_episode(rules, grid, row, buffers.seeds[i])
+    write_telemetry(rules, row, buffers.telemetry[i])
+    buffers.open_actions[i] = open_actions(rules, grid, row)
+
+
+def begin_next(rules: Rules, buffers: Buffers, i: int) -> None:
+    """Begin episode `i` on the map that follows its last one."""
+    buffers.seeds[i] = next_seed(buffers.seeds[i])
+    begin(rules, buffers, i)
+
+
+def keep_final(rules: Rules, buffers: Buffers, i: int, k: int) -> None:
+    """Write how episode `i` ended into entry `k`."""
+    row = buffers.rows[i]
+    buffers.ended[k] = i
+    buffers.final_scores[k] = score(rules, row)
+    buffers.final_steps[k] = row[STEPS]
+    buffers.final_deliveries[k] = row[DELIVERIES]
+    buffers.final_seeds[k] = buffers.seeds[i]
+
+
+def keep_final_observation(rules: Rules, buffers: Buffers, i: int, k: int) -> None:
+    """Write the last observation of episode `i` into entry `k`."""
+    for cell in range(rules.cells):
+        buffers.final_grids[k, cell] = buffers.grids[i, cell]
+    write_telemetry(rules, buffers.rows[i], buffers.final_telemetry[k])
+
+
 def reset_kernel(rules: Rules, buffers: Buffers, chosen: Any) -> None:
     """Begin the episodes whose numbers are in `chosen`, on the maps that stand in `seeds`."""
     for i in chosen:
-        grid, row = buffers.grids[i], buffers.rows[i]
-        reset_episode(rules, grid, row, buffers.seeds[i])
-        write_telemetry(rules, row, buffers.telemetry[i])
-        buffers.open_actions[i] = open_actions(rules, grid, row)
+        begin(rules, buffers, i)
         buffers.rewards[i] = 0.0
         buffers.terminated[i] = False
 
 
-@numba.njit(nogil=True, **compiled.OPTIONS)
-def step_kernel(
-    rules: Rules, rewards: Rewards, buffers: Buffers, actions: Any, start: int, stop: int, same_step: bool
-) -> int:
-    """Step the episodes from `start` to `stop` and return how many ended."""
+def step_kernel(rules: Rules, rewards: Rewards, buffers: Buffers, start: int, stop: int, same_step: bool) -> int:
+    """Step the episodes from `start` to `stop` and return how many ended.
+
+    The two are unsigned numbers: compiled code then needs no care for indices below zero.
+    """
     n_ended = 0
     for i in range(start, stop):
-        grid, row, telemetry = buffers.grids[i], buffers.rows[i], buffers.telemetry[i]
-        fresh = False
-        if buffers.terminated[i] and not same_step:
-            buffers.seeds[i] = next_seed(buffers.seeds[i])
-            reset_episode(rules, grid, row, buffers.seeds[i])
+        row = buffers.rows[i]
+        if row[OUTCOME] != FLYING:
+            begin_next(rules, buffers, i)
             buffers.rewards[i] = 0.0
             buffers.terminated[i] = False
-            fresh = True
-        else:
-            buffers.rewards[i] = step_episode(rules, rewards, grid, row, actions[i])
-            over = row[OUTCOME] != FLYING
-            buffers.terminated[i] = over
-            if over:
-                k = start + n_ended
-                n_ended += 1
-                buffers.ended[k] = i
-                buffers.final_scores[k] = score(rules, row)
-                buffers.final_steps[k] = row[STEPS]
-                buffers.final_deliveries[k] = row[DELIVERIES]
-                buffers.final_seeds[k] = buffers.seeds[i]
-                if same_step:
-                    for cell in range(rules.cells):
-                        buffers.final_grids[k, cell] = grid[cell]
-                    write_telemetry(rules, row, buffers.final_telemetry[k])
-                    buffers.seeds[i] = next_seed(buffers.seeds[i])
-                    reset_episode(rules, grid, row, buffers.seeds[i])
-                    fresh = True
-        write_own_telemetry(rules, row, telemetry)
-        if fresh or row[EVENT] == DELIVERED:
-            write_target_telemetry(rules, row, telemetry)
-        buffers.open_actions[i] = open_actions(rules, grid, row)
+            continue
+        buffers.rewards[i] = step_episode(rules, rewards, buffers.grids[i], row, buffers.actions[i])
+        over = row[OUTCOME] != FLYING
+        buffers.terminated[i] = over
+        if over:
+            k = start + n_ended
+            n_ended += 1
+            keep_final(rules, buffers, i, k)
+            if same_step:
+                keep_final_observation(rules, buffers, i, k)
+                begin_next(rules, buffers, i)
+                continue
+        write_own_telemetry(rules, row, buffers.telemetry[i])
+        if row[EVENT] == DELIVERED:
+            write_target_telemetry(rules, row, buffers.telemetry[i])
+        buffers.open_actions[i] = open_actions(rules, buffers.grids[i], row)
     return n_ended
 
 
-@numba.njit(parallel=True, nogil=True)
 def step_kernel_threads(
-    rules: Rules, rewards: Rewards, buffers: Buffers, actions: Any, bounds: Any, same_step: bool, n_ended: Any
+    rules: Rules, rewards: Rewards, buffers: Buffers, bounds: Any, same_step: bool, n_ended: Any
 ) -> None:
     """Step the ranges between neighbouring `bounds`, one thread each."""
     for t in numba.prange(len(bounds) - 1):
-        n_ended[t] = step_kernel(rules, rewards, buffers, actions, bounds[t], bounds[t + 1], same_step)
+        n_ended[t] = step_kernel(rules, rewards, buffers, bounds[t], bounds[t + 1], same_step)
+
+
+def take_actions(buffers: Buffers, actions: Any) -> bool:
+    """Take over the actions, int64[N], and return whether all of them exist."""
+    allowed = True
+    for i in range(len(actions)):
+        allowed &= (actions[i] >= 0) & (actions[i] < N_ACTIONS)
+        buffers.actions[i] = actions[i]
+    return allowed
+
+
+for rare in (begin, begin_next, keep_final, keep_final_observation):
+    register_jitable(**compiled.OPTIONS)(rare)
+with cached_on_disk():
+    KERNEL: dict[str, Any] = {"nogil": True, "cache": True, **compiled.OPTIONS}
+    reset_kernel = numba.njit(**KERNEL)(reset_kernel)
+    take_actions = numba.njit(**KERNEL)(take_actions)
+    step_kernel = numba.njit(**KERNEL)(step_kernel)
+    step_kernel_threads = numba.njit(parallel=True, nogil=True, cache=True)(step_kernel_threads)
+
+
+def entry_point(kernel: Any, *arguments: Any) -> Any:
+    """The compiled function for arguments of these types: calling it skips the dispatch, some 4 microseconds."""
+    return kernel.compile(tuple(kernel.typeof_pyval(argument) for argument in arguments))
 
 
 class Batch:
@@ -133,10 +177,7 @@ class Batch:
         terminated: bool[N], whether the last step ended the episode.
         seeds: int64[N], the map that each episode flies.
 
-    Attributes about the episodes that the last step ended, one entry each:
-        ended: int64[k], their numbers.
-        final_scores, final_steps, final_deliveries, final_seeds: float64, int64, int64, int64[k].
-        final_grids, final_telemetry: their last observation, where `same_step` has already replaced it.
+    About the episodes that the last step ended: `ended`, `finals()`, `final_grids`, `final_telemetry`.
 
     Args:
         task: A task or its name.
@@ -174,6 +215,7 @@ class Batch:
             grids=np.zeros((num_envs, cells), np.uint8),
             rows=np.zeros((num_envs, row_size(self.rules)), np.uint16),
             seeds=np.zeros(num_envs, np.int64),
+            actions=np.zeros(num_envs, np.uint8),
             telemetry=np.zeros((num_envs, size), np.float32),
             open_actions=np.zeros(num_envs, np.uint8),
             rewards=np.zeros(num_envs, np.float64),
@@ -193,10 +235,19 @@ class Batch:
         self.terminated = self._buffers.terminated
         self.seeds = self._buffers.seeds
         self._started = np.zeros(num_envs, np.bool_)
-        self._all_started = False
-        bounds = np.linspace(0, num_envs, min(num_threads, num_envs) + 1).astype(np.int64)
-        self._bounds = bounds
-        self._n_ended = np.zeros(len(bounds) - 1, np.int64)
+        self.started = False
+        self._bounds = np.linspace(0, num_envs, min(num_threads, num_envs) + 1).astype(np.uint64)
+        self._n_ended = np.zeros(len(self._bounds) - 1, np.int64)
+        self._compile()
+
+    def _compile(self) -> None:
+        tell_before_compiling()
+        tables = (self.rules, self._rewards, self._buffers)
+        self._take = entry_point(take_actions, self._buffers, self.seeds)
+        if len(self._bounds) == 2:
+            self._step = entry_point(step_kernel, *tables, *self._bounds, self.same_step)
+        else:
+            self._step = entry_point(step_kernel_threads, *tables, self._bounds, self.same_step, self._n_ended)
 
     def reset(self, seeds: Sequence[int] | npt.NDArray[np.int64], chosen: npt.NDArray[np.bool_] | None = None) -> None:
         """Begin episodes on the maps of these seeds.
@@ -217,7 +268,7 @@ class Batch:
         self.seeds[numbers] = values[numbers]
         reset_kernel(self.rules, self._buffers, numbers)
         self._started[numbers] = True
-        self._all_started = bool(self._started.all())
+        self.started = bool(self._started.all())
         self._n_ended[:] = 0
 
     def step(self, actions: npt.ArrayLike) -> None:
@@ -233,17 +284,54 @@ class Batch:
         values: Any = np.asarray(actions)
         if values.shape != (self.num_envs,) or values.dtype.kind not in "iu":
             raise InvalidValueError(f"actions must be {self.num_envs} integers, got {values.dtype}{list(values.shape)}")
-        if not self._all_started:
+        if not self.started:
             raise EpisodeError("some episodes have not begun: call reset() before step()")
-        # As unsigned numbers: what is below zero is then above the highest action.
-        values = values.astype(np.int64, copy=False).view(np.uint64)
-        if values.max() >= N_ACTIONS:
-            wrong = values[values >= N_ACTIONS][0]
-            raise InvalidValueError(f"actions must be among {ALLOWED_ACTIONS}; got {np.int64(wrong)}")
-        bounds = self._bounds
-        if len(bounds) == 2:
-            self._n_ended[0] = step_kernel(
-                self.rules, self._rewards, self._buffers, values, 0, self.num_envs, self.same_step
-            )
+        if not self._take(self._buffers, np.ascontiguousarray(values, np.int64)):
+            wrong = values[(values < 0) | (values >= N_ACTIONS)][0]
+            raise InvalidValueError(f"actions must be among {ALLOWED_ACTIONS}; got {wrong}")
+        tables = (self.rules, self._rewards, self._buffers)
+        if len(self._bounds) == 2:
+            self._n_ended[0] = self._step(*tables, *self._bounds, self.same_step)
         else:
-            step_kernel_threads(self.rules, self._rewards, self._buffers, values, bounds, self.same_step, self._n_ended)
+            self._step(*tables, self._bounds, self.same_step, self._n_ended)
+
+    def action_masks(self) -> npt.NDArray[np.int8]:
+        """int8[N, 5], a new array: 0 for each action that would bump. Advice, never enforced."""
+        bits: Any = np.unpackbits(self.open_actions[:, None], axis=1, count=N_ACTIONS, bitorder="little")
+        return bits.view(np.int8)
+
+    @property
+    def ended(self) -> npt.NDArray[np.int64]:
+        """int64[k], the numbers of the episodes that the last step ended."""
+        return self._of_ended(self._buffers.ended)
+
+    def finals(self) -> dict[str, npt.NDArray[Any]]:
+        """How the episodes ended that the last step ended, in the order of `ended`: views, as all buffers.
+
+        `score` (graded, float64[k]), `steps`, `deliveries` and `seed` (int64[k]).
+        """
+        buffers = self._buffers
+        return {
+            "score": self._of_ended(buffers.final_scores),
+            "steps": self._of_ended(buffers.final_steps),
+            "deliveries": self._of_ended(buffers.final_deliveries),
+            "seed": self._of_ended(buffers.final_seeds),
+        }
+
+    @property
+    def final_grids(self) -> npt.NDArray[np.uint8]:
+        """uint8[k, height, width], the last grids of the episodes in `ended`."""
+        if not self.same_step:
+            return self.grids[self.ended]
+        return np.reshape(self._of_ended(self._buffers.final_grids), (-1, self.task.height, self.task.width))
+
+    @property
+    def final_telemetry(self) -> npt.NDArray[np.float32]:
+        """float32[k, 5 or 6], the last telemetry of the episodes in `ended`."""
+        return self._of_ended(self._buffers.final_telemetry) if self.same_step else self.telemetry[self.ended]
+
+    def _of_ended(self, buffer: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """The entries that the threads have written, each from the start of its range on."""
+        starts = self._bounds[:-1].tolist()
+        pieces = [buffer[start : start + n] for start, n in zip(starts, self._n_ended.tolist(), strict=True)]
+        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)

@@ -38,11 +38,12 @@ INLINED = (
     observation.write_target_telemetry,
     observation.open_actions,
 )
+RARE = (dynamics.reset, dynamics.deliver, dynamics.choose_target)
 # No step allocates, so reference counts are only a cost (`_nrt`); no divisor is ever zero (`error_model`); and the
 # functions are small pieces of one loop body (`forceinline`). Together they make a step nine times faster.
 OPTIONS: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
 for function in INLINED:
-    register_jitable(forceinline=True, **OPTIONS)(function)
+    register_jitable(forceinline=function not in RARE, **OPTIONS)(function)
 
 reset = numba.njit(**OPTIONS)(dynamics.reset)
 step = numba.njit(**OPTIONS)(dynamics.step)

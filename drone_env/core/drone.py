@@ -1,5 +1,6 @@
 """The drone itself: how it moves over the grid and what that costs the battery."""
 
+from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import Cell
 from drone_env.core.rules import BATTERY, CELL, UNDER, Buffer, Rules
 
@@ -19,7 +20,7 @@ def use_battery(rules: Rules, row: Buffer, action: int) -> int:
 
     Never under 0 or over capacity.
     """
-    units = min(max(row[BATTERY] - rules.drain[row[UNDER], action], 0), rules.capacity)
+    units = min(max(row[BATTERY] - rules.drain[row[UNDER] * N_ACTIONS + action], 0), rules.capacity)
     row[BATTERY] = units
     return units
 

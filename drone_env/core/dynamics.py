@@ -4,7 +4,7 @@ These functions, and the ones that they call, are the only place where the rules
 single episode (`state_manager.Episode`) and compiled by Numba (`compiled`), with the same bits as a result.
 """
 
-from drone_env.core.actions import Event, Outcome
+from drone_env.core.actions import N_ACTIONS, Event, Outcome
 from drone_env.core.cells import Cell
 from drone_env.core.drone import distance, move, use_battery
 from drone_env.core.grid_generator import scatter
@@ -63,7 +63,7 @@ def step(rules: Rules, rewards: Rewards, grid: Buffer, row: Buffer, action: int)
     deliveries = row[DELIVERIES]
     distance_before = row[DISTANCE]
 
-    to = rules.moves[row[CELL], action]
+    to = rules.moves[row[CELL] * N_ACTIONS + action]
     bump = collision(rules, grid, to)
     if bump == NONE:
         move(grid, row, to)

@@ -38,7 +38,7 @@ def open_actions(rules: Rules, grid: Buffer, row: Buffer) -> int:
     bits = rules.open_moves[row[CELL]]
     if rules.any_impassable:
         for action in range(N_ACTIONS):
-            to = rules.moves[row[CELL], action]
+            to = rules.moves[row[CELL] * N_ACTIONS + action]
             if to != NOWHERE and collision(rules, grid, to) != FREE:
                 bits -= 1 << action
     return bits

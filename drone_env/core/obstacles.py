@@ -1,6 +1,6 @@
 """Collisions: what a move runs into, and what the drone is above."""
 
-from drone_env.core.actions import Event
+from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.rules import NOWHERE, UNDER, Buffer, Rules
 
 WALL = int(Event.WALL)
@@ -19,4 +19,4 @@ def collision(rules: Rules, grid: Buffer, to: int) -> int:
 
 def flight_event(rules: Rules, row: Buffer, action: int) -> int:
     """The event of an action that nothing stopped: by the terrain below the drone, else waiting or flying."""
-    return rules.flight_event[row[UNDER], action]
+    return rules.flight_event[row[UNDER] * N_ACTIONS + action]

@@ -73,7 +73,8 @@ class Rules(NamedTuple):
     lines: Buffer
     """y of each cell, int16[cells]."""
     moves: Buffer
-    """Cell reached from `cell` by `action`, `NOWHERE` at the wall: uint16[cells, 5]."""
+    """Cell reached from `cell` by `action`, `NOWHERE` at the wall: uint16[cells * 5], at
+    cell * N_ACTIONS + action."""
     open_moves: Buffer
     """The actions that do not meet the wall, as bits (1 << action): uint8[cells]."""
     any_impassable: int
@@ -81,9 +82,11 @@ class Rules(NamedTuple):
     passable: Buffer
     """Whether the drone can enter a kind of cell, uint8[kinds]."""
     drain: Buffer
-    """Battery units that an action costs above a kind of cell, below zero where it charges: int16[kinds, 5]."""
+    """Battery units that an action costs above a kind of cell, below zero where it charges: int16[kinds * 5], at
+    kind * N_ACTIONS + action."""
     flight_event: Buffer
-    """The event of an action that ends above a kind of cell, if nothing else happened: uint8[kinds, 5]."""
+    """The event of an action that ends above a kind of cell, if nothing else happened: uint8[kinds * 5], laid
+    out alike."""
     counts: Buffer
     """How many cells of a kind a map holds, int16[kinds]; `placed` says in which order they are placed."""
     placed: Buffer
@@ -144,12 +147,12 @@ def tabulate(task: TaskConfig) -> Rules:
         "capacity": task.battery_capacity,
         "columns": numbers % width,
         "lines": numbers // width,
-        "moves": np.reshape(moves, (cells, N_ACTIONS)),
+        "moves": np.ravel(moves),
         "open_moves": np.packbits(np.reshape(moves != NOWHERE, (cells, N_ACTIONS)), axis=1, bitorder="little")[:, 0],
         "any_impassable": int(not passable.all()),
         "passable": passable,
-        "drain": drain,
-        "flight_event": flight_event,
+        "drain": np.ravel(drain),
+        "flight_event": np.ravel(flight_event),
         "counts": counts,
         "placed": np.array(list(task.cell_counts()), np.uint8),
         "telemetry_size": task.telemetry_size,

@@ -8,12 +8,12 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
 from drone_env.core.actions import N_ACTIONS
-from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.state_manager import Episode, Observation
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.ansi import draw_text
 from drone_env.envs.rendering import draw_mission
+from drone_env.envs.spaces import observation_space
 from drone_env.envs.window import Window
 from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import best_of
@@ -57,13 +57,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         self.task = get_task(task, version)
         self.render_mode = render_mode
         self.episode = Episode(self.task, reward_profile)
-        shape = (self.task.height, self.task.width)
-        self.observation_space = spaces.Dict(
-            {
-                "grid": spaces.Box(0, N_CELL_KINDS - 1, shape, np.uint8),
-                "telemetry": spaces.Box(0.0, 1.0, (self.task.telemetry_size,), np.float32),
-            }
-        )  # type: ignore[assignment]
+        self.observation_space = observation_space(self.task)  # type: ignore[assignment]
         self.action_space = spaces.Discrete(N_ACTIONS)  # type: ignore[assignment]
         self._window = Window(fps=self.metadata["render_fps"])
 

@@ -12,5 +12,6 @@ def register_envs() -> None:
             gymnasium.register(
                 id=task.gym_id,
                 entry_point="drone_env.envs.drone_delivery:DroneDeliveryEnv",
+                vector_entry_point="drone_env.envs.vector:DroneDeliveryVectorEnv",
                 kwargs={"task": task.id, "version": task.version},
             )
