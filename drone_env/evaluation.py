@@ -5,19 +5,17 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents import Agent, make_agent
+from drone_env.agents import Agent, BatchAgent, make_agent
 from drone_env.core.seeds import SPLITS, check_seed, split_of
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.planning.optimal import best_of
 
 
 class EpisodesKey(NamedTuple):
@@ -104,22 +102,22 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
         raise InvalidValueError(
             f"the key was made under configuration {key.config_hash}, but {key.agent!r} on {key.task!r} is now {now}"
         )
-    agent = make_agent(key.agent, task)
-    scores, steps, deliveries, success = zip(*(_fly(task, agent, seed) for seed in range(*key.seeds)), strict=True)
-    optimal_scores, optimal_steps = zip(*(_optimum(task, seed) for seed in range(*key.seeds)), strict=True)
+    seeds = np.arange(*key.seeds, dtype=np.int64)
+    flights = _fly(task, key.agent, seeds)
+    optimal = _fly(task, "optimal", seeds) if task.uniform else None
     return EpisodeResults(
         key=key,
-        seeds=np.arange(*key.seeds, dtype=np.int64),
-        scores=np.array(scores),
-        steps=np.array(steps, np.int32),
-        deliveries=np.array(deliveries, np.int32),
-        success=np.array(success, np.bool_),
-        optimal_scores=np.array(optimal_scores),
-        optimal_steps=np.array(optimal_steps, np.int32),
+        seeds=seeds,
+        scores=flights.scores,
+        steps=flights.steps,
+        deliveries=flights.deliveries,
+        success=flights.deliveries == task.deliveries,
+        optimal_scores=np.full(len(seeds), np.nan) if optimal is None else optimal.scores,
+        optimal_steps=np.full(len(seeds), -1, np.int32) if optimal is None else optimal.steps,
     )
 
 
-def run_in_chunks(key: EpisodesKey, chunk: int = 50) -> Iterator[EpisodeResults]:
+def run_in_chunks(key: EpisodesKey, chunk: int = 10_000) -> Iterator[EpisodeResults]:
     """The episodes of a key in pieces of `chunk`, for progress bars; `concatenate` puts them together."""
     start, stop = key.seeds
     for first in range(start, stop, chunk):
@@ -175,16 +173,49 @@ def _mean(values: npt.NDArray[Any]) -> float:
     return math.fsum(values) / len(values)
 
 
-def _fly(task: TaskConfig, agent: Agent, seed: int) -> tuple[float, int, int, bool]:
-    agent.reset(seed)
-    episode = Episode(task)
-    episode.reset(seed)
-    while not episode.ended:
-        episode.step(agent.act(episode.observation()))
-    return episode.score, episode.steps, episode.deliveries_done, episode.success
+class _Flights(NamedTuple):
+    scores: npt.NDArray[np.float64]
+    steps: npt.NDArray[np.int32]
+    deliveries: npt.NDArray[np.int32]
 
 
-@lru_cache(maxsize=1 << 16)
-def _optimum(task: TaskConfig, seed: int) -> tuple[float, int]:
-    solution = best_of(task, seed)
-    return (math.nan, -1) if solution is None else (solution.score, solution.steps)
+def _fly(task: TaskConfig, agent_name: str, seeds: npt.NDArray[np.int64]) -> _Flights:
+    agent = make_agent(agent_name, task)
+    if isinstance(agent, BatchAgent):
+        return _fly_together(task, agent, seeds)
+    return _fly_one_by_one(task, agent, seeds)
+
+
+def _fly_together(task: TaskConfig, agent: BatchAgent, seeds: npt.NDArray[np.int64]) -> _Flights:
+    from drone_env.core.batch import Batch  # compiles, which only those who evaluate should wait for
+
+    n = len(seeds)
+    flights = _Flights(np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32))
+    flying = np.ones(n, np.bool_)
+    batch = Batch(task, n)
+    batch.reset(seeds)
+    agent.reset_batch(seeds)
+    while flying.any():
+        batch.step(agent.act_batch(batch.grids, batch.telemetry))
+        # Episodes that ended earlier fly on, over other maps: only the first end counts.
+        first = flying[batch.ended]
+        ended = batch.ended[first]
+        finals = batch.finals()
+        flights.scores[ended] = finals["score"][first]
+        flights.steps[ended] = finals["steps"][first]
+        flights.deliveries[ended] = finals["deliveries"][first]
+        flying[ended] = False
+    return flights
+
+
+def _fly_one_by_one(task: TaskConfig, agent: Agent, seeds: npt.NDArray[np.int64]) -> _Flights:
+    ends: list[tuple[float, int, int]] = []
+    for seed in seeds.tolist():
+        agent.reset(seed)
+        episode = Episode(task)
+        episode.reset(seed)
+        while not episode.ended:
+            episode.step(agent.act(episode.observation()))
+        ends.append((episode.score, episode.steps, episode.deliveries_done))
+    scores, steps, deliveries = zip(*ends, strict=True)
+    return _Flights(np.array(scores), np.array(steps, np.int32), np.array(deliveries, np.int32))

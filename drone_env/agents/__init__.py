@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from drone_env.agents.base import Agent
+from drone_env.agents.base import Agent, BatchAgent
 from drone_env.agents.greedy import GreedyAgent
 from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.random import RandomAgent
@@ -28,4 +28,4 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
     return AGENTS[name](get_task(task))
 
 
-__all__ = ["AGENTS", "Agent", "GreedyAgent", "OptimalAgent", "RandomAgent", "make_agent"]
+__all__ = ["AGENTS", "Agent", "BatchAgent", "GreedyAgent", "OptimalAgent", "RandomAgent", "make_agent"]

@@ -1,7 +1,10 @@
 """The one protocol of everything that flies."""
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
 
 from drone_env.core.state_manager import Observation
 
@@ -20,4 +23,20 @@ class Agent(Protocol):
 
     def act(self, observation: Observation) -> int:
         """The next action, 0 to 4."""
+        ...
+
+
+@runtime_checkable
+class BatchAgent(Protocol):
+    """An agent that can also fly N episodes of its task together, and then chooses as it would for each alone."""
+
+    def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
+        """Forget the last episodes; `seeds`, int64[N], are the numbers of the maps."""
+        ...
+
+    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The next actions, int64[N], for grids uint8[N, H, W] and telemetry float32[N, 5 or 6].
+
+        What it chooses for an episode that has ended is not used.
+        """
         ...

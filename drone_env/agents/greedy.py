@@ -2,10 +2,13 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+import numpy.typing as npt
+
 from drone_env.core.state_manager import Observation
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.greedy import greedy_action
-from drone_env.planning.paths import require_uniform
+from drone_env.planning.greedy import greedy_action, positions
+from drone_env.planning.paths import require_uniform, towards_batch
 
 
 class GreedyAgent:
@@ -26,3 +29,10 @@ class GreedyAgent:
     def act(self, observation: Observation) -> int:
         """The next action towards the current target."""
         return greedy_action(self._task, observation)
+
+    def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
+        """Nothing to forget."""
+
+    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The next actions towards the current targets, int64[N]."""
+        return towards_batch(*positions(self._task, telemetry))

@@ -1,6 +1,10 @@
 """The agent that chooses blindly."""
 
 from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
@@ -15,7 +19,7 @@ class RandomAgent:
 
     def __init__(self, task: TaskConfig) -> None:
         self.config: Mapping[str, object] = {"agent": "random", "version": 1}
-        self._key = 0
+        self._key: Any = 0
 
     def reset(self, seed: int) -> None:
         """Start the sequence of actions that belongs to map `seed`."""
@@ -25,3 +29,14 @@ class RandomAgent:
         """The next action of the sequence."""
         self._key = next_key(self._key)
         return uniform_below(self._key, N_ACTIONS)
+
+    def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
+        """Start the sequences that belong to the maps `seeds`, int64[N]."""
+        as_integers: Any = seeds  # arrays of 64-bit integers wrap as compiled ones do
+        self._key = map_key(KEY, as_integers)
+
+    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The next actions of the sequences, int64[N]."""
+        self._key = next_key(self._key)
+        actions: Any = uniform_below(self._key, N_ACTIONS)
+        return actions

@@ -1,5 +1,8 @@
 """The nearest-target rule: fly straight to the current target, which is the nearest parcel when it is chosen."""
 
+import numpy as np
+import numpy.typing as npt
+
 from drone_env.core.actions import Action
 from drone_env.core.state_manager import Observation
 from drone_env.core.tasks import TaskConfig
@@ -19,6 +22,15 @@ def target_position(task: TaskConfig, observation: Observation) -> Position:
 def greedy_action(task: TaskConfig, observation: Observation) -> Action:
     """The next action towards the current target; WAIT when nothing is left."""
     return towards(drone_position(task, observation), target_position(task, observation))
+
+
+def positions(
+    task: TaskConfig, telemetry: npt.NDArray[np.float32]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """(x, y) of the drones and of their current targets, int64[N, 2] each, from telemetry float32[N, 5 or 6]."""
+    sides = np.array([task.width, task.height])
+    drones, targets = (np.rint(telemetry[:, i : i + 2] * sides).astype(np.int64) for i in (0, 3))
+    return drones, targets
 
 
 def _position(task: TaskConfig, observation: Observation, index: int) -> Position:

@@ -13,6 +13,7 @@ from itertools import pairwise
 from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.planning.held_karp import UNREACHED, held_karp
 from drone_env.planning.paths import Position, distance, require_uniform, route
 
 
@@ -82,35 +83,11 @@ def tour_actions(start: Position, tour: Sequence[Position]) -> list[Action]:
 
 
 def shortest_tour(start: Position, parcels: Sequence[Position], budget: int) -> list[Position]:
-    """The parcels in the order that visits as many as `budget` steps allow, in as few steps as that takes.
-
-    Dynamic programming over (set of parcels visited, last one): Held and Karp, "A dynamic programming approach to
-    sequencing problems", 1962. Time O(2^n n^2), memory O(2^n n).
-    """
+    """The parcels in the order that visits as many as `budget` steps allow, in as few steps as that takes."""
     n = len(parcels)
+    first = [distance(start, parcel) for parcel in parcels]
     legs = [[distance(a, b) for b in parcels] for a in parcels]
-    # lengths[visited][last]: the shortest path that visits the set and ends at `last`, if it is within the budget.
-    lengths: list[dict[int, int]] = [{} for _ in range(1 << n)]
-    for i, parcel in enumerate(parcels):
-        if distance(start, parcel) <= budget:
-            lengths[1 << i][i] = distance(start, parcel)
-    for visited in range(1, 1 << n):
-        for last, length in lengths[visited].items():
-            for i, leg in enumerate(legs[last]):
-                if not visited >> i & 1 and length + leg <= budget:
-                    extended = lengths[visited | 1 << i]
-                    if length + leg < extended.get(i, budget + 1):
-                        extended[i] = length + leg
-
-    reached = [visited for visited in range(1 << n) if lengths[visited]]
-    if not reached:
-        return []
-    visited = min(reached, key=lambda v: (-v.bit_count(), min(lengths[v].values())))
-    last = min(lengths[visited], key=lengths[visited].__getitem__)
-    order = [last]
-    while visited != 1 << last:
-        length = lengths[visited][last]
-        visited ^= 1 << last
-        last = next(i for i, shorter in lengths[visited].items() if shorter + legs[i][last] == length)
-        order.append(last)
-    return [parcels[i] for i in reversed(order)]
+    lengths = [[UNREACHED] * n for _ in range(1 << n)]
+    order = [0] * n
+    visited = held_karp(first, legs, n, budget, lengths, order)
+    return [parcels[i] for i in order[:visited]]

@@ -1,5 +1,8 @@
 """Ways between cells where nothing blocks and every step costs the same."""
 
+import numpy as np
+import numpy.typing as npt
+
 from drone_env.core.actions import Action
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import UnsupportedTaskError
@@ -25,13 +28,24 @@ def distance(a: Position, b: Position) -> int:
     return abs(a[0] - b[0]) + abs(a[1] - b[1])
 
 
+TOWARDS = (
+    (Action.LEFT, Action.LEFT, Action.LEFT),
+    (Action.UP, Action.WAIT, Action.DOWN),
+    (Action.RIGHT, Action.RIGHT, Action.RIGHT),
+)
+"""The action towards a target, by the signs of its distance along x and y, each plus 1: along the row first."""
+TOWARDS_ARRAY = np.array(TOWARDS, np.int64)
+
+
 def towards(a: Position, b: Position) -> Action:
     """The first action of a shortest way from `a` to `b`: along the row first; WAIT if there is nowhere to go."""
-    if b[0] != a[0]:
-        return Action.RIGHT if b[0] > a[0] else Action.LEFT
-    if b[1] != a[1]:
-        return Action.DOWN if b[1] > a[1] else Action.UP
-    return Action.WAIT
+    return TOWARDS[(b[0] > a[0]) - (b[0] < a[0]) + 1][(b[1] > a[1]) - (b[1] < a[1]) + 1]
+
+
+def towards_batch(a: npt.NDArray[np.int64], b: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """The same for positions int64[N, 2]: actions, int64[N]."""
+    signs = np.sign(b - a) + 1
+    return TOWARDS_ARRAY[signs[:, 0], signs[:, 1]]
 
 
 def route(a: Position, b: Position) -> list[Action]:

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from drone_env.agents import AGENTS, make_agent
 from drone_env.core.actions import Action
+from drone_env.core.batch import Batch
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import UnknownNameError
@@ -86,3 +88,45 @@ def test_the_optimal_agent_goes_on_from_wherever_it_is_put() -> None:
 def test_an_unknown_agent_is_refused_with_the_names_that_exist() -> None:
     with pytest.raises(UnknownNameError, match=r"'greedier'.*greedy, optimal, random"):
         make_agent("greedier", "easy")
+
+
+@pytest.mark.parametrize("name", AGENTS)
+@pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+def test_together_the_agents_choose_as_they_do_alone(task: TaskConfig, name: str) -> None:
+    seeds = np.array([0, 1, 2**52, 2**53 - 1, *range(500, 560)], np.int64)
+    together, alone = make_agent(name, task), make_agent(name, task)
+    batch = Batch(task, len(seeds))
+    batch.reset(seeds)
+    together.reset_batch(seeds)
+    chosen = []
+    for _ in range(task.max_steps):
+        chosen.append(together.act_batch(batch.grids, batch.telemetry))
+        batch.step(chosen[-1])
+    for i, seed in enumerate(seeds.tolist()):
+        alone.reset(seed)
+        episode = Episode(task)
+        episode.reset(seed)
+        for actions in chosen:
+            if episode.ended:
+                break
+            action = alone.act(episode.observation())
+            if name != "optimal":
+                assert action == actions[i]
+            episode.step(actions[i])
+        assert episode.ended
+        if name == "optimal":
+            assert episode.score == solve(task, seed).score
+
+
+def test_together_the_optimal_agents_deliver_what_can_be_delivered() -> None:
+    for budget in (1, 5, 10, 20, 30):
+        task = replace(get_task("hard"), id=f"short_{budget}", max_steps=budget, battery_capacity=budget + 3)
+        seeds = np.arange(50)
+        agent = make_agent("optimal", task)
+        batch = Batch(task, len(seeds))
+        batch.reset(seeds)
+        agent.reset_batch(seeds)
+        for _ in range(budget):
+            batch.step(agent.act_batch(batch.grids, batch.telemetry))
+        assert batch.finals()["score"].tolist() == [solve(task, seed).score for seed in batch.finals()["seed"].tolist()]
+        assert len(batch.ended) == 50
