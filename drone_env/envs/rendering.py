@@ -11,93 +11,25 @@ from zlib import crc32
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageChops, ImageDraw, ImageFilter, ImageFont
+from PIL import Image, ImageDraw, ImageFilter, ImageFont
 
 from drone_env.core.actions import Outcome
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.grid_generator import generate_city_map
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig
+from drone_env.envs.figures import PALETTE, Point, around, draw_figure, stroke
 from drone_env.errors import InvalidValueError
 
-_COLOURS = """
-backdrop #DCE6E6, shadow #33474E, card #FDFCF8, rail #E7EBE5, tint #F1F4EE, ink #24343B, muted #78878B, white #FFFFFF,
-good #55A27A, fair #E3A94B, low #DB6058, flight #6C83C6, trail #4C63B6, target #E0525F, barred #C65B55, shade #24343B30,
-lawn #CFDEBB, shrub #B4CB9E, kerb #DDD8C6, street #F7F4EA, marking #DCD5C2, plot #EAE3D5, plot_edge #D6CDBA,
-window #F6E7BE, glass #CFE3EA, metal #EEF0EE, metal_dark #A9B4B8, roof0 #D4886B, roof1 #7F9CB0, roof2 #E0BC84,
-roof3 #8FB0A4, roof4 #B796A8, roof5 #C9775F, park #BCD3A1, leaf0 #74AA76, leaf1 #88B26C, barrier #E8824A, plank #FFF8EC,
-lamp #F7C65B, box #DDB07C, front #C4915D, edge #A87747, tape #F3DDB5, label #FBF6EA, drop #FFFDF6, drop_edge #E3C39A,
-done #4E9F74, done_pale #DCEBD8, done_edge #B5D5BC, charger #4F9AA8, charger_edge #3A7E8D, bolt #FFE08A, hull #2E3D4D,
-hull_light #53687E, rotor #E4EFF6C8, rotor_rim #4C6075D0, blade #2E3D4D90
-"""
-PALETTE = {pair.split()[0]: pair.split()[1] for pair in _COLOURS.split(",")}
-
-# Figures around the middle of a cell, in hundredths of a cell: shape, colour, numbers. `4` before a shape repeats it in
-# four quarter turns. `lift` and `cast` (reach, blur, strength in percent, steps) put the shadow of all since the last
-# of these words below it, `cast` the shadow alone. `+20` after a colour mixes it with 20 % white, `-20` with black.
-_FIGURES = """\
-building: box plot_edge -46 -46 46 46 9; box plot -44 -44 44 44 8; lift 0 0 0 1; box roof-32 -33 -40 33 36 3;
-  box window -27 26 -21 32 1; box window -15 26 -9 32 1; box window -3 26 3 32 1; box window 9 26 15 32 1;
-  box window 21 26 27 32 1; lift 17 2 32 6; box roof+28 -33 -40 33 23 3; box roof -29 -36 29 19 2
-top0: poly roof+14 -29 -36 29 -36 12 -8 -12 -8; poly roof-12 -29 19 29 19 12 -8 -12 -8; box roof-35 6 -28 14 -18 1;
-  poly roof-5 29 -36 29 19 12 -8; line roof+30 3 -12 -8 12 -8
-top1: box roof-14 -29 -36 29 -30 0; box roof-22 -20 -20 -2 -6 2; box metal -22 -22 -4 -8 2;
-  oval metal_dark -13 -15 5; box roof-22 4 -20 22 -6 2; box metal 2 -22 20 -8 2; oval metal_dark 11 -15 5;
-  box roof-22 -22 2 -6 12 2; box roof+20 8 0 22 12 2
-top2: box roof-10 -25 -31 25 14 3; box park -21 -27 2 10 3; oval leaf0 -13 -18 6; oval leaf0 -7 -4 5;
-  oval leaf0 -15 3 5; box glass 7 -25 21 -16 1; box glass 7 -12 21 -3 1; box glass 7 1 21 10 1
-top3: box roof-28 -16 -22 24 15 2; box roof+32 -21 -29 18 8 2; box roof+12 -18 -26 15 5 2; oval roof-18 -1 -10 10;
-  oval metal -2 -11 9; oval metal_dark -2 -11 4
-tree0: oval park 0 0 46; lift 0 0 0 1; crown leaf0 -13 -12 23; crown leaf1 17 4 19; crown leaf0 -8 21 16; lift 11 2 30 5
-tree1: oval park 0 0 46; lift 0 0 0 1; crown leaf1 0 -2 33; lift 11 2 30 5
-tree2: oval park 0 0 46; lift 0 0 0 1; crown leaf0 12 -14 22; crown leaf0 -18 0 18; crown leaf1 10 20 17; lift 11 2 30 5
-tree3: oval park 0 0 46; lift 0 0 0 1; crown leaf0 -12 5 26; crown leaf1 19 -13 17; crown leaf1 20 20 12; lift 11 2 30 5
-obstacle: line hull_light 5 -29 30 -25 -20 -21 30; line hull_light 5 21 30 25 -20 29 30; box plank -41 -22 41 -3 3;
-  poly barrier -28 -22 -17 -22 -26 -3 -37 -3; poly barrier -9 -22 2 -22 -7 -3 -18 -3;
-  poly barrier 10 -22 21 -22 12 -3 1 -3; poly barrier 29 -22 40 -22 31 -3 20 -3; box plank -41 4 41 23 3;
-  poly barrier -28 4 -17 4 -26 23 -37 23; poly barrier -9 4 2 4 -7 23 -18 23; poly barrier 10 4 21 4 12 23 1 23;
-  poly barrier 29 4 40 4 31 23 20 23; box shade -41 -6 41 -3 1; box shade -41 20 41 23 1; oval lamp-25 -25 -28 8;
-  oval lamp -26 -29 6; oval lamp-25 25 -28 8; oval lamp 24 -29 6; lift 9 2 34 5
-pad: box charger_edge -42 -42 42 42 14; box charger -38 -38 38 38 11; ring white 0 0 31 3;
-  poly bolt 6 -25 -15 4 -2 4 -7 25 15 -6 2 -6
-parcel: oval drop_edge 0 0 43; oval drop 0 0 39; lift 0 0 0 1; box edge -28 -30 28 30 4; box box -26 -28 26 8 2;
-  box front -26 8 26 28 2; box tape -6 -28 6 8 0; box tape-12 -6 8 6 17 0; box label 10 13 22 23 1;
-  box edge+40 12 15 20 16 0; box edge+40 12 18 18 19 0; lift 12 2 34 5
-delivered: oval done_edge 0 0 43; oval done_pale 0 0 39; line white 17 -17 2 -5 14 19 -13;
-  line done 11 -17 2 -5 14 19 -13
-start: ring trail+45 0 0 24 5; oval trail+45 0 0 9
-target: ring white 0 0 52 14; ring target 0 0 52 9; 4 line white 11 0 -64 0 -44; 4 line target 7 0 -64 0 -43
-no_entry: 4 line barred 5 -45 -45 45 -45; oval white 34 -34 17; oval barred 34 -34 14; box white 26 -37 42 -31 1
-drone: 4 line hull 8 0 0 30 30; 4 oval hull 30 30 21; box hull -16 -22 16 22 8; cast 24 5 34 1; 4 oval rotor 30 30 23;
-  4 line blade 5 17 24 43 36; 4 ring rotor_rim 30 30 23 3; 4 line hull 9 0 0 30 30; 4 oval hull_light 30 30 6;
-  oval target -30 30 6; oval target 30 30 6; box hull -17 -23 17 23 9; box hull_light -12 -9 12 17 6;
-  oval glass 0 -13 6; oval hull 0 -13 3; box drop -6 -1 6 9 2
-"""
-FIGURES = {name: art for name, _, art in (line.partition(": ") for line in _FIGURES.replace("\n  ", " ").splitlines())}
-FIGURES |= {
-    f"building{i}": f"{FIGURES['building']}; {FIGURES[f'top{i % 4}']}".replace("roof", f"roof{i // 4}")
-    for i in range(24)
-}
 STATUS = {
     Outcome.FLYING: ("In flight", "flight"),
     Outcome.DELIVERED: ("All delivered", "good"),
     Outcome.BATTERY_DEAD: ("Battery empty", "low"),
     Outcome.OUT_OF_STEPS: ("Out of steps", "fair"),
 }
-CROWN = (
-    (0, 0, 1, "-18"),
-    (-0.09, -0.12, 0.86, ""),
-    (-0.30, -0.34, 0.36, "+24"),
-    (0.52, 0.22, 0.11, "-18"),
-    (0.04, 0.56, 0.11, "-18"),
-    (-0.51, 0.24, 0.11, "-18"),
-    (0.31, -0.47, 0.11, "-18"),
-)
-"""A tree's crown from above: offset and radius as shares of its own radius, and tone."""
 MIN_SIZE, MAX_SIZE, MAX_TRAIL = 64, 4096, 400  # pixels, pixels, and steps: more would make for slow pictures
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
 PANEL, TEXT = 46, 38  # widths of the panel and of the text in it, in hundredths of the picture's height
-Point = tuple[float, float]
 
 
 class Layout(NamedTuple):
@@ -118,7 +50,7 @@ class Layout(NamedTuple):
         """A point of the panel, given in hundredths of `size` from the left of its text and the top of the picture."""
         return self.city + (x + 2.5) * self.size / 100, y * self.size / 100
 
-    def figure(self, share: float = 1.0) -> int:
+    def draw_figure(self, share: float = 1.0) -> int:
         """Side of what has to stay visible on large grids and within the board on small ones."""
         return round(min(max(share * self.cell, self.size / 28), self.size / 6))
 
@@ -161,10 +93,10 @@ def _picture(episode: Episode, size: int) -> Image.Image:
     picture = _city(episode.task, episode.seed, size).copy()
     _draw_lines(picture, layout, episode)
     for x, y, delivered in episode.parcels:
-        _stamp(picture, "delivered" if delivered else "parcel", layout.figure(), layout.centre(x, y))
+        _stamp(picture, "delivered" if delivered else "parcel", layout.draw_figure(), layout.centre(x, y))
     if episode.target is not None:
-        _stamp(picture, "target", layout.figure(), layout.centre(*episode.target))
-    _stamp(picture, "drone", layout.figure(1.15), layout.centre(*episode.position))
+        _stamp(picture, "target", layout.draw_figure(), layout.centre(*episode.target))
+    _stamp(picture, "drone", layout.draw_figure(1.15), layout.centre(*episode.position))
     _draw_status(picture, layout, episode)
     return picture
 
@@ -182,7 +114,7 @@ def _city(task: TaskConfig, seed: int, size: int) -> Image.Image:
     width = layout.city + round(size * PANEL / 100)
     picture = Image.new("RGB", (width + width % 2, size), PALETTE["backdrop"])
     _lay_ground(picture, layout, city.grid)
-    _stamp(picture, "start", layout.figure(), layout.centre(*city.start))
+    _stamp(picture, "start", layout.draw_figure(), layout.centre(*city.start))
     for (y, x), kind in np.ndenumerate(city.grid):
         variety, at = crc32(bytes((x, y))) >> 8, layout.centre(x, y)
         number = {Cell.BUILDING: variety % 24, Cell.TREE: variety % 4}.get(kind, "")
@@ -192,10 +124,6 @@ def _city(task: TaskConfig, seed: int, size: int) -> Image.Image:
             _stamp(picture, "no_entry", layout.cell, at)
     _lay_panel(picture, layout, task, seed)
     return picture
-
-
-def _around(at: Point, across: float, down: float = 0.0) -> tuple[float, float, float, float]:
-    return at[0] - across, at[1] - (down or across), at[0] + across, at[1] + (down or across)
 
 
 def _lay_ground(picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8]) -> None:
@@ -212,15 +140,15 @@ def _lay_ground(picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8
         for i in range(variety // 8 % 4):
             angle = variety % 628 / 100 + 2.4 * i
             at = corner[0] + 0.13 * unit * math.cos(angle), corner[1] + 0.13 * unit * math.sin(angle)
-            pen.ellipse(_around(at, unit * (0.04 + 0.015 * i)), fill=PALETTE["shrub"])
+            pen.ellipse(around(at, unit * (0.04 + 0.015 * i)), fill=PALETTE["shrub"])
     paved = np.pad(~np.isin(grid, (Cell.BUILDING, Cell.TREE)), (0, 1))
     for y, x in np.argwhere(paved).tolist():
         for dx, dy in ((0, 0), (1, 0), (0, 1)):
             if paved[y + dy, x + dx]:
                 at = base + (x + 0.5 + dx / 2) * unit, base + (y + 0.5 + dy / 2) * unit
-                street_pen.rectangle(_around(at, (0.225 + dx / 2) * unit, (0.225 + dy / 2) * unit), fill=255)
+                street_pen.rectangle(around(at, (0.225 + dx / 2) * unit, (0.225 + dy / 2) * unit), fill=255)
                 if dx or dy:
-                    mark_pen.rectangle(_around(at, (0.016 + 0.09 * dx) * unit, (0.016 + 0.09 * dy) * unit), fill=255)
+                    mark_pen.rectangle(around(at, (0.016 + 0.09 * dx) * unit, (0.016 + 0.09 * dy) * unit), fill=255)
     # Cutting the blurred streets at one level rounds their corners, at a lower one it widens them by the kerb.
     soft = streets.filter(ImageFilter.GaussianBlur(unit * 0.09))
     ground.paste(PALETTE["kerb"], mask=soft.point([255 * (level > 70) for level in range(256)]))
@@ -264,13 +192,13 @@ def _draw_lines(picture: Image.Image, layout: Layout, episode: Episode) -> None:
         pace = 3.2 * width / (fine * math.dist((x, y), to))
         for i in range(1, int(1 / pace)):
             dash = [(fine * (x + (to[0] - x) * t), fine * (y + (to[1] - y) * t)) for t in (pace * i, pace * (i + 0.45))]
-            _stroke(ImageDraw.Draw(casing), dash, 1.3 * width, 190)
-            _stroke(ImageDraw.Draw(dashes), dash, 0.7 * width, 235)
+            stroke(ImageDraw.Draw(casing), dash, 1.3 * width, 190)
+            stroke(ImageDraw.Draw(dashes), dash, 0.7 * width, 235)
     ways = [(fine * x, fine * y) for x, y in _way(layout, episode)]
     for mask, wide, strong in ((casing, 1.9 * width, 210), (trail, width, 255)):
         pen = ImageDraw.Draw(mask)
         for i, side in enumerate(pairwise(ways)):
-            _stroke(pen, side, wide, round(strong * (0.3 + 0.7 * (i + 1) / len(ways))))
+            stroke(pen, side, wide, round(strong * (0.3 + 0.7 * (i + 1) / len(ways))))
     for mask, name in ((casing, "white"), (dashes, "target"), (trail, "trail")):
         picture.paste(PALETTE[name], (0, 0, layout.city, layout.size), mask.reduce(fine))
 
@@ -351,72 +279,6 @@ def _write(
         pen.text((at[0] + x, at[1]), words, fill=PALETTE[colour], font=_font(size), anchor=anchor)
 
 
-def _stroke(pen: ImageDraw.ImageDraw, points: Sequence[Point], width: float, colour: str | int) -> None:
-    """A line with round ends and joints."""
-    wide = max(1, round(width))
-    pen.line(points, fill=colour, width=wide)
-    for at in points:
-        pen.ellipse(_around(at, (wide - 1) / 2), fill=colour)
-
-
 def _stamp(picture: Image.Image, name: str, cell: int, at: Point) -> None:
-    figure = _figure(name, max(1, cell))
+    figure = draw_figure(name, max(1, cell))
     picture.paste(figure, (round(at[0] - figure.width / 2), round(at[1] - figure.height / 2)), figure)
-
-
-def _colour(name: str) -> str:
-    base, _, percent = name.replace("-", "+-").partition("+")
-    mix = int(percent or 0) / 100
-    return "#" + "".join(f"{round(p + (255 * (mix > 0) - p) * abs(mix)):02X}" for p in bytes.fromhex(PALETTE[base][1:]))
-
-
-@lru_cache(maxsize=256)
-def _figure(name: str, cell: int) -> Image.Image:
-    """A figure for cells of a size, drawn larger and then reduced for smooth edges. Shared: do not draw on it."""
-    fine = 4 if cell <= 100 else 2
-    unit, side = cell * fine / 100, (cell + 2 * math.ceil(0.4 * cell)) * fine
-    below, layer = Image.new("RGBA", (side, side)), Image.new("RGBA", (side, side))
-    for item in FIGURES[name].split("; "):
-        shape, *words = item.removeprefix("4 ").split()
-        if shape in ("lift", "cast"):
-            below.alpha_composite(_shadow(layer, unit, *map(int, words)))
-            if shape == "lift":
-                below.alpha_composite(layer)
-            layer = Image.new("RGBA", (side, side))
-            continue
-        glaze = Image.new("RGBA", (side, side))  # as Pillow replaces what lies under translucent colours
-        _trace(ImageDraw.Draw(glaze), shape, words[0], [int(word) * unit for word in words[1:]], side / 2)
-        for turn in range(4 if item.startswith("4 ") else 1):
-            layer.alpha_composite(glaze.rotate(90 * turn))
-    below.alpha_composite(layer)
-    return below.reduce(fine)
-
-
-def _shadow(layer: Image.Image, unit: float, reach: int, blur: int, strength: int, steps: int) -> Image.Image:
-    alpha, cast = layer.getchannel("A"), Image.new("L", layer.size)
-    for offset in (reach * unit * step / steps for step in range(1, steps + 1)):
-        cast = ImageChops.lighter(cast, ImageChops.offset(alpha, round(0.7 * offset), round(offset)))
-    shadow = Image.new("RGBA", alpha.size, PALETTE["shadow"])
-    shadow.putalpha(cast.filter(ImageFilter.GaussianBlur(blur * unit)).point([i * strength // 100 for i in range(256)]))
-    return shadow
-
-
-def _trace(pen: ImageDraw.ImageDraw, shape: str, name: str, numbers: list[float], middle: float) -> None:
-    """Draw one shape; `numbers` are pixels from the middle."""
-    places, colour = [middle + number for number in numbers], _colour(name)
-    if shape == "crown":
-        for dx, dy, share, tone in CROWN:
-            at = places[0] + dx * numbers[2], places[1] + dy * numbers[2]
-            pen.ellipse(_around(at, share * numbers[2]), fill=_colour(name + tone))
-    elif shape == "oval":
-        pen.ellipse(_around((places[0], places[1]), numbers[2]), fill=colour)
-    elif shape == "ring":
-        pen.arc(_around((places[0], places[1]), numbers[2] + numbers[3] / 2), 0, 360, colour, round(numbers[3]) or 1)
-    elif shape == "box":
-        radius = min(numbers[4], (numbers[2] - numbers[0]) / 2 - 2, (numbers[3] - numbers[1]) / 2 - 2)
-        bend = radius > 0
-        pen.rounded_rectangle(places[:4], radius, colour, corners=(bend, bend, bend, bend))
-    elif shape == "poly":
-        pen.polygon(places, fill=colour)
-    else:
-        _stroke(pen, list(zip(places[1::2], places[2::2], strict=True)), numbers[0], colour)

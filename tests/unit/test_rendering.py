@@ -20,7 +20,7 @@ from drone_env.core.actions import Action, Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.envs import rendering
+from drone_env.envs import figures, rendering
 from drone_env.envs.ansi import ROAD, TARGET, draw_text
 from drone_env.envs.rendering import PALETTE, PANEL, TEXT, draw_mission, save_picture
 from drone_env.envs.window import Window
@@ -100,7 +100,7 @@ class TestPicture:
     def test_equal_episodes_give_equal_pictures(self) -> None:
         first = draw_mission(fly(fresh("hard", 3), 12))
         rendering._city.cache_clear()
-        rendering._figure.cache_clear()
+        figures.draw_figure.cache_clear()
         assert np.array_equal(first, draw_mission(fly(fresh("hard", 3), 12)))
 
     def test_leaves_the_episode_as_it_is(self) -> None:
@@ -259,8 +259,8 @@ class TestPicture:
 
     def test_every_figure_can_be_drawn(self) -> None:
         parts = {"building", "top0", "top1", "top2", "top3"}
-        pictures = {rendering._figure(name, 40).tobytes() for name in rendering.FIGURES.keys() - parts}
-        assert len(pictures) == len(rendering.FIGURES) - len(parts)
+        pictures = {figures.draw_figure(name, 40).tobytes() for name in figures.FIGURES.keys() - parts}
+        assert len(pictures) == len(figures.FIGURES) - len(parts)
 
 
 class TestSaving:
