@@ -64,13 +64,13 @@ def step(rules: Rules, rewards: Rewards, grid: Buffer, row: Buffer, action: int)
     distance_before = row[DISTANCE]
 
     to = rules.moves[row[CELL] * N_ACTIONS + action]
-    bump = collision(rules, grid, to)
-    if bump == NONE:
+    happened = collision(rules, grid, to)
+    if happened == NONE:
         move(grid, row, to)
+        happened = flight_event(rules, row, action)
     battery = use_battery(rules, row, action)
     steps = row[STEPS] + 1
     row[STEPS] = steps
-    happened = flight_event(rules, row, action) if bump == NONE else bump
     far = distance(rules, row[CELL], row[TARGET])
     row[DISTANCE] = far
     if row[UNDER] == DELIVERY_CELL:

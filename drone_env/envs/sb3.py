@@ -154,7 +154,9 @@ class DroneDeliveryVecEnv(VecEnv):
             raise InvalidValueError(f"all {self.num_envs} drones share their attributes, set {attr_name!r} for all")
         setattr(self, attr_name, value)
 
-    def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> Any:
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> Any:
         """`action_masks`, the one method that a single drone has here: a list of bool[5].
 
         Raises:
