@@ -7,20 +7,22 @@ from drone_env.core.rules import BATTERY, CELL, UNDER, Buffer, Rules
 DRONE = int(Cell.DRONE)
 
 
-def move(grid: Buffer, row: Buffer, to: int) -> None:
-    """Uncover the cell that the drone leaves and cover the one that it reaches."""
-    grid[row[CELL]] = row[UNDER]
+def move(grid: Buffer, row: Buffer, cell: int, to: int) -> int:
+    """Uncover the cell that the drone leaves, cover the one that it reaches, and return the kind of that one."""
+    grid[cell] = row[UNDER]
+    under = grid[to]
     row[CELL] = to
-    row[UNDER] = grid[to]
+    row[UNDER] = under
     grid[to] = DRONE
+    return under
 
 
-def use_battery(rules: Rules, row: Buffer, action: int) -> int:
+def use_battery(rules: Rules, row: Buffer, under: int, action: int) -> int:
     """Drain, or charge, by the action and the kind of cell below the drone; return the units left.
 
     Never under 0 or over capacity.
     """
-    units = min(max(row[BATTERY] - rules.drain[row[UNDER] * N_ACTIONS + action], 0), rules.capacity)
+    units = min(max(row[BATTERY] - rules.drain[under * N_ACTIONS + action], 0), rules.capacity)
     row[BATTERY] = units
     return units
 

@@ -63,17 +63,18 @@ def step(rules: Rules, rewards: Rewards, grid: Buffer, row: Buffer, action: int)
     deliveries = row[DELIVERIES]
     distance_before = row[DISTANCE]
 
-    to = rules.moves[row[CELL] * N_ACTIONS + action]
+    cell, under, steps = row[CELL], row[UNDER], row[STEPS] + 1
+    to = rules.moves[cell * N_ACTIONS + action]
     happened = collision(rules, grid, to)
     if happened == NONE:
-        move(grid, row, to)
-        happened = flight_event(rules, row, action)
-    battery = use_battery(rules, row, action)
-    steps = row[STEPS] + 1
+        under = move(grid, row, cell, to)
+        cell = to
+        happened = flight_event(rules, under, action)
+    far = distance(rules, cell, row[TARGET])
+    battery = use_battery(rules, row, under, action)
     row[STEPS] = steps
-    far = distance(rules, row[CELL], row[TARGET])
     row[DISTANCE] = far
-    if row[UNDER] == DELIVERY_CELL:
+    if under == DELIVERY_CELL:
         deliver(rules, row)
         happened = DELIVERY
         if far == 0:
@@ -83,7 +84,7 @@ def step(rules: Rules, rewards: Rewards, grid: Buffer, row: Buffer, action: int)
         if row[OUTCOME] == BATTERY_DEAD and happened != DELIVERY:
             happened = DEAD
     row[EVENT] = happened
-    return reward_of(rules, rewards, row, distance_before - far, deliveries, distance_before)
+    return reward_of(rules, rewards, row, happened, distance_before - far, deliveries, distance_before)
 
 
 def deliver(rules: Rules, row: Buffer) -> None:

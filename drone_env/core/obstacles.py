@@ -1,7 +1,7 @@
 """Collisions: what a move runs into, and what the drone is above."""
 
 from drone_env.core.actions import N_ACTIONS, Event
-from drone_env.core.rules import NOWHERE, UNDER, Buffer, Rules
+from drone_env.core.rules import NOWHERE, Buffer, Rules
 
 WALL = int(Event.WALL)
 BLOCKED = int(Event.BLOCKED)
@@ -17,6 +17,6 @@ def collision(rules: Rules, grid: Buffer, to: int) -> int:
     return NONE
 
 
-def flight_event(rules: Rules, row: Buffer, action: int) -> int:
+def flight_event(rules: Rules, under: int, action: int) -> int:
     """The event of an action that nothing stopped: by the terrain below the drone, else waiting or flying."""
-    return rules.flight_event[row[UNDER] * N_ACTIONS + action]
+    return rules.flight_event[under * N_ACTIONS + action]

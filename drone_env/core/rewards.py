@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drone_env.core.actions import N_EVENTS, Event, Outcome
-from drone_env.core.rules import DELIVERIES, DISTANCE, EVENT, OUTCOME, Buffer, FloatBuffer, Rules, as_views, read_only
+from drone_env.core.rules import DELIVERIES, DISTANCE, OUTCOME, Buffer, FloatBuffer, Rules, as_views, read_only
 from drone_env.core.score import score
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidTaskError, UnknownNameError
@@ -171,19 +171,20 @@ def interpreted_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
 
 
 def reward_of(
-    rules: Rules, rewards: Rewards, row: Buffer, closer: int, deliveries_before: int, distance_before: int
+    rules: Rules, rewards: Rewards, row: Buffer, event: int, closer: int, deliveries_before: int, distance_before: int
 ) -> float:
     """What the step that led to `row` pays.
 
     Args:
         rules: The task's tables.
         rewards: The profile's tables.
-        row: The state after the step, its event and outcome settled.
+        row: The state after the step, its outcome settled.
+        event: What the step came to.
         closer: Cells by which the step came closer to the target that was current before it: -1, 0 or 1.
         deliveries_before: Parcels delivered before the step.
         distance_before: Distance to the current target before the step.
     """
-    reward = rewards.events[row[EVENT] * 3 + closer + 1]
+    reward = rewards.events[event * 3 + closer + 1]
     ended = row[OUTCOME] != FLYING
     if rewards.shaped:
         reward -= rewards.potential[deliveries_before * rewards.stride + distance_before]
