@@ -32,6 +32,8 @@ from drone_env.errors import EpisodeError, InvalidValueError
 
 FLYING = int(Outcome.FLYING)
 DELIVERED = int(Event.DELIVERY)
+ACTION_BITS = 7
+"""Changes no action from 0 to 4, and tells the compiler that none is below zero."""
 
 
 class Buffers(NamedTuple):
@@ -43,12 +45,10 @@ class Buffers(NamedTuple):
     """uint16[N, row size]"""
     seeds: Any
     """int64[N], the map of each episode"""
-    actions: Any
-    """uint8[N], what the coming step flies"""
     telemetry: Any
     """float32[N, 5 or 6]"""
     open_actions: Any
-    """uint8[N], the actions that do not bump, as bits (1 << action)"""
+    """int64[N], 1 in byte `action` for each action that does not bump"""
     rewards: Any
     """float64[N]"""
     terminated: Any
@@ -103,7 +103,9 @@ def reset_kernel(rules: Rules, buffers: Buffers, chosen: Any) -> None:
         buffers.terminated[i] = False
 
 
-def step_kernel(rules: Rules, rewards: Rewards, buffers: Buffers, start: int, stop: int, same_step: bool) -> int:
+def step_kernel(
+    rules: Rules, rewards: Rewards, buffers: Buffers, actions: Any, start: int, stop: int, same_step: bool
+) -> int:
     """Step the episodes from `start` to `stop` and return how many ended.
 
     The two are unsigned numbers: compiled code then needs no care for indices below zero.
@@ -116,7 +118,7 @@ def step_kernel(rules: Rules, rewards: Rewards, buffers: Buffers, start: int, st
             buffers.rewards[i] = 0.0
             buffers.terminated[i] = False
             continue
-        buffers.rewards[i] = step_episode(rules, rewards, buffers.grids[i], row, buffers.actions[i])
+        buffers.rewards[i] = step_episode(rules, rewards, buffers.grids[i], row, actions[i] & ACTION_BITS)
         over = row[OUTCOME] != FLYING
         buffers.terminated[i] = over
         if over:
@@ -135,19 +137,18 @@ def step_kernel(rules: Rules, rewards: Rewards, buffers: Buffers, start: int, st
 
 
 def step_kernel_threads(
-    rules: Rules, rewards: Rewards, buffers: Buffers, bounds: Any, same_step: bool, n_ended: Any
+    rules: Rules, rewards: Rewards, buffers: Buffers, actions: Any, bounds: Any, same_step: bool, n_ended: Any
 ) -> None:
     """Step the ranges between neighbouring `bounds`, one thread each."""
     for t in numba.prange(len(bounds) - 1):
-        n_ended[t] = step_kernel(rules, rewards, buffers, bounds[t], bounds[t + 1], same_step)
+        n_ended[t] = step_kernel(rules, rewards, buffers, actions, bounds[t], bounds[t + 1], same_step)
 
 
-def take_actions(buffers: Buffers, actions: Any) -> bool:
-    """Take over the actions, int64[N], and return whether all of them exist."""
+def all_exist(actions: Any) -> bool:
+    """Whether all of the actions, int64[N], are from 0 to 4."""
     allowed = True
     for i in range(len(actions)):
         allowed &= (actions[i] >= 0) & (actions[i] < N_ACTIONS)
-        buffers.actions[i] = actions[i]
     return allowed
 
 
@@ -156,7 +157,7 @@ for rare in (begin, begin_next, keep_final, keep_final_observation):
 with cached_on_disk():
     KERNEL: dict[str, Any] = {"nogil": True, "cache": True, **compiled.OPTIONS}
     reset_kernel = numba.njit(**KERNEL)(reset_kernel)
-    take_actions = numba.njit(**KERNEL)(take_actions)
+    all_exist = numba.njit(**KERNEL)(all_exist)
     step_kernel = numba.njit(**KERNEL)(step_kernel)
     step_kernel_threads = numba.njit(parallel=True, nogil=True, cache=True)(step_kernel_threads)
 
@@ -172,7 +173,7 @@ class Batch:
     Attributes, all arrays over the episodes and overwritten by the next step:
         grids: uint8[N, height, width], cell ids as the drone sees them.
         telemetry: float32[N, 5] (or 6).
-        open_actions: uint8[N], the actions that do not bump, as bits (1 << action).
+        action_masks: int8[N, 5], 0 for each action that would bump. Advice, never enforced.
         rewards: float64[N], of the last step.
         terminated: bool[N], whether the last step ended the episode.
         seeds: int64[N], the map that each episode flies.
@@ -215,9 +216,8 @@ class Batch:
             grids=np.zeros((num_envs, cells), np.uint8),
             rows=np.zeros((num_envs, row_size(self.rules)), np.uint16),
             seeds=np.zeros(num_envs, np.int64),
-            actions=np.zeros(num_envs, np.uint8),
             telemetry=np.zeros((num_envs, size), np.float32),
-            open_actions=np.zeros(num_envs, np.uint8),
+            open_actions=np.zeros(num_envs, np.dtype("<i8")),
             rewards=np.zeros(num_envs, np.float64),
             terminated=np.zeros(num_envs, np.bool_),
             ended=np.zeros(num_envs, np.int64),
@@ -230,7 +230,7 @@ class Batch:
         )
         self.grids = self._buffers.grids.reshape(num_envs, self.task.height, self.task.width)
         self.telemetry = self._buffers.telemetry
-        self.open_actions = self._buffers.open_actions
+        self.action_masks = self._buffers.open_actions.view(np.int8).reshape(num_envs, 8)[:, :N_ACTIONS]
         self.rewards = self._buffers.rewards
         self.terminated = self._buffers.terminated
         self.seeds = self._buffers.seeds
@@ -242,8 +242,8 @@ class Batch:
 
     def _compile(self) -> None:
         tell_before_compiling()
-        tables = (self.rules, self._rewards, self._buffers)
-        self._take = entry_point(take_actions, self._buffers, self.seeds)
+        tables = (self.rules, self._rewards, self._buffers, self.seeds)
+        self._all_exist = entry_point(all_exist, self.seeds)
         if len(self._bounds) == 2:
             self._step = entry_point(step_kernel, *tables, *self._bounds, self.same_step)
         else:
@@ -286,19 +286,15 @@ class Batch:
             raise InvalidValueError(f"actions must be {self.num_envs} integers, got {values.dtype}{list(values.shape)}")
         if not self.started:
             raise EpisodeError("some episodes have not begun: call reset() before step()")
-        if not self._take(self._buffers, np.ascontiguousarray(values, np.int64)):
+        integers = np.ascontiguousarray(values, np.int64)
+        if not self._all_exist(integers):
             wrong = values[(values < 0) | (values >= N_ACTIONS)][0]
             raise InvalidValueError(f"actions must be among {ALLOWED_ACTIONS}; got {wrong}")
-        tables = (self.rules, self._rewards, self._buffers)
+        tables = (self.rules, self._rewards, self._buffers, integers)
         if len(self._bounds) == 2:
             self._n_ended[0] = self._step(*tables, *self._bounds, self.same_step)
         else:
             self._step(*tables, self._bounds, self.same_step, self._n_ended)
-
-    def action_masks(self) -> npt.NDArray[np.int8]:
-        """int8[N, 5], a new array: 0 for each action that would bump. Advice, never enforced."""
-        bits: Any = np.unpackbits(self.open_actions[:, None], axis=1, count=N_ACTIONS, bitorder="little")
-        return bits.view(np.int8)
 
     @property
     def ended(self) -> npt.NDArray[np.int64]:

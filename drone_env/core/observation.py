@@ -34,11 +34,11 @@ def write_target_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) ->
 
 
 def open_actions(rules: Rules, grid: Buffer, row: Buffer) -> int:
-    """The actions that do not bump, as bits (1 << action). Advice, never enforced."""
-    bits = rules.open_moves[row[CELL]]
+    """The actions that do not bump: 1 in byte `action` of an integer. Advice, never enforced."""
+    mask = rules.open_moves[row[CELL]]
     if rules.any_impassable:
         for action in range(N_ACTIONS):
             to = rules.moves[row[CELL] * N_ACTIONS + action]
             if to != NOWHERE and collision(rules, grid, to) != FREE:
-                bits -= 1 << action
-    return bits
+                mask -= 1 << 8 * action
+    return mask

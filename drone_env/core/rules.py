@@ -76,7 +76,7 @@ class Rules(NamedTuple):
     """Cell reached from `cell` by `action`, `NOWHERE` at the wall: uint16[cells * 5], at
     cell * N_ACTIONS + action."""
     open_moves: Buffer
-    """The actions that do not meet the wall, as bits (1 << action): uint8[cells]."""
+    """The actions that do not meet the wall, 1 in byte `action` of each int64[cells]."""
     any_impassable: int
     """1 if some kind of cell is impassable."""
     passable: Buffer
@@ -148,7 +148,7 @@ def tabulate(task: TaskConfig) -> Rules:
         "columns": numbers % width,
         "lines": numbers // width,
         "moves": np.ravel(moves),
-        "open_moves": np.packbits(np.reshape(moves != NOWHERE, (cells, N_ACTIONS)), axis=1, bitorder="little")[:, 0],
+        "open_moves": (np.reshape(moves != NOWHERE, (cells, N_ACTIONS)) << 8 * np.arange(N_ACTIONS)).sum(axis=1),
         "any_impassable": int(not passable.all()),
         "passable": passable,
         "drain": np.ravel(drain),

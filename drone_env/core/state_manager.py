@@ -310,8 +310,8 @@ class Episode:
 
     def action_mask(self) -> npt.NDArray[np.int8]:
         """int8[5]: 0 for each action that would bump into a wall or an impassable cell."""
-        bits = open_actions(self.rules, self._grid, self._row)
-        return np.array([bits >> action & 1 for action in range(N_ACTIONS)], np.int8)
+        mask = open_actions(self.rules, self._grid, self._row)
+        return np.array([mask >> 8 * action & 1 for action in range(N_ACTIONS)], np.int8)
 
     def get_state(self) -> EpisodeState:
         """A snapshot for planners; `set_state` returns to it.

@@ -133,7 +133,7 @@ class DroneDeliveryVecEnv(VecEnv):
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """bool[N, 5]: False for each action that would bump. Advice, never enforced."""
-        return self.batch.action_masks().astype(np.bool_)
+        return self.batch.action_masks.astype(np.bool_)
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute, once for each of the drones in `indices` (None: for all).

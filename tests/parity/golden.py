@@ -84,9 +84,9 @@ def make_flights(
         while True:
             grids[n] = grid
             write_telemetry(rules, row, telemetry[n])
-            bits = open_actions(rules, grid, row)
+            mask = open_actions(rules, grid, row)
             for action in range(5):
-                masks[n, action] = bits >> action & 1
+                masks[n, action] = mask >> 8 * action & 1
             scores[n] = score(rules, row)
             if row[OUTCOME] != 0:
                 return n

@@ -65,7 +65,7 @@ def assert_same_state(batch: Batch, reference: Reference) -> None:
     telemetry = np.stack([observation["telemetry"] for observation in observations])
     assert batch.telemetry.tobytes() == telemetry.tobytes()
     masks = np.stack([episode.action_mask() for episode in reference.episodes])
-    assert np.array_equal(batch.action_masks(), masks)
+    assert np.array_equal(batch.action_masks, masks)
     assert batch.seeds.tolist() == [episode.seed for episode in reference.episodes]
 
 
