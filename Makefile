@@ -39,7 +39,9 @@ check: .venv/.dev
 verify: .venv/.dev
 	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(BIN)/python -m pytest -n auto --timeout 36000 tests/property tests/parity
 
+# The batched simulator beside its peers, in an environment of its own; make bench ARGS=--quick for a short run.
 bench: .venv/.base
+	$(BIN)/python benchmarks/simulator.py $(ARGS)
 	$(BIN)/python benchmarks/scalar_step.py
 
 format: .venv/.dev

@@ -18,7 +18,7 @@ Env = gymnasium.Env[Observation, int]
 
 def one_hot(grid: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     """uint8[kinds, H, W] of 0 and 1 from cell ids uint8[H, W]: plane i marks the cells of kind i."""
-    return (grid == np.arange(N_CELL_KINDS, dtype=np.uint8)[:, None, None]).astype(np.uint8)
+    return (grid == np.arange(N_CELL_KINDS, dtype=np.uint8)[:, None, None]).view(np.uint8)
 
 
 class OneHotPlanes(gymnasium.ObservationWrapper[Any, int, Observation], gymnasium.utils.RecordConstructorArgs):

@@ -6,9 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drone_env.core import dynamics
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.batch import Batch
-from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.observation import open_actions, write_telemetry
+from drone_env.core.rewards import REWARD_PROFILES, get_reward_profile, interpreted_rewards
+from drone_env.core.rules import DELIVERIES, OUTCOME, interpreted, row_size
+from drone_env.core.rules import STEPS as STEPS_TAKEN
+from drone_env.core.score import score
+from drone_env.core.seeds import next_seed
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig
 from tests.parity.test_compiled import CUSTOM
@@ -17,86 +23,125 @@ STEPS = int(os.environ.get("DRONE_ENV_PARITY_STEPS", "1000000"))
 """Steps in all, over every combination of task, profile and mode."""
 ALL_TASKS = {**TASKS, **{name: CUSTOM[name] for name in ("drain", "pads", "impassable")}}
 SHARE = STEPS // (len(ALL_TASKS) * len(REWARD_PROFILES) * 2)
-N = 32
+N = 64
 
 
 class Reference:
-    """N single episodes that begin anew as the batch does."""
+    """N episodes flown one by one by the rules in plain Python, begun anew as the batch does."""
 
     def __init__(self, task: TaskConfig, profile: str, same_step: bool) -> None:
-        self.episodes = [Episode(task, profile) for _ in range(N)]
+        self.rules = interpreted(task)
+        self.rewards_of = interpreted_rewards(task, get_reward_profile(profile))
         self.same_step = same_step
+        self.grids = np.zeros((N, self.rules.cells), np.uint8)
+        self.telemetry = np.zeros((N, task.telemetry_size), np.float32)
+        self.masks = np.zeros((N, 1), np.int64)
+        self.seeds = [0] * N
+        self.rewards = [0.0] * N
+        self.terminated = [False] * N
         self.finals: list[dict[str, Any]] = []
+        rows = np.zeros((N, row_size(self.rules)), np.uint16)
+        self.episodes = [
+            tuple(map(memoryview, arrays)) for arrays in zip(self.grids, rows, self.telemetry, strict=True)
+        ]
 
-    def reset(self, seeds: list[int]) -> None:
-        for episode, seed in zip(self.episodes, seeds, strict=True):
-            episode.reset(seed)
+    def reset(self, i: int, seed: int) -> None:
+        grid, row, _ = self.episodes[i]
+        self.seeds[i] = seed
+        dynamics.reset(self.rules, grid, row, seed)
+        self.observe(i)
 
-    def step(self, actions: list[int]) -> tuple[list[float], list[bool]]:
-        rewards, terminated = [], []
+    def observe(self, i: int) -> None:
+        grid, row, telemetry = self.episodes[i]
+        write_telemetry(self.rules, row, telemetry)
+        self.masks[i] = open_actions(self.rules, grid, row)
+
+    def step(self, actions: list[int]) -> None:
         self.finals = []
-        for i, (episode, action) in enumerate(zip(self.episodes, actions, strict=True)):
-            if episode.ended:
-                episode.reset()
-                rewards.append(0.0)
-                terminated.append(False)
+        for i, (grid, row, _) in enumerate(self.episodes):
+            self.rewards[i], self.terminated[i] = 0.0, False
+            if row[OUTCOME]:
+                self.reset(i, next_seed(self.seeds[i]))
                 continue
-            rewards.append(episode.step(action))
-            terminated.append(episode.ended)
-            if episode.ended:
+            self.rewards[i] = dynamics.step(self.rules, self.rewards_of, grid, row, actions[i])
+            self.observe(i)
+            if row[OUTCOME]:
+                self.terminated[i] = True
                 self.finals.append(
                     {
                         "episode": i,
-                        "score": episode.score,
-                        "steps": episode.steps,
-                        "deliveries": episode.deliveries_done,
-                        "seed": episode.seed,
-                        **episode.observation(),
+                        "score": score(self.rules, row),
+                        "steps": row[STEPS_TAKEN],
+                        "deliveries": row[DELIVERIES],
+                        "seed": self.seeds[i],
+                        "grid": self.grids[i].tobytes(),
+                        "telemetry": self.telemetry[i].tobytes(),
                     }
                 )
                 if self.same_step:
-                    episode.reset()
-        return rewards, terminated
+                    self.reset(i, next_seed(self.seeds[i]))
 
-
-def assert_same_state(batch: Batch, reference: Reference) -> None:
-    observations = [episode.observation() for episode in reference.episodes]
-    assert np.array_equal(batch.grids, np.stack([observation["grid"] for observation in observations]))
-    telemetry = np.stack([observation["telemetry"] for observation in observations])
-    assert batch.telemetry.tobytes() == telemetry.tobytes()
-    masks = np.stack([episode.action_mask() for episode in reference.episodes])
-    assert np.array_equal(batch.action_masks, masks)
-    assert batch.seeds.tolist() == [episode.seed for episode in reference.episodes]
+    def assert_equals(self, batch: Batch) -> None:
+        """Bit by bit: rewards and telemetry are compared as bytes, so that 0.0 is not -0.0."""
+        assert batch.grids.tobytes() == self.grids.tobytes()
+        assert batch.telemetry.tobytes() == self.telemetry.tobytes()
+        assert batch.action_masks.tobytes() == self.masks.view(np.int8)[:, :N_ACTIONS].tobytes()
+        assert batch.seeds.tolist() == self.seeds
+        assert batch.rewards.tobytes() == np.array(self.rewards).tobytes()
+        assert batch.terminated.tolist() == self.terminated
+        assert batch.ended.tolist() == [final["episode"] for final in self.finals]
+        if not self.finals:
+            return
+        observed = batch.finals()
+        for name in ("score", "steps", "deliveries", "seed"):
+            assert observed[name].tolist() == [final[name] for final in self.finals]
+        for k, final in enumerate(self.finals):
+            assert batch.final_grids[k].tobytes() == final["grid"]
+            assert batch.final_telemetry[k].tobytes() == final["telemetry"]
 
 
 @pytest.mark.parametrize("same_step", [False, True], ids=["next_step", "same_step"])
 @pytest.mark.parametrize("profile", REWARD_PROFILES)
 @pytest.mark.parametrize("task", ALL_TASKS.values(), ids=ALL_TASKS)
-def test_batch_and_single_episodes_agree_to_the_last_bit(task: TaskConfig, profile: str, same_step: bool) -> None:
+def test_compiled_together_and_interpreted_one_by_one_agree_to_the_last_bit(
+    task: TaskConfig, profile: str, same_step: bool
+) -> None:
     rng = np.random.default_rng(len(profile) + task.width)
     batch = Batch(task, N, profile, same_step=same_step, num_threads=2 if same_step else 1)
     reference = Reference(task, profile, same_step)
     seeds = rng.integers(2**53, size=N)
     batch.reset(seeds)
-    reference.reset(seeds.tolist())
-    assert_same_state(batch, reference)
+    for i, seed in enumerate(seeds.tolist()):
+        reference.reset(i, seed)
+    reference.assert_equals(batch)
     ended = flown = 0
     while flown < SHARE:
         # Straight legs reach further than single random steps.
         actions = rng.integers(N_ACTIONS, size=N)
         for _ in range(rng.integers(1, 4)):
             batch.step(actions)
+            reference.step(actions.tolist())
+            reference.assert_equals(batch)
             flown += N
-            rewards, terminated = reference.step(actions.tolist())
-            assert batch.rewards.tobytes() == np.array(rewards).tobytes()
-            assert batch.terminated.tolist() == terminated
-            assert_same_state(batch, reference)
-            finals, observed = reference.finals, batch.finals()
-            ended += len(finals)
-            assert batch.ended.tolist() == [final["episode"] for final in finals]
-            for name in ("score", "steps", "deliveries", "seed"):
-                assert observed[name].tolist() == [final[name] for final in finals]
-            for k, final in enumerate(finals):
-                assert np.array_equal(batch.final_grids[k], final["grid"])
-                assert np.array_equal(batch.final_telemetry[k], final["telemetry"])
+            ended += len(reference.finals)
     assert ended > 0
+
+
+def test_the_single_episode_is_that_reference() -> None:
+    for task in ALL_TASKS.values():
+        reference, episode = Reference(task, "aligned", same_step=True), Episode(task, "aligned")
+        for i in range(N):
+            reference.reset(i, 7)
+        episode.reset(7)
+        for step in range(3 * task.max_steps):
+            action = (step * step // 3) % N_ACTIONS
+            if episode.ended:
+                episode.reset()
+            else:
+                reward = episode.step(action)
+                reference.step([action] * N)
+                assert reference.rewards[0] == reward
+            if not episode.ended:
+                observation = episode.observation()
+                assert reference.grids[0].tobytes() == observation["grid"].tobytes()
+                assert reference.telemetry[0].tobytes() == observation["telemetry"].tobytes()
