@@ -230,7 +230,7 @@ class Batch:
         )
         self.grids = self._buffers.grids.reshape(num_envs, self.task.height, self.task.width)
         self.telemetry = self._buffers.telemetry
-        self.action_masks = self._buffers.open_actions.view(np.int8).reshape(num_envs, 8)[:, :N_ACTIONS]
+        self.action_masks = _unpack(self._buffers.open_actions)
         self.rewards = self._buffers.rewards
         self.terminated = self._buffers.terminated
         self.seeds = self._buffers.seeds
@@ -326,8 +326,20 @@ class Batch:
         """float32[k, 5 or 6], the last telemetry of the episodes in `ended`."""
         return self._of_ended(self._buffers.final_telemetry) if self.same_step else self.telemetry[self.ended]
 
+    def copy_action_masks(self) -> npt.NDArray[np.int8]:
+        """The action masks as they are now, int8[N, 5]: faster than copying the array."""
+        return _unpack(self._buffers.open_actions.copy())
+
     def _of_ended(self, buffer: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """The entries that the threads have written, each from the start of its range on."""
+        counts = self._n_ended.tolist()
+        if len(counts) == 1:
+            return buffer[: counts[0]]
         starts = self._bounds[:-1].tolist()
-        pieces = [buffer[start : start + n] for start, n in zip(starts, self._n_ended.tolist(), strict=True)]
-        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+        return np.concatenate([buffer[start : start + n] for start, n in zip(starts, counts, strict=True)])
+
+
+def _unpack(packed: npt.NDArray[np.int64]) -> npt.NDArray[np.int8]:
+    """int8[N, 5] from integers that hold one action a byte; a view."""
+    octets: Any = packed
+    return octets.view(np.int8).reshape(len(packed), 8)[:, :N_ACTIONS]

@@ -155,8 +155,8 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         )
 
     def _info(self) -> dict[str, Any]:
-        masks = self.batch.action_masks
-        return {"action_mask": masks.copy() if self.copy else masks, "_action_mask": self._everyone}
+        masks = self.batch.copy_action_masks() if self.copy else self.batch.action_masks
+        return {"action_mask": masks, "_action_mask": self._everyone}
 
     def _add_finals(self, info: dict[str, Any], ended: npt.NDArray[np.int64]) -> None:
         mask = np.zeros(self.num_envs, np.bool_)
