@@ -52,7 +52,7 @@ PARCELS = 9
 """From here on: one entry per delivery."""
 
 NOWHERE = (1 << 16) - 1
-"""Stands for a cell that does not exist: off the grid, or no target."""
+"""Stands for a cell that does not exist: off the grid, or no target left."""
 DELIVERED_FLAG = 1 << 15
 """Added to the cell of a parcel that has been delivered."""
 

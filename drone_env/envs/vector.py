@@ -122,17 +122,19 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         ended = self.batch.ended
         if len(ended):
             self._add_finals(info, ended)
-        rewards, terminations = self.batch.rewards, self.batch.terminated
+        outcome = (self.batch.rewards, self.batch.terminated, self._truncations)
         if self.copy:
-            rewards, terminations = rewards.copy(), terminations.copy()
-        return self._observations(), rewards, terminations, self._truncations, info
+            outcome = tuple(array.copy() for array in outcome)
+        rewards, terminations, truncations = outcome
+        return self._observations(), rewards, terminations, truncations, info
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> npt.NDArray[np.int64]:
         if not self.batch.started:
             first = int(np.random.default_rng().integers(SPLITS["train"].stop - self.num_envs))
             following = np.arange(first, first + self.num_envs)
         else:
-            following = np.array([next_seed(own) for own in self.batch.seeds.tolist()], np.int64)
+            flown: Any = self.batch.seeds  # the walk is plain integer arithmetic, so it takes arrays as well
+            following = np.asarray(next_seed(flown))
         if seed is None:
             return following
         if isinstance(seed, int | np.integer):

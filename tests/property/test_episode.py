@@ -1,5 +1,6 @@
 """What holds on every flight, in the standard tasks and in random ones."""
 
+import json
 import os
 import random
 from dataclasses import replace
@@ -14,6 +15,7 @@ from drone_env.core.cells import Cell
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.models import DroneObservation, DroneState
 from tests.toy import TOY
 
 thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "1000")), deadline=None, derandomize=True)
@@ -304,3 +306,15 @@ def test_set_state_returns_to_the_snapshot(
     assert np.array_equal(episode.action_mask(), mask)
     assert [episode.step(action) for action in further] == rewards
     assert episode.get_state() == after
+
+
+@thorough
+@given(TASK, PROFILES, SEEDS, ACTIONS)
+def test_observation_and_state_survive_json(task: TaskConfig, profile: str, seed: int, actions: list[int]) -> None:
+    episode = started(task, seed, profile)
+    for action in actions:
+        episode.step(action)
+    for model in (DroneObservation, DroneState):
+        seen = model.of(episode)
+        assert model.model_validate_json(seen.model_dump_json()) == seen
+        assert model.model_validate(json.loads(seen.model_dump_json())) == seen
