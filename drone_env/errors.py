@@ -5,7 +5,8 @@
     ├── InvalidValueError     (also a ValueError)   a seed, action or option outside what is allowed
     │   └── InvalidTaskError                        a TaskConfig or RewardProfile that contradicts itself
     ├── EpisodeError          (also a RuntimeError) a call that does not fit the episode's state
-    └── UnsupportedTaskError  (also a ValueError)   a planner asked about a task that it cannot solve exactly
+    ├── UnsupportedTaskError  (also a ValueError)   a planner asked about a task whose mechanics it does not cover
+    └── TooLargeError         (also a ValueError)   an exact solution that would not fit into memory
 
 Each message says what was given and what is allowed.
 """
@@ -37,6 +38,10 @@ class InvalidTaskError(InvalidValueError):
 
 class EpisodeError(DroneEnvError, RuntimeError):
     """A call that does not fit the state of the episode, such as a step before the first reset."""
+
+
+class TooLargeError(DroneEnvError, ValueError):
+    """An exact solution would take more memory than is allowed."""
 
 
 class UnsupportedTaskError(DroneEnvError, ValueError):

@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from drone_env.agents import Agent, BatchAgent, make_agent
 from drone_env.core.seeds import SPLITS, check_seed, split_of
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
 
 
 class EpisodesKey(NamedTuple):
@@ -103,8 +104,8 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
             f"the key was made under configuration {key.config_hash}, but {key.agent!r} on {key.task!r} is now {now}"
         )
     seeds = np.arange(*key.seeds, dtype=np.int64)
-    flights = _fly(task, key.agent, seeds)
-    optimal = _fly(task, "optimal", seeds) if task.uniform else None
+    optimal = _fly_optimally(task, *key.seeds)
+    flights = optimal if optimal and key.agent == "optimal" else _fly(task, key.agent, seeds)
     return EpisodeResults(
         key=key,
         seeds=seeds,
@@ -177,6 +178,15 @@ class _Flights(NamedTuple):
     scores: npt.NDArray[np.float64]
     steps: npt.NDArray[np.int32]
     deliveries: npt.NDArray[np.int32]
+
+
+@lru_cache(maxsize=64)
+def _fly_optimally(task: TaskConfig, start: int, stop: int) -> _Flights | None:
+    """The optimum of each map, None where one is too large; kept, since every agent is compared with it."""
+    try:
+        return _fly(task, "optimal", np.arange(start, stop, dtype=np.int64))
+    except TooLargeError:
+        return None
 
 
 def _fly(task: TaskConfig, agent_name: str, seeds: npt.NDArray[np.int64]) -> _Flights:

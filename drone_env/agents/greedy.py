@@ -1,4 +1,4 @@
-"""The agent that flies straight to the nearest parcel."""
+"""The agent that flies to the nearest parcel."""
 
 from collections.abc import Mapping
 
@@ -7,19 +7,13 @@ import numpy.typing as npt
 
 from drone_env.core.state_manager import Observation
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.greedy import greedy_action, positions
-from drone_env.planning.paths import require_uniform, towards_batch
+from drone_env.planning.greedy import greedy_action, greedy_actions
 
 
 class GreedyAgent:
-    """Chases the current target and looks no further.
-
-    Raises:
-        UnsupportedTaskError: if the task is not `uniform`.
-    """
+    """Chases the nearest target and looks no further; where terrain costs or blocks, by the cheapest way."""
 
     def __init__(self, task: TaskConfig) -> None:
-        require_uniform(task)
         self.config: Mapping[str, object] = {"agent": "greedy", "version": 1}
         self._task = task
 
@@ -27,12 +21,12 @@ class GreedyAgent:
         """Nothing to forget."""
 
     def act(self, observation: Observation) -> int:
-        """The next action towards the current target."""
+        """The next action towards the nearest target."""
         return greedy_action(self._task, observation)
 
     def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
         """Nothing to forget."""
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The next actions towards the current targets, int64[N]."""
-        return towards_batch(*positions(self._task, telemetry))
+        """The next actions towards the nearest targets, int64[N]."""
+        return greedy_actions(self._task, grids, telemetry)

@@ -1,4 +1,4 @@
-"""The agent that flies the shortest tour, from nothing but what it observes."""
+"""The agent that flies a best flight, from nothing but what it observes."""
 
 from collections.abc import Mapping
 
@@ -7,59 +7,69 @@ import numpy.typing as npt
 
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
-from drone_env.core.state_manager import Observation
+from drone_env.core.state_manager import Episode, Observation
 from drone_env.core.tasks import TaskConfig
+from drone_env.planning.from_observation import episode_of
 from drone_env.planning.greedy import drone_position, positions
-from drone_env.planning.optimal import shortest_tour
-from drone_env.planning.paths import Position, require_uniform, towards, towards_batch
+from drone_env.planning.optimal import best_actions
+from drone_env.planning.paths import towards_batch
 
 
 class OptimalAgent:
-    """Plans the shortest tour over the parcels that it sees and flies it; plans anew when the parcels differ.
+    """Plans a best flight from what it sees and flies it; plans anew when the world is not what it expected.
 
     Raises:
-        UnsupportedTaskError: if the task is not `uniform`.
+        TooLargeError: when it is to plan on a map that is too large to be solved.
     """
 
     def __init__(self, task: TaskConfig) -> None:
-        require_uniform(task)
         self.config: Mapping[str, object] = {"agent": "optimal", "version": 1}
         self._task = task
-        self._tour: list[Position] = []
+        self._plan: list[Action] = []
+        self._expected: Episode | None = None
+        self._seen: npt.NDArray[np.uint8] | None = None
+        self._plans: npt.NDArray[np.int64] | None = None
         self._tours: npt.NDArray[np.int64] | None = None
         self._next = np.zeros(0, np.int64)
 
     def reset(self, seed: int) -> None:
-        """Forget the last tour."""
-        self._tour = []
+        """Forget the last flight."""
+        self._plan, self._expected, self._seen = [], None, None
 
     def act(self, observation: Observation) -> int:
-        """The next action of the tour; WAIT when no parcel is left within reach."""
-        if not self._tour or observation["grid"][self._tour[0][::-1]] != Cell.DELIVERY:
-            rows, columns = np.nonzero(observation["grid"] == Cell.DELIVERY)
-            parcels = list(zip(columns.tolist(), rows.tolist(), strict=True))
-            self._tour = shortest_tour(drone_position(self._task, observation), parcels, self._budget(observation))
-        if not self._tour:
-            return Action.WAIT
-        return towards(drone_position(self._task, observation), self._tour[0])
-
-    def _budget(self, observation: Observation) -> int:
-        """Steps that battery and clock allow."""
-        telemetry = observation["telemetry"].tolist()
-        steps = round(telemetry[2] * self._task.battery_capacity)
-        if len(telemetry) > 5:
-            steps = min(steps, round(telemetry[5] * self._task.max_steps))
-        return steps
+        """The next action of the plan; WAIT when no parcel is left within reach."""
+        if self._expected is None or not _shows(self._expected, observation):
+            x, y = drone_position(self._task, observation)
+            under = Cell.ROAD if self._seen is None else int(self._seen[y, x])
+            self._expected = episode_of(self._task, observation, Cell.ROAD if under == Cell.DRONE else under)
+            self._plan = best_actions(self._expected)
+        self._seen = observation["grid"].copy()
+        action = self._plan.pop(0) if self._plan else Action.WAIT
+        self._expected.step(action)
+        return action
 
     def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
-        """Forget the last tours."""
-        self._tours = None
+        """Forget the last flights."""
+        self._plans = self._tours = None
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The next actions of the tours, int64[N]. The first call plans them: no parcel may be delivered yet."""
+        """The next actions of the plans, int64[N]. The first call makes them: no parcel may be delivered yet."""
+        if self._task.uniform:
+            return self._act_on_tours(grids, telemetry)
+        if self._plans is None:
+            self._plans = np.full((len(grids), self._task.max_steps + 1), Action.WAIT, np.int64)
+            self._next = np.zeros(1, np.int64)
+            for i, plan in enumerate(self._plans):
+                actions = best_actions(episode_of(self._task, {"grid": grids[i], "telemetry": telemetry[i]}))
+                plan[: len(actions)] = actions
+        self._next += 1
+        return self._plans[:, self._next[0] - 1]
+
+    def _act_on_tours(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The same where a plan is a tour: all are planned together."""
         drones, _ = positions(self._task, telemetry)
         if self._tours is None:
-            self._tours = self._plan(grids, telemetry, drones)
+            self._tours = self._plan_tours(grids, telemetry, drones)
             self._next = np.zeros(len(grids), np.int64)
         episodes = np.arange(len(grids))
         for _ in range(self._task.deliveries):
@@ -68,7 +78,7 @@ class OptimalAgent:
         stops = self._tours[episodes, self._next]
         return towards_batch(drones, np.where(stops >= 0, stops, drones))
 
-    def _plan(
+    def _plan_tours(
         self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32], drones: npt.NDArray[np.int64]
     ) -> npt.NDArray[np.int64]:
         """(x, y) of the stops of each tour, int64[N, D + 1, 2], -1 behind its end."""
@@ -84,3 +94,9 @@ class OptimalAgent:
         stops = np.take_along_axis(parcels, np.maximum(orders, 0)[:, :, None], axis=1)
         stops[orders < 0] = -1
         return np.concatenate([stops, np.full((n, 1, 2), -1)], axis=1)
+
+
+def _shows(episode: Episode, observation: Observation) -> bool:
+    """Whether an episode shows this observation."""
+    expected = episode.observation()
+    return all(np.array_equal(expected[name], observation[name]) for name in ("grid", "telemetry"))

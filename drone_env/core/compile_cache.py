@@ -26,8 +26,9 @@ def cache_folder() -> Path:
     under the folder for temporary files.
     """
     digest = hashlib.sha256(numba.__version__.encode())
-    for file in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(file.read_bytes())
+    for package in ("core", "planning"):
+        for file in sorted((Path(__file__).parents[1] / package).glob("*.py")):
+            digest.update(file.read_bytes())
     name = digest.hexdigest()[:16]
     chosen = os.environ.get("DRONE_ENV_CACHE")
     if chosen:

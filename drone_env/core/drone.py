@@ -18,13 +18,15 @@ def move(grid: Buffer, row: Buffer, cell: int, to: int) -> int:
 
 
 def use_battery(rules: Rules, row: Buffer, under: int, action: int) -> int:
-    """Drain, or charge, by the action and the kind of cell below the drone; return the units left.
-
-    Never under 0 or over capacity.
-    """
-    units = min(max(row[BATTERY] - rules.drain[under * N_ACTIONS + action], 0), rules.capacity)
+    """Drain, or charge, by the action and the kind of cell below the drone; return the units left."""
+    units = units_left(rules, row[BATTERY], rules.drain[under * N_ACTIONS + action])
     row[BATTERY] = units
     return units
+
+
+def units_left(rules: Rules, units: int, drain: int) -> int:
+    """Battery units after a drain (below zero: a charge): never under 0 or over capacity."""
+    return min(max(units - drain, 0), rules.capacity)
 
 
 def distance(rules: Rules, a: int, b: int) -> int:

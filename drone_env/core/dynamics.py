@@ -110,10 +110,15 @@ def choose_target(rules: Rules, row: Buffer) -> None:
 
 def outcome(rules: Rules, row: Buffer) -> int:
     """How the episode stands after a step."""
-    if row[DELIVERIES] == rules.deliveries:
+    return outcome_of(rules, row[DELIVERIES], row[BATTERY], row[STEPS])
+
+
+def outcome_of(rules: Rules, deliveries: int, battery: int, steps: int) -> int:
+    """The same, of the three numbers that decide it."""
+    if deliveries == rules.deliveries:
         return DELIVERED
-    if row[BATTERY] == 0:
+    if battery == 0:
         return BATTERY_DEAD
-    if row[STEPS] == rules.max_steps:
+    if steps == rules.max_steps:
         return OUT_OF_STEPS
     return FLYING

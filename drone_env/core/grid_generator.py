@@ -16,32 +16,51 @@ from drone_env.errors import InvalidValueError
 ROAD = int(Cell.ROAD)
 DRONE = int(Cell.DRONE)
 DELIVERY = int(Cell.DELIVERY)
+BUILDING = int(Cell.BUILDING)
+TREE = int(Cell.TREE)
 
 
-def draw_road(rules: Rules, grid: Buffer, key: int) -> tuple[int, int]:
-    """A cell that is still road, drawn uniformly, and the generator's state after the draw."""
+def belongs(rules: Rules, cell: int, kind: int, streets: int) -> bool:
+    """Whether a kind may stand on a cell: buildings and trees between the streets, everything else on them.
+
+    `streets` is a cell where two streets cross. In tasks without streets every kind may stand anywhere.
+    """
+    if rules.street_spacing == 0:
+        return True
+    across = (rules.columns[cell] - rules.columns[streets]) % rules.street_spacing
+    down = (rules.lines[cell] - rules.lines[streets]) % rules.street_spacing
+    return (across != 0 and down != 0) == (kind in (BUILDING, TREE))
+
+
+def draw_road(rules: Rules, grid: Buffer, key: int, kind: int, streets: int) -> tuple[int, int]:
+    """A cell for a kind that is still road, drawn uniformly, and the generator's state after the draw."""
     cell = uniform_below(key, rules.cells)
-    while grid[cell] != ROAD:
+    while grid[cell] != ROAD or not belongs(rules, cell, kind, streets):
         key = next_key(key)
         cell = uniform_below(key, rules.cells)
     return cell, next_key(key)
 
 
 def scatter(rules: Rules, grid: Buffer, row: Buffer, seed: int) -> None:
-    """Write map `seed` into `grid` and `row`: start, deliveries, then each kind of terrain, all on distinct cells."""
+    """Write map `seed` into `grid` and `row`: start, deliveries, then each kind of terrain, all on distinct cells.
+
+    The start lies where two streets cross, if there are streets.
+    """
     for cell in range(rules.cells):
         grid[cell] = ROAD
-    start, key = draw_road(rules, grid, next_key(map_key(rules.key, seed)))
+    key = next_key(map_key(rules.key, seed))
+    start = uniform_below(key, rules.cells)
+    key = next_key(key)
     grid[start] = DRONE
     row[CELL] = start
     row[UNDER] = ROAD
     for i in range(rules.deliveries):
-        cell, key = draw_road(rules, grid, key)
+        cell, key = draw_road(rules, grid, key, DELIVERY, start)
         grid[cell] = DELIVERY
         row[PARCELS + i] = cell
     for kind in rules.placed:
         for _ in range(rules.counts[kind]):
-            cell, key = draw_road(rules, grid, key)
+            cell, key = draw_road(rules, grid, key, kind, start)
             grid[cell] = kind
 
 

@@ -87,6 +87,10 @@ class Rules(NamedTuple):
     flight_event: Buffer
     """The event of an action that ends above a kind of cell, if nothing else happened: uint8[kinds * 5], laid
     out alike."""
+    street_spacing: int
+    """Every how many rows and columns there is a street; 0 where everything lies anywhere."""
+    efficiency_needs_all: int
+    """1 if battery and steps left count in the score only when everything is delivered."""
     counts: Buffer
     """How many cells of a kind a map holds, int16[kinds]; `placed` says in which order they are placed."""
     placed: Buffer
@@ -153,6 +157,8 @@ def tabulate(task: TaskConfig) -> Rules:
         "passable": passable,
         "drain": np.ravel(drain),
         "flight_event": np.ravel(flight_event),
+        "street_spacing": task.street_spacing,
+        "efficiency_needs_all": int(task.efficiency_needs_all),
         "counts": counts,
         "placed": np.array(list(task.cell_counts()), np.uint8),
         "telemetry_size": task.telemetry_size,

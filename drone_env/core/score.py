@@ -6,15 +6,28 @@ LOWEST = 0.01
 HIGHEST = 0.99
 
 
-def score_of(deliveries: int, total: int, battery: int, capacity: int, steps: int, max_steps: int) -> float:
+def score_of(
+    deliveries: int, total: int, battery: int, capacity: int, steps: int, max_steps: int, efficiency_needs_all: int = 0
+) -> float:
     """0.8 * deliveries/total + 0.2 * (0.5 * battery/capacity + 0.5 * (1 - steps/max_steps)), in [0.01, 0.99].
 
-    Computed as one correctly rounded division of integers, so equal missions have equal scores to the last bit.
+    With `efficiency_needs_all` the second part counts only when everything is delivered. Computed as one correctly
+    rounded division of integers, so equal missions have equal scores to the last bit.
     """
-    tenths = 8 * deliveries * capacity * max_steps + total * (battery * max_steps + (max_steps - steps) * capacity)
+    tenths = 8 * deliveries * capacity * max_steps
+    if deliveries == total or not efficiency_needs_all:
+        tenths += total * (battery * max_steps + (max_steps - steps) * capacity)
     return min(max(tenths / (10 * total * capacity * max_steps), LOWEST), HIGHEST)
 
 
 def score(rules: Rules, row: Buffer) -> float:
     """The score of the episode as it stands: provisional until it has ended."""
-    return score_of(row[DELIVERIES], rules.deliveries, row[BATTERY], rules.capacity, row[STEPS], rules.max_steps)
+    return score_of(
+        row[DELIVERIES],
+        rules.deliveries,
+        row[BATTERY],
+        rules.capacity,
+        row[STEPS],
+        rules.max_steps,
+        rules.efficiency_needs_all,
+    )

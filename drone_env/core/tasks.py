@@ -2,7 +2,8 @@
 
 import math
 import re
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 from drone_env.core.cells import Cell
@@ -36,6 +37,10 @@ class TaskConfig:
         drain: Battery units per step above each kind of cell; kinds not named drain 1.
         impassable: Kinds that the drone cannot enter.
         charge_rate: Battery units that one WAIT on a pad adds (in place of the drain).
+        street_spacing: Every how many rows and columns there is a street, of which two cross at the start; it divides
+            width and height. Buildings and trees then stand between the streets, everything else on them. 0 for no
+            streets: everything anywhere.
+        efficiency_needs_all: Whether battery and steps left count in the score only when everything is delivered.
 
     Raises:
         InvalidTaskError: on construction, if the numbers are out of range or contradict each other.
@@ -66,6 +71,8 @@ class TaskConfig:
     drain: tuple[tuple[Cell, int], ...] = ()
     impassable: frozenset[Cell] = field(default_factory=frozenset[Cell])
     charge_rate: int = 0
+    street_spacing: int = 0
+    efficiency_needs_all: bool = False
 
     def __post_init__(self) -> None:
         def require(holds: bool, message: str) -> None:
@@ -98,6 +105,8 @@ class TaskConfig:
         require(min(counts) >= 0, f"counts of cells must not be negative, got {counts}")
         placed = 1 + self.deliveries + sum(counts)
         require(placed <= self.width * self.height, f"{placed} things do not fit on {self.width * self.height} cells")
+        require(type(self.efficiency_needs_all) is bool, "efficiency_needs_all must be True or False")
+        self._check_streets(require)
         for name in ("max_steps", "battery_capacity"):
             value = getattr(self, name)
             require(1 <= value <= MAX_UNITS, f"{name} must be 1 to {MAX_UNITS}, got {value}")
@@ -110,6 +119,19 @@ class TaskConfig:
         require(self.impassable <= can_block, f"impassable may hold {sorted(c.name for c in can_block)}")
         require(0 <= self.charge_rate <= MAX_UNITS, f"charge_rate must be 0 to {MAX_UNITS}, got {self.charge_rate}")
         require(self.version >= 1, f"version must be at least 1, got {self.version}")
+
+    def _check_streets(self, require: Callable[[bool, str], None]) -> None:
+        spacing = self.street_spacing
+        if spacing == 0:
+            return
+        divides = spacing > 1 and self.width % spacing == self.height % spacing == 0
+        require(divides, f"street_spacing must be 0 or divide width and height, got {spacing}")
+        between = (self.width - self.width // spacing) * (self.height - self.height // spacing)
+        on_streets = self.width * self.height - between
+        blocks = self.buildings + self.trees
+        require(blocks <= between, f"{blocks} buildings and trees do not fit on {between} cells between the streets")
+        rest = 1 + self.deliveries + self.obstacles + self.pads
+        require(rest <= on_streets, f"{rest} things do not fit on {on_streets} cells of street")
 
     @cached_property
     def uniform(self) -> bool:
@@ -179,12 +201,46 @@ def _standard(
     )
 
 
+def _skyline(
+    level: str,
+    side: int,
+    terrain: tuple[int, int, int],
+    pads: int,
+    deliveries: int,
+    battery: int,
+    steps: int,
+    charge: int,
+    r_delivery: float,
+    r_other: float,
+) -> TaskConfig:
+    """A city of streets and blocks, whose battery does not last for the tour."""
+    standard = _standard(f"skyline_{level}", side, terrain, deliveries, steps, r_delivery, r_other)
+    return replace(
+        standard,
+        id=standard.short_name,
+        battery_capacity=battery,
+        pads=pads,
+        charge_rate=charge,
+        drain=((Cell.BUILDING, 3), (Cell.TREE, 2)),
+        impassable=frozenset({Cell.OBSTACLE}),
+        street_spacing=4,
+        efficiency_needs_all=True,
+    )
+
+
 TASKS: dict[str, TaskConfig] = {
     task.id: task
     for task in (
         _standard("easy", 10, (4, 4, 3), deliveries=1, steps=60, r_delivery=0.95, r_other=0.10),
         _standard("medium", 14, (8, 6, 6), deliveries=3, steps=100, r_delivery=0.90, r_other=0.15),
         _standard("hard", 18, (12, 10, 10), deliveries=5, steps=160, r_delivery=0.85, r_other=0.25),
+        _skyline("easy", 8, (18, 6, 3), 5, deliveries=3, battery=11, steps=60, charge=4, r_delivery=0.95, r_other=0.10),
+        _skyline(
+            "medium", 12, (40, 14, 8), 4, deliveries=4, battery=18, steps=100, charge=4, r_delivery=0.90, r_other=0.15
+        ),
+        _skyline(
+            "hard", 16, (80, 24, 14), 5, deliveries=5, battery=26, steps=160, charge=5, r_delivery=0.85, r_other=0.25
+        ),
     )
 }
 

@@ -48,4 +48,5 @@ def grade(task_name: str, state: DroneState | Mapping[str, Any]) -> float:
         task.battery_capacity,
         state.step_count,
         task.max_steps,
+        task.efficiency_needs_all,
     )

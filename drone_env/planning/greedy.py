@@ -1,12 +1,18 @@
-"""The nearest-target rule: fly straight to the current target, which is the nearest parcel when it is chosen."""
+"""The nearest-target rule: fly straight to the current target, which is the nearest parcel when it is chosen.
+
+Where terrain costs or blocks, the nearest target is the one that is cheapest to reach. Nothing else is heeded: neither
+what the battery still holds nor where it could be charged.
+"""
 
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import Action
+from drone_env.core.rules import interpreted
 from drone_env.core.state_manager import Observation
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.paths import Position, towards
+from drone_env.planning.cheapest_path import cheapest_action
+from drone_env.planning.paths import Position, towards, towards_batch
 
 
 def drone_position(task: TaskConfig, observation: Observation) -> Position:
@@ -20,8 +26,25 @@ def target_position(task: TaskConfig, observation: Observation) -> Position:
 
 
 def greedy_action(task: TaskConfig, observation: Observation) -> Action:
-    """The next action towards the current target; WAIT when nothing is left."""
-    return towards(drone_position(task, observation), target_position(task, observation))
+    """The next action towards the nearest target; WAIT when nothing is left."""
+    if task.uniform:
+        return towards(drone_position(task, observation), target_position(task, observation))
+    rules = interpreted(task)
+    x, y = drone_position(task, observation)
+    grid = observation["grid"].ravel().tolist()
+    return Action(cheapest_action(rules, grid, y * task.width + x, [0] * rules.cells, [0] * rules.cells))
+
+
+def greedy_actions(
+    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
+) -> npt.NDArray[np.int64]:
+    """The same for N episodes: int64[N] from grids uint8[N, H, W] and telemetry float32[N, 5 or 6]."""
+    drones, targets = positions(task, telemetry)
+    if task.uniform:
+        return towards_batch(drones, targets)
+    from drone_env.planning.cheapest_paths import cheapest_actions  # compiles, which only batches are worth
+
+    return cheapest_actions(task, grids, drones)
 
 
 def positions(

@@ -1,32 +1,35 @@
-"""The exact optimum: the shortest tour over all orders of delivery, or the most parcels that the battery can reach.
+"""The exact optimum of a map, by the fastest of three planners that covers its task.
 
-Where every step costs one battery unit and nothing blocks the way, the score grows with each parcel, and with all
-parcels delivered it falls with each step; an episode that does not deliver all lasts until the battery or the steps
-run out, so then only the number of parcels counts. The best flight is therefore the shortest path over all parcels
-if it fits into the budget of steps, else any path over as many parcels as fit.
+- Where every step costs one battery unit and nothing blocks the way, the score grows with each parcel, and with all
+  parcels delivered it falls with each step; an episode that does not deliver all lasts until the battery or the steps
+  run out, so then only the number of parcels counts. The best flight is therefore the shortest path over all parcels
+  if it fits into the budget of steps, else any path over as many parcels as fit: `shortest_tour`.
+- Where more battery never hurts: `most_battery`.
+- Everywhere else: `exact`, which also knows the value of every other state.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from drone_env.core.actions import Action
+from drone_env.core.actions import Action, Event
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.errors import TooLargeError
 from drone_env.planning.held_karp import UNREACHED, held_karp
-from drone_env.planning.paths import Position, distance, require_uniform, route
+from drone_env.planning.paths import Position, distance, route
 
 
 @dataclass(frozen=True)
 class Solution:
-    """The best that can be made of an episode, flown to its end with the real dynamics.
+    """The best that can be made of an episode, flown to its end with the dynamics.
 
     Attributes:
         score: The highest score that can be reached.
         success: Whether all parcels can be delivered.
         steps: Steps from here to the end of the episode.
         deliveries: Parcels delivered at the end.
-        order: (x, y) of the parcels still to deliver, in the order in which the tour visits them.
+        order: (x, y) of the parcels that it delivers, in their order.
         actions: One best sequence of actions from here to the end.
     """
 
@@ -44,7 +47,7 @@ def solve(task: str | TaskConfig, seed: int) -> Solution:
     Raises:
         UnknownNameError: if there is no such task.
         InvalidValueError: if the seed is not in [0, 2^53).
-        UnsupportedTaskError: if the task is not `uniform`.
+        TooLargeError: if the solution would take too much memory; `bounds` knows then what it lies between.
     """
     episode = Episode(get_task(task))
     episode.reset(seed)
@@ -52,28 +55,52 @@ def solve(task: str | TaskConfig, seed: int) -> Solution:
 
 
 def best_of(task: TaskConfig, seed: int) -> Solution | None:
-    """The optimum of a map, None on a task that no planner solves exactly."""
-    return solve(task, seed) if task.uniform else None
+    """The optimum of a map, None where it is too large to be solved."""
+    try:
+        return solve(task, seed)
+    except TooLargeError:
+        return None
 
 
 def solve_episode(episode: Episode) -> Solution:
     """The optimum from where an episode stands; the episode is left as it is.
 
     Raises:
-        UnsupportedTaskError: if the task is not `uniform`.
+        TooLargeError: if the solution would take too much memory.
     """
-    require_uniform(episode.task)
     flight = Episode(episode.task, episode.reward_profile)
     flight.set_state(episode.get_state())
-    waiting = [(x, y) for x, y, delivered in episode.parcels if not delivered]
-    budget = min(episode.battery_units, episode.task.max_steps - episode.steps)
-    tour = shortest_tour(episode.position, waiting, budget)
-    for action in tour_actions(episode.position, tour):
+    flown = len(episode.path)
+    for action in best_actions(episode):
         flight.step(action)
     while not flight.ended:
         flight.step(Action.WAIT)
-    actions = tuple(Action(action) for action in flight.actions[episode.steps :])
-    return Solution(flight.score, flight.success, len(actions), flight.deliveries_done, tuple(tour), actions)
+    path = flight.path[flown:]
+    order = tuple((point.x, point.y) for point in path if point.event is Event.DELIVERY)
+    actions = tuple(point.action for point in path)
+    return Solution(flight.score, flight.success, len(actions), flight.deliveries_done, order, actions)
+
+
+def best_actions(episode: Episode) -> list[Action]:
+    """The actions of a best flight from where an episode stands; at their end there may be nothing left but to wait.
+
+    Raises:
+        TooLargeError: if the solution would take too much memory.
+    """
+    if episode.ended:
+        return []
+    if episode.task.uniform:
+        waiting = [(x, y) for x, y, delivered in episode.parcels if not delivered]
+        budget = min(episode.battery_units, episode.task.max_steps - episode.steps)
+        return tour_actions(episode.position, shortest_tour(episode.position, waiting, budget))
+    # These compile, which nobody should wait for who does not need them.
+    if episode.task.efficiency_needs_all:
+        from drone_env.planning import most_battery
+
+        return most_battery.best_actions(episode)
+    from drone_env.planning.exact import ExactSolver
+
+    return ExactSolver(episode).best_actions()
 
 
 def tour_actions(start: Position, tour: Sequence[Position]) -> list[Action]:

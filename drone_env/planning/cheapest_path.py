@@ -1,0 +1,58 @@
+"""The cheapest way to a parcel over terrain: least battery first, then fewest steps.
+
+Bellman, "On a routing problem", 1958: labels are corrected in sweeps over the map until none changes. The function runs
+interpreted on lists and compiled on arrays.
+"""
+
+from typing import Any
+
+from drone_env.core.actions import N_ACTIONS, Action, Event
+from drone_env.core.cells import Cell
+from drone_env.core.obstacles import collision
+from drone_env.core.rules import Rules
+
+DELIVERY = int(Cell.DELIVERY)
+FREE = int(Event.NONE)
+WAIT = int(Action.WAIT)
+UNREACHED = 1 << 40
+STEP_COST = 1
+UNIT_COST = 1 << 16
+"""More than the steps of any way, so that battery always counts first."""
+
+
+def cheapest_action(rules: Rules, grid: Any, start: int, costs: Any, first: Any) -> int:
+    """The first action of the cheapest way to the parcel that is cheapest to reach; WAIT if there is none.
+
+    Of equally cheap parcels the first in reading order.
+
+    Args:
+        rules: The task's tables.
+        grid: [cells], cell ids.
+        start: The cell to start from.
+        costs: [cells], receives the cost of the way to each cell, `UNREACHED` where there is none.
+        first: [cells], receives the first action of that way.
+    """
+    for cell in range(rules.cells):
+        costs[cell] = UNREACHED
+    costs[start] = 0
+    first[start] = WAIT
+    changed = True
+    while changed:
+        changed = False
+        for cell in range(rules.cells):
+            if costs[cell] == UNREACHED:
+                continue
+            for action in range(WAIT):
+                to = rules.moves[cell * N_ACTIONS + action]
+                if collision(rules, grid, to) != FREE:
+                    continue
+                cost = costs[cell] + rules.drain[grid[to] * N_ACTIONS + action] * UNIT_COST + STEP_COST
+                if cost < costs[to]:
+                    costs[to] = cost
+                    first[to] = action if cell == start else first[cell]
+                    changed = True
+    best = -1
+    for cell in range(rules.cells):
+        if grid[cell] == DELIVERY and costs[cell] < UNREACHED and (best < 0 or costs[cell] < costs[best]):
+            best = cell
+    return WAIT if best < 0 else first[best]

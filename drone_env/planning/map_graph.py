@@ -1,0 +1,178 @@
+"""One map as a graph: where each action leads from each place, found by flying it with the dynamics.
+
+A *place* is a cell together with the set of parcels delivered; its number is `delivered * cells + cell`, where bit i
+of `delivered` stands for the i-th parcel that was waiting at the start of the planning. Where an action leads, what it
+delivers and what it drains depend on nothing else; battery and steps only decide when the episode ends.
+"""
+
+from typing import Any, NamedTuple
+
+import numba  # pyright: ignore[reportMissingTypeStubs]
+import numpy as np
+import numpy.typing as npt
+from numba.extending import register_jitable  # pyright: ignore
+
+from drone_env.core import compiled
+from drone_env.core.actions import N_ACTIONS, Outcome
+from drone_env.core.cells import Cell
+from drone_env.core.compile_cache import cached_on_disk
+from drone_env.core.dynamics import choose_target, step
+from drone_env.core.rewards import RewardProfile, Rewards, tabulate_rewards
+from drone_env.core.rules import (
+    BATTERY,
+    CELL,
+    DELIVERED_FLAG,
+    DELIVERIES,
+    OUTCOME,
+    PARCELS,
+    STEPS,
+    UNDER,
+    Rules,
+    tabulate,
+)
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TaskConfig
+
+FLYING = int(Outcome.FLYING)
+DRONE = int(Cell.DRONE)
+DELIVERY = int(Cell.DELIVERY)
+DELIVERED = int(Cell.DELIVERED)
+
+MAX_BYTES = 1 << 30
+"""Working memory that a planner may take for one map."""
+
+
+def put_parcels(rules: Rules, grid: Any, row: Any, parcels: Any, delivered: int) -> None:
+    """Set which of the parcels are delivered, in a state without a drone on its grid.
+
+    Args:
+        rules: The task's tables.
+        grid: uint8[cells], without the drone.
+        row: uint16[row size].
+        parcels: int64[n], the entries of `row` that hold the parcels that were waiting at the start.
+        delivered: Bit i for parcel i of these.
+    """
+    row[DELIVERIES] = rules.deliveries - len(parcels)
+    for i in range(len(parcels)):
+        cell = row[parcels[i]] & (DELIVERED_FLAG - 1)
+        if delivered >> i & 1:
+            row[parcels[i]] = cell + DELIVERED_FLAG
+            row[DELIVERIES] += 1
+            grid[cell] = DELIVERED
+        else:
+            row[parcels[i]] = cell
+            grid[cell] = DELIVERY
+
+
+def put_drone(rules: Rules, grid: Any, row: Any, cell: int, steps: int, battery: int) -> None:
+    """Put the drone over a cell of a grid that has none, in flight; the caller chooses the target."""
+    row[CELL] = cell
+    row[UNDER] = grid[cell]
+    row[STEPS] = steps
+    row[BATTERY] = battery
+    row[OUTCOME] = FLYING
+    grid[cell] = DRONE
+
+
+def delivered_set(row: Any, parcels: Any) -> int:
+    """Which of the parcels are delivered, bit i for parcel i."""
+    delivered = 0
+    for i in range(len(parcels)):
+        if row[parcels[i]] >= DELIVERED_FLAG:
+            delivered |= 1 << i
+    return delivered
+
+
+for function in (put_parcels, put_drone, delivered_set):
+    register_jitable(**compiled.OPTIONS)(function)
+
+
+def explore(rules: Rules, rewards: Rewards, grid: Any, row: Any, parcels: Any, leads_to: Any, drain: Any) -> None:
+    """Fly every action from every place that the drone can be at.
+
+    A step from a full battery shows a drain, a step with one unit left shows a charge. With all parcels delivered the
+    episode is over: those places lead nowhere.
+    """
+    for delivered in range((1 << len(parcels)) - 1):
+        for cell in range(rules.cells):
+            put_parcels(rules, grid, row, parcels, delivered)
+            if grid[cell] == DELIVERY or not rules.passable[grid[cell]]:
+                continue
+            under = grid[cell]
+            place = delivered * rules.cells + cell
+            for action in range(N_ACTIONS):
+                units = 0
+                for battery in (1, rules.capacity):
+                    put_drone(rules, grid, row, cell, 0, battery)
+                    choose_target(rules, row)
+                    step(rules, rewards, grid, row, action)
+                    after = delivered_set(row, parcels)
+                    leads_to[place, action] = after * rules.cells + row[CELL]
+                    if battery == 1:
+                        units = 1 - row[BATTERY]
+                    if battery == rules.capacity and row[BATTERY] < rules.capacity:
+                        units = rules.capacity - row[BATTERY]
+                    grid[row[CELL]] = row[UNDER]
+                    put_parcels(rules, grid, row, parcels, delivered)
+                    grid[cell] = under
+                drain[place, action] = units
+
+
+with cached_on_disk():
+    explore = numba.njit(nogil=True, cache=True, **compiled.OPTIONS)(explore)
+
+
+class MapGraph(NamedTuple):
+    """The places of one map, from a state of flight on.
+
+    Attributes:
+        task: The task.
+        rules: Its tables, as arrays.
+        grid: uint8[cells], without the drone.
+        row: uint16[row size], the state that the planning starts from.
+        parcels: int64[n], the entries of `row` that hold the parcels still to deliver.
+        leads_to: int32[2^n * cells, 5], the place that an action leads to; -1 from places where no drone can fly on.
+        drain: int16[2^n * cells, 5], battery units that it costs, below zero where it charges.
+    """
+
+    task: TaskConfig
+    rules: Rules
+    grid: npt.NDArray[np.uint8]
+    row: npt.NDArray[np.uint16]
+    parcels: npt.NDArray[np.int64]
+    leads_to: npt.NDArray[np.int32]
+    drain: npt.NDArray[np.int16]
+
+
+def state_arrays(episode: Episode) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16], npt.NDArray[np.int64]]:
+    """The grid without the drone, the row, and which of its entries hold waiting parcels: copies."""
+    state = episode.get_state()
+    grid = np.frombuffer(state.grid, np.uint8).copy()
+    row = np.frombuffer(state.row, np.uint16).copy()
+    grid[row[CELL]] = row[UNDER]
+    parcels = PARCELS + np.flatnonzero(row[PARCELS:] < DELIVERED_FLAG)
+    return grid, row, parcels.astype(np.int64)
+
+
+def map_graph(episode: Episode) -> MapGraph:
+    """The graph of an episode's map from where the episode stands; the episode is left as it is.
+
+    Its size is 2^n * cells, for n parcels still to deliver: callers check that first.
+    """
+    task = episode.task
+    rules = tabulate(task)
+    grid, row, parcels = state_arrays(episode)
+    places = rules.cells << len(parcels)
+    leads_to = np.full((places, N_ACTIONS), -1, np.int32)
+    drain = np.zeros((places, N_ACTIONS), np.int16)
+    explore(rules, tabulate_rewards(task, _UNPAID), grid.copy(), row.copy(), parcels, leads_to, drain)
+    return MapGraph(task, rules, grid, row, parcels, leads_to, drain)
+
+
+def done_counts(task: TaskConfig, parcels: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """How many parcels are delivered in all, int64[2^n], for each set of the n that `MapGraph.parcels` names."""
+    counts = [task.deliveries - len(parcels) + delivered.bit_count() for delivered in range(1 << len(parcels))]
+    return np.array(counts, np.int64)
+
+
+_UNPAID = RewardProfile(id="none", summary="nothing")

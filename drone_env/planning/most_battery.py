@@ -1,0 +1,113 @@
+"""The exact optimum where more battery never hurts: forwards, the most battery with which each place can be reached.
+
+With `efficiency_needs_all`, the score of an unfinished mission is its parcels alone, so of two ways to a place that
+take the same steps the one that leaves more battery is at least as good: whatever can be flown after the other can be
+flown after it, with as much battery left or more. One number for each (steps, place) then stands for all ways there.
+"""
+
+from typing import Any
+
+import numba  # pyright: ignore[reportMissingTypeStubs]
+import numpy as np
+
+from drone_env.core import compiled
+from drone_env.core.actions import N_ACTIONS, Action, Outcome
+from drone_env.core.compile_cache import cached_on_disk
+from drone_env.core.drone import units_left
+from drone_env.core.dynamics import outcome_of
+from drone_env.core.rules import BATTERY, CELL, STEPS, Rules
+from drone_env.core.score import score_of
+from drone_env.core.state_manager import Episode
+from drone_env.errors import TooLargeError, UnsupportedTaskError
+from drone_env.planning.map_graph import MAX_BYTES, done_counts, map_graph
+
+FLYING = int(Outcome.FLYING)
+
+
+def forward_kernel(
+    rules: Rules, leads_to: Any, drain: Any, done: Any, start: int, steps: int, most: Any, came_from: Any, best: Any
+) -> float:
+    """Find the best end and return its score.
+
+    Args:
+        rules: The task's tables.
+        leads_to: int32[places, 5], see `MapGraph`.
+        drain: int16[places, 5], see `MapGraph`.
+        done: int64[2^n], parcels delivered in all for each delivered set.
+        start: The place of the drone; `most[0, start]` holds its battery.
+        steps: Steps taken before.
+        most: uint16[T + 1, places], zeros; receives the most battery with which a place is reached, 0 for never.
+        came_from: int32[T + 1, places], receives place * 5 + action of the way there.
+        best: int64[2], receives (steps flown, place * 5 + action) of the step that leads to the best end.
+    """
+    highest = -1.0
+    total, full = rules.deliveries, rules.capacity
+    for t in range(len(most) - 1):
+        soonest = steps + t + 1
+        if highest >= score_of(total, total, full, full, soonest, rules.max_steps, rules.efficiency_needs_all):
+            break
+        for place in range(leads_to.shape[0]):
+            if most[t, place] == 0:
+                continue
+            for action in range(N_ACTIONS):
+                to = leads_to[place, action]
+                battery = units_left(rules, most[t, place], drain[place, action])
+                deliveries = done[to // rules.cells]
+                if outcome_of(rules, deliveries, battery, steps + t + 1) == FLYING:
+                    if battery > most[t + 1, to]:
+                        most[t + 1, to] = battery
+                        came_from[t + 1, to] = place * N_ACTIONS + action
+                    continue
+                score = score_of(
+                    deliveries,
+                    rules.deliveries,
+                    battery,
+                    rules.capacity,
+                    steps + t + 1,
+                    rules.max_steps,
+                    rules.efficiency_needs_all,
+                )
+                if score > highest:
+                    highest = score
+                    best[0] = t
+                    best[1] = place * N_ACTIONS + action
+    return highest
+
+
+with cached_on_disk():
+    forward_kernel = numba.njit(nogil=True, cache=True, **compiled.OPTIONS)(forward_kernel)
+
+
+def best_actions(episode: Episode) -> list[Action]:
+    """The actions of a best flight from where an episode stands to its end; the episode is left as it is.
+
+    Raises:
+        UnsupportedTaskError: if the task has no `efficiency_needs_all`.
+        TooLargeError: if it would take more memory than `map_graph.MAX_BYTES`.
+    """
+    task = episode.task
+    if not task.efficiency_needs_all:
+        raise UnsupportedTaskError(f"task {task.id!r}: more battery may hurt where efficiency always counts")
+    waiting = sum(not delivered for _, _, delivered in episode.parcels)
+    places = task.width * task.height << waiting
+    size = places * (30 + 6 * (task.max_steps - episode.steps + 1))
+    if size > MAX_BYTES:
+        raise TooLargeError(
+            f"the optimum of a map of {task.id!r} would take {size / 1e9:.1f} GB; {MAX_BYTES / 1e9:.1f} GB are allowed"
+        )
+    graph = map_graph(episode)
+    steps, start = int(graph.row[STEPS]), int(graph.row[CELL])
+    most = np.zeros((task.max_steps - steps + 1, places), np.uint16)
+    came_from = np.zeros(most.shape, np.int32)
+    most[0, start] = graph.row[BATTERY]
+    best = np.zeros(2, np.int64)
+    forward_kernel(
+        graph.rules, graph.leads_to, graph.drain, done_counts(task, graph.parcels), start, steps, most, came_from, best
+    )
+    t, arrow = best.tolist()
+    actions = [Action(arrow % N_ACTIONS)]
+    while t > 0:
+        arrow = int(came_from[t, arrow // N_ACTIONS])
+        actions.append(Action(arrow % N_ACTIONS))
+        t -= 1
+    return actions[::-1]
