@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check verify bench format clean
+.PHONY: demo test check verify bench docs-data format clean
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -37,12 +37,16 @@ check: .venv/.dev
 
 # The same properties over many more cases; takes long.
 verify: .venv/.dev
-	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(BIN)/python -m pytest -n auto --timeout 36000 tests/property tests/parity
+	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(BIN)/python -m pytest -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py
 
 # The batched simulator beside its peers, in an environment of its own; make bench ARGS=--quick for a short run.
 bench: .venv/.base
 	$(BIN)/python benchmarks/simulator.py $(ARGS)
 	$(BIN)/python benchmarks/scalar_step.py
+
+# The generated pages, tables and pictures of docs/; takes minutes.
+docs-data: .venv/.base
+	$(BIN)/python docs/generate.py
 
 format: .venv/.dev
 	$(BIN)/ruff check --fix .

@@ -9,10 +9,15 @@ import tyro
 from tyro.extras import SubcommandApp
 
 from drone_env import __version__
+from drone_env.commands.analyse_flight import analyse_flight
+from drone_env.commands.audit import audit
+from drone_env.commands.dataset import dataset
 from drone_env.commands.evaluate import evaluate
 from drone_env.commands.fly import fly
 from drone_env.commands.play import play
+from drone_env.commands.replay import replay
 from drone_env.commands.solve import solve
+from drone_env.commands.train import train_command
 from drone_env.errors import DroneEnvError
 
 DESCRIPTION = (
@@ -20,15 +25,16 @@ DESCRIPTION = (
 )
 
 
-def _app() -> SubcommandApp:
+def _app(arguments: Sequence[str]) -> SubcommandApp:
     app = SubcommandApp()
-    for command in (fly, evaluate, solve, play):
+    train = train_command(arguments)
+    for command in (fly, evaluate, solve, audit, train, play, replay, analyse_flight, dataset):
         app.command(command)
     return app
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status: 0 done, 2 what is not allowed, 1 a failing file or stream."""
+    """Run one command and return its exit status: 0 done, 2 not allowed, 1 a failing file, stream or check."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if sys.stdin is None or sys.stdout is None or sys.stderr is None:
         return 1  # closed by whoever started us: there is nowhere to say so
@@ -40,8 +46,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"drone-env {__version__}")
         return 0
     try:
-        _app().cli(prog="drone-env", description=DESCRIPTION, args=arguments, config=[tyro.conf.DisallowNone])
+        status = _app(arguments).cli(
+            prog="drone-env", description=DESCRIPTION, args=arguments, config=[tyro.conf.DisallowNone]
+        )
         sys.stdout.flush()
+        return int(status or 0)
     except DroneEnvError as error:
         print(f"drone-env: {error}", file=sys.stderr)
         return 2
@@ -54,7 +63,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    return 0
 
 
 if __name__ == "__main__":

@@ -6,7 +6,9 @@
     │   └── InvalidTaskError                        a TaskConfig or RewardProfile that contradicts itself
     ├── EpisodeError          (also a RuntimeError) a call that does not fit the episode's state
     ├── UnsupportedTaskError  (also a ValueError)   a planner asked about a task whose mechanics it does not cover
-    └── TooLargeError         (also a ValueError)   an exact solution that would not fit into memory
+    ├── TooLargeError         (also a ValueError)   an exact solution that would not fit into memory
+    ├── MissingPackageError   (also an ImportError) a package of an extra that is not installed
+    └── CheckpointError       (also a ValueError)   a file that is no checkpoint, cut short, or of another run
 
 Each message says what was given and what is allowed.
 """
@@ -44,5 +46,16 @@ class TooLargeError(DroneEnvError, ValueError):
     """An exact solution would take more memory than is allowed."""
 
 
+class CheckpointError(DroneEnvError, ValueError):
+    """A file that is no checkpoint, is cut short or too new, or belongs to another run."""
+
+
 class UnsupportedTaskError(DroneEnvError, ValueError):
     """A planner was asked about a task whose mechanics it does not cover."""
+
+
+class MissingPackageError(DroneEnvError, ImportError):
+    """A package that only an extra installs; the message says how."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(f"{package} is not installed: run pip install 'drone-env[{extra}]'")

@@ -33,11 +33,13 @@ def evaluate(
     episodes: int | None = None,
     seeds: SeedRange = None,
     json: JsonFile = None,
+    checkpoint: Path | None = None,
 ) -> None:
     """Fly many maps with several agents and compare them, each beside the exact optimum of the same maps.
 
     Prints a table; a progress bar goes to standard error. Score: graded, 0.01 to 0.99, with its 95 % confidence
-    interval. Ratio: mean score / mean optimal score. Excess: steps beyond the optimal flight, on delivered maps.
+    interval. Ratio: mean score / mean optimal score. Regret: mean of optimum less score. Excess: steps beyond the
+    optimal flight, on delivered maps; below zero where the best flight takes its time to charge.
 
     Example: drone-env evaluate --task hard --agents greedy optimal --episodes 100 --json results.json
 
@@ -47,6 +49,7 @@ def evaluate(
         split: Whose first maps to fly: test if nothing is said. Training never touches validation and test.
         episodes: How many maps of the split, 1000 if nothing is said.
         seeds: Fly the maps from A up to and not including B instead of a split's.
+        checkpoint: Fly `pathqnet` by the network in this file (.npz) instead of the shipped one.
         json: Write the figures to this file; - prints only the JSON on standard output.
     """
     if seeds is not None and (split is not None or episodes is not None):
@@ -55,6 +58,10 @@ def evaluate(
         raise InvalidValueError(f"--episodes must be at least 1, got {episodes}")
     if not task or not agents:
         raise InvalidValueError("--task and --agents take one name or more")
+    if checkpoint is not None:
+        if "pathqnet" not in agents:
+            raise InvalidValueError("--checkpoint is the network of the agent pathqnet: name it with --agents")
+        agents = tuple(f"pathqnet:{checkpoint}" if agent == "pathqnet" else agent for agent in agents)
     target = None if json in (None, "-") else Path(json)
     if target is not None and (not target.name or target.is_dir() or not target.parent.is_dir()):
         raise InvalidValueError(f"--json takes - or a file in a folder that exists, got {json!r}")
@@ -105,7 +112,7 @@ def _table(report: dict[str, Any]) -> Table:
     )
     table.add_column("task", no_wrap=True)
     table.add_column("agent", no_wrap=True)
-    for heading in ("score (95 %)", "optimum", "ratio", "success", "steps", "excess"):
+    for heading in ("score (95 %)", "optimum", "ratio", "regret", "success", "steps", "excess"):
         table.add_column(heading, justify="right", no_wrap=True)
     for task_id, of_task in report["tasks"].items():
         table.add_section()
@@ -118,6 +125,7 @@ def _table(report: dict[str, Any]) -> Table:
                 f"{figures['mean_score']:.4f}{half_width}",
                 _figure(figures["mean_optimal_score"], ".4f"),
                 _figure(figures["score_ratio"], ".4f"),
+                _figure(figures["mean_regret"], ".4f"),
                 f"{figures['success_rate']:.1%}",
                 f"{figures['mean_steps']:.1f}",
                 _figure(figures["mean_excess_steps"], ".2f"),

@@ -5,12 +5,10 @@ from pathlib import Path
 
 from drone_env.agents import make_agent
 from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName
+from drone_env.commands.flights import choices, log_flight, prepare_file
 from drone_env.core.state_manager import Episode
-from drone_env.envs.ansi import draw_text
 from drone_env.envs.rendering import save_picture
-from drone_env.episodes.log_lines import end_line, start_line, step_line
 from drone_env.errors import InvalidValueError
-from drone_env.planning.optimal import best_of
 
 
 def fly(
@@ -20,6 +18,7 @@ def fly(
     reward_profile: ProfileName = "tiered",
     render: bool = False,
     picture: Path | None = None,
+    record: Path | None = None,
 ) -> None:
     """Fly one mission and print its log lines.
 
@@ -35,26 +34,24 @@ def fly(
         reward_profile: What steps pay.
         render: Show the map after every step.
         picture: Save a picture of the flight to this PNG file at the end.
+        record: Save the flight to this JSON file at the end, for `replay` and `analyse-flight`.
     """
     episode = Episode(task, reward_profile)
     pilot = make_agent(agent, task)
     if picture is not None:
         if picture.suffix != ".png":
             raise InvalidValueError(f"--picture takes a file that ends in .png, got {picture}")
-        picture.parent.mkdir(parents=True, exist_ok=True)
+        prepare_file("--picture", picture)
+    if record is not None:
+        prepare_file("--record", record)
     pilot.reset(episode.reset(seed))
-    if render:
-        print(draw_text(episode), file=sys.stderr)
-    print(start_line(episode.task, agent))
-    while not episode.ended:
-        reward = episode.step(pilot.act(episode.observation()))
-        print(step_line(episode.steps, episode.path[-1].action, reward, episode.ended), flush=render)
-        if render:
-            print(draw_text(episode), file=sys.stderr)
-    print(end_line(episode.success, episode.score, [point.reward for point in episode.path]))
-    optimum = best_of(episode.task, episode.seed)
-    known = f"the optimum is {optimum.score:.4f} in {optimum.steps}" if optimum else "the optimum is not known"
-    print(f"map {episode.seed}: {agent} scored {episode.score:.4f} in {episode.steps} steps; {known}", file=sys.stderr)
+    log_flight(episode, agent, choices(pilot, episode), render)
     if picture is not None:
         save_picture(episode, picture)
         print(f"picture: {picture}", file=sys.stderr)
+    if record is not None:
+        # Loads Pydantic, which only a record needs.
+        from drone_env.episodes.record import record_of, save_record
+
+        save_record(record_of(episode, agent), record)
+        print(f"record: {record}", file=sys.stderr)

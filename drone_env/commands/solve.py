@@ -1,15 +1,16 @@
-"""`drone-env solve`: the optimal tour of a map."""
+"""`drone-env solve`: the best flight over a map."""
 
 import json as json_format
 
 from drone_env.commands.arguments import Seed, TaskName
 from drone_env.core.state_manager import Episode
 from drone_env.envs.ansi import draw_text, draw_tour
+from drone_env.errors import TooLargeError
 from drone_env.planning.optimal import solve_episode
 
 
 def solve(task: TaskName = "easy", seed: Seed = None, json: bool = False) -> None:
-    """Show a map, its optimal tour and the score that the tour earns: the highest that any flight can.
+    """Show a map, a best flight over it and what that scores: the highest that any flight can.
 
     Example: drone-env solve --task hard --seed 7
 
@@ -20,7 +21,13 @@ def solve(task: TaskName = "easy", seed: Seed = None, json: bool = False) -> Non
     """
     episode = Episode(task)
     episode.reset(seed)
-    solution = solve_episode(episode)
+    try:
+        solution = solve_episode(episode)
+    except TooLargeError as error:
+        from drone_env.planning.bounds import bounds  # loads a compiler, which is rarely needed here
+
+        between = bounds(episode)
+        raise TooLargeError(f"{error}; the optimum lies between {between.lower:.4f} and {between.upper:.4f}") from None
     flight = Episode(task)
     flight.reset(episode.seed)
     for action in solution.actions:

@@ -3,7 +3,7 @@
 Every buffer of a `Batch` is overwritten by the next step; whoever keeps one copies it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numba  # pyright: ignore[reportMissingTypeStubs]
@@ -295,6 +295,28 @@ class Batch:
             self._n_ended[0] = self._step(*tables, *self._bounds, self.same_step)
         else:
             self._step(*tables, self._bounds, self.same_step, self._n_ended)
+
+    def get_state(self) -> dict[str, npt.NDArray[Any]]:
+        """A snapshot of all episodes, as copies of arrays; `set_state` returns to it."""
+        return {name: np.array(getattr(self._buffers, name)) for name in self._buffers._fields} | {
+            "started": np.array(self._started),
+            "n_ended": np.array(self._n_ended),
+        }
+
+    def set_state(self, state: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Return to a snapshot of a batch of the same task, size, mode and threads.
+
+        Raises:
+            InvalidValueError: if the snapshot is of another batch; nothing is changed.
+        """
+        own = self._buffers._asdict() | {"started": self._started, "n_ended": self._n_ended}
+        for name, buffer in own.items():
+            given = state.get(name)
+            if given is None or given.shape != buffer.shape or given.dtype != buffer.dtype:
+                raise InvalidValueError(f"the snapshot is of another batch: {name} does not fit")
+        for name, buffer in own.items():
+            buffer[...] = state[name]
+        self.started = bool(self._started.all())
 
     @property
     def ended(self) -> npt.NDArray[np.int64]:

@@ -1,6 +1,6 @@
 """Reward profiles: what a step pays. Data, not code; a new profile is one more entry in `REWARD_PROFILES`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from fractions import Fraction
 from functools import lru_cache
@@ -29,8 +29,8 @@ class RewardProfile:
         shaping: Paid per cell that the step came closer to the current target (less for farther).
         clamp: Bounds of the event reward with its shaping, or None.
         shaping_gamma: Discount of potential-based shaping gamma * phi(s') - phi(s) with
-            phi = 0.8 * k/D - 0.8/D * d/(W + H), and phi = 0 at the end (Ng, Harada, Russell, "Policy invariance under
-            reward transformations", ICML 1999); k of D parcels delivered, d to the current target. None for none.
+            phi = 0.2 + 0.8/D * (k + 1 - d/(W + H)), and phi = 0 at the end (Ng, Harada, Russell, "Policy invariance
+            under reward transformations", ICML 1999); k of D parcels delivered, d to the current target. None for none.
         pays_score: Whether the end of the episode pays the graded score.
     """
 
@@ -111,6 +111,15 @@ def get_reward_profile(name: str | RewardProfile) -> RewardProfile:
     return REWARD_PROFILES[name]
 
 
+def profile_for_discount(profile: RewardProfile, gamma: float) -> RewardProfile:
+    """The profile as a learner with this discount is to be paid: its shaping, if it has one, with the same discount.
+
+    Raises:
+        InvalidTaskError: if gamma is not in [0, 1].
+    """
+    return profile if profile.shaping_gamma is None else replace(profile, shaping_gamma=Decimal(str(gamma)))
+
+
 class Rewards(NamedTuple):
     """A profile's tables for one task. Arrays when compiled, memory views when interpreted."""
 
@@ -149,7 +158,7 @@ def tabulate_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
     stride = task.width + task.height
     gamma = Fraction(profile.shaping_gamma or 0)
     phi = [
-        Fraction(8, 10) / total * (done - (Fraction(far, stride) if done < total else 0))
+        Fraction(2, 10) + Fraction(8, 10) / total * (done + 1 - Fraction(far, stride))
         for done in range(total + 1)
         for far in range(stride)
     ]

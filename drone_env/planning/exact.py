@@ -24,9 +24,18 @@ from drone_env.core.score import score_of
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError, TooLargeError
-from drone_env.planning.map_graph import MAX_BYTES, delivered_set, done_counts, map_graph, state_arrays
+from drone_env.planning.map_graph import (
+    MAX_BYTES,
+    battery_ranges,
+    delivered_set,
+    done_counts,
+    drain_range,
+    map_graph,
+    state_arrays,
+)
 
 FLYING = int(Outcome.FLYING)
+ANOTHER = "this episode cannot have come from the one that was solved: make a solver of its own"
 
 
 def score_kernel(rules: Rules, scores: Any) -> None:
@@ -131,11 +140,7 @@ class ExactSolver:
         ends = (task.deliveries + 1) * (task.battery_capacity + 1) * (task.max_steps + 1)
         _refuse_if_too_large(task, 12 * ends + 30 * self._places)
         graph = map_graph(episode)
-        reachable = graph.leads_to[:, 0] >= 0
-        drains = graph.drain[reachable]
-        lowest, sizes = _battery_ranges(
-            battery, int(drains.min()), int(drains.max()), task.battery_capacity, task.max_steps - self._first_step
-        )
+        lowest, sizes = battery_ranges(battery, *drain_range(graph.rules), task, task.max_steps - self._first_step)
         self._lowest = lowest
         self._starts = np.concatenate([[0], np.cumsum(sizes)]) * self._places
         self._scores, ranks = ranked_scores(task)
@@ -199,7 +204,7 @@ class ExactSolver:
 
         Of equally good actions the lowest number, so it is the same in every run.
         """
-        flight = Episode(self._task)
+        flight = Episode(self._task, self._start.reward_profile)
         flight.set_state(self._start)
         actions: list[Action] = []
         while not flight.ended:
@@ -211,38 +216,29 @@ class ExactSolver:
         """(place, steps, battery) of an episode."""
         if episode.ended:
             raise EpisodeError("the episode has ended: there is no action left to value")
-        state = episode.get_state()
-        row = np.frombuffer(state.row, np.uint16)
-        start = np.frombuffer(self._start.row, np.uint16)
+        grid, row, _ = state_arrays(episode)
+        if not self._same_map(episode, grid, row):
+            raise EpisodeError(ANOTHER)
         t, battery = int(row[STEPS]) - self._first_step, int(row[BATTERY])
-        delivered = delivered_set(row, self._parcels)
-        place = delivered * self._rules.cells + int(row[CELL])
-        cells = DELIVERED_FLAG - 1
-        same = (
-            state.task == self._task
-            and state.seed == self._start.seed
-            and t >= 0
-            and np.array_equal(row[PARCELS:] & cells, start[PARCELS:] & cells)
+        place = delivered_set(row, self._parcels) * self._rules.cells + int(row[CELL])
+        possible = (
+            t >= 0
+            and np.all(np.delete(row, self._parcels)[PARCELS:] >= DELIVERED_FLAG)
             and int(self._leads_to[place, 0]) >= 0
             and self._lowest[t] <= battery < self._lowest[t] + (self._starts[t + 1] - self._starts[t]) // self._places
         )
-        if not same:
-            raise EpisodeError("this episode cannot have come from the one that was solved: make a solver of its own")
+        if not possible:
+            raise EpisodeError(ANOTHER)
         return place, int(row[STEPS]), battery
 
-
-def _battery_ranges(
-    battery: int, least_drain: int, most_drain: int, capacity: int, steps: int
-) -> tuple[npt.NDArray[np.int64], list[int]]:
-    """The lowest battery above 0 that can be left after each number of steps, and how many values from there on."""
-    lowest, sizes = [], []
-    low = high = battery
-    for _ in range(steps):
-        lowest.append(low)
-        sizes.append(max(high - low + 1, 0))
-        low, high = max(low - most_drain, 1), min(high - least_drain, capacity)
-    lowest.append(low)
-    return np.array(lowest, np.int64), sizes
+    def _same_map(self, episode: Episode, grid: npt.NDArray[np.uint8], row: npt.NDArray[np.uint16]) -> bool:
+        """Whether an episode, with this grid (which is overwritten) and row, is of the map that was solved."""
+        if (episode.task, episode.seed) != (self._task, self._start.seed):
+            return False
+        parcels = row[PARCELS:] % DELIVERED_FLAG
+        grid[parcels] = self._grid[parcels]  # whether delivered or not
+        start = np.frombuffer(self._start.row, np.uint16)
+        return np.array_equal(parcels, start[PARCELS:] % DELIVERED_FLAG) and np.array_equal(grid, self._grid)
 
 
 def _refuse_if_too_large(task: TaskConfig, size: int) -> None:

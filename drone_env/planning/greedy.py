@@ -8,10 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import Action
-from drone_env.core.rules import interpreted
 from drone_env.core.state_manager import Observation
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.cheapest_path import cheapest_action
 from drone_env.planning.paths import Position, towards, towards_batch
 
 
@@ -29,10 +27,7 @@ def greedy_action(task: TaskConfig, observation: Observation) -> Action:
     """The next action towards the nearest target; WAIT when nothing is left."""
     if task.uniform:
         return towards(drone_position(task, observation), target_position(task, observation))
-    rules = interpreted(task)
-    x, y = drone_position(task, observation)
-    grid = observation["grid"].ravel().tolist()
-    return Action(cheapest_action(rules, grid, y * task.width + x, [0] * rules.cells, [0] * rules.cells))
+    return Action(int(greedy_actions(task, observation["grid"][None], observation["telemetry"][None])[0]))
 
 
 def greedy_actions(
@@ -42,7 +37,7 @@ def greedy_actions(
     drones, targets = positions(task, telemetry)
     if task.uniform:
         return towards_batch(drones, targets)
-    from drone_env.planning.cheapest_paths import cheapest_actions  # compiles, which only batches are worth
+    from drone_env.planning.cheapest_path import cheapest_actions  # compiles, which only these tasks are worth
 
     return cheapest_actions(task, grids, drones)
 

@@ -169,6 +169,38 @@ def map_graph(episode: Episode) -> MapGraph:
     return MapGraph(task, rules, grid, row, parcels, leads_to, drain)
 
 
+def drain_range(rules: Rules) -> tuple[int, int]:
+    """The least and the most that a step can drain on any map of the task; below zero for a charge."""
+    kinds = [Cell.ROAD, Cell.DELIVERY, Cell.DELIVERED, *(int(kind) for kind in rules.placed if rules.counts[kind])]
+    drains = np.reshape(rules.drain, (-1, N_ACTIONS))[[kind for kind in kinds if rules.passable[kind]]]
+    return int(drains.min()), int(drains.max())
+
+
+def battery_ranges(
+    battery: int, least_drain: int, most_drain: int, task: TaskConfig, steps: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """What the battery can hold after each number of steps of a flight that goes on.
+
+    Args:
+        battery: Units at the start.
+        least_drain: The least that one step can drain.
+        most_drain: The most.
+        task: The task.
+        steps: Steps from the start to the last.
+
+    Returns:
+        int64[steps + 1], the lowest number of units above 0; and int64[steps], how many numbers from there on.
+    """
+    lowest, sizes = [], []
+    low = high = battery
+    for _ in range(steps):
+        lowest.append(low)
+        sizes.append(max(high - low + 1, 0))
+        low, high = max(low - most_drain, 1), min(high - least_drain, task.battery_capacity)
+    lowest.append(low)
+    return np.array(lowest, np.int64), np.array(sizes, np.int64)
+
+
 def done_counts(task: TaskConfig, parcels: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """How many parcels are delivered in all, int64[2^n], for each set of the n that `MapGraph.parcels` names."""
     counts = [task.deliveries - len(parcels) + delivered.bit_count() for delivered in range(1 << len(parcels))]

@@ -39,7 +39,8 @@ def fly_optimally(env: gymnasium.Env, task: str, seed: int, **reset: Any) -> tup
 
 
 def test_the_ids_are_the_promised_ones() -> None:
-    assert IDS == [f"drone_env:DroneDelivery-{level}-v1" for level in ("Easy", "Medium", "Hard")]
+    levels = ("Easy", "Medium", "Hard", "Skyline-Easy", "Skyline-Medium", "Skyline-Hard")
+    assert IDS == [f"drone_env:DroneDelivery-{level}-v1" for level in levels]
 
 
 @pytest.mark.parametrize("env_id", IDS)
@@ -77,7 +78,8 @@ def test_spaces_are_the_promised_ones(env_id: str, task: Any) -> None:
     assert set(env.observation_space.spaces) == {"grid", "telemetry"}
     observation, _ = env.reset(seed=1)
     assert (observation["grid"].shape, observation["grid"].dtype) == ((task.height, task.width), np.uint8)
-    assert (observation["telemetry"].shape, observation["telemetry"].dtype) == ((5,), np.float32)
+    size = 6 if task.id.startswith("skyline_") else 5
+    assert (observation["telemetry"].shape, observation["telemetry"].dtype) == ((size,), np.float32)
 
 
 def test_reset_flies_the_map_of_its_seed() -> None:

@@ -57,6 +57,7 @@ def uniform_task(number: int) -> TaskConfig:
         pads=terrain.count(Cell.PAD),
         max_steps=draw.randint(1, 80),
         battery_capacity=draw.randint(1, 80),
+        efficiency_needs_all=draw.random() < 0.5,
     )
 
 
@@ -74,7 +75,9 @@ def custom_task(number: int) -> TaskConfig:
 # One draw per task: drawn number by number, the tasks would take most of the time.
 NUMBERS = st.integers(0, 2**32)
 TASK = STANDARD | NUMBERS.map(custom_task)
-UNIFORM_TASK = STANDARD | NUMBERS.map(uniform_task)
+UNIFORM_TASK = STANDARD.filter(lambda task: task.uniform) | NUMBERS.map(uniform_task)
+PARCELS_ALONE = TASK.map(lambda task: replace(task, efficiency_needs_all=True))
+"""An unfinished mission is worth its parcels and nothing else."""
 
 
 def started(task: TaskConfig, seed: int, profile: str = "tiered") -> Episode:
@@ -194,7 +197,9 @@ def test_the_score_is_the_formula_computed_exactly_and_rounded_once(
     delivered = Fraction(episode.deliveries_done, task.deliveries)
     battery = Fraction(episode.battery_units, task.battery_capacity)
     time = 1 - Fraction(episode.steps, task.max_steps)
-    exact = Fraction("0.8") * delivered + Fraction("0.2") * (battery / 2 + time / 2)
+    exact = Fraction("0.8") * delivered
+    if delivered == 1 or not task.efficiency_needs_all:
+        exact += Fraction("0.2") * (battery / 2 + time / 2)
     assert episode.score == float(min(max(exact, Fraction("0.01")), Fraction("0.99")))
 
 
@@ -236,7 +241,7 @@ def test_aligned_shaping_adds_nothing_over_an_episode_but_the_potential_of_the_s
 ) -> None:
     episode = started(task, seed, "aligned")
     assert episode.distance_to_target is not None
-    start = -0.8 / task.deliveries * episode.distance_to_target / (task.width + task.height)
+    start = 0.2 + 0.8 / task.deliveries * (1 - episode.distance_to_target / (task.width + task.height))
     finish(episode, actions)
     discounted = sum(0.99**i * step.reward for i, step in enumerate(episode.path))
     assert abs(discounted - (0.99 ** (episode.steps - 1) * episode.score - start)) < 1e-12
@@ -259,11 +264,11 @@ def test_an_unfinished_episode_counts_exactly_what_waiting_to_the_end_would_scor
 
 
 @thorough
-@given(UNIFORM_TASK, SEEDS, ACTIONS, ACTIONS)
-def test_where_a_step_costs_one_unit_stopping_never_beats_going_on_in_whatever_way(
+@given(UNIFORM_TASK | PARCELS_ALONE, SEEDS, ACTIONS, ACTIONS)
+def test_where_a_step_costs_one_unit_or_parcels_alone_count_stopping_never_beats_going_on_in_whatever_way(
     task: TaskConfig, seed: int, actions: list[int], further: list[int]
 ) -> None:
-    """Not so where cells drain differently: there a careless flight can burn what waiting would have kept."""
+    """Not so elsewhere where cells drain differently: there a careless flight can burn what waiting would have kept."""
     episode = started(task, seed)
     for action in actions:
         episode.step(action)

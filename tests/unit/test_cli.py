@@ -17,6 +17,7 @@ from drone_env.commands.play import split_keys
 from drone_env.core.actions import Action
 from drone_env.core.seeds import split_seeds
 from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS
 from drone_env.evaluation import episodes_key, run_episodes, summarise
 from drone_env.planning.optimal import solve
 
@@ -104,7 +105,7 @@ def test_evaluate_shows_a_table_and_writes_the_same_figures(tmp_path: Path, caps
     assert main(["evaluate", "--agents", "optimal", "--seeds", "3:6", "--json", str(file)]) == 0
     report = json.loads(file.read_text())
     out = capsys.readouterr().out
-    assert list(report["tasks"]) == ["easy_delivery", "medium_delivery", "hard_delivery"]
+    assert list(report["tasks"]) == list(TASKS)
     for task, of_task in report["tasks"].items():
         assert (of_task["split"], of_task["seeds"], of_task["episodes"]) == ("custom", [3, 6], 3)
         assert of_task["agents"]["optimal"]["score_ratio"] == 1

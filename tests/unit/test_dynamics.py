@@ -20,6 +20,8 @@ from drone_env.core.tasks import TASKS
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, UnknownNameError
 from tests.toy import fly, toy_episode
 
+STANDARD = [name for name in TASKS if name.endswith("_delivery")]
+SKYLINE = [name for name in TASKS if name.startswith("skyline_")]
 KINDS = [("B", Cell.BUILDING), ("T", Cell.TREE), ("O", Cell.OBSTACLE)]
 
 LINE = ["@.BTO0.", "......."]
@@ -263,12 +265,22 @@ class TestTelemetry:
     def test_steps_left_are_told_wherever_a_step_may_not_cost_one_unit(self, changes: dict[str, Any]) -> None:
         assert telemetry(toy_episode(["@.T0", ".P.."], **changes))[5] == 1
 
-    @pytest.mark.parametrize("task", TASKS)
+    @pytest.mark.parametrize("task", STANDARD)
     def test_has_five_float32_values_in_the_standard_tasks(self, task: str) -> None:
         episode = Episode(task)
         episode.reset(0)
         values = episode.observation()["telemetry"]
         assert (values.shape, values.dtype) == ((5,), np.float32)
+
+    @pytest.mark.parametrize("task", SKYLINE)
+    def test_has_a_sixth_for_the_steps_left_in_the_skyline_tasks(self, task: str) -> None:
+        episode = Episode(task)
+        episode.reset(0)
+        for steps in range(3):
+            values = episode.observation()["telemetry"]
+            assert (values.shape, values.dtype) == ((6,), np.float32)
+            assert values[5] == np.float32(1 - steps / TASKS[task].max_steps)
+            episode.step(Action.WAIT)
 
 
 class TestEnd:
@@ -300,13 +312,22 @@ class TestEnd:
         fly(episode, "RR")
         assert episode.outcome == Outcome.DELIVERED
 
-    @pytest.mark.parametrize("task", TASKS)
+    @pytest.mark.parametrize("task", STANDARD)
     def test_standard_task_ends_by_its_battery_at_max_steps(self, task: str) -> None:
         episode = Episode(task)
         episode.reset(0)
         while not episode.ended:
             episode.step(Action.WAIT)
         assert (episode.steps, episode.outcome) == (TASKS[task].max_steps, Outcome.BATTERY_DEAD)
+
+    @pytest.mark.parametrize("task", SKYLINE)
+    def test_the_battery_of_a_skyline_task_does_not_last_for_its_steps(self, task: str) -> None:
+        episode = Episode(task)
+        episode.reset(0)
+        while not episode.ended:
+            episode.step(Action.WAIT)
+        assert (episode.steps, episode.outcome) == (TASKS[task].battery_capacity, Outcome.BATTERY_DEAD)
+        assert episode.steps < TASKS[task].max_steps
 
     @pytest.mark.parametrize(
         ("drawing", "actions", "outcome"),
@@ -466,32 +487,32 @@ class TestTieredAndComposite:
 
 
 class TestAlignedAndScore:
-    """Width 3 and height 2, one parcel 2 cells away: phi = -0.8 * 2 / 5 = -0.32 at the start, -0.16 one cell closer."""
+    """Width 3 and height 2, one parcel 2 cells away: phi = 0.2 + 0.8 * (1 - 2/5) = 0.68, one cell closer 0.84."""
 
     def test_aligned_pays_the_score_and_discounted_shaping(self) -> None:
         episode = toy_episode(["@.0", "..."], "aligned")
         first, last = fly(episode, "RR")
-        assert first == pytest.approx(float(Fraction(99, 100) * Fraction(-16, 100) + Fraction(32, 100)))  # 0.1616
-        assert last == pytest.approx(0.96 + 0.16)  # phi is 0 at the end, the score 0.8 + 0.2 * 0.8
+        assert first == pytest.approx(float(Fraction(99, 100) * Fraction(84, 100) - Fraction(68, 100)))  # 0.1516
+        assert last == pytest.approx(0.96 - 0.84)  # phi is 0 at the end, the score 0.8 + 0.2 * 0.8
 
-    def test_aligned_hovering_pays_the_difference_that_the_discount_makes(self) -> None:
-        assert fly(toy_episode(["@.0", "..."], "aligned"), "WU") == pytest.approx([0.0032, 0.0032])  # 0.32 * 0.01
+    def test_aligned_hovering_costs_the_difference_that_the_discount_makes(self) -> None:
+        assert fly(toy_episode(["@.0", "..."], "aligned"), "WU") == pytest.approx([-0.0068, -0.0068])  # 0.68 * 0.01
 
     def test_aligned_away_is_not_clamped(self) -> None:
-        # phi(s') = -0.8 * 3 / 5 = -0.48
-        assert fly(toy_episode(["@.0", "..."], "aligned"), "D") == pytest.approx([0.99 * -0.48 + 0.32])  # -0.1552
+        # phi(s') = 0.2 + 0.8 * (1 - 3/5) = 0.52
+        assert fly(toy_episode(["@.0", "..."], "aligned"), "D") == pytest.approx([0.99 * 0.52 - 0.68])  # -0.1652
 
     def test_aligned_failure_ends_with_potential_zero_and_the_clamped_score(self) -> None:
-        assert fly(toy_episode(["@.0", "..."], "aligned", max_steps=1), "W") == pytest.approx([0.32 + 0.01])
+        assert fly(toy_episode(["@.0", "..."], "aligned", max_steps=1), "W") == pytest.approx([0.01 - 0.68])
 
     def test_aligned_delivery_counts_parcels_and_the_distance_to_the_next_target(self) -> None:
-        # Before: phi = -0.4 * 1/6 = -1/15. After: phi = 0.4 - 0.4 * 2/6 = 4/15.
-        reward = Fraction(99, 100) * Fraction(4, 15) + Fraction(1, 15)
+        # Before: phi = 0.2 + 0.4 * (1 - 1/6) = 8/15. After: phi = 0.2 + 0.4 * (2 - 2/6) = 13/15.
+        reward = Fraction(99, 100) * Fraction(13, 15) - Fraction(8, 15)
         assert fly(toy_episode(["@0.1", "...."], "aligned"), "R") == pytest.approx([float(reward)])
 
     def test_aligned_delivery_of_another_target_keeps_the_distance_to_the_current_one(self) -> None:
-        # Before the second step: phi = -0.4 * 2/5 = -4/25. After: phi = 0.4 - 0.4 * 3/5 = 4/25.
-        reward = Fraction(99, 100) * Fraction(4, 25) + Fraction(4, 25)
+        # Before the second step: phi = 0.2 + 0.4 * (1 - 2/5) = 11/25. After: phi = 0.2 + 0.4 * (2 - 3/5) = 19/25.
+        reward = Fraction(99, 100) * Fraction(19, 25) - Fraction(11, 25)
         assert fly(toy_episode(["@.0", "1.."], "aligned"), "RR")[1] == pytest.approx(float(reward))
 
     def test_score_pays_nothing_before_the_end_and_the_score_there(self) -> None:
@@ -500,9 +521,9 @@ class TestAlignedAndScore:
 
     @pytest.mark.parametrize("profile", ["aligned", "score"])
     def test_out_of_steps_pays_the_score_too(self, profile: str) -> None:
-        # Battery 3/5, steps 2/2: 0.2 * 0.5 * 0.6 = 0.06; the rest is the potential -0.32 given back.
+        # Battery 3/5, steps 2/2: 0.2 * 0.5 * 0.6 = 0.06; the rest is the potential 0.68 taken back.
         rewards = fly(toy_episode(["@.0", "..."], profile, max_steps=2, battery_capacity=5), "WW")
-        assert rewards[1] == pytest.approx(0.06 + 0.32 if profile == "aligned" else 0.06)
+        assert rewards[1] == pytest.approx(0.06 - 0.68 if profile == "aligned" else 0.06)
 
 
 class TestScore:
@@ -539,11 +560,25 @@ class TestScore:
         assert score_of(1, 1, 95, 100, 5, 100) == 0.99
         assert score_of(1, 1, 94, 100, 6, 100) == 0.988
 
-    @pytest.mark.parametrize("task", TASKS)
+    @pytest.mark.parametrize("task", STANDARD)
     def test_is_provisionally_020_at_reset_and_counts_001(self, task: str) -> None:
         episode = Episode(task)
         episode.reset(0)
         assert (episode.score, episode.counted_score()) == (0.20, 0.01)
+
+    @pytest.mark.parametrize("task", SKYLINE)
+    def test_is_001_at_reset_where_efficiency_needs_all(self, task: str) -> None:
+        episode = Episode(task)
+        episode.reset(0)
+        assert (episode.score, episode.counted_score()) == (0.01, 0.01)
+
+    def test_where_efficiency_needs_all_it_counts_from_the_last_delivery_on(self) -> None:
+        episode = toy_episode(["@0.1", "...."], max_steps=8, battery_capacity=10, efficiency_needs_all=True)
+        scores = []
+        for action in "RRR":
+            fly(episode, action)
+            scores.append(episode.score)
+        assert scores == [0.40, 0.40, 0.9325]  # 0.8 + 0.2 * (0.5 * 7/10 + 0.5 * 5/8)
 
     def test_provisional_score_follows_battery_and_steps(self) -> None:
         episode = toy_episode(["@.0", "..."], max_steps=4, battery_capacity=5)

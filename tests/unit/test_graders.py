@@ -2,13 +2,15 @@
 
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
 
+from drone_env import graders
 from drone_env.core.state_manager import Episode
-from drone_env.core.tasks import TASKS
+from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.graders import GRADERS, grade_easy, grade_hard, grade_medium
 from drone_env.models import DroneState
@@ -24,10 +26,18 @@ def state_of(task: str, **changes: object) -> dict:
 
 
 def test_every_task_has_its_grader() -> None:
-    assert GRADERS == {"easy_delivery": grade_easy, "medium_delivery": grade_medium, "hard_delivery": grade_hard}
-    assert [task.grader for task in TASKS.values()] == [
-        f"drone_env.graders:{grader.__name__}" for grader in GRADERS.values()
-    ]
+    assert list(GRADERS) == list(TASKS)
+    standard = {"easy_delivery": grade_easy, "medium_delivery": grade_medium, "hard_delivery": grade_hard}
+    assert GRADERS | standard == GRADERS
+    for task in TASKS.values():
+        module, name = task.grader.split(":")
+        assert getattr(import_module(module), name) is GRADERS[task.id]
+    assert len({task.grader for task in TASKS.values()}) == len(TASKS)
+
+
+def test_a_grader_that_no_task_names_does_not_exist() -> None:
+    with pytest.raises(AttributeError, match="grade_expert"):
+        graders.grade_expert  # noqa: B018
 
 
 @pytest.mark.parametrize(
@@ -41,6 +51,16 @@ def test_every_task_has_its_grader() -> None:
         ("medium", 2, 50, 50, 0.8 * 2 / 3 + 0.1),
         ("hard", 3, 0, 160, 0.48),
         ("hard", 5, 120, 40, 0.95),
+        # Here battery and steps left count only when all is delivered.
+        ("skyline_easy", 0, 11, 0, 0.01),
+        ("skyline_easy", 1, 11, 10, 0.8 / 3),
+        ("skyline_easy", 2, 0, 30, 1.6 / 3),
+        ("skyline_easy", 3, 0, 60, 0.80),
+        ("skyline_easy", 3, 11, 30, 0.95),
+        ("skyline_medium", 3, 9, 50, 0.60),
+        ("skyline_medium", 4, 9, 50, 0.90),
+        ("skyline_hard", 4, 26, 1, 0.64),
+        ("skyline_hard", 5, 13, 40, 0.925),
     ],
 )
 def test_scores_by_hand(task: str, done: int, battery: int, steps: int, score: float) -> None:
@@ -50,7 +70,7 @@ def test_scores_by_hand(task: str, done: int, battery: int, steps: int, score: f
         parcel["delivered"] = True
     state["outcome"] = "delivered" if done == state["deliveries_total"] else "flying" if battery else "battery_dead"
     state["done"] = state["outcome"] != "flying"
-    assert GRADERS[f"{task}_delivery"](state) == pytest.approx(score, abs=1e-15)
+    assert GRADERS[get_task(task).id](state) == pytest.approx(score, abs=1e-15)
 
 
 @pytest.mark.parametrize("task", TASKS)

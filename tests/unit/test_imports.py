@@ -17,9 +17,9 @@ ALLOWED_IN_CORE = {"numpy", "numba", *sys.stdlib_module_names}
 FLOORS = [
     {"errors"},
     {"core"},
-    {"planning", "models"},
+    {"planning", "models", "reward_file"},
     {"agents", "graders", "episodes"},
-    {"envs", "evaluation"},
+    {"analysis", "datasets", "envs", "evaluation", "rl"},
     {"commands", "cli"},
 ]
 

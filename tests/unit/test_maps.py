@@ -11,7 +11,7 @@ from drone_env.core.grid_generator import CityMap, generate_city_map
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.errors import InvalidTaskError, InvalidValueError, UnknownNameError
 from tests.tools import missing_tool
 
 EASY = TASKS["easy_delivery"]
@@ -35,7 +35,8 @@ class TestContents:
             city = generate_city_map(task, seed)
             counts = np.bincount(city.grid.ravel(), minlength=len(Cell)).tolist()
             placed = [task.buildings, task.trees, task.obstacles, task.deliveries]
-            assert counts == [task.width * task.height - sum(placed), *placed, 0, 0, 0, 0]
+            road = task.width * task.height - sum(placed) - task.pads
+            assert counts == [road, *placed, 0, 0, 0, task.pads]
 
     @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
     def test_start_is_road_and_deliveries_are_where_the_grid_shows_them(self, task: TaskConfig) -> None:
@@ -65,6 +66,95 @@ class TestContents:
     def test_a_map_without_a_free_cell_is_finished(self, task: TaskConfig) -> None:
         city = generate_city_map(task, 0)
         assert np.argwhere(city.grid == Cell.ROAD).tolist() == [[city.start[1], city.start[0]]]
+
+
+STREETS = {
+    **{name: task for name, task in TASKS.items() if task.street_spacing},
+    "no_cell_free": replace(
+        EASY, width=6, height=4, street_spacing=2, deliveries=5, buildings=4, trees=2, obstacles=8, pads=4
+    ),
+    "oblong": replace(
+        EASY, width=3, height=12, street_spacing=3, deliveries=2, buildings=7, trees=5, obstacles=1, pads=3
+    ),
+    "single_crossing": replace(EASY, width=5, height=5, street_spacing=5, deliveries=1, buildings=9, trees=7),
+}
+
+
+class TestStreets:
+    @pytest.mark.parametrize("task", STREETS.values(), ids=STREETS)
+    def test_buildings_and_trees_stand_between_the_streets_and_everything_else_on_them(self, task: TaskConfig) -> None:
+        for seed in SEEDS:
+            city = generate_city_map(task, seed)
+            x0, y0 = city.start
+            for y, x in np.ndindex(city.grid.shape):
+                on_street = (x - x0) % task.street_spacing == 0 or (y - y0) % task.street_spacing == 0
+                if city.grid[y, x] in (Cell.BUILDING, Cell.TREE):
+                    assert not on_street
+                elif city.grid[y, x] != Cell.ROAD:
+                    assert on_street
+
+    @pytest.mark.parametrize("task", STREETS.values(), ids=STREETS)
+    def test_counts_are_exact(self, task: TaskConfig) -> None:
+        for seed in SEEDS:
+            city = generate_city_map(task, seed)
+            counts = np.bincount(city.grid.ravel(), minlength=len(Cell))
+            assert counts[Cell.DELIVERY] == len(set(city.deliveries)) == task.deliveries
+            for kind, count in task.cell_counts().items():
+                assert counts[kind] == count
+            assert city.grid[city.start[1], city.start[0]] == Cell.ROAD
+
+    def test_the_crossing_is_the_start_wherever_that_is(self) -> None:
+        task = STREETS["single_crossing"]
+        maps = [generate_city_map(task, seed) for seed in range(1000)]
+        assert {city.start for city in maps} == {(x, y) for x in range(5) for y in range(5)}
+        for city in maps:
+            # All 16 cells between the streets are built on, so the streets are what is left.
+            built = np.isin(city.grid, (Cell.BUILDING, Cell.TREE))
+            assert (np.flatnonzero(~built.any(axis=0)).tolist(), np.flatnonzero(~built.any(axis=1)).tolist()) == (
+                [city.start[0]],
+                [city.start[1]],
+            )
+
+    def test_everything_that_may_stand_on_a_cell_does_so_on_some_map(self) -> None:
+        task = STREETS["oblong"]
+        seen: dict[tuple[int, int], set[int]] = {}
+        for seed in range(2000):
+            city = generate_city_map(task, seed)
+            for y, x in np.ndindex(city.grid.shape):
+                from_crossing = ((x - city.start[0]) % 3, (y - city.start[1]) % 3)
+                seen.setdefault(from_crossing, set()).add(int(city.grid[y, x]))
+        between = {Cell.ROAD, Cell.BUILDING, Cell.TREE}
+        on_street = {Cell.ROAD, Cell.OBSTACLE, Cell.DELIVERY, Cell.PAD}
+        assert seen == {(x, y): between if x and y else on_street for x in range(3) for y in range(3)}
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"street_spacing": 3}, "street_spacing must be 0 or divide width and height, got 3"),
+            ({"street_spacing": -5}, "street_spacing must be 0 or divide width and height, got -5"),
+            ({"street_spacing": 1}, "street_spacing must be 0 or divide width and height, got 1"),
+            ({"street_spacing": 20}, "street_spacing must be 0 or divide width and height, got 20"),
+            ({"street_spacing": 5, "width": 12}, "street_spacing must be 0 or divide width and height, got 5"),
+            ({"street_spacing": 2.0}, "street_spacing must be an integer"),
+            ({"street_spacing": 5, "buildings": 61}, "65 buildings and trees do not fit on 64 cells between"),
+            ({"street_spacing": 10, "pads": 15}, "20 things do not fit on 19 cells of street"),
+            ({"efficiency_needs_all": 1}, "efficiency_needs_all must be True or False"),
+        ],
+    )
+    def test_what_does_not_fit_is_refused(self, changes: dict[str, Any], message: str) -> None:
+        with pytest.raises(InvalidTaskError, match=f"^task 'easy_delivery': .*{message}"):
+            replace(EASY, **changes)
+
+    @pytest.mark.parametrize(
+        "changes",
+        [
+            {"street_spacing": 5, "buildings": 60},
+            {"street_spacing": 10, "pads": 14},
+            {"street_spacing": 2},
+        ],
+    )
+    def test_the_bounds_themselves_are_allowed(self, changes: dict[str, Any]) -> None:
+        generate_city_map(replace(EASY, **changes), 0)
 
 
 class TestSeed:

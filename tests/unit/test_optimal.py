@@ -1,35 +1,15 @@
-"""The exact optimum against a brute-force search that knows nothing but the dynamics."""
+"""The exact optimum against a brute-force search that knows nothing but the dynamics, and tours by hand."""
 
 import random
 from dataclasses import replace
 
 import pytest
 
-from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.state_manager import Episode
-from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.errors import UnsupportedTaskError
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.planning.optimal import shortest_tour, solve, solve_episode, tour_actions
-
-
-def best_score_by_search(episode: Episode) -> float:
-    """The best score of all action sequences, by breadth-first search over every state that can be reached."""
-    best = 0.0
-    frontier = {episode.get_state().row: episode.get_state()}
-    while frontier:
-        following = {}
-        for state in frontier.values():
-            for action in Action:
-                episode.set_state(state)
-                episode.step(action)
-                if episode.ended:
-                    best = max(best, episode.score)
-                else:
-                    reached = episode.get_state()
-                    following.setdefault(reached.row, replace(reached, path=(), reward_last=0.0, reward_total=0.0))
-        frontier = following
-    return best
+from tests.brute_force import BruteForce
 
 
 def small_task(rng: random.Random) -> TaskConfig:
@@ -54,7 +34,7 @@ def test_optimum_equals_brute_force_on_small_maps(seed: int) -> None:
     solution = solve(task, seed)
     episode = Episode(task)
     episode.reset(seed)
-    assert solution.score == best_score_by_search(episode)
+    assert solution.score == BruteForce(episode).value
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -67,10 +47,10 @@ def test_optimum_from_the_middle_of_a_flight_equals_brute_force(seed: int) -> No
     before = episode.get_state()
     solution = solve_episode(episode)
     assert episode.get_state() == before
-    assert solution.score == (episode.score if episode.ended else best_score_by_search(episode))
+    assert solution.score == (episode.score if episode.ended else BruteForce(episode).value)
 
 
-@pytest.mark.parametrize("name", ["easy", "medium", "hard"])
+@pytest.mark.parametrize("name", TASKS)
 def test_the_actions_of_the_solution_earn_its_score(name: str) -> None:
     for seed in range(50):
         solution = solve(name, seed)
@@ -109,17 +89,23 @@ def test_sixteen_parcels_are_solved() -> None:
     assert shortest_tour((0, 0), parcels, budget=16) == [(i, 0) for i in range(1, 17)]
 
 
+@pytest.mark.parametrize("needs_all", [False, True])
 @pytest.mark.parametrize(
     "mechanics",
     [
         {"impassable": frozenset({Cell.OBSTACLE})},
         {"drain": ((Cell.BUILDING, 2),)},
         {"pads": 1, "charge_rate": 5},
+        {},
     ],
 )
-def test_tasks_beyond_the_tour_solver_are_refused(mechanics: dict) -> None:
-    with pytest.raises(UnsupportedTaskError, match="one battery unit"):
-        solve(replace(get_task("easy"), id="custom", **mechanics), 0)
+def test_every_mechanic_is_solved(mechanics: dict, needs_all: bool) -> None:
+    steps = {"max_steps": 20, "battery_capacity": 15, "efficiency_needs_all": needs_all}
+    task = replace(get_task("easy"), id="custom", width=4, height=4, **steps, **mechanics)
+    for seed in range(5):
+        episode = Episode(task)
+        episode.reset(seed)
+        assert solve(task, seed).score == BruteForce(episode).value
 
 
 def test_an_impassable_kind_that_no_map_holds_changes_nothing() -> None:

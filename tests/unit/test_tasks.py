@@ -46,14 +46,12 @@ class TestStandardTasks:
         others = (task.r_step, task.r_wait, task.r_building, task.r_tree, task.r_obstacle, task.r_battery_dead)
         assert (*others, task.r_wall, task.r_blocked) == (r_other,) * 8
 
-    def test_these_are_all(self) -> None:
-        assert list(TASKS) == ["easy_delivery", "medium_delivery", "hard_delivery"]
-
-    @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+    @pytest.mark.parametrize("task", [TASKS[f"{level}_delivery"] for level in ("easy", "medium", "hard")])
     def test_everything_is_passable_and_drains_one_unit(self, task: TaskConfig) -> None:
         assert (task.impassable, task.drain, task.charge_rate) == (frozenset(), (), 0)
         assert task.uniform
         assert task.telemetry_size == 5
+        assert (task.street_spacing, task.efficiency_needs_all) == (0, False)
 
     @pytest.mark.parametrize(
         ("task", "gym_id"),
@@ -61,10 +59,56 @@ class TestStandardTasks:
             ("easy", "DroneDelivery-Easy-v1"),
             ("medium", "DroneDelivery-Medium-v1"),
             ("hard", "DroneDelivery-Hard-v1"),
+            ("skyline_easy", "DroneDelivery-Skyline-Easy-v1"),
+            ("skyline_medium", "DroneDelivery-Skyline-Medium-v1"),
+            ("skyline_hard", "DroneDelivery-Skyline-Hard-v1"),
         ],
     )
     def test_gymnasium_ids(self, task: str, gym_id: str) -> None:
         assert get_task(task).gym_id == gym_id
+
+
+class TestSkylineTasks:
+    @pytest.mark.parametrize(
+        ("name", "side", "counts", "deliveries", "battery", "steps", "charge"),
+        [
+            ("skyline_easy", 8, (18, 6, 3, 5), 3, 11, 60, 4),
+            ("skyline_medium", 12, (40, 14, 8, 4), 4, 18, 100, 4),
+            ("skyline_hard", 16, (80, 24, 14, 5), 5, 26, 160, 5),
+        ],
+    )
+    def test_numbers(
+        self,
+        name: str,
+        side: int,
+        counts: tuple[int, int, int, int],
+        deliveries: int,
+        battery: int,
+        steps: int,
+        charge: int,
+    ) -> None:
+        task = TASKS[name]
+        assert (task.id, task.short_name, task.version) == (name, name, 1)
+        assert (task.width, task.height, task.street_spacing) == (side, side, 4)
+        assert (task.buildings, task.trees, task.obstacles, task.pads) == counts
+        assert (task.deliveries, task.battery_capacity, task.max_steps) == (deliveries, battery, steps)
+        assert task.charge_rate == charge
+        assert task.drain == ((Cell.BUILDING, 3), (Cell.TREE, 2))
+        assert task.impassable == {Cell.OBSTACLE}
+        assert task.efficiency_needs_all
+        assert not task.uniform
+        assert task.telemetry_size == 6
+        standard = TASKS[f"{name.removeprefix('skyline_')}_delivery"]
+        for event in ("delivery", "battery_dead", "wall", "blocked", "obstacle", "building", "tree", "wait", "step"):
+            assert getattr(task, f"r_{event}") == getattr(standard, f"r_{event}")
+
+    @pytest.mark.parametrize("name", ["skyline_easy", "skyline_medium", "skyline_hard"])
+    def test_id_and_grader_name_the_task(self, name: str) -> None:
+        assert get_task(name) is get_task(f"drone_env.graders:grade_{name}") is TASKS[name]
+
+    def test_with_the_standard_tasks_these_are_all(self) -> None:
+        names = ["easy", "medium", "hard"]
+        assert list(TASKS) == [f"{name}_delivery" for name in names] + [f"skyline_{name}" for name in names]
 
 
 class TestNames:

@@ -1,0 +1,159 @@
+"""Write the generated parts of the documentation: `make docs-data`, some minutes.
+
+    docs/tasks.md           every task: its numbers, a picture, and how the agents fly it
+    docs/images/<task>.png  a best flight over its first test map
+    docs/reward.md          the table of audits between its two markers
+
+`python docs/generate.py --tasks` leaves the audits out.
+"""
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+from drone_env.core.actions import Event
+from drone_env.core.cells import CELL_KINDS
+from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.seeds import split_seeds
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.envs.rendering import save_picture
+from drone_env.evaluation import episodes_key, run_episodes, summarise
+from drone_env.planning.audit import MapAudit, audit_map, audited_profile
+from drone_env.planning.optimal import solve
+
+DOCS = Path(__file__).parent
+AGENTS = ("random", "greedy", "optimal")
+MAPS = 1000
+AUDITED = {
+    "easy_delivery": 1000,
+    "medium_delivery": 200,
+    "hard_delivery": 40,
+    "skyline_easy": 200,
+    "skyline_medium": 20,
+}
+"""How many test maps the audits of a task run over."""
+BEGIN, END = "<!-- audits: written by generate.py -->", "<!-- end of audits -->"
+
+
+def numbers(task: TaskConfig) -> str:
+    """The table of a task's numbers."""
+    drain = ", ".join(f"{units} above a {CELL_KINDS[kind].name}" for kind, units in task.drain)
+    blocked = ", ".join(sorted(CELL_KINDS[kind].name for kind in task.impassable)) or "nothing"
+    streets = f"every {task.street_spacing} cells" if task.street_spacing else "none: everything lies anywhere"
+    charging = f"{task.pads} pads, {task.charge_rate} units a WAIT" if task.pads else "none"
+    counts = "always" if not task.efficiency_needs_all else "only when everything is delivered"
+    events = (e.name.lower() for e in Event if e not in (Event.DELIVERY, Event.NONE))
+    others: dict[float, list[str]] = {}
+    for event in events:
+        others.setdefault(getattr(task, f"r_{event}"), []).append(event)
+    other = "everything else" if len(others) == 1 else None
+    rewards = [f"{task.r_delivery} for a delivery"] + [f"{r} for {other or ', '.join(e)}" for r, e in others.items()]
+    rows = {
+        "Names": f"`{task.id}`" + (f", `{task.short_name}`" if task.short_name != task.id else ""),
+        "Gymnasium": f"`drone_env:{task.gym_id}`",
+        "Grader": f"`{task.grader}`",
+        "Grid": f"{task.width} x {task.height}",
+        "Parcels": str(task.deliveries),
+        "Buildings, trees, obstacles": f"{task.buildings}, {task.trees}, {task.obstacles}",
+        "Impassable": blocked,
+        "Streets": streets,
+        "Steps": str(task.max_steps),
+        "Battery": f"{task.battery_capacity} units",
+        "A step drains": f"1 unit; {drain}" if drain else "1 unit",
+        "Charging": charging,
+        "Battery and steps left score": counts,
+        "Rewards (`tiered`)": "; ".join(rewards),
+        "Telemetry": f"{task.telemetry_size} values",
+    }
+    return "| | |\n|---|---|\n" + "".join(f"| {name} | {value} |\n" for name, value in rows.items())
+
+
+def figures(task: TaskConfig) -> str:
+    """The table of how the agents fly a task."""
+    lines = ["| agent | mean score | of the optimum | all delivered | mean steps |", "|---|---|---|---|---|"]
+    for agent in AGENTS:
+        key = episodes_key(task, agent, split_seeds("test", MAPS), "test")
+        of_agent = summarise(run_episodes(key))
+        lines.append(
+            f"| {agent} | {of_agent['mean_score']:.4f} | {of_agent['score_ratio']:.1%} "
+            f"| {of_agent['success_rate']:.1%} | {of_agent['mean_steps']:.1f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def picture(task: TaskConfig) -> None:
+    """Draw a best flight over the first test map."""
+    episode = Episode(task)
+    episode.reset(split_seeds("test", 1)[0])
+    for action in solve(task, episode.seed).actions:
+        episode.step(action)
+    save_picture(episode, DOCS / "images" / f"{task.id}.png", 480)
+
+
+INTRODUCTION = f"""# Tasks
+
+Written by `docs/generate.py` from `TASKS` (`drone_env/core/tasks.py`). [rules.md](rules.md) says what the numbers mean.
+The pictures show a best flight over the first test map; the figures are means over the first {MAPS:,} test maps.
+
+On the three `delivery` tasks chasing the nearest parcel nearly reaches the optimum. The three `skyline` tasks are made
+so that it does not: the battery does not last for the tour, buildings cost extra, obstacles block the way, and whoever
+does not plan where to charge is left standing. In `skyline` a charge in time is worth more than the steps it takes: a
+best flight often tops up before the last delivery, so it can be longer than a shorter one that scores less.
+"""
+
+
+def write_tasks() -> None:
+    """Write docs/tasks.md and the pictures."""
+    parts = [INTRODUCTION]
+    for task in TASKS.values():
+        picture(task)
+        shown = f"![A best flight on {task.id}](images/{task.id}.png)"
+        parts.append(f"## {task.id}\n\n{shown}\n\n{numbers(task)}\n{figures(task)}")
+    (DOCS / "tasks.md").write_text("\n".join(parts), encoding="utf-8")
+
+
+def audits(task: TaskConfig, maps: int) -> list[str]:
+    """The rows of a task in the table of audits."""
+    rows: list[str] = []
+    cases = [(name, gamma, None) for name in REWARD_PROFILES for gamma in (1.0, 0.99)] + [("aligned", 1.0, 0.99)]
+    for name, gamma, shaping_gamma in cases:
+        profile = audited_profile(name, gamma, shaping_gamma)
+        one = partial(audit_map, task, reward_profile=profile, gamma=gamma)
+        seeds = split_seeds("test", maps)
+        with ThreadPoolExecutor() as pool:
+            of_maps: list[MapAudit] = [one(seeds[0]), *pool.map(one, seeds[1:])]
+        share = sum(of_map.aligned for of_map in of_maps) / maps
+        mean = {key: sum(of_map.returns[key] for of_map in of_maps) / maps for key in of_maps[0].returns}
+        score, optimum = (sum(getattr(m, key) for m in of_maps) / maps for key in ("score", "optimum"))
+        note = f" (shaping {shaping_gamma})" if shaping_gamma is not None else ""
+        verdict = "aligned" if share == 1 else "**exploitable**"
+        rows.append(
+            f"| {task.short_name} | {maps} | `{name}`{note} | {gamma:g} | {verdict} | {share:.1%} | {score:.3f} "
+            f"| {optimum:.3f} | {mean['honest']:.2f} | {mean['stall']:.2f} | {mean['bump']:.2f} "
+            f"| {mean['oscillate']:.2f} | {mean['hover']:.2f} |"
+        )
+        print(rows[-1], file=sys.stderr)
+    return rows
+
+
+def write_audits() -> None:
+    """Write the table of docs/reward.md."""
+    lines = [
+        "| task | maps | reward | gamma | verdict | maps on which it reaches the optimum | score of the maximiser "
+        "| optimum | return: honest | stall | bump | oscillate | hover |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for task_id, maps in AUDITED.items():
+        lines += audits(TASKS[task_id], maps)
+    page = DOCS / "reward.md"
+    before, rest = page.read_text(encoding="utf-8").split(BEGIN)
+    after = rest.split(END)[1]
+    page.write_text(f"{before}{BEGIN}\n\n" + "\n".join(lines) + f"\n\n{END}{after}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_tasks()
+    if "--tasks" not in sys.argv[1:]:
+        write_audits()

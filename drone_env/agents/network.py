@@ -1,0 +1,93 @@
+"""PathQNet without PyTorch: the same network in NumPy, from an exported file.
+
+The file is NumPy's `.npz`: one array per parameter, under PyTorch's names, and `metadata`, JSON text. A single map
+takes some hundred microseconds, and no inference library has to be installed.
+"""
+
+import json
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.core.cells import N_CELL_KINDS
+from drone_env.errors import CheckpointError
+
+POOLED = 4
+EPSILON = 1e-5
+"""What PyTorch's LayerNorm adds to the variance."""
+Array = npt.NDArray[np.float32]
+
+
+class Network:
+    """The values of the five actions: float32[B, 5] from grids uint8[B, H, W] and telemetry float32[B, 5 or 6].
+
+    Args:
+        parameters: The arrays of the exported file.
+        metadata: What the file says about its making.
+    """
+
+    def __init__(self, parameters: dict[str, Array], metadata: dict[str, Any]) -> None:
+        self.metadata = metadata
+        self._parameters = parameters
+        embedding, weight = parameters["encoder.embedding.weight"], parameters["encoder.conv1.weight"]
+        # The first convolution only ever sees embeddings, so it is nine table lookups. The last row is the padding.
+        table = np.einsum("ke,oeyx->yxko", embedding, weight).reshape(9, len(embedding), -1)
+        self._conv1 = np.concatenate([table, np.zeros_like(table[:, :1])], axis=1)
+        self._conv2 = parameters["encoder.conv2.weight"].transpose(2, 3, 1, 0).reshape(-1, weight.shape[0] * 2)
+
+    def __call__(self, grids: npt.NDArray[np.uint8], telemetry: Array) -> Array:
+        """The values of the actions."""
+        p = self._parameters
+        x = np.concatenate([self._encode(grids), telemetry], axis=1)
+        x = x @ p["head.0.weight"].T + p["head.0.bias"]
+        centred = x - x.mean(axis=1, keepdims=True)
+        x = centred / np.sqrt(np.mean(centred**2, axis=1, keepdims=True) + EPSILON)
+        x = np.maximum(x * p["head.1.weight"] + p["head.1.bias"], 0)
+        x = np.maximum(x @ p["head.3.weight"].T + p["head.3.bias"], 0)
+        x = np.maximum(x @ p["head.5.weight"].T + p["head.5.bias"], 0)
+        return x @ p["head.7.weight"].T + p["head.7.bias"]
+
+    def _encode(self, grids: npt.NDArray[np.uint8]) -> Array:
+        p = self._parameters
+        n, height, width = grids.shape
+        padded = np.pad(grids, ((0, 0), (1, 1), (1, 1)), constant_values=N_CELL_KINDS)
+        x = np.broadcast_to(p["encoder.conv1.bias"], (n, height, width, self._conv1.shape[2])).copy()
+        for i in range(9):
+            x += self._conv1[i][padded[:, i // 3 : i // 3 + height, i % 3 : i % 3 + width]]
+        x = np.pad(np.maximum(x, 0), ((0, 0), (1, 1), (1, 1), (0, 0)))
+        patches = [x[:, i // 3 : i // 3 + height, i % 3 : i % 3 + width] for i in range(9)]
+        x = np.maximum(np.concatenate(patches, axis=3) @ self._conv2 + p["encoder.conv2.bias"], 0)
+        x = np.einsum("ph,nhwc,qw->ncpq", pooling(height), x, pooling(width), optimize=True)
+        return np.maximum(x.reshape(n, -1) @ p["encoder.linear.weight"].T + p["encoder.linear.bias"], 0)
+
+
+@lru_cache(maxsize=16)
+def pooling(size: int) -> Array:
+    """Adaptive average pooling along one side as a matrix, float32[4, size].
+
+    Part i is the mean of the cells from floor(i * size / 4) up to ceil((i + 1) * size / 4).
+    """
+    matrix = np.zeros((POOLED, size), np.float32)
+    for i in range(POOLED):
+        start, stop = i * size // POOLED, -(-(i + 1) * size // POOLED)
+        matrix[i, start:stop] = 1 / (stop - start)
+    return matrix
+
+
+def load_network(path: Path) -> Network:
+    """Read an exported network.
+
+    Raises:
+        OSError: if the file cannot be read.
+        CheckpointError: if it is not an exported network.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            parameters = {name: file[name] for name in file.files if name != "metadata"}
+            metadata = json.loads(str(file["metadata"]))
+        return Network(parameters, metadata)
+    except (ValueError, KeyError, EOFError) as error:
+        raise CheckpointError(f"{path} is not an exported network (.npz, beside the checkpoint): {error}") from None

@@ -1,0 +1,91 @@
+"""`drone-env analyse-flight`: a flight move by move, beside the exact value of every state."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.console import Console
+from rich.text import Text
+
+from drone_env.agents import AGENTS, make_agent
+from drone_env.commands.arguments import SHORT_NAMES, Seed
+from drone_env.commands.flights import choices
+from drone_env.core.state_manager import Episode
+from drone_env.errors import InvalidValueError
+
+if TYPE_CHECKING:
+    from drone_env.analysis import FlightAnalysis
+
+File = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
+ChosenAgent = Annotated[str | None, tyro.conf.arg(metavar="|".join(AGENTS))]
+
+STYLES = {
+    r"\A.+": "bold",
+    r"(?m)^step .*|^ +moves .*": "dim",
+    r"\bdelivery\b": "green",
+    r"(?m)^.* !!(?= |$).*": "bold green",
+    r"(?m)^.* \?!(?= |$).*": "yellow",
+    r"(?m)^.* \?(?= |$).*": "bold yellow",
+    r"(?m)^.* \?\?(?= |$).*": "bold red",
+}
+"""How the text of an analysis is coloured in a terminal: the title, the headings, then by what happened."""
+
+
+def analyse_flight(
+    file: File = None, task: ChosenTask = None, agent: ChosenAgent = None, seed: Seed = None, json: bool = False
+) -> None:
+    """Say of every move of a flight what it gave away, exactly, and what would have been better.
+
+    The flight is a recorded one, or flown first: name a file or a task. Value: the highest score that can still be
+    reached after the move. Regret: by how much the move lowered it. Better: all moves that would not have. Marks: ??
+    blunder (a parcel lost), ? mistake, ?! inaccuracy, !! the only move that was not a blunder. Accuracy: the share of
+    best moves among those on which anything could be lost.
+
+    Example: drone-env analyse-flight --task hard --agent greedy --seed 7
+
+    Example: drone-env analyse-flight flight.json --json
+
+    Args:
+        file: The record of the flight, as `fly --record` saves it.
+        task: The task of a flight to be flown, by its short name, id or grader.
+        agent: Who flies it, greedy if nothing is said.
+        seed: Number of its map, 0 to 2^53 - 1. Without one, a train map is drawn at random.
+        json: Print JSON instead: positions are [x, y].
+    """
+    # These load Pydantic and Numba, which nobody should wait for who does not need them.
+    from drone_env.analysis import analyse_flight as analyse
+    from drone_env.episodes.record import load_record, record_of
+
+    if file is not None and task is None:
+        if agent is not None or seed is not None:
+            raise InvalidValueError("a record names agent and seed itself: give the file without --agent and --seed")
+        record = load_record(file)
+    elif file is None and task is not None:
+        name = "greedy" if agent is None else agent
+        record = record_of(_flown(task, name, seed), name)
+    else:
+        given = "neither" if file is None else "both"
+        raise InvalidValueError(
+            f"analyse-flight takes the file of a record, or --task (with --agent and --seed) to fly first; got {given}"
+        )
+    analysis = analyse(record)
+    if json:
+        print(analysis.to_json())
+    else:
+        _show(analysis)
+
+
+def _flown(task: str, agent: str, seed: int | None) -> Episode:
+    episode, pilot = Episode(task), make_agent(agent, task)
+    pilot.reset(episode.reset(seed))
+    for action in choices(pilot, episode):
+        episode.step(action)
+    return episode
+
+
+def _show(analysis: "FlightAnalysis") -> None:
+    text = Text(analysis.to_text())
+    for pattern, style in STYLES.items():
+        text.highlight_regex(pattern, style)
+    Console(highlight=False).print(text, soft_wrap=True)

@@ -1,0 +1,183 @@
+"""`drone-env audit`: whether maximising a reward is the same as flying well."""
+
+import json as json_format
+import math
+import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from drone_env.commands.arguments import TaskName
+from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
+from drone_env.core.seeds import SPLITS, split_seeds
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.errors import InvalidValueError
+
+if TYPE_CHECKING:
+    from drone_env.planning.audit import MapAudit
+
+RewardName = Annotated[str, tyro.conf.arg(metavar=f"{'|'.join(REWARD_PROFILES)}|FILE.toml")]
+SplitName = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
+
+
+def audit(
+    task: TaskName = "easy",
+    reward: RewardName = "aligned",
+    gamma: float = 1.0,
+    maps: int = 20,
+    split: SplitName = "test",
+    shaping_gamma: float | None = None,
+    replay: Path | None = None,
+    json: bool = False,
+    jobs: int | None = None,
+) -> int:
+    """Work out what a learner that maximises a reward would really do, and what that scores.
+
+    On each map, the exact return-maximising flight (of several, the one that scores lowest) stands beside the exact
+    optimum of the score. The verdict is `aligned` if they score the same on every map, else `exploitable`. Exit
+    status: 0 for aligned, 1 for exploitable.
+
+    Potential-based shaping fits one discount: it is audited with `gamma` as its own, as the learner should set it.
+
+    Example: drone-env audit --task easy --reward tiered --maps 50 --replay worst.json
+
+    Args:
+        task: The task, by its short name, id or grader.
+        reward: A reward profile, or a TOML file with one.
+        gamma: The learner's discount, 0 to 1.
+        maps: How many maps of the split.
+        split: Whose first maps.
+        shaping_gamma: Audit the shaping with this discount instead.
+        replay: Write the flight over the worst map to this JSON file; analyse-flight shows what is wrong with it.
+        json: Print JSON instead.
+        jobs: Maps at a time; as many as the machine has cores if nothing is said.
+    """
+    # These load a compiler, which other commands should not wait for.
+    from drone_env.episodes.record import record_of, save_record
+    from drone_env.planning.audit import audited_profile
+    from drone_env.reward_file import reward_profile_from
+
+    config = get_task(task)
+    profile = audited_profile(reward_profile_from(reward), gamma, shaping_gamma)
+    if maps < 1 or (jobs is not None and jobs < 1):
+        raise InvalidValueError("--maps and --jobs must be at least 1")
+    if replay is not None and (replay.is_dir() or not replay.parent.is_dir()):
+        raise InvalidValueError(f"--replay takes a file in a folder that exists, got {replay}")
+    seeds = split_seeds(split, maps)
+    audits = _audit_maps(config, profile, gamma, seeds, jobs or os.cpu_count() or 1)
+    worst = max(audits, key=lambda of_map: (not of_map.aligned, of_map.optimum - of_map.score))
+    if replay is not None:
+        flight = Episode(config, profile)
+        flight.reset(worst.seed)
+        for action in worst.actions:
+            flight.step(action)
+        save_record(record_of(flight, f"maximiser of {profile.id}"), replay)
+    report = _report(config, profile, gamma, audits, worst)
+    if json:
+        print(json_format.dumps(report, indent=2))
+    else:
+        _print(report, replay)
+    return 0 if report["verdict"] == "aligned" else 1
+
+
+def _audit_maps(task: TaskConfig, profile: RewardProfile, gamma: float, seeds: range, jobs: int) -> "list[MapAudit]":
+    from drone_env.planning.audit import audit_map
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    one = partial(audit_map, task, reward_profile=profile, gamma=gamma)
+    audits: list[MapAudit] = []
+    with (
+        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress,
+        ThreadPoolExecutor(jobs) as pool,
+    ):
+        bar = progress.add_task(f"{task.short_name} {profile.id}", total=len(seeds))
+        # The first map alone: it compiles what the others then use.
+        audits.append(one(seeds[0]))
+        progress.advance(bar)
+        for audited in pool.map(one, seeds[1:]):
+            audits.append(audited)
+            progress.advance(bar)
+    return audits
+
+
+def _report(
+    task: TaskConfig, profile: RewardProfile, gamma: float, audits: "list[MapAudit]", worst: "MapAudit"
+) -> dict[str, Any]:
+    def mean(values: list[float]) -> float:
+        return math.fsum(values) / len(values)
+
+    share = sum(of_map.aligned for of_map in audits) / len(audits)
+    shaping = profile.shaping_gamma
+    return {
+        "task": task.id,
+        "version": task.version,
+        "reward": profile.id,
+        "gamma": gamma,
+        "shaping_gamma": None if shaping is None else float(shaping),
+        "seeds": [audits[0].seed, audits[-1].seed + 1],
+        "maps": len(audits),
+        "verdict": "aligned" if share == 1 else "exploitable",
+        "share_aligned": share,
+        "mean_score": mean([of_map.score for of_map in audits]),
+        "mean_optimal_score": mean([of_map.optimum for of_map in audits]),
+        "mean_returns": {
+            "maximiser": mean([of_map.maximum for of_map in audits]),
+            **{name: mean([of_map.returns[name] for of_map in audits]) for name in audits[0].returns},
+        },
+        "worst": {
+            "seed": worst.seed,
+            "score": worst.score,
+            "optimal_score": worst.optimum,
+            "actions": [action.name for action in worst.actions],
+        },
+    }
+
+
+RETURNS = {
+    "maximiser": "the flight that earns most",
+    "honest": "the flight that scores most",
+    "stall": "wait until the end",
+    "bump": "bump into the edge until the end",
+    "oscillate": "fly to and fro until the end",
+    "hover": "wait before the last delivery, deliver at the last moment",
+}
+
+
+def _print(report: dict[str, Any], replay: Path | None) -> None:
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    shaping = "" if report["shaping_gamma"] is None else f", shaping gamma {report['shaping_gamma']:g}"
+    console.print(
+        f"{report['reward']} on {report['task']}, gamma {report['gamma']:g}{shaping}, {report['maps']} maps",
+        style="bold",
+    )
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("flight")
+    table.add_column("mean return", justify="right")
+    honest = report["mean_returns"]["honest"]
+    for name, value in report["mean_returns"].items():
+        style = "red" if name != "maximiser" and value > honest + 1e-9 else None
+        table.add_row(RETURNS[name], f"{value:.3f}", style=style)
+    console.print(table)
+    console.print(
+        f"The flight that earns most scores {report['mean_score']:.4f} on average; "
+        f"the optimum is {report['mean_optimal_score']:.4f}."
+    )
+    console.print(f"It scores the optimum on {report['share_aligned']:.1%} of the maps.")
+    verdict = report["verdict"]
+    console.print(f"Verdict: [bold {'green' if verdict == 'aligned' else 'red'}]{verdict}[/]")
+    worst = report["worst"]
+    if verdict == "exploitable":
+        console.print(
+            f"Worst map: {worst['seed']}, {worst['score']:.4f} where {worst['optimal_score']:.4f} can be had"
+            + (f"; its flight is in {replay}" if replay else "")
+        )

@@ -1,0 +1,55 @@
+"""Flying a mission and telling about it, as several subcommands do."""
+
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from drone_env.agents import Agent
+from drone_env.core.state_manager import Episode
+from drone_env.envs.ansi import draw_text
+from drone_env.episodes.log_lines import end_line, start_line, step_line
+from drone_env.errors import InvalidValueError
+from drone_env.planning.optimal import best_of
+
+
+def choices(pilot: Agent, episode: Episode) -> Iterator[int]:
+    """What an agent does, one action at a time: each must be flown before the next is asked for."""
+    while not episode.ended:
+        yield pilot.act(episode.observation())
+
+
+def log_flight(episode: Episode, agent: str, actions: Iterable[int], render: bool) -> None:
+    """Fly actions from the start of an episode.
+
+    Standard output receives the log lines and nothing else; the maps, where they are asked for, and the comparison with
+    the optimum go to standard error. A flight that has not ended after its last action counts as if it waited to its
+    end.
+    """
+    if render:
+        print(draw_text(episode), file=sys.stderr)
+    print(start_line(episode.task, agent))
+    for action in actions:
+        reward = episode.step(action)
+        print(step_line(episode.steps, episode.path[-1].action, reward, episode.ended), flush=render)
+        if render:
+            print(draw_text(episode), file=sys.stderr)
+    score = episode.counted_score()
+    print(end_line(episode.success, score, [point.reward for point in episode.path]))
+    optimum = best_of(episode.task, episode.seed)
+    known = f"the optimum is {optimum.score:.4f} in {optimum.steps}" if optimum else "the optimum is not known"
+    steps = (
+        f"{episode.steps} steps" if episode.ended else f"{episode.steps} steps, unfinished and counted as waiting on"
+    )
+    print(f"map {episode.seed}: {agent} scored {score:.4f} in {steps}; {known}", file=sys.stderr)
+
+
+def prepare_file(option: str, path: Path) -> None:
+    """Make the folder of a file that an option names, so that it need not fail after the flight.
+
+    Raises:
+        InvalidValueError: if it names a folder.
+        OSError: if the folder cannot be made.
+    """
+    if path.is_dir():
+        raise InvalidValueError(f"{option} takes the name of a file, got the folder {path}")
+    path.parent.mkdir(parents=True, exist_ok=True)

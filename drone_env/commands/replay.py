@@ -1,0 +1,34 @@
+"""`drone-env replay`: a recorded flight once more."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from drone_env.commands.flights import log_flight
+from drone_env.core.actions import Action
+from drone_env.core.state_manager import Episode
+
+File = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+
+
+def replay(file: File, render: bool = False) -> None:
+    """Fly a recorded flight again, check that it comes to what the record says, and print its log lines.
+
+    Standard output holds the lines that `fly` printed, and nothing else; maps and the comparison with the optimum go to
+    standard error. Of a record that does not fit its flight nothing is printed but what is wrong with it.
+
+    Example: drone-env replay flight.json --render
+
+    Args:
+        file: The record, as `fly --record` saves it.
+        render: Show the map after every step.
+    """
+    # Loads Pydantic, which only records need.
+    from drone_env.episodes import record as records
+
+    record = records.load_record(file)
+    checked = records.replay(record)
+    episode = Episode(checked.task, checked.reward_profile)
+    episode.reset(record.seed)
+    log_flight(episode, record.agent, [Action[name] for name in record.actions], render)

@@ -1,0 +1,134 @@
+"""Flights with the exact values of every state that they come to."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.agents import Agent, make_agent
+from drone_env.core.actions import N_ACTIONS
+from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
+from drone_env.core.state_manager import Episode
+from drone_env.datasets.config import DatasetConfig
+from drone_env.planning.exact import ExactSolver
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """One flight to its end: T steps, T + 1 states.
+
+    Attributes:
+        seed: The map.
+        agent: Who flew.
+        grids: uint8[T + 1, H, W] of cell ids.
+        telemetry: float32[T + 1, 5 or 6].
+        action_masks: int8[T + 1, 5], 0 for each action that would bump.
+        scores: float64[T + 1], the graded score as it stands.
+        events: int8[T + 1], what led to the state (`Event`).
+        actions: int8[T], what was flown.
+        agent_actions: int8[T], what the agent chose.
+        rewards: float64[T].
+        values: float64[T + 1], V*: the highest score that can still be reached; at the end the score.
+        q_values: float64[T, 5], Q*: the highest score that can still be reached after each action.
+    """
+
+    seed: int
+    agent: str
+    grids: npt.NDArray[np.uint8]
+    telemetry: npt.NDArray[np.float32]
+    action_masks: npt.NDArray[np.int8]
+    scores: npt.NDArray[np.float64]
+    events: npt.NDArray[np.int8]
+    actions: npt.NDArray[np.int8]
+    agent_actions: npt.NDArray[np.int8]
+    rewards: npt.NDArray[np.float64]
+    values: npt.NDArray[np.float64]
+    q_values: npt.NDArray[np.float64]
+
+    @property
+    def steps(self) -> int:
+        """T."""
+        return len(self.actions)
+
+    @property
+    def terminated(self) -> npt.NDArray[np.bool_]:
+        """bool[T]: whether the step ended the flight."""
+        return np.arange(1, self.steps + 1) == self.steps
+
+    @property
+    def regrets(self) -> npt.NDArray[np.float64]:
+        """float64[T]: V*(s) - Q*(s, a), what the flown action gave away for good, in score."""
+        return self.values[:-1] - self.q_values[np.arange(self.steps), self.actions]
+
+    @property
+    def optimal_actions(self) -> npt.NDArray[np.bool_]:
+        """bool[T, 5]: the actions after which the highest score can still be reached."""
+        return self.q_values == self.values[:-1, None]
+
+    @property
+    def returns_to_go(self) -> npt.NDArray[np.float64]:
+        """float64[T]: the undiscounted sum of the rewards from this step to the end."""
+        return np.cumsum(self.rewards[::-1])[::-1]
+
+
+def fly_map(config: DatasetConfig, seed: int) -> Iterator[Flight]:
+    """The flights of all agents over one map, which is solved once.
+
+    Raises:
+        TooLargeError: if the exact values of the map would take too much memory.
+    """
+    episode = Episode(config.task, config.reward_profile)
+    episode.reset(seed)
+    solver = ExactSolver(episode)
+    for name in config.agents:
+        episode.reset(seed)
+        yield _fly(episode, solver, make_agent(name, config.task), name, config.epsilon)
+
+
+def chance(agent: str, seed: int) -> Iterator[tuple[float, int]]:
+    """For each step a number in [0, 1) and an action: the action is flown where the number is below epsilon.
+
+    They depend on the agent's name and the map alone, so a flight does not change with the other agents or maps.
+    """
+    key = map_key(task_key(f"dataset/chance/{agent}", 1), seed)
+    while True:
+        key = next_key(key)
+        share = uniform_below(key, 1 << 32) / (1 << 32)
+        key = next_key(key)
+        yield share, uniform_below(key, N_ACTIONS)
+
+
+def _fly(episode: Episode, solver: ExactSolver, agent: Agent, name: str, epsilon: float) -> Flight:
+    agent.reset(episode.seed)
+    observations, masks, scores, events, chosen, q_values = [], [], [], [], [], []
+    lots = chance(name, episode.seed)
+
+    def look() -> None:
+        observations.append(episode.observation())
+        masks.append(episode.action_mask())
+        scores.append(episode.score)
+        events.append(episode.event)
+
+    look()
+    while not episode.ended:
+        q_values.append(solver.q_values(episode))
+        chosen.append(agent.act(episode.observation()))
+        share, action = next(lots)
+        episode.step(action if share < epsilon else chosen[-1])
+        look()
+    q_values = np.array(q_values)
+    return Flight(
+        seed=episode.seed,
+        agent=name,
+        grids=np.array([observation["grid"] for observation in observations]),
+        telemetry=np.array([observation["telemetry"] for observation in observations]),
+        action_masks=np.array(masks),
+        scores=np.array(scores),
+        events=np.array(events, np.int8),
+        actions=np.array(episode.actions, np.int8),
+        agent_actions=np.array(chosen, np.int8),
+        rewards=np.array([step.reward for step in episode.path]),
+        values=np.append(q_values.max(axis=1), episode.score),
+        q_values=q_values,
+    )

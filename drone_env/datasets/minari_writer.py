@@ -1,0 +1,116 @@
+"""A data set as Minari keeps it: whole episodes of T steps and T + 1 observations, in HDF5."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from drone_env.core.actions import N_ACTIONS
+from drone_env.datasets.config import DatasetConfig
+from drone_env.datasets.flights import Flight
+from drone_env.errors import MissingPackageError
+
+FOLDER = "minari"
+OLDEST = "0.5.4"
+"""Before, Minari kept every grid as a JPEG picture, which loses cells."""
+NEEDED = f"minari[hdf5] {OLDEST} or newer, which asks for Python 3.11,"
+
+
+def dataset_id(config: DatasetConfig) -> str:
+    """The name under which Minari loads the data set."""
+    return f"drone_delivery_{config.task.short_name}-v{config.task.version}"
+
+
+class MinariWriter:
+    """Writes a Minari data set into `minari/<dataset id>` of a folder.
+
+    `minari.load_dataset` finds it where the environment variable `MINARI_DATASETS_PATH` names that `minari` folder.
+    `infos` have T + 1 entries, one for each observation, as Minari's own collector writes them; where an entry tells of
+    an action, the last one, after which none was flown, is NaN, False or -1.
+
+    Raises:
+        MissingPackageError: if Minari from 0.5.4 on or h5py is not installed.
+    """
+
+    def __init__(self, folder: Path, config: DatasetConfig) -> None:
+        try:
+            import h5py  # noqa: F401 - Minari asks for it only when it writes
+            import minari
+            from minari.data_collector import EpisodeBuffer
+            from minari.dataset.minari_storage import MinariStorage
+            from packaging.version import Version
+        except ImportError as error:
+            raise MissingPackageError(NEEDED, "data") from error
+        if Version(minari.__version__) < Version(OLDEST):
+            raise MissingPackageError(f"{NEEDED} (but {minari.__version__})", "data")
+        # Declared to take lists, which it does not need: arrays are written faster.
+        self._buffer: Any = EpisodeBuffer
+        env = gymnasium.make(config.task.gym_id, reward_profile=config.reward_profile)
+        # Minari reads a relative path as relative to itself when it adds up sizes.
+        home = folder.resolve() / FOLDER / dataset_id(config)
+        home.mkdir(parents=True)
+        self._storage = MinariStorage.new(
+            home / "data",
+            observation_space=env.observation_space,
+            action_space=env.action_space,
+            env_spec=env.spec,
+            data_format="hdf5",
+            jpeg_encoding=False,
+        )
+        about = config.as_json()
+        self._storage.update_metadata(
+            {
+                "dataset_id": dataset_id(config),
+                "minari_version": minari.__version__,
+                "algorithm_name": f"{', '.join(config.agents)} (epsilon {config.epsilon:g})",
+                "description": "Flights with the exact V*, Q* and regret of every step, in infos.",
+                "requirements": [f"drone-env>={about['package_version']}"],
+                "drone_env": about,
+            }
+        )
+
+    def write(self, first_episode: int, flights: Sequence[Flight]) -> None:
+        """Append flights, numbered from `first_episode` on."""
+        numbers = range(first_episode, first_episode + len(flights))
+        self._storage.update_episodes(self._buffer_of(n, flight) for n, flight in zip(numbers, flights, strict=True))
+        self._storage.update_episode_metadata([_about(flight) for flight in flights], numbers)
+
+    def __enter__(self) -> "MinariWriter":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Nothing is left open between two writes."""
+
+    def _buffer_of(self, number: int, flight: Flight) -> Any:
+        return self._buffer(
+            id=number,
+            seed=flight.seed,
+            observations={"grid": flight.grids, "telemetry": flight.telemetry},
+            actions=flight.actions.astype(np.int64),
+            rewards=flight.rewards,
+            terminations=flight.terminated,
+            truncations=np.zeros(flight.steps, np.bool_),
+            infos={
+                "action_mask": flight.action_masks,
+                "score": flight.scores,
+                "event": flight.events,
+                "value": flight.values,
+                "q_values": np.concatenate([flight.q_values, np.full((1, N_ACTIONS), np.nan)]),
+                "regret": np.append(flight.regrets, np.nan),
+                "optimal_actions": np.concatenate([flight.optimal_actions, np.zeros((1, N_ACTIONS), np.bool_)]),
+                "agent_action": np.append(flight.agent_actions, np.int8(-1)),
+            },
+        )
+
+
+def _about(flight: Flight) -> dict[str, Any]:
+    return {
+        "agent": flight.agent,
+        "final_score": float(flight.scores[-1]),
+        "optimal_score": float(flight.values[0]),
+    }

@@ -1,0 +1,310 @@
+"""What a reward makes of its learner: the exact return-maximising policy of a map, and what that policy scores.
+
+Dynamic programming backwards over (steps, battery, delivered set, current target, cell), with the compiled `step`
+itself flown from every state, so that no reward is worked out a second time. Among actions with the same return the
+maximiser takes the one that ends in the lowest score: a reward is *aligned* on a map if even so it scores the optimum.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numba  # pyright: ignore[reportMissingTypeStubs]
+import numpy as np
+import numpy.typing as npt
+from numba.extending import register_jitable  # pyright: ignore
+
+from drone_env.core import compiled
+from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
+from drone_env.core.cells import Cell
+from drone_env.core.compile_cache import cached_on_disk
+from drone_env.core.drone import distance
+from drone_env.core.dynamics import step
+from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, profile_for_discount, tabulate_rewards
+from drone_env.core.rules import (
+    BATTERY,
+    CELL,
+    DELIVERIES,
+    DISTANCE,
+    OUTCOME,
+    STEPS,
+    TARGET,
+    UNDER,
+    Rules,
+    tabulate,
+)
+from drone_env.core.score import score
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.errors import InvalidValueError, TooLargeError
+from drone_env.planning.map_graph import (
+    MAX_BYTES,
+    battery_ranges,
+    delivered_set,
+    drain_range,
+    put_drone,
+    put_parcels,
+    state_arrays,
+)
+from drone_env.planning.optimal import Solution, solve
+
+FLYING = int(Outcome.FLYING)
+DELIVERY = int(Cell.DELIVERY)
+TIE = 1e-9
+"""Returns closer than this count as equal: they are sums of up to `max_steps` rounded numbers."""
+
+
+def number_of(row: Any, parcels: Any, cell: int) -> int:
+    """Which of the parcels lies on a cell."""
+    for i in range(len(parcels)):
+        if row[parcels[i]] == cell:
+            return i
+    return 0
+
+
+register_jitable(**compiled.OPTIONS)(number_of)
+
+
+def audit_kernel(
+    rules: Rules,
+    rewards: Rewards,
+    gamma: float,
+    grid: Any,
+    row: Any,
+    parcels: Any,
+    first_step: int,
+    lowest: Any,
+    sizes: Any,
+    values: Any,
+    lows: Any,
+    choices: Any,
+) -> None:
+    """Fill the tables from the last step backwards.
+
+    Args:
+        rules: The task's tables.
+        rewards: The profile's tables.
+        gamma: The learner's discount.
+        grid: uint8[cells], without the drone; left as it was.
+        row: uint16[row size], working memory.
+        parcels: int64[n], the entries of `row` that hold the parcels still to deliver.
+        first_step: Steps taken when the planning starts.
+        lowest: int64[T + 1], the lowest battery that can be left after each step.
+        sizes: int64[T], how many values of the battery from there on.
+        values: float64[2, battery, 2^n, n, cells], the highest return from the states of even and of odd steps.
+        lows: The same shape: the lowest score with which that return can be had.
+        choices: uint8[T, battery, 2^n, n, cells], an action that leads there.
+    """
+    n = len(parcels)
+    returns = np.zeros(N_ACTIONS)
+    scores = np.zeros(N_ACTIONS)
+    for t in range(len(sizes) - 1, -1, -1):
+        now, later = t & 1, 1 - (t & 1)
+        for delivered in range((1 << n) - 1):
+            put_parcels(rules, grid, row, parcels, delivered)
+            for target in range(n):
+                if delivered >> target & 1:
+                    continue
+                target_cell = row[parcels[target]]
+                for cell in range(rules.cells):
+                    under = grid[cell]
+                    if under == DELIVERY or not rules.passable[under]:
+                        continue
+                    for units in range(sizes[t]):
+                        for action in range(N_ACTIONS):
+                            put_drone(rules, grid, row, cell, first_step + t, lowest[t] + units)
+                            row[TARGET] = target_cell
+                            row[DISTANCE] = distance(rules, cell, target_cell)
+                            before = row[DELIVERIES]
+                            returns[action] = step(rules, rewards, grid, row, action)
+                            arrived = row[DELIVERIES] != before
+                            if row[OUTCOME] != FLYING:
+                                scores[action] = score(rules, row)
+                            else:
+                                left = row[BATTERY] - lowest[t + 1]
+                                after, aim = delivered, target
+                                if arrived:
+                                    after = delivered_set(row, parcels)
+                                    aim = number_of(row, parcels, row[TARGET])
+                                returns[action] += gamma * values[later, left, after, aim, row[CELL]]
+                                scores[action] = lows[later, left, after, aim, row[CELL]]
+                            grid[row[CELL]] = row[UNDER]
+                            if arrived:
+                                put_parcels(rules, grid, row, parcels, delivered)
+                            grid[cell] = under
+                        best = returns.max()
+                        choice = -1
+                        for action in range(N_ACTIONS):
+                            tied = returns[action] >= best - TIE
+                            if tied and (choice < 0 or scores[action] < scores[choice]):
+                                choice = action
+                        values[now, units, delivered, target, cell] = best
+                        lows[now, units, delivered, target, cell] = scores[choice]
+                        choices[t, units, delivered, target, cell] = choice
+
+
+with cached_on_disk():
+    # It allocates two small arrays, so it needs the runtime that the other kernels do without.
+    audit_kernel = numba.njit(nogil=True, cache=True, error_model="numpy")(audit_kernel)
+
+
+@dataclass(frozen=True)
+class MapAudit:
+    """One reward on one map.
+
+    Attributes:
+        seed: Number of the map.
+        optimum: The exact optimum of the score.
+        score: What the return-maximising flight scores; of several such flights, the one with the lowest score.
+        actions: That flight.
+        maximum: Its return, discounted.
+        returns: Discounted returns of other flights: `honest` (the best score) and the hacks of `HACKS`.
+    """
+
+    seed: int
+    optimum: float
+    score: float
+    actions: tuple[Action, ...]
+    maximum: float
+    returns: dict[str, float]
+
+    @property
+    def aligned(self) -> bool:
+        """Whether maximising the reward reaches the optimum."""
+        return self.score == self.optimum
+
+
+def audited_profile(
+    reward_profile: str | RewardProfile, gamma: float, shaping_gamma: float | None = None
+) -> RewardProfile:
+    """The profile as a learner with this discount is paid.
+
+    Potential-based shaping leaves the best policies as they are if its gamma is the learner's (Ng, Harada, Russell
+    1999), so it is set to that; `shaping_gamma` keeps it at another value, to see what that does.
+
+    Raises:
+        UnknownNameError: if there is no such profile.
+        InvalidValueError: if a gamma is not in [0, 1].
+    """
+    profile = get_reward_profile(reward_profile)
+    for name, value in (("gamma", gamma), ("shaping_gamma", shaping_gamma)):
+        if value is not None and not 0 <= value <= 1:
+            raise InvalidValueError(f"{name} must be in [0, 1], got {value}")
+    return profile_for_discount(profile, gamma if shaping_gamma is None else shaping_gamma)
+
+
+def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardProfile, gamma: float) -> MapAudit:
+    """Audit a reward on one map, exactly as the profile stands (see `audited_profile`).
+
+    Raises:
+        UnknownNameError: if there is no such task or profile.
+        InvalidValueError: if the seed is not in [0, 2^53).
+        TooLargeError: if it would take more memory than `map_graph.MAX_BYTES`.
+    """
+    task = get_task(task)
+    profile = get_reward_profile(reward_profile)
+    episode = Episode(task, profile)
+    episode.reset(seed)
+    solution = solve(task, seed)
+    actions, maximum = _maximise(episode, profile, gamma)
+    for action in actions:
+        episode.step(action)
+    score_of_flight = episode.score
+    returns = {"honest": _fly(episode, solution.actions, gamma)}
+    for name, hack in HACKS.items():
+        returns[name] = _fly(episode, hack(task, seed, solution), gamma)
+    return MapAudit(seed, solution.score, score_of_flight, tuple(actions), maximum, returns)
+
+
+def _maximise(episode: Episode, profile: RewardProfile, gamma: float) -> tuple[list[Action], float]:
+    """The actions and the return of the return-maximising flight with the lowest score."""
+    task = episode.task
+    rules = tabulate(task)
+    grid, row, parcels = state_arrays(episode)
+    first_step, battery = int(row[STEPS]), int(row[BATTERY])
+    lowest, sizes = battery_ranges(battery, *drain_range(rules), task, task.max_steps - first_step)
+    shape = (int(sizes.max()), 1 << len(parcels), len(parcels), rules.cells)
+    size = int(np.prod(shape, dtype=object)) * (len(sizes) + 32)
+    if size > MAX_BYTES:
+        raise TooLargeError(
+            f"auditing a map of {task.id!r} would take {size / 1e9:.1f} GB; {MAX_BYTES / 1e9:.1f} GB are allowed"
+        )
+    values, lows = np.zeros((2, 2, *shape))
+    choices = np.zeros((len(sizes), *shape), np.uint8)
+    start, aim = int(row[CELL]), number_of(row, parcels, int(row[TARGET]))
+    rewards = tabulate_rewards(task, profile)
+    audit_kernel(rules, rewards, gamma, grid, row, parcels, first_step, lowest, sizes, values, lows, choices)
+    flight = Episode(task, profile)
+    flight.set_state(episode.get_state())
+    actions: list[Action] = []
+    while not flight.ended:
+        at, now, entries = _where(flight, parcels)
+        choice = choices[len(actions), now - lowest[len(actions)], entries[0], entries[1], at]
+        actions.append(Action(int(choice)))
+        flight.step(actions[-1])
+    return actions, float(values[0, battery - lowest[0], 0, aim, start])
+
+
+def _where(flight: Episode, parcels: npt.NDArray[np.int64]) -> tuple[int, int, tuple[int, int]]:
+    """(cell, battery, (delivered set, number of the target)) of an episode."""
+    row = np.frombuffer(flight.get_state().row, np.uint16)
+    entries = delivered_set(row, parcels), number_of(row, parcels, int(row[TARGET]))
+    return int(row[CELL]), int(row[BATTERY]), entries
+
+
+def _fly(episode: Episode, actions: tuple[Action, ...], gamma: float) -> float:
+    """The discounted return of a flight on the map of an episode."""
+    episode.reset(episode.seed)
+    rewards = [episode.step(action) for action in actions]
+    return sum(reward * gamma**t for t, reward in enumerate(rewards))
+
+
+def stall(task: TaskConfig, seed: int, solution: Solution) -> tuple[Action, ...]:
+    """Wait at the start until the end."""
+    return (Action.WAIT,) * task.max_steps
+
+
+def bump(task: TaskConfig, seed: int, solution: Solution) -> tuple[Action, ...]:
+    """Fly up to the edge of the city and bump into it until the end."""
+    return (Action.UP,) * task.max_steps
+
+
+def oscillate(task: TaskConfig, seed: int, solution: Solution) -> tuple[Action, ...]:
+    """Fly to a neighbouring cell and back until the end."""
+    episode = Episode(task)
+    episode.reset(seed)
+    there = next((a for a in (Action.UP, Action.LEFT, Action.DOWN, Action.RIGHT) if episode.action_mask()[a]), None)
+    if there is None:
+        return stall(task, seed, solution)
+    back = {Action.UP: Action.DOWN, Action.DOWN: Action.UP, Action.LEFT: Action.RIGHT, Action.RIGHT: Action.LEFT}
+    return (there, back[there]) * (task.max_steps // 2) + (there,) * (task.max_steps % 2)
+
+
+def hover(task: TaskConfig, seed: int, solution: Solution) -> tuple[Action, ...]:
+    """Fly the best flight, but wait before the last delivery for as long as it can still be made."""
+    episode = Episode(task)
+    episode.reset(seed)
+    for action in solution.actions:
+        episode.step(action)
+    deliveries = [t for t, point in enumerate(episode.path) if point.event is Event.DELIVERY]
+    if not deliveries:
+        return solution.actions
+
+    def waiting(steps: int) -> tuple[Action, ...]:
+        last = deliveries[-1]
+        return (*solution.actions[:last], *(Action.WAIT,) * steps, *solution.actions[last:])
+
+    def still_delivers(steps: int) -> bool:
+        episode.reset(seed)
+        for action in waiting(steps):
+            episode.step(action)
+        return episode.deliveries_done == solution.deliveries
+
+    possible, too_many = 0, task.max_steps + 1
+    while too_many - possible > 1:
+        middle = (possible + too_many) // 2
+        possible, too_many = (middle, too_many) if still_delivers(middle) else (possible, middle)
+    return waiting(possible)
+
+
+HACKS = {"stall": stall, "bump": bump, "oscillate": oscillate, "hover": hover}
+"""Flights that earn without working. A new one is one more entry."""

@@ -1,0 +1,97 @@
+"""Reward profiles from TOML files, for people who invent their own.
+
+    id = "mine"
+    summary = "deliveries pay, time costs"
+    shaping = 0.05                # per cell closer to the target
+    clamp = [-1.0, 1.0]           # bounds of event reward and shaping together
+    shaping_gamma = 0.99          # potential-based shaping on top
+    pays_score = false            # the graded score at the end
+    task_events = false           # what the events not named below pay: the task's numbers, or 0
+
+    [events]
+    delivery = 1.0
+    step = -0.01
+
+Every key but `id` may be left out.
+"""
+
+import sys
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+from drone_env.core.actions import Event
+from drone_env.core.rewards import RewardProfile, get_reward_profile
+from drone_env.errors import InvalidTaskError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+KEYS: dict[str, tuple[type, ...]] = {
+    "id": (str,),
+    "summary": (str,),
+    "task_events": (bool,),
+    "events": (dict,),
+    "shaping": (Decimal, int),
+    "clamp": (list,),
+    "shaping_gamma": (Decimal, int),
+    "pays_score": (bool,),
+}
+EVENTS = {event.name.lower(): event for event in Event if event is not Event.NONE}
+
+
+def reward_profile_from(name: str) -> RewardProfile:
+    """The reward profile of this name, or of the TOML file of this name.
+
+    Raises:
+        UnknownNameError: if it does not end in `.toml` and there is no such profile.
+        OSError: if the file cannot be read.
+        InvalidTaskError: if the file is not a reward profile; the message says why.
+    """
+    return load_reward_profile(Path(name)) if name.endswith(".toml") else get_reward_profile(name)
+
+
+def load_reward_profile(path: Path) -> RewardProfile:
+    """The reward profile in a TOML file; numbers are kept as the decimals that they are written as.
+
+    Raises:
+        OSError: if the file cannot be read.
+        InvalidTaskError: if it is not a reward profile; the message says why.
+    """
+
+    def require(holds: bool, message: str) -> None:
+        if not holds:
+            raise InvalidTaskError(f"reward profile {path}: {message}")
+
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"), parse_float=Decimal)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InvalidTaskError(f"reward profile {path}: not TOML: {error}") from None
+    for key, value in table.items():
+        require(key in KEYS, f"unknown key {key!r}; allowed: {', '.join(KEYS)}")
+        fits = isinstance(value, KEYS[key]) and (bool in KEYS[key] or not isinstance(value, bool))
+        require(fits, f"{key} must be {_named(KEYS[key])}, got {value!r}")
+    require(bool(table.get("id")), "id is missing")
+    events: dict[str, Any] = table.pop("events", {})
+    for name, value in events.items():
+        require(name in EVENTS, f"unknown event {name!r}; allowed: {', '.join(EVENTS)}")
+        require(_is_number(value), f"events.{name} must be a number, got {value!r}")
+    clamp: list[Any] | None = table.pop("clamp", None)
+    require(clamp is None or (len(clamp) == 2 and all(map(_is_number, clamp))), "clamp must be [lowest, highest]")
+    numbers = {key: Decimal(table.pop(key)) for key in ("shaping", "shaping_gamma") if key in table}
+    return RewardProfile(
+        **{"summary": "", **table, **numbers},
+        events=tuple((EVENTS[name], Decimal(value)) for name, value in events.items()),
+        clamp=None if clamp is None else (Decimal(clamp[0]), Decimal(clamp[1])),
+    )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (Decimal, int)) and not isinstance(value, bool)
+
+
+def _named(types: tuple[type, ...]) -> str:
+    names = {str: "a text", bool: "true or false", dict: "a table", Decimal: "a number", list: "a list"}
+    return names[types[0]]

@@ -1,0 +1,179 @@
+"""The planners against brute force, on small maps with every mechanic: equal to the last bit."""
+
+import os
+import random
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drone_env.agents.optimal import OptimalAgent
+from drone_env.core.actions import Action
+from drone_env.core.cells import Cell
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TaskConfig
+from drone_env.planning import most_battery, optimal
+from drone_env.planning.exact import ExactSolver
+from tests.brute_force import BruteForce
+from tests.property.test_episode import BLOCKING, DRAINED
+from tests.toy import TOY
+
+thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "150")), deadline=None, derandomize=True)
+
+NUMBERS = st.integers(0, 2**32)
+
+
+def small_task(number: int) -> TaskConfig:
+    """A task of every mechanic, or in one case of four of none, with few enough states to try them all."""
+    draw = random.Random(number)
+    spacing = draw.choice((0, 0, 2, 3))
+    sides = [side for side in range(2, 7) if not spacing or side % spacing == 0]
+    width, height = draw.choice(sides), draw.choice(sides)
+    cells = width * height
+    between = (width - width // spacing) * (height - height // spacing) if spacing else cells
+    on_streets = cells - between if spacing else cells
+    deliveries = draw.randint(1, min(3, on_streets - 1))
+    terrain = draw.choices((*BLOCKING, Cell.PAD, Cell.ROAD), k=cells - 1 - deliveries)
+    kinds = {kind: terrain.count(kind) for kind in (*BLOCKING, Cell.PAD)}
+    if spacing:
+        kinds[Cell.BUILDING] = min(kinds[Cell.BUILDING], between)
+        kinds[Cell.TREE] = min(kinds[Cell.TREE], between - kinds[Cell.BUILDING])
+        kinds[Cell.OBSTACLE] = min(kinds[Cell.OBSTACLE], on_streets - 1 - deliveries)
+        kinds[Cell.PAD] = min(kinds[Cell.PAD], on_streets - 1 - deliveries - kinds[Cell.OBSTACLE])
+    plain = draw.random() < 0.25
+    steps = draw.randint(1, 24 if cells <= 9 else 12)
+    return replace(
+        TOY,
+        width=width,
+        height=height,
+        deliveries=deliveries,
+        buildings=kinds[Cell.BUILDING],
+        trees=kinds[Cell.TREE],
+        obstacles=kinds[Cell.OBSTACLE],
+        pads=kinds[Cell.PAD],
+        street_spacing=spacing,
+        max_steps=steps,
+        battery_capacity=draw.choice((steps, draw.randint(1, 16), draw.randint(1, 16))),
+        efficiency_needs_all=draw.random() < 0.5,
+        drain=() if plain else tuple((kind, draw.randint(0, 4)) for kind in DRAINED if draw.random() < 0.5),
+        impassable=frozenset(() if plain else (kind for kind in BLOCKING if draw.random() < 0.4)),
+        charge_rate=0 if plain else draw.choice((0, 1, 2, 5, 20)),
+    )
+
+
+def small_episode(number: int) -> Episode:
+    episode = Episode(small_task(number), "score")
+    episode.reset(number)
+    return episode
+
+
+def flown(episode: Episode, actions: Sequence[Action]) -> float:
+    """The score of a flight, which has to end with its last action; the episode is left as it is."""
+    flight = Episode(episode.task, episode.reward_profile)
+    flight.set_state(episode.get_state())
+    for action in actions:
+        assert not flight.ended
+        flight.step(action)
+    assert flight.ended
+    return flight.score
+
+
+def assert_equal_values(solver: ExactSolver, reference: BruteForce, episode: Episode) -> None:
+    expected = reference.q_values(episode)
+    values = solver.q_values(episode)
+    assert values.tolist() == expected.tolist()
+    assert solver.value(episode) == expected.max()
+    assert solver.optimal_actions(episode) == tuple(a for a in Action if expected[a] == expected.max())
+    assert [solver.regret(episode, action) for action in Action] == (expected.max() - expected).tolist()
+
+
+@thorough
+@given(NUMBERS)
+def test_values_equal_brute_force_along_random_flights_and_in_any_state(number: int) -> None:
+    draw = random.Random(number)
+    episode = small_episode(number)
+    solver, reference = ExactSolver(episode), BruteForce(episode)
+    assert solver.value(episode) == reference.value
+    start = episode.get_state()
+    for _ in range(2):
+        episode.set_state(start)
+        while not episode.ended:
+            assert_equal_values(solver, reference, episode)
+            # The best actions deliver, after which the rest of the map looks different.
+            episode.step(draw.choice((draw.randrange(5), int(reference.q_values(episode).argmax()))))
+        assert solver.value(episode) == episode.score
+    for _ in range(10):
+        episode.set_state(reference.state(draw.randrange(reference.size)))
+        assert_equal_values(solver, reference, episode)
+
+
+@thorough
+@given(NUMBERS)
+def test_a_solver_made_in_the_middle_of_a_flight_equals_brute_force(number: int) -> None:
+    draw = random.Random(number)
+    episode = small_episode(number)
+    whole = BruteForce(episode)
+    for _ in range(20):
+        episode.set_state(whole.state(draw.randrange(whole.size)))
+        if episode.deliveries_done:
+            break
+    solver, reference = ExactSolver(episode), BruteForce(episode)
+    assert reference.q_values(episode).tolist() == whole.q_values(episode).tolist()
+    while not episode.ended:
+        assert_equal_values(solver, reference, episode)
+        episode.step(draw.choice((draw.randrange(5), int(reference.q_values(episode).argmax()))))
+
+
+@thorough
+@given(NUMBERS)
+def test_every_planner_flies_what_brute_force_finds_from_the_start_and_from_any_state(number: int) -> None:
+    draw = random.Random(number)
+    episode = small_episode(number)
+    task, reference = episode.task, BruteForce(episode)
+    states = [episode.get_state(), *(reference.state(draw.randrange(reference.size)) for _ in range(2))]
+    assert optimal.solve(task, number).score == reference.value
+    for state in states:
+        episode.set_state(state)
+        best = reference.q_values(episode).max()
+        before = episode.get_state()
+        assert flown(episode, ExactSolver(episode).best_actions()) == best
+        if task.efficiency_needs_all:
+            assert flown(episode, most_battery.best_actions(episode)) == best
+        solution = optimal.solve_episode(episode)
+        assert flown(episode, solution.actions) == solution.score == best
+        assert episode.get_state() == before
+
+
+@thorough
+@given(NUMBERS)
+def test_the_optimal_agent_makes_the_best_of_where_it_is_put(number: int) -> None:
+    """From observations alone, although now and then something else is flown than what it chose."""
+    draw = random.Random(number)
+    episode = small_episode(number)
+    reference, agent = BruteForce(episode), OptimalAgent(episode.task)
+    agent.reset(number)
+    best = reference.value
+    while not episode.ended:
+        action = agent.act(episode.observation())
+        if draw.random() < 0.2:
+            action = draw.randrange(5)
+            best = reference.q_values(episode)[action]
+        assert reference.q_values(episode)[action] == best
+        episode.step(action)
+    assert episode.score == best
+
+
+def test_the_small_tasks_have_every_mechanic() -> None:
+    episodes = [small_episode(number) for number in range(2000)]
+    tasks = [episode.task for episode in episodes]
+    assert {(task.uniform, task.efficiency_needs_all, task.street_spacing > 0) for task in tasks} == {
+        (a, b, c) for a in (False, True) for b in (False, True) for c in (False, True)
+    }
+    for mechanic in ("drain", "impassable", "charge_rate", "pads"):
+        assert 0.1 < np.mean([bool(getattr(task, mechanic)) for task in tasks]) < 0.9
+    assert {(kind, units) for task in tasks for kind, units in task.drain} == {
+        (kind, units) for kind in DRAINED for units in range(5)
+    }
+    assert {task.deliveries for task in tasks} == {1, 2, 3}

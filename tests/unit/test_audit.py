@@ -1,0 +1,277 @@
+"""The audit of rewards against every flight there is, and by hand."""
+
+import json
+import random
+from dataclasses import replace
+from decimal import Decimal
+from pathlib import Path
+
+import pytest
+
+from drone_env import cli
+from drone_env.core.actions import Action
+from drone_env.core.cells import Cell
+from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
+from drone_env.core.seeds import split_seeds
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.episodes.record import load_record, replay
+from drone_env.errors import InvalidTaskError, InvalidValueError, TooLargeError, UnknownNameError
+from drone_env.planning.audit import HACKS, audit_map, audited_profile
+from drone_env.planning.bounds import bounds
+from drone_env.planning.optimal import solve
+from drone_env.reward_file import load_reward_profile, reward_profile_from
+
+STANDARD = ("easy", "medium", "hard")
+
+
+def tiny_task(rng: random.Random) -> TaskConfig:
+    steps = rng.randint(2, 5)
+    return replace(
+        get_task("medium"),
+        id=f"tiny_{rng.getrandbits(32)}",
+        width=3,
+        height=rng.choice([2, 3]),
+        deliveries=rng.choice([1, 2]),
+        buildings=1,
+        trees=0,
+        obstacles=1,
+        pads=1,
+        max_steps=steps,
+        battery_capacity=rng.randint(2, 5),
+        charge_rate=rng.choice([0, 2]),
+        drain=rng.choice([(), ((Cell.BUILDING, 2), (Cell.DELIVERED, 0))]),
+        impassable=rng.choice([frozenset(), frozenset({Cell.OBSTACLE})]),
+        efficiency_needs_all=rng.random() < 0.5,
+    )
+
+
+def every_flight(task: TaskConfig, seed: int, profile: RewardProfile, gamma: float) -> tuple[float, float]:
+    """The highest return of all action sequences, and the lowest score that comes with it."""
+    episode = Episode(task, profile)
+    episode.reset(seed)
+    ends: list[tuple[float, float]] = []
+
+    def fly_on(state: object, earned: float, discount: float) -> None:
+        for action in Action:
+            episode.set_state(state)  # type: ignore[arg-type]
+            total = earned + discount * episode.step(action)
+            if episode.ended:
+                ends.append((total, episode.score))
+            else:
+                fly_on(episode.get_state(), total, discount * gamma)
+
+    fly_on(episode.get_state(), 0.0, 1.0)
+    highest = max(total for total, _ in ends)
+    return highest, min(score for total, score in ends if total >= highest - 1e-9)
+
+
+@pytest.mark.parametrize("profile", REWARD_PROFILES)
+@pytest.mark.parametrize("seed", range(10))
+def test_the_maximiser_is_the_best_of_all_flights(profile: str, seed: int) -> None:
+    rng = random.Random(seed)
+    task, gamma = tiny_task(rng), rng.choice([1.0, 0.99, 0.7])
+    audited = audit_map(task, seed, profile, gamma)
+    highest, lowest_score = every_flight(task, seed, REWARD_PROFILES[profile], gamma)
+    assert audited.maximum == pytest.approx(highest, abs=1e-9)
+    assert audited.score == lowest_score
+    episode = Episode(task, profile)
+    episode.reset(seed)
+    earned = sum(gamma**t * episode.step(action) for t, action in enumerate(audited.actions))
+    assert episode.ended
+    assert (earned, episode.score) == (pytest.approx(highest, abs=1e-9), audited.score)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.99])
+@pytest.mark.parametrize("profile", ["tiered", "composite"])
+@pytest.mark.parametrize("task", STANDARD)
+def test_rewards_that_pay_for_time_are_exploitable(task: str, profile: str, gamma: float) -> None:
+    for seed in split_seeds("test", 1 if task == "hard" else 3):
+        audited = audit_map(task, seed, profile, gamma)
+        assert not audited.aligned
+        assert audited.score < 0.81
+        assert audited.maximum > audited.returns["honest"]
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.99])
+@pytest.mark.parametrize("profile", ["aligned", "score"])
+@pytest.mark.parametrize("task", STANDARD)
+def test_rewards_that_pay_the_score_are_aligned(task: str, profile: str, gamma: float) -> None:
+    for seed in split_seeds("test", 1 if task == "hard" else 20):
+        audited = audit_map(task, seed, audited_profile(profile, gamma), gamma)
+        assert audited.score == audited.optimum
+        assert audited.maximum >= max(audited.returns.values()) - 1e-9
+
+
+def test_shaping_for_another_discount_is_found_out() -> None:
+    profile = audited_profile("aligned", 1.0, shaping_gamma=0.99)
+    audits = [audit_map("medium", seed, profile, 1.0) for seed in split_seeds("test", 30)]
+    assert not all(audited.aligned for audited in audits)
+
+
+def test_waiting_pays_more_than_delivering_under_tiered() -> None:
+    for task in STANDARD:
+        for seed in split_seeds("test", 1 if task == "hard" else 10):
+            returns = audit_map(task, seed, "tiered", 1.0).returns
+            assert returns["stall"] > returns["honest"]
+
+
+def test_hacks_of_one_easy_map_by_hand() -> None:
+    # 60 waits pay 0.10 each, the last of them as battery_dead, which pays the same.
+    audited = audit_map("easy", 14, "tiered", 1.0)
+    assert audited.returns["stall"] == pytest.approx(6.0)
+    # Three steps to the parcel (see the log lines in the README): 0.15 + 0.15 + 0.99.
+    assert audited.returns["honest"] == pytest.approx(1.29)
+    # The same with 57 waits at 0.10 before the last step.
+    assert audited.returns["hover"] == pytest.approx(1.29 + 5.7)
+    assert audited.score == 0.8
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_hacks_fly_to_the_end(task: str) -> None:
+    seed = split_seeds("test", 1)[0]
+    solution = solve(task, seed)
+    for name, hack in HACKS.items():
+        episode = Episode(task)
+        episode.reset(seed)
+        for action in hack(get_task(task), seed, solution):
+            episode.step(action)
+        assert episode.ended, name
+        if name == "hover":
+            assert episode.deliveries_done == solution.deliveries
+            assert episode.score < solution.score
+
+
+def test_gamma_out_of_range_is_refused() -> None:
+    with pytest.raises(InvalidValueError, match="gamma must be in"):
+        audited_profile("tiered", 1.5)
+    with pytest.raises(UnknownNameError, match="allowed: aligned"):
+        audited_profile("generous", 1.0)
+
+
+def test_a_map_too_large_is_refused() -> None:
+    task = replace(get_task("hard"), id="vast", width=64, height=64, deliveries=12)
+    with pytest.raises(TooLargeError, match="GB are allowed"):
+        audit_map(task, 0, "tiered", 1.0)
+
+
+# Files
+
+
+MINE = """
+id = "mine"
+summary = "deliveries pay, time costs"
+shaping = 0.05
+clamp = [-1.0, 1]
+[events]
+delivery = 1
+step = -0.01
+"""
+
+
+def test_a_reward_profile_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(MINE)
+    profile = reward_profile_from(str(path))
+    assert profile == load_reward_profile(path)
+    assert profile.id == "mine"
+    assert profile.shaping == Decimal("0.05")
+    assert profile.clamp == (Decimal("-1.0"), Decimal(1))
+    assert {event.name: str(value) for event, value in profile.events} == {"DELIVERY": "1", "STEP": "-0.01"}
+    assert reward_profile_from("tiered") is REWARD_PROFILES["tiered"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("id = ", "not TOML"),
+        ("summary = 'x'", "id is missing"),
+        ("id = 'x'\nbonus = 1", "unknown key 'bonus'; allowed: id, summary"),
+        ("id = 'x'\nshaping = 'much'", "shaping must be a number"),
+        ("id = 'x'\nshaping = true", "shaping must be a number"),
+        ("id = 'x'\npays_score = 1", "pays_score must be true or false"),
+        ("id = 'x'\nclamp = [1]", r"clamp must be \[lowest, highest\]"),
+        ("id = 'x'\nclamp = [2, 1]", "no room"),
+        ("id = 'x'\nshaping = nan", "must be Decimal"),
+        ("id = 'x'\n[events]\ncrash = 1", "unknown event 'crash'; allowed: delivery"),
+        ("id = 'x'\n[events]\nstep = 'x'", "events.step must be a number"),
+    ],
+)
+def test_a_file_that_is_no_reward_profile_says_why(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(InvalidTaskError, match=message):
+        load_reward_profile(path)
+
+
+# The command
+
+
+def test_the_command_tells_by_its_exit_status(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    worst = tmp_path / "worst.json"
+    assert cli.main(["audit", "--task", "easy", "--reward", "tiered", "--maps", "3", "--replay", str(worst)]) == 1
+    assert "exploitable" in capsys.readouterr().out
+    flight = replay(load_record(worst))
+    assert flight.score == 0.8
+    assert cli.main(["audit", "--task", "easy", "--reward", "aligned", "--maps", "3"]) == 0
+    assert "aligned" in capsys.readouterr().out
+
+
+def test_the_command_prints_json_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(MINE)
+    status = cli.main(["audit", "--task", "easy", "--reward", str(path), "--maps", "2", "--gamma", "0.99", "--json"])
+    report = json.loads(capsys.readouterr().out)
+    assert status == (0 if report["verdict"] == "aligned" else 1)
+    assert (report["reward"], report["maps"], report["gamma"]) == ("mine", 2, 0.99)
+    assert set(report["mean_returns"]) == {"maximiser", "honest", *HACKS}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--reward", "generous"], ["--reward", "gone.toml"], ["--maps", "0"], ["--gamma", "2"], ["--jobs", "0"]],
+)
+def test_the_command_refuses(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["audit", *arguments]) in (1, 2)
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("drone-env: ")
+
+
+# Bounds
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_optimum_lies_between_its_bounds(task: str) -> None:
+    for seed in split_seeds("test", 5):
+        episode = Episode(task)
+        episode.reset(seed)
+        lower, upper = bounds(episode)
+        assert lower <= solve(task, seed).score <= upper
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_optimum_of_tiny_maps_lies_between_its_bounds(seed: int) -> None:
+    task = tiny_task(random.Random(seed))
+    episode = Episode(task)
+    episode.reset(seed)
+    lower, upper = bounds(episode)
+    assert lower <= solve(task, seed).score <= upper
+
+
+def test_a_map_too_large_to_solve_still_has_bounds(capsys: pytest.CaptureFixture[str]) -> None:
+    task = replace(
+        get_task("skyline_hard"),
+        id="vast_skyline",
+        width=64,
+        height=64,
+        deliveries=14,
+        max_steps=600,
+        battery_capacity=90,
+    )
+    episode = Episode(task)
+    episode.reset(1)
+    with pytest.raises(TooLargeError, match="GB are allowed"):
+        solve(task, 1)
+    lower, upper = bounds(episode)
+    assert 0.01 <= lower <= upper <= 0.99

@@ -1,0 +1,441 @@
+"""The exact planners by hand on toy maps, against each other on real ones, and what they refuse."""
+
+import os
+import random
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drone_env.agents import make_agent
+from drone_env.agents.greedy import GreedyAgent
+from drone_env.agents.optimal import OptimalAgent
+from drone_env.core.actions import Action, Event
+from drone_env.core.batch import Batch
+from drone_env.core.cells import Cell
+from drone_env.core.rules import BATTERY
+from drone_env.core.seeds import split_seeds
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import EpisodeError, TooLargeError, UnsupportedTaskError
+from drone_env.planning import exact, most_battery
+from drone_env.planning.exact import ExactSolver
+from drone_env.planning.from_observation import episode_of
+from drone_env.planning.optimal import best_actions, solve, solve_episode
+from tests.toy import fly, toy_episode
+
+MAPS = 1000 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 30
+"""Maps of each task that are compared."""
+STANDARD = [name for name, task in TASKS.items() if task.uniform]
+SKYLINE = [name for name, task in TASKS.items() if not task.uniform]
+LARGE = ("hard_delivery", "skyline_hard")
+"""All values of such a map take a second."""
+QUICK = [name for name in TASKS if name not in LARGE]
+
+COUNTS_ALWAYS: dict[str, Any] = {"efficiency_needs_all": False}
+NEEDS_ALL: dict[str, Any] = {"efficiency_needs_all": True}
+
+
+def reset(task: str | TaskConfig, seed: int) -> Episode:
+    episode = Episode(task, "score")
+    episode.reset(seed)
+    return episode
+
+
+def letters(actions: Sequence[Action]) -> str:
+    return "".join("UDLRW"[action] for action in actions)
+
+
+def scores_of(episode: Episode) -> list[float]:
+    """What all three planners make of an episode, flown to its end."""
+    scores = [ExactSolver(episode).value(episode), solve_episode(episode).score]
+    plans = [ExactSolver(episode).best_actions(), best_actions(episode)]
+    if episode.task.efficiency_needs_all:
+        plans.append(most_battery.best_actions(episode))
+    for plan in plans:
+        flight = Episode(episode.task, episode.reward_profile)
+        flight.set_state(episode.get_state())
+        for action in plan:
+            flight.step(action)
+        scores.append(flight.counted_score())
+    return scores
+
+
+class TestByHand:
+    def test_dying_early_never_pays_where_efficiency_needs_all(self) -> None:
+        # The building drains the battery at once, so the flight ends after one step; else it lasts for five.
+        hopeless = ["@B.....0", "........"]
+        drains = {"drain": ((Cell.BUILDING, 9),), "max_steps": 20, "battery_capacity": 5}
+        early = toy_episode(hopeless, **drains, **COUNTS_ALWAYS)
+        solver = ExactSolver(early)
+        assert solver.q_values(early)[Action.RIGHT] == solver.value(early) == pytest.approx(0.1 * 19 / 20)
+        assert solver.optimal_actions(early) == (Action.RIGHT,)
+        assert letters(solver.best_actions()) == "R"
+        assert solver.regret(early, Action.WAIT) > 0
+        patient = toy_episode(hopeless, **drains, **NEEDS_ALL)
+        solver = ExactSolver(patient)
+        assert solver.q_values(patient).tolist() == [0.01] * 5
+        assert solver.optimal_actions(patient) == tuple(Action)
+
+    def test_keeping_the_battery_pays_more_than_a_parcel_that_costs_it_all_where_efficiency_always_counts(self) -> None:
+        # Waiting is free: 0.1 in the end. The first of four parcels is worth 0.2 and costs the battery: 0.2 + 0.075.
+        episode = toy_episode(
+            ["@B0B1", "BBBBB", "BB2B3"],
+            drain=((Cell.ROAD, 0), (Cell.BUILDING, 2), (Cell.DELIVERY, 1)),
+            max_steps=8,
+            battery_capacity=3,
+            **COUNTS_ALWAYS,
+        )
+        assert scores_of(episode) == pytest.approx([0.2 + 0.1 * 6 / 8] * 4)
+
+    @pytest.mark.parametrize(
+        ("battery", "plan", "left"),
+        [
+            # A wait on the pad is worth 1/battery of charge and costs 1/7 of time.
+            (9, "RRRRRR", 3),
+            (8, "RRRRRR", 2),
+            (6, "RRWRRRR", 1),
+            # On the pad with 3, and it takes 4 from there; the last unit is gone on arrival, which is soon enough.
+            (5, "RRWRRRR", 0),
+        ],
+    )
+    @pytest.mark.parametrize("mode", [NEEDS_ALL, COUNTS_ALWAYS])
+    def test_a_pad_is_used_only_when_it_is_needed_or_worth_the_time(
+        self, battery: int, plan: str, left: int, mode: dict[str, Any]
+    ) -> None:
+        episode = toy_episode(["@.P...0", "......."], max_steps=7, battery_capacity=battery, charge_rate=1, **mode)
+        assert letters(ExactSolver(episode).best_actions()) == plan
+        score = 0.8 + 0.1 * left / battery + 0.1 * (7 - len(plan)) / 7
+        assert scores_of(episode) == pytest.approx([score] * len(scores_of(episode)))
+
+    def test_charging_does_not_fill_more_than_the_battery_holds(self) -> None:
+        # Two steps to the pad leave 3; one charge of 9 makes 5, and four more steps leave 1.
+        episode = toy_episode(["@.P...0", "......."], max_steps=20, battery_capacity=5, charge_rate=9, **NEEDS_ALL)
+        assert scores_of(episode) == pytest.approx([0.8 + 0.1 * 1 / 5 + 0.1 * 13 / 20] * 5)
+
+    def test_beyond_the_reach_of_a_full_battery_a_parcel_stays(self) -> None:
+        episode = toy_episode(["@.P...0", "......."], max_steps=30, battery_capacity=3, charge_rate=2, **NEEDS_ALL)
+        assert scores_of(episode) == [0.01] * 5
+
+    @pytest.mark.parametrize(
+        ("units", "plan"),
+        [
+            # Over the building: 2 steps and units + 1 of the battery; round it: 4 steps and 4 of 10.
+            # A step is 1/20 of max_steps, a unit 1/10 of the battery: over is cheaper by 2/20 up to units + 1 < 5.
+            (1, "RR"),
+            (3, "RR"),
+            (5, "URRD"),
+            (8, "URRD"),
+        ],
+    )
+    @pytest.mark.parametrize("mode", [NEEDS_ALL, COUNTS_ALWAYS])
+    def test_over_a_building_or_round_it(self, units: int, plan: str, mode: dict[str, Any]) -> None:
+        episode = toy_episode(
+            ["...", "@B0"], drain=((Cell.BUILDING, units),), max_steps=20, battery_capacity=10, **mode
+        )
+        assert letters(ExactSolver(episode).best_actions()) == plan
+        spent = units + 1 if plan == "RR" else 4
+        score = 0.8 + 0.1 * (10 - spent) / 10 + 0.1 * (20 - len(plan)) / 20
+        assert scores_of(episode) == pytest.approx([score] * len(scores_of(episode)))
+
+    def test_round_a_wall(self) -> None:
+        episode = toy_episode(["@O0", ".O.", "..."], impassable=frozenset({Cell.OBSTACLE}), max_steps=10, **NEEDS_ALL)
+        solver = ExactSolver(episode)
+        assert letters(solver.best_actions()) == "DDRRUU"
+        best = 0.8 + 0.1 * 4 / 10 + 0.1 * 4 / 10
+        assert solver.q_values(episode) == pytest.approx([best - 0.02, best, best - 0.02, best - 0.02, best - 0.02])
+        assert [solver.regret(episode, action) for action in Action] == pytest.approx([0.02, 0, 0.02, 0.02, 0.02])
+
+    def test_a_parcel_behind_a_wall_cannot_be_had(self) -> None:
+        episode = toy_episode(["@.OO", "..O0", "1.OO"], impassable=frozenset({Cell.OBSTACLE}), max_steps=6, **NEEDS_ALL)
+        assert scores_of(episode) == [0.4] * 5
+        assert solve_episode(episode).order == ((0, 2),)
+
+    def test_a_building_that_drains_nothing_is_the_way(self) -> None:
+        free = {"drain": ((Cell.BUILDING, 0), (Cell.DELIVERY, 0)), "max_steps": 20, "battery_capacity": 1}
+        episode = toy_episode(["@B.", "BB0"], **free, **NEEDS_ALL)
+        assert scores_of(episode) == pytest.approx([0.8 + 0.1 + 0.1 * 17 / 20] * 5)
+        assert letters(best_actions(episode)) in ("RDR", "DRR")
+
+    @pytest.mark.parametrize(
+        ("units", "plan", "spent"), [(0, "RRLLLLD", 6), (2, "RRLLLLD", 8), (4, "LLDURRRR", 8), (9, "LLDURRRR", 8)]
+    )
+    def test_what_a_delivered_parcel_drains_counts_on_the_way_back(self, units: int, plan: str, spent: int) -> None:
+        episode = toy_episode(
+            ["..@01", "2OOOO"],
+            drain=((Cell.DELIVERED, units),),
+            impassable=frozenset({Cell.OBSTACLE}),
+            max_steps=20,
+            battery_capacity=20,
+            **NEEDS_ALL,
+        )
+        assert letters(ExactSolver(episode).best_actions()) == letters(most_battery.best_actions(episode)) == plan
+        score = 0.8 + 0.1 * (20 - spent) / 20 + 0.1 * (20 - len(plan)) / 20
+        assert scores_of(episode) == pytest.approx([score] * 5)
+
+
+class TestRegret:
+    def test_is_what_an_action_gives_away_for_good(self) -> None:
+        episode = toy_episode(["@0", ".."], max_steps=10, **NEEDS_ALL)
+        solver = ExactSolver(episode)
+        # Every other action costs a step; DOWN costs another one to come back round.
+        assert [solver.regret(episode, a) for a in Action] == pytest.approx([0.02, 0.02 * 2, 0.02, 0, 0.02])
+        assert solver.optimal_actions(episode) == (Action.RIGHT,)
+
+    @pytest.mark.parametrize("task", QUICK)
+    def test_sums_up_to_the_regret_of_the_flight(self, task: str) -> None:
+        draw = random.Random(task)
+        for seed in range(3):
+            episode = reset(task, seed)
+            solver = ExactSolver(episode)
+            optimum, given_away = solver.value(episode), 0.0
+            while not episode.ended:
+                action = draw.choice((*Action, *solver.optimal_actions(episode) * 5))
+                given_away += solver.regret(episode, action)
+                episode.step(action)
+            assert given_away == pytest.approx(optimum - episode.score, abs=1e-12)
+            assert solver.value(episode) == episode.score
+
+
+class TestRefusals:
+    def test_an_episode_that_has_not_begun(self) -> None:
+        with pytest.raises(EpisodeError, match="reset"):
+            ExactSolver(Episode("skyline_easy"))
+        solver = ExactSolver(reset("skyline_easy", 0))
+        with pytest.raises(EpisodeError, match="reset"):
+            solver.value(Episode("skyline_easy"))
+
+    def test_an_episode_that_has_ended(self) -> None:
+        episode = toy_episode(["@0", ".."])
+        solver = ExactSolver(episode)
+        fly(episode, "R")
+        with pytest.raises(EpisodeError, match="ended"):
+            ExactSolver(episode)
+        for refused in (solver.q_values, solver.optimal_actions):
+            with pytest.raises(EpisodeError, match="ended"):
+                refused(episode)
+        with pytest.raises(EpisodeError, match="ended"):
+            solver.regret(episode, 0)
+        assert solver.value(episode) == episode.score
+        assert best_actions(episode) == []
+        assert solve_episode(episode).actions == ()
+
+    @pytest.mark.parametrize("task", TASKS)
+    def test_an_episode_of_another_map_or_task(self, task: str) -> None:
+        episode = reset("skyline_easy", 1)
+        solver = ExactSolver(episode)
+        with pytest.raises(EpisodeError, match="solver of its own"):
+            solver.q_values(reset(task, 2))
+
+    def test_another_terrain_or_other_parcels_under_the_same_seed(self) -> None:
+        solver = ExactSolver(toy_episode(["@B.", "0.1"]))
+        for other in (["@.B", "0.1"], ["@B.", "1.0"], ["@B.", "01."]):
+            with pytest.raises(EpisodeError, match="solver of its own"):
+                solver.value(toy_episode(other))
+        elsewhere = toy_episode([".B@", "0.1"])  # the drone can be there, though it has not flown there
+        assert solver.value(elsewhere) == ExactSolver(elsewhere).value(elsewhere)
+
+    def test_a_solver_made_in_flight_knows_what_comes_and_not_what_was(self) -> None:
+        start, flown = toy_episode(["@01", "..."]), toy_episode(["@01", "..."])
+        fly(flown, "WRL")
+        solver = ExactSolver(flown)
+        assert solver.value(flown) == ExactSolver(start).value(flown)
+        with pytest.raises(EpisodeError, match="solver of its own"):
+            solver.value(start)
+        fly(start, "WWW")  # as many steps, but nothing delivered
+        with pytest.raises(EpisodeError, match="solver of its own"):
+            solver.value(start)
+        fly(flown, "DRRUR")
+        assert solver.value(flown) == flown.score
+
+    def test_a_battery_that_cannot_be(self) -> None:
+        full = toy_episode(["@..", "..0"], max_steps=9, battery_capacity=9)
+        spent = toy_episode(["@..", "..0"], max_steps=9, battery_capacity=9, drain=())
+        fly(spent, "WW")
+        row = np.frombuffer(spent.get_state().row, np.uint16).copy()
+        for battery in (0, 6, 8, 9):
+            row[BATTERY] = battery
+            spent.set_state(replace(spent.get_state(), row=row.tobytes()))
+            with pytest.raises(EpisodeError, match="solver of its own"):
+                ExactSolver(full).value(spent)
+        row[BATTERY] = 7
+        spent.set_state(replace(spent.get_state(), row=row.tobytes()))
+        assert ExactSolver(full).value(spent) == ExactSolver(spent).value(spent)
+
+    def test_more_memory_than_is_allowed(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        episode = reset("skyline_easy", 0)
+        monkeypatch.setattr(exact, "MAX_BYTES", 100_000)
+        monkeypatch.setattr(most_battery, "MAX_BYTES", 100_000)
+        with pytest.raises(TooLargeError, match="'skyline_easy' would take"):
+            ExactSolver(episode)
+        with pytest.raises(TooLargeError, match="'skyline_easy' would take"):
+            solve("skyline_easy", 0)
+
+    def test_the_largest_task_at_once(self) -> None:
+        largest = {"width": 64, "height": 64, "deliveries": 16, "max_steps": 32_000, "battery_capacity": 32_000}
+        for needs_all in (False, True):
+            changes = {"drain": ((Cell.ROAD, 2),), "efficiency_needs_all": needs_all, **largest}
+            with pytest.raises(TooLargeError, match=r"1\.1 GB are allowed"):
+                best_actions(reset(replace(get_task("easy"), id="largest", **changes), 0))
+
+    def test_most_battery_where_efficiency_always_counts(self) -> None:
+        with pytest.raises(UnsupportedTaskError, match="'easy_delivery'"):
+            most_battery.best_actions(reset("easy", 0))
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_planners_leave_the_episode_as_it_is(task: str) -> None:
+    episode = reset(task, 4)
+    fly(episode, "RRDDW")
+    before = episode.get_state()
+    best_actions(episode)
+    solve_episode(episode)
+    solver = ExactSolver(episode)
+    solver.best_actions()
+    solver.regret(episode, 0)
+    assert episode.get_state() == before
+
+
+@pytest.mark.parametrize("task", STANDARD)
+def test_the_values_of_a_standard_task_are_those_of_the_shortest_tour(task: str) -> None:
+    for seed in split_seeds("test", MAPS if task != "hard_delivery" or MAPS >= 1000 else 5):
+        episode = reset(task, seed)
+        solver = ExactSolver(episode)
+        assert solver.value(episode) == solve(task, seed).score
+        for action in (0, 0, 3, 3, 4):
+            episode.step(action)
+        assert solver.value(episode) == solve_episode(episode).score
+
+
+@pytest.mark.parametrize("task", SKYLINE)
+def test_backwards_and_forwards_agree_on_the_skyline_tasks(task: str) -> None:
+    for seed in split_seeds("test", MAPS if task == "skyline_easy" else MAPS // 10):
+        episode = reset(task, seed)
+        solver = ExactSolver(episode)
+        for _ in range(3):
+            assert solver.value(episode) == solve_episode(episode).score
+            for _ in range(4):
+                if not episode.ended:
+                    episode.step(solver.optimal_actions(episode)[-1])
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_whoever_flies_nothing_but_optimal_actions_scores_the_optimum(task: str) -> None:
+    draw = random.Random(task)
+    for seed in split_seeds("test", MAPS // 30 if task in LARGE else MAPS // 10):
+        episode = reset(task, seed)
+        solver = ExactSolver(episode)
+        while not episode.ended:
+            episode.step(draw.choice(solver.optimal_actions(episode)))
+        assert episode.score == solve(task, seed).score
+
+
+@pytest.mark.parametrize("task", SKYLINE)
+def test_the_optimal_agent_scores_the_optimum_alone_and_together(task: str) -> None:
+    seeds = np.array(split_seeds("test", MAPS), np.int64)
+    agent = OptimalAgent(get_task(task))
+    optima = [solve(task, seed).score for seed in seeds.tolist()]
+    alone = []
+    for seed in seeds.tolist():
+        agent.reset(seed)
+        episode = reset(task, seed)
+        while not episode.ended:
+            episode.step(agent.act(episode.observation()))
+        alone.append(episode.score)
+    assert alone == optima
+    together: dict[int, float] = {}
+    batch = Batch(task, len(seeds))
+    batch.reset(seeds)
+    agent.reset_batch(seeds)
+    while len(together) < len(seeds):
+        batch.step(agent.act_batch(batch.grids, batch.telemetry))
+        finals = batch.finals()
+        ended = dict(zip(finals["seed"].tolist(), finals["score"].tolist(), strict=True))
+        together |= {seed: score for seed, score in ended.items() if seed in seeds and seed not in together}
+    assert [together[seed] for seed in seeds.tolist()] == optima
+
+
+@pytest.mark.parametrize("task", [task for task in SKYLINE if task not in LARGE])
+def test_the_optimal_agent_makes_the_best_of_what_is_flown_in_its_place(task: str) -> None:
+    draw = random.Random(task)
+    for seed in split_seeds("validation", MAPS // 5):
+        episode = reset(task, seed)
+        solver, agent = ExactSolver(episode), make_agent("optimal", task)
+        agent.reset(seed)
+        best = solver.value(episode)
+        while not episode.ended:
+            action = agent.act(episode.observation())
+            if draw.random() < 0.1:
+                action = draw.randrange(5)
+                best = solver.q_values(episode)[action]
+            episode.step(action)
+        assert episode.score == best
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_an_episode_is_rebuilt_from_its_observation(task: str) -> None:
+    draw = random.Random(task)
+    for seed in range(MAPS):
+        episode = reset(task, seed)
+        while not episode.ended:
+            rebuilt = episode_of(episode.task, episode.observation())
+            assert np.array_equal(rebuilt.grid(), episode.grid())
+            assert (rebuilt.under, rebuilt.position, rebuilt.steps, rebuilt.battery_units, rebuilt.deliveries_done) == (
+                episode.under,
+                episode.position,
+                episode.steps,
+                episode.battery_units,
+                episode.deliveries_done,
+            )
+            assert sorted(rebuilt.parcels) == sorted(episode.parcels)
+            assert rebuilt.score == episode.score
+            episode.step(draw.randrange(5))
+
+
+class TestGreedy:
+    @pytest.mark.parametrize(
+        ("drawing", "units", "path"),
+        [
+            # Over the building costs units + 1, round it 4.
+            (["...", "@B0"], 2, "RR"),
+            (["...", "@B0"], 4, "URRD"),
+            # Equally much battery: fewer steps.
+            (["...", "@B0"], 3, "RR"),
+            # The parcel that is two steps away costs 10; the one that is five away costs 5.
+            (["BBBBBB", "0B@...", "BBBBB1"], 9, "RRRD"),
+            # Of equally cheap ones the first in reading order.
+            (["....B", "1.@.0"], 9, "LL"),
+            (["..1.B", ".....", "0.@.2"], 9, "UU"),
+            # Impassable obstacles are flown round.
+            (["@O0", ".O.", "..."], 1, "DDRRUU"),
+            # Walled in there is nothing to fly to.
+            (["@O0", "OO.", "..."], 1, "WWW"),
+        ],
+    )
+    def test_flies_the_cheapest_way(self, drawing: list[str], units: int, path: str) -> None:
+        drains = {"drain": ((Cell.BUILDING, units),), "impassable": frozenset({Cell.OBSTACLE})}
+        episode = toy_episode(drawing, max_steps=40, **drains)
+        agent = make_agent("greedy", episode.task)
+        agent.reset(0)
+        flown = ""
+        while len(flown) < len(path):
+            flown += letters([Action(agent.act(episode.observation()))])
+            fly(episode, flown[-1])
+        assert flown == path
+        assert episode.event == (Event.WAIT if "W" in path else Event.DELIVERY)
+
+    @pytest.mark.parametrize("task", SKYLINE)
+    def test_chooses_together_as_it_does_alone(self, task: str) -> None:
+        seeds = np.array(split_seeds("test", MAPS // 3), np.int64)
+        agent, batch = GreedyAgent(get_task(task)), Batch(task, len(seeds), same_step=True)
+        batch.reset(seeds)
+        agent.reset_batch(seeds)
+        draw = np.random.default_rng(0)
+        for _ in range(25):
+            chosen = agent.act_batch(batch.grids, batch.telemetry)
+            for i in range(len(seeds)):
+                assert agent.act({"grid": batch.grids[i], "telemetry": batch.telemetry[i]}) == chosen[i]
+            deviates = draw.random(len(seeds)) < 0.3
+            batch.step(np.where(deviates, draw.integers(5, size=len(seeds)), chosen))
