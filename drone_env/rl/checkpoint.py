@@ -1,0 +1,60 @@
+"""Checkpoints: everything that a training run needs to go on as if it had never stopped.
+
+A file holds tensors and plain values only, so it is read with `weights_only=True` and can run no code. It is written
+beside its place, synced and renamed: there is always a whole one.
+"""
+
+import os
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from drone_env.errors import CheckpointError
+
+FORMAT = "drone_env/checkpoint"
+VERSION = 1
+
+
+def save_checkpoint(path: Path, contents: dict[str, Any]) -> None:
+    """Write a checkpoint; folders are made.
+
+    Raises:
+        OSError: if it cannot be written; the file that was there before is left as it was.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        with temporary.open("wb") as file:
+            torch.save({"format": FORMAT, "version": VERSION, **contents}, file)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
+    """Read a checkpoint. The file is left as it is, whatever it holds.
+
+    Raises:
+        OSError: if it cannot be read.
+        CheckpointError: if it is cut short, no checkpoint of this project, or of a newer version.
+    """
+    try:
+        contents = torch.load(path, map_location=device, weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, zipfile.BadZipFile, ValueError, KeyError) as error:
+        raise CheckpointError(f"{path} cannot be read: cut short, or no checkpoint ({_first_line(error)})") from None
+    if not isinstance(contents, dict) or contents.get("format") != FORMAT:
+        raise CheckpointError(f"{path} is not a checkpoint of this project")
+    if contents["version"] != VERSION:
+        raise CheckpointError(
+            f"{path} is a checkpoint of version {contents['version']}; this program reads version {VERSION}"
+        )
+    return contents
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,0 +1,155 @@
+"""All that decides how a training run goes. A new hyperparameter is one more field."""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+from drone_env.core.rewards import get_reward_profile
+from drone_env.core.tasks import get_task
+from drone_env.errors import InvalidValueError
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One training run; `PRESETS` holds two to start from.
+
+    Raises:
+        UnknownNameError: if there is no such task or reward profile.
+        InvalidValueError: if a number is out of range.
+    """
+
+    task: str = "easy"
+    """The task, by its short name, id or grader."""
+    episodes: int = 4_000
+    """Episodes to fly in all; a resumed run goes on up to this number."""
+    seed: int = 0
+    """Of the weights, the maps, the exploration and the replay: equal seeds, equal runs (on a CPU)."""
+    reward_profile: str = "aligned"
+    """What steps pay. Its shaping, if it has one, is set to `gamma`."""
+    gpu: bool = False
+    """Train on a CUDA device."""
+    num_threads: int = 2
+    """Threads that PyTorch computes with. Runs with other numbers differ in the last bits."""
+    num_envs: int = 64
+    """Episodes flown side by side."""
+    gamma: float = 0.99
+    """Discount."""
+    n_step: int = 1
+    """Steps over which rewards are summed before the network's own estimate takes over."""
+    batch_size: int = 256
+    """Transitions per update."""
+    learning_rate: float = 1e-3
+    """Of Adam, at the start."""
+    final_learning_rate: float = 1e-4
+    """At the last episode; it falls in a straight line."""
+    replay_size: int = 200_000
+    """Transitions that are kept."""
+    learning_starts: int = 2_000
+    """Steps before the first update."""
+    steps_per_update: float = 4.0
+    """Steps flown for each update."""
+    double: bool = True
+    """Whether the online network chooses the action that the target network values (Double DQN)."""
+    loss: Literal["huber", "mse"] = "huber"
+    """What the error of an estimate costs."""
+    max_grad_norm: float = 10.0
+    """Gradients longer than this are shortened to it; 0 for never."""
+    target_update: Literal["soft", "episodes"] = "soft"
+    """Whether the target network follows a little at every update, or is copied every so many episodes."""
+    tau: float = 0.005
+    """How much it follows, where it is `soft`."""
+    target_every: int = 10
+    """Every how many episodes it is copied, where it is by `episodes`."""
+    exploration: Literal["linear", "multiplicative"] = "linear"
+    """Whether epsilon falls in a line over steps, or by a factor per episode."""
+    epsilon_start: float = 1.0
+    """Share of random actions at the start."""
+    epsilon_end: float = 0.05
+    """And at the end."""
+    epsilon_steps: int = 20_000
+    """Steps over which it falls, where it is `linear`."""
+    epsilon_factor: float = 0.995
+    """Factor per episode, where it is `multiplicative`."""
+    validation_every: int = 200
+    """Episodes between two validations."""
+    validation_maps: int = 200
+    """Maps of the validation split that each flies."""
+    log_every: int = 20
+    """Episodes per line of the log."""
+    checkpoint_episodes: int = 0
+    """Episodes between two checkpoints; 0 for by time."""
+    checkpoint_seconds: float = 60.0
+    """Seconds between two checkpoints, where they are by time."""
+
+    def __post_init__(self) -> None:
+        get_task(self.task)
+        get_reward_profile(self.reward_profile)
+        positive = (
+            "episodes", "num_threads", "num_envs", "n_step", "batch_size", "learning_rate", "replay_size",
+            "steps_per_update", "target_every", "epsilon_steps", "validation_every", "validation_maps", "log_every",
+            "checkpoint_seconds",
+        )  # fmt: skip
+        for name in positive:
+            _require(getattr(self, name) > 0, f"{name} must be above 0, got {getattr(self, name)}")
+        for name in ("final_learning_rate", "learning_starts", "max_grad_norm", "checkpoint_episodes", "seed"):
+            _require(getattr(self, name) >= 0, f"{name} must not be below 0, got {getattr(self, name)}")
+        for name in ("gamma", "tau", "epsilon_start", "epsilon_end", "epsilon_factor"):
+            _require(0 <= getattr(self, name) <= 1, f"{name} must be in [0, 1], got {getattr(self, name)}")
+        _require(
+            self.replay_size >= self.num_envs * (self.n_step + 2),
+            f"replay_size {self.replay_size} does not hold {self.n_step + 2} steps of {self.num_envs} episodes",
+        )
+
+    def identity(self) -> dict[str, Any]:
+        """What a resumed run must share with the one that it goes on from: all but how long and how often."""
+        free = ("episodes", "checkpoint_episodes", "checkpoint_seconds")
+        return {name: value for name, value in asdict(self).items() if name not in free} | {
+            "task": get_task(self.task).id,
+            "task_version": get_task(self.task).version,
+        }
+
+
+def _require(holds: bool, message: str) -> None:
+    if not holds:
+        raise InvalidValueError(message)
+
+
+ORIGINAL = TrainConfig(
+    episodes=500,
+    num_envs=1,
+    batch_size=64,
+    learning_rate=1e-4,
+    final_learning_rate=1e-4,
+    replay_size=10_000,
+    learning_starts=64,
+    steps_per_update=1,
+    double=False,
+    max_grad_norm=0,
+    target_update="episodes",
+    target_every=10,
+    exploration="multiplicative",
+    validation_every=50,
+    log_every=1,
+    checkpoint_episodes=50,
+)
+"""The original's hyperparameters."""
+
+FAST: dict[str, TrainConfig] = {
+    "easy_delivery": TrainConfig(task="easy", episodes=4_000),
+    "medium_delivery": TrainConfig(task="medium", episodes=4_000, steps_per_update=10, epsilon_steps=60_000),
+    "hard_delivery": TrainConfig(task="hard", episodes=5_000, steps_per_update=20, epsilon_steps=150_000),
+}
+"""What was found to learn fastest, for each task; others start from that of `hard_delivery`."""
+
+PRESETS = ("fast", "original")
+
+
+def preset(name: str, task: str) -> TrainConfig:
+    """The configuration of a preset for a task.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+        InvalidValueError: if there is no such preset.
+    """
+    _require(name in PRESETS, f"preset must be one of {', '.join(PRESETS)}, got {name!r}")
+    task_id = get_task(task).id
+    return replace(ORIGINAL if name == "original" else FAST.get(task_id, FAST["hard_delivery"]), task=task)

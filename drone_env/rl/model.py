@@ -1,0 +1,60 @@
+"""PathQNet: from a map and the telemetry to the value of each action.
+
+    grid uint8[B, H, W] -> Embedding 8 -> Conv 8-16 -> Conv 16-32 -> AdaptiveAvgPool 4x4 -> Linear 64
+    concatenated with telemetry float32[B, 5 or 6] -> Linear 128, LayerNorm -> Linear 128 -> Linear 64 -> Linear 5
+
+Every layer but the last is followed by ReLU. The network takes maps of any size: what it learned on one it can be
+asked about another.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from drone_env.core.actions import N_ACTIONS
+from drone_env.core.cells import N_CELL_KINDS
+
+EMBEDDING = 8
+POOLED = 4
+MAP_FEATURES = 64
+
+
+class MapEncoder(nn.Module):
+    """The map as 64 features: float32[B, 64] from uint8[B, H, W]."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.embedding = nn.Embedding(N_CELL_KINDS, EMBEDDING)
+        self.conv1 = nn.Conv2d(EMBEDDING, 16, kernel_size=3, padding=1)
+        self.conv2 = nn.Conv2d(16, 32, kernel_size=3, padding=1)
+        self.pool = nn.AdaptiveAvgPool2d(POOLED)
+        self.linear = nn.Linear(32 * POOLED * POOLED, MAP_FEATURES)
+
+    def forward(self, grid: Tensor) -> Tensor:
+        """The features of a batch of maps."""
+        # Channels last, as the embedding leaves them, is what the convolutions are fastest on.
+        x = self.embedding(grid.int()).permute(0, 3, 1, 2)
+        x = torch.relu(self.conv1(x))
+        x = torch.relu(self.conv2(x))
+        return torch.relu(self.linear(self.pool(x).flatten(1)))
+
+
+class PathQNet(nn.Module):
+    """The values of the five actions: float32[B, 5] from uint8[B, H, W] and float32[B, telemetry_size]."""
+
+    def __init__(self, telemetry_size: int = 5) -> None:
+        super().__init__()
+        self.encoder = MapEncoder()
+        self.head = nn.Sequential(
+            nn.Linear(MAP_FEATURES + telemetry_size, 128),
+            nn.LayerNorm(128),
+            nn.ReLU(),
+            nn.Linear(128, 128),
+            nn.ReLU(),
+            nn.Linear(128, 64),
+            nn.ReLU(),
+            nn.Linear(64, N_ACTIONS),
+        )
+
+    def forward(self, grid: Tensor, telemetry: Tensor) -> Tensor:
+        """The value of each action."""
+        return self.head(torch.cat([self.encoder(grid), telemetry], dim=1))

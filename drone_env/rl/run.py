@@ -1,0 +1,195 @@
+"""A training run and its files: checkpoint, log, curves, and the exported network."""
+
+import csv
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, fields
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from drone_env.errors import CheckpointError, MissingPackageError
+from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
+from drone_env.rl.config import TrainConfig
+from drone_env.rl.export import export_network
+from drone_env.rl.trainer import Progress, Trainer
+
+
+class Run:
+    """Trains, and keeps what comes of it.
+
+        data/<task>.pth                    the last checkpoint, to go on from; it holds the best network too
+        data/<task>.npz                    the best network by validation, exported
+        data/train.log                     one line per `log_every` episodes
+        results/<task>/history.csv         the same as a table
+        results/<task>/*.png               the same as curves
+        results/<task>/tensorboard/        the same for TensorBoard
+
+    Args:
+        config: How to train.
+        data: Folder of checkpoint and log.
+        results: Folder of tables and curves.
+        fresh: Start anew; the checkpoint that is there is renamed to `.old`.
+
+    Raises:
+        CheckpointError: if the checkpoint cannot be read or is of another run; it is left as it was.
+    """
+
+    def __init__(self, config: TrainConfig, data: Path, results: Path, fresh: bool = False) -> None:
+        self.trainer = Trainer(config)
+        name = self.trainer.task.short_name
+        self.checkpoint = data / f"{name}.pth"
+        self.log = data / "train.log"
+        self.network = data / f"{name}.npz"
+        self.results = results / name
+        if fresh and self.checkpoint.exists():
+            self.checkpoint.replace(self.checkpoint.with_suffix(".pth.old"))
+        self.resumed = self.checkpoint.exists()
+        if self.resumed:
+            try:
+                self.trainer.set_state(load_checkpoint(self.checkpoint, str(self.trainer.device)))
+            except CheckpointError as error:
+                raise CheckpointError(f"{error}; --fresh starts anew and keeps it as {self.checkpoint}.old") from None
+        self.stopped = False
+
+    def train(self, show: Callable[[Progress], None]) -> None:
+        """Train to the end, or until Ctrl-C, which ends the run cleanly after the present step.
+
+        Args:
+            show: Called with every line of the log.
+        """
+        config, trainer = self.config, self.trainer
+        for folder in (self.log.parent, self.results):
+            folder.mkdir(parents=True, exist_ok=True)
+        saved_at, saved_episodes = time.monotonic(), trainer.episodes
+        with self._log_file() as write, self._tensorboard() as add, self._stopping_on_interrupt():
+
+            def after_log(progress: Progress) -> None:
+                write(progress)
+                add(progress)
+                show(progress)
+
+            def after_step() -> None:
+                nonlocal saved_at, saved_episodes
+                by_episodes = config.checkpoint_episodes
+                due = (
+                    trainer.episodes - saved_episodes >= by_episodes
+                    if by_episodes
+                    else time.monotonic() - saved_at >= config.checkpoint_seconds
+                )
+                if due or self.stopped:
+                    self.save()
+                    saved_at, saved_episodes = time.monotonic(), trainer.episodes
+                if self.stopped:
+                    raise StopTraining
+
+            with suppress(StopTraining):
+                trainer.train(after_log, after_step)
+        self.save()
+        self._write_history()
+        self._draw_curves()
+
+    @property
+    def config(self) -> TrainConfig:
+        """How it trains."""
+        return self.trainer.config
+
+    def save(self) -> None:
+        """Write the checkpoint, and the best network beside it."""
+        save_checkpoint(self.checkpoint, self.trainer.get_state())
+        task = self.trainer.task
+        metadata = {
+            "task": task.id,
+            "task_version": task.version,
+            "telemetry_size": task.telemetry_size,
+            "config": self.config.identity(),
+            "episodes": self.trainer.episodes,
+            "steps": self.trainer.steps,
+            "updates": self.trainer.updates,
+            "validation_score": self.trainer.best_score,
+            "validation_optimum": self.trainer.validator.optimum,
+        }
+        export_network(self.trainer.best_network(), self.network, metadata)
+
+    @contextmanager
+    def _log_file(self) -> Generator[Callable[[Progress], None], None, None]:
+        """The log, begun anew with the lines of the checkpoint: what was logged after it is flown again."""
+        temporary = self.log.with_name(f"{self.log.name}.{os.getpid()}.part")
+        temporary.write_text("".join(f"{log_line(line)}\n" for line in self.trainer.history), encoding="utf-8")
+        temporary.replace(self.log)
+        with self.log.open("a", encoding="utf-8", buffering=1) as file:
+
+            def write(progress: Progress) -> None:
+                file.write(f"{log_line(progress)}\n")
+
+            yield write
+
+    @contextmanager
+    def _tensorboard(self) -> Generator[Callable[[Progress], None], None, None]:
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            raise MissingPackageError("tensorboard", "train") from None
+        folder = self.results / "tensorboard"
+        if not self.resumed and folder.is_dir():
+            for old in folder.glob("events.out.tfevents.*"):
+                old.unlink()
+        # Whatever came after the checkpoint is flown again, so what was written of it is taken back.
+        writer: Any = SummaryWriter(folder, purge_step=self.trainer.episodes + 1)
+
+        def add(progress: Progress) -> None:
+            for name, value in asdict(progress).items():
+                if name != "episode" and not math.isnan(value):
+                    writer.add_scalar(name, value, progress.episode)
+
+        try:
+            yield add
+        finally:
+            writer.close()
+
+    @contextmanager
+    def _stopping_on_interrupt(self) -> Generator[None, None, None]:
+        def stop(signum: int, frame: FrameType | None) -> None:
+            if self.stopped:
+                raise KeyboardInterrupt
+            self.stopped = True
+            print("\nstopping after this step; once more to stop at once", file=sys.stderr)
+
+        before = signal.signal(signal.SIGINT, stop)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+    def _write_history(self) -> None:
+        path = self.results / "history.csv"
+        temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
+        with temporary.open("w", newline="", encoding="utf-8") as file:
+            table = csv.DictWriter(file, [field.name for field in fields(Progress)])
+            table.writeheader()
+            table.writerows(asdict(line) for line in self.trainer.history)
+        temporary.replace(path)
+
+    def _draw_curves(self) -> None:
+        from drone_env.rl.curves import draw_curves
+
+        draw_curves({self.config.reward_profile: self.trainer.history}, self.trainer.task.short_name, self.results)
+
+
+class StopTraining(Exception):  # noqa: N818 (it is no error)
+    """Ends a run that was asked to stop."""
+
+
+def log_line(progress: Progress) -> str:
+    """A line of `data/train.log`."""
+    return (
+        f"episode={progress.episode} steps={progress.steps} updates={progress.updates} epsilon={progress.epsilon:.3f} "
+        f"loss={progress.loss:.6f} reward={progress.reward:.4f} score={progress.score:.4f} "
+        f"success={progress.success:.3f} length={progress.length:.1f} validation={progress.validation:.4f} "
+        f"optimum={progress.validation_optimum:.4f}"
+    )

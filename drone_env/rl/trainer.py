@@ -1,0 +1,310 @@
+"""Deep Q-learning from the batched simulator.
+
+Mnih et al., "Human-level control through deep reinforcement learning", Nature 2015; van Hasselt, Guez, Silver, "Deep
+reinforcement learning with double Q-learning", AAAI 2016. N episodes fly side by side; every step of all of them goes
+into the replay, and after every `steps_per_update` steps the network is fitted to one batch from it.
+
+Every end is part of the task, so nothing is bootstrapped over an end, and nothing truncates an episode before it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn.functional import mse_loss, smooth_l1_loss
+
+from drone_env.core.batch import Batch
+from drone_env.core.rewards import get_reward_profile, profile_for_discount
+from drone_env.core.seeds import SPLITS
+from drone_env.core.tasks import get_task
+from drone_env.errors import CheckpointError, InvalidValueError
+from drone_env.rl.config import TrainConfig
+from drone_env.rl.model import PathQNet
+from drone_env.rl.policy import LinearSchedule, MultiplicativeSchedule, epsilon_greedy
+from drone_env.rl.replay_buffer import ReplayBuffer
+from drone_env.rl.validation import Validation, Validator
+
+LOSSES = {"huber": smooth_l1_loss, "mse": mse_loss}
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How a run stands: one line of its log. Means are over the episodes since the line before.
+
+    Attributes:
+        episode: Episodes ended so far.
+        steps: Steps flown.
+        updates: Batches that the network was fitted to.
+        epsilon: Share of random actions.
+        loss: Mean loss of the updates, NaN before the first.
+        reward: Mean undiscounted sum of rewards.
+        score: Mean graded score.
+        success: Share of episodes that delivered everything.
+        length: Mean steps of an episode.
+        validation: Mean score of the network alone on the validation maps, of the last validation; NaN before it.
+        validation_optimum: The exact optimum of the same maps.
+    """
+
+    episode: int
+    steps: int
+    updates: int
+    epsilon: float
+    loss: float
+    reward: float
+    score: float
+    success: float
+    length: float
+    validation: float
+    validation_optimum: float
+
+
+class Trainer:
+    """One training run, from its first step or from a checkpoint.
+
+    Args:
+        config: All that decides how it goes.
+
+    Raises:
+        InvalidValueError: if a GPU is asked for and there is none.
+        TooLargeError: if the optimum of the validation maps cannot be worked out.
+    """
+
+    def __init__(self, config: TrainConfig) -> None:
+        if config.gpu and not torch.cuda.is_available():
+            raise InvalidValueError("--gpu needs a CUDA device, and PyTorch sees none; train without it on the CPU")
+        torch.set_num_threads(config.num_threads)
+        torch.manual_seed(config.seed)
+        self.config = config
+        self.task = get_task(config.task)
+        self.device = torch.device("cuda" if config.gpu else "cpu")
+        self.rng = np.random.default_rng(config.seed)
+        profile = profile_for_discount(get_reward_profile(config.reward_profile), config.gamma)
+        self.batch = Batch(self.task, config.num_envs, profile, same_step=True)
+        self.batch.reset(self.rng.integers(SPLITS["train"].start, SPLITS["train"].stop, config.num_envs))
+        self.online = PathQNet(self.task.telemetry_size).to(self.device)
+        self.target = PathQNet(self.task.telemetry_size).to(self.device)
+        self.target.load_state_dict(self.online.state_dict())
+        self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate)
+        self.replay = ReplayBuffer(
+            config.replay_size, config.num_envs, self.task.height, self.task.width, self.task.telemetry_size
+        )
+        self.validator = Validator(self.task, config.validation_maps)
+        self.steps = self.updates = self.episodes = 0
+        self.updates_due = 0.0
+        self.rewards = np.zeros(config.num_envs)
+        self.window: list[tuple[float, float, bool, int]] = []
+        self.losses: list[float] = []
+        self.history: list[Progress] = []
+        self.validation = Validation(float("nan"), self.validator.optimum, float("nan"))
+        self.best_score = -1.0
+        self.best = {name: tensor.clone() for name, tensor in self.online.state_dict().items()}
+
+    def train(self, after_log: Callable[[Progress], None], after_step: Callable[[], None]) -> None:
+        """Fly and learn until `config.episodes` episodes have ended.
+
+        Args:
+            after_log: Called with every line of the log.
+            after_step: Called when a step of all episodes is over; may save, or stop the run by an exception.
+        """
+        while self.episodes < self.config.episodes:
+            self.fly()
+            if self.steps > self.config.learning_starts and self.replay.can_sample(self.config.n_step):
+                self.updates_due += self.config.num_envs / self.config.steps_per_update
+            while self.updates_due >= 1:
+                self.learn()
+                self.updates_due -= 1
+            for progress in self.finish_episodes():
+                after_log(progress)
+            after_step()
+
+    def fly(self) -> None:
+        """Fly one step in every episode and keep it."""
+        batch = self.batch
+        grids, telemetry = batch.grids.copy(), batch.telemetry.copy()
+        actions = epsilon_greedy(self.values(grids, telemetry), self.epsilon, self.rng)
+        batch.step(actions)
+        self.replay.add(grids, telemetry, actions, batch.rewards, batch.terminated)
+        self.rewards += batch.rewards
+        self.steps += self.config.num_envs
+
+    def learn(self) -> None:
+        """Fit the network to one batch of the replay."""
+        config = self.config
+        sampled = self.replay.sample(config.batch_size, config.n_step, config.gamma, self.rng)
+        actions = self.tensor(sampled.actions).unsqueeze(1)
+        next_grids, next_telemetry = self.tensor(sampled.next_grids), self.tensor(sampled.next_telemetry)
+        with torch.no_grad():
+            next_values = self.target(next_grids, next_telemetry)
+            chooser = self.online(next_grids, next_telemetry) if config.double else next_values
+            next_value = next_values.gather(1, chooser.argmax(1, keepdim=True)).squeeze(1)
+            wanted = self.tensor(sampled.returns) + self.tensor(sampled.discounts) * next_value
+
+        values = self.online(self.tensor(sampled.grids), self.tensor(sampled.telemetry)).gather(1, actions).squeeze(1)
+        loss = LOSSES[config.loss](values, wanted)
+        self.optimizer.zero_grad()
+        loss.backward()
+        if config.max_grad_norm:
+            torch.nn.utils.clip_grad_norm_(self.online.parameters(), config.max_grad_norm)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.learning_rate
+        self.optimizer.step()
+        self.losses.append(float(loss.item()))
+        self.updates += 1
+        if config.target_update == "soft":
+            with torch.no_grad():
+                for ours, theirs in zip(self.target.parameters(), self.online.parameters(), strict=True):
+                    ours.lerp_(theirs, config.tau)
+
+    def finish_episodes(self) -> list[Progress]:
+        """Account for the episodes that the last step ended; validate and log where it is time to."""
+        config, finals, lines = self.config, self.batch.finals(), []
+        for i, score, steps, deliveries in zip(
+            self.batch.ended.tolist(), finals["score"], finals["steps"], finals["deliveries"], strict=True
+        ):
+            success = bool(deliveries == self.task.deliveries)
+            self.window.append((float(self.rewards[i]), float(score), success, int(steps)))
+            self.rewards[i] = 0.0
+            self.episodes += 1
+            if config.target_update == "episodes" and self.episodes % config.target_every == 0:
+                self.target.load_state_dict(self.online.state_dict())
+            if self.episodes % config.validation_every == 0 or self.episodes == config.episodes:
+                self.validate()
+            if self.episodes % config.log_every == 0 or self.episodes == config.episodes:
+                lines.append(self.log())
+            if self.episodes == config.episodes:
+                break
+        return lines
+
+    def validate(self) -> None:
+        """Fly the validation maps with the network alone; keep it if it is the best so far."""
+        self.validation = self.validator.validate(self.values)
+        if self.validation.score > self.best_score:
+            self.best_score = self.validation.score
+            self.best = {name: tensor.clone() for name, tensor in self.online.state_dict().items()}
+
+    def log(self) -> Progress:
+        """The next line of the log."""
+        rewards, scores, successes, lengths = zip(*self.window, strict=True)
+        progress = Progress(
+            episode=self.episodes,
+            steps=self.steps,
+            updates=self.updates,
+            epsilon=self.epsilon,
+            loss=float(np.mean(self.losses)) if self.losses else float("nan"),
+            reward=float(np.mean(rewards)),
+            score=float(np.mean(scores)),
+            success=float(np.mean(successes)),
+            length=float(np.mean(lengths)),
+            validation=self.validation.score,
+            validation_optimum=self.validation.optimum,
+        )
+        self.window, self.losses = [], []
+        self.history.append(progress)
+        return progress
+
+    @property
+    def epsilon(self) -> float:
+        """The present share of random actions."""
+        config = self.config
+        if config.exploration == "linear":
+            return LinearSchedule(config.epsilon_start, config.epsilon_end, config.epsilon_steps)(self.steps)
+        return MultiplicativeSchedule(config.epsilon_start, config.epsilon_end, config.epsilon_factor)(self.episodes)
+
+    @property
+    def learning_rate(self) -> float:
+        """The present step size."""
+        config = self.config
+        return LinearSchedule(config.learning_rate, config.final_learning_rate, config.episodes)(self.episodes)
+
+    def values(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """The network's values, float32[N, 5]."""
+        with torch.no_grad():
+            return self.online(self.tensor(grids), self.tensor(telemetry)).cpu().numpy()
+
+    def tensor(self, array: npt.NDArray[Any]) -> Tensor:
+        """The array on the device that trains."""
+        return torch.from_numpy(array).to(self.device)
+
+    def get_state(self) -> dict[str, Any]:
+        """Everything that the run needs to go on, as tensors and plain values."""
+        rows = min(self.replay.added, len(self.replay.grids))
+        return {
+            "config": self.config.identity(),
+            "episodes_wanted": self.config.episodes,
+            "online": self.online.state_dict(),
+            "target": self.target.state_dict(),
+            "best": self.best,
+            "best_score": self.best_score,
+            "optimizer": self.optimizer.state_dict(),
+            "replay": {name: torch.from_numpy(getattr(self.replay, name)[:rows]) for name in REPLAY_ARRAYS},
+            "replay_added": self.replay.added,
+            "batch": {name: as_tensor(array) for name, array in self.batch.get_state().items()},
+            "rng": self.rng.bit_generator.state,
+            "rewards": torch.from_numpy(self.rewards),
+            "counters": [self.steps, self.updates, self.episodes, self.updates_due],
+            "window": [list(entry) for entry in self.window],
+            "losses": self.losses,
+            "history": [vars(progress) for progress in self.history],
+            "validation": list(self.validation),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on where `get_state` stood.
+
+        Raises:
+            CheckpointError: if the state is of a run with another configuration; the message names the differences.
+        """
+        ours, theirs = self.config.identity(), state["config"]
+        different = [
+            f"{name} {theirs.get(name)!r} (now {ours[name]!r})" for name in ours if theirs.get(name) != ours[name]
+        ]
+        if different:
+            raise CheckpointError(f"the checkpoint is of a run with {', '.join(different)}")
+        self.online.load_state_dict(state["online"])
+        self.target.load_state_dict(state["target"])
+        self.best, self.best_score = state["best"], state["best_score"]
+        self.optimizer.load_state_dict(state["optimizer"])
+        for name in REPLAY_ARRAYS:
+            stored = state["replay"][name].cpu().numpy()
+            getattr(self.replay, name)[: len(stored)] = stored
+        self.replay.added = state["replay_added"]
+        own = self.batch.get_state()
+        self.batch.set_state({name: as_array(state["batch"][name], own[name]) for name in own})
+        self.rng.bit_generator.state = state["rng"]
+        self.rewards[:] = state["rewards"].cpu().numpy()
+        self.steps, self.updates, self.episodes, self.updates_due = state["counters"]
+        self.window = [(reward, score, success, length) for reward, score, success, length in state["window"]]
+        self.losses = list(state["losses"])
+        self.history = [Progress(**line) for line in state["history"]]
+        self.validation = Validation(*state["validation"])
+
+    def best_network(self) -> PathQNet:
+        """The network that flew the validation maps best, on the CPU."""
+        network = PathQNet(self.task.telemetry_size)
+        network.load_state_dict({name: tensor.cpu() for name, tensor in self.best.items()})
+        return network
+
+
+REPLAY_ARRAYS = ("grids", "telemetry", "actions", "rewards", "terminated")
+
+
+def as_tensor(array: npt.NDArray[Any]) -> Tensor:
+    """The array as a tensor; unsigned 16-bit numbers, which not every PyTorch stores, as signed ones."""
+    return torch.from_numpy(array.view(np.int16) if array.dtype == np.uint16 else array)
+
+
+def as_array(tensor: Tensor, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Back from `as_tensor`."""
+    array: npt.NDArray[Any] = tensor.cpu().numpy()
+    return array.view(np.uint16) if like.dtype == np.uint16 else array
+
+
+def resumed(config: TrainConfig, state: dict[str, Any]) -> Trainer:
+    """A trainer that goes on where a checkpoint stood; raises as `Trainer` and `Trainer.set_state`."""
+    trainer = Trainer(replace(config))
+    trainer.set_state(state)
+    return trainer
