@@ -60,7 +60,7 @@ class Network:
         x = np.pad(np.maximum(x, 0), ((0, 0), (1, 1), (1, 1), (0, 0)))
         patches = [x[:, i // 3 : i // 3 + height, i % 3 : i % 3 + width] for i in range(9)]
         x = np.maximum(np.concatenate(patches, axis=3) @ self._conv2 + p["encoder.conv2.bias"], 0)
-        x = np.einsum("ph,nhwc,qw->ncpq", pooling(height), x, pooling(width), optimize=True)
+        x = np.einsum("ph,nhwc,qw->npqc", pooling(height), x, pooling(width), optimize=True)
         return np.maximum(x.reshape(n, -1) @ p["encoder.linear.weight"].T + p["encoder.linear.bias"], 0)
 
 

@@ -7,6 +7,8 @@ Every layer but the last is followed by ReLU. The network takes maps of any size
 asked about another.
 """
 
+from functools import lru_cache
+
 import torch
 from torch import Tensor, nn
 
@@ -26,7 +28,6 @@ class MapEncoder(nn.Module):
         self.embedding = nn.Embedding(N_CELL_KINDS, EMBEDDING)
         self.conv1 = nn.Conv2d(EMBEDDING, 16, kernel_size=3, padding=1)
         self.conv2 = nn.Conv2d(16, 32, kernel_size=3, padding=1)
-        self.pool = nn.AdaptiveAvgPool2d(POOLED)
         self.linear = nn.Linear(32 * POOLED * POOLED, MAP_FEATURES)
 
     def forward(self, grid: Tensor) -> Tensor:
@@ -35,7 +36,18 @@ class MapEncoder(nn.Module):
         x = self.embedding(grid.int()).permute(0, 3, 1, 2)
         x = torch.relu(self.conv1(x))
         x = torch.relu(self.conv2(x))
-        return torch.relu(self.linear(self.pool(x).flatten(1)))
+        x = pooling(grid.shape[1], grid.shape[2], x.device) @ x.permute(0, 2, 3, 1).flatten(1, 2)
+        return torch.relu(self.linear(x.flatten(1)))
+
+
+@lru_cache(maxsize=16)
+def pooling(height: int, width: int, device: torch.device) -> Tensor:
+    """Adaptive average pooling to 4x4 as a matrix, float32[16, height * width].
+
+    The same as `nn.AdaptiveAvgPool2d(4)`, whose backward pass would first copy its input into another layout.
+    """
+    cells = torch.eye(height * width, device=device).reshape(-1, 1, height, width)
+    return nn.functional.adaptive_avg_pool2d(cells, POOLED).flatten(1).T.contiguous()
 
 
 class PathQNet(nn.Module):
