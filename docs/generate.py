@@ -100,7 +100,8 @@ The pictures show a best flight over the first test map; the figures are means o
 On the three `delivery` tasks chasing the nearest parcel nearly reaches the optimum. The three `skyline` tasks are made
 so that it does not: the battery does not last for the tour, buildings cost extra, obstacles block the way, and whoever
 does not plan where to charge is left standing. In `skyline` a charge in time is worth more than the steps it takes: a
-best flight often tops up before the last delivery, so it can be longer than a shorter one that scores less.
+best flight often tops up before the last delivery, so it can be longer than a shorter one that scores less. On a few
+maps nobody can deliver everything; there the optimum is what can be had.
 """
 
 

@@ -287,7 +287,7 @@ def analyse_flight(record: EpisodeRecord) -> FlightAnalysis:
         InvalidValueError: if the record does not fit its flight.
         TooLargeError: if the exact values of the map would take too much memory.
     """
-    flown = replay(record)
+    flown = replay(record, "score")  # regret is in score, whatever the steps paid
     start = Episode(flown.task, flown.reward_profile)
     start.reset(flown.seed)
     return analyse_actions(start, flown.actions, record.agent)

@@ -34,10 +34,10 @@ def _app(arguments: Sequence[str]) -> SubcommandApp:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status: 0 done, 2 not allowed, 1 a failing file, stream or check."""
+    """Run one command and return its exit status: 0 done, 1 a check that failed, 2 anything else that went wrong."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if sys.stdin is None or sys.stdout is None or sys.stderr is None:
-        return 1  # closed by whoever started us: there is nowhere to say so
+        return 2  # closed by whoever started us: there is nowhere to say so
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A map whose emoji the terminal lacks is better than none.
@@ -57,10 +57,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         # Whoever read the output has closed it (`drone-env fly | head`); the interpreter must not flush it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        return 2
     except OSError as error:
         print(f"drone-env: {error}", file=sys.stderr)
-        return 1
+        return 2
     except KeyboardInterrupt:
         return 130
 

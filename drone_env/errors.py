@@ -26,7 +26,7 @@ class UnknownNameError(DroneEnvError, LookupError):
     def __init__(self, kind: str, given: object, allowed: Iterable[str]) -> None:
         self.kind = kind
         self.given = given
-        self.allowed = sorted(allowed)
+        self.allowed = sorted(set(allowed))
         super().__init__(f"unknown {kind} {given!r}; allowed: {', '.join(self.allowed)}")
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from drone_env.core.actions import Event
-from drone_env.core.rewards import RewardProfile, get_reward_profile
+from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, get_reward_profile
 from drone_env.errors import InvalidTaskError
 
 if sys.version_info >= (3, 11):
@@ -50,23 +50,24 @@ def reward_profile_from(name: str) -> RewardProfile:
         OSError: if the file cannot be read.
         InvalidTaskError: if the file is not a reward profile; the message says why.
     """
-    return load_reward_profile(Path(name)) if name.endswith(".toml") else get_reward_profile(name)
+    return load_reward_profile(name) if name.endswith(".toml") else get_reward_profile(name)
 
 
-def load_reward_profile(path: Path) -> RewardProfile:
+def load_reward_profile(path: str | Path) -> RewardProfile:
     """The reward profile in a TOML file; numbers are kept as the decimals that they are written as.
 
     Raises:
         OSError: if the file cannot be read.
         InvalidTaskError: if it is not a reward profile; the message says why.
     """
+    path = Path(path)
 
     def require(holds: bool, message: str) -> None:
         if not holds:
             raise InvalidTaskError(f"reward profile {path}: {message}")
 
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"), parse_float=Decimal)
+        table = tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=Decimal)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InvalidTaskError(f"reward profile {path}: not TOML: {error}") from None
     for key, value in table.items():
@@ -74,6 +75,8 @@ def load_reward_profile(path: Path) -> RewardProfile:
         fits = isinstance(value, KEYS[key]) and (bool in KEYS[key] or not isinstance(value, bool))
         require(fits, f"{key} must be {_named(KEYS[key])}, got {value!r}")
     require(bool(table.get("id")), "id is missing")
+    require(table["id"].isprintable(), f"id must be printable, got {table['id']!r}")
+    require(table["id"] not in REWARD_PROFILES, f"id {table['id']!r} is taken by a profile of the package")
     events: dict[str, Any] = table.pop("events", {})
     for name, value in events.items():
         require(name in EVENTS, f"unknown event {name!r}; allowed: {', '.join(EVENTS)}")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -44,7 +45,7 @@ def audit(
 
     On each map, the exact return-maximising flight (of several, the one that scores lowest) stands beside the exact
     optimum of the score. The verdict is `aligned` if they score the same on every map, else `exploitable`. Exit
-    status: 0 for aligned, 1 for exploitable.
+    status: 0 for aligned, 1 for exploitable, 2 if it could not be worked out.
 
     Potential-based shaping fits one discount: it is audited with `gamma` as its own, as the learner should set it.
 
@@ -83,7 +84,7 @@ def audit(
         save_record(record_of(flight, f"maximiser of {profile.id}"), replay)
     report = _report(config, profile, gamma, audits, worst)
     if json:
-        print(json_format.dumps(report, indent=2))
+        print(json_format.dumps(report, indent=2, allow_nan=False))
     else:
         _print(report, replay)
     return 0 if report["verdict"] == "aligned" else 1
@@ -157,7 +158,7 @@ def _print(report: dict[str, Any], replay: Path | None) -> None:
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
     shaping = "" if report["shaping_gamma"] is None else f", shaping gamma {report['shaping_gamma']:g}"
     console.print(
-        f"{report['reward']} on {report['task']}, gamma {report['gamma']:g}{shaping}, {report['maps']} maps",
+        f"{escape(report['reward'])} on {report['task']}, gamma {report['gamma']:g}{shaping}, {report['maps']} maps",
         style="bold",
     )
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
@@ -179,5 +180,5 @@ def _print(report: dict[str, Any], replay: Path | None) -> None:
     if verdict == "exploitable":
         console.print(
             f"Worst map: {worst['seed']}, {worst['score']:.4f} where {worst['optimal_score']:.4f} can be had"
-            + (f"; its flight is in {replay}" if replay else "")
+            + (f"; its flight is in {escape(str(replay))}" if replay else "")
         )

@@ -15,6 +15,7 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidTaskError, UnknownNameError
 
 FLYING = int(Outcome.FLYING)
+MAX_REWARD = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -50,10 +51,13 @@ class RewardProfile:
             *(self.clamp or ()),
             *(v for _, v in self.events),
         )
-        if not all(isinstance(number, Decimal) and number.is_finite() for number in numbers):
+        if not all(isinstance(number, Decimal) for number in numbers):
             raise InvalidTaskError(f"reward profile {self.id!r}: numbers must be Decimal, such as Decimal('0.05')")
+        if not all(number.is_finite() and abs(number) <= MAX_REWARD for number in numbers):
+            raise InvalidTaskError(f"reward profile {self.id!r}: numbers must be from -{MAX_REWARD} to {MAX_REWARD}")
         if self.clamp is not None and self.clamp[0] > self.clamp[1]:
-            raise InvalidTaskError(f"reward profile {self.id!r}: clamp {self.clamp} has no room between its bounds")
+            bounds = f"{self.clamp[0]} to {self.clamp[1]}"
+            raise InvalidTaskError(f"reward profile {self.id!r}: a clamp from {bounds} has no room between its bounds")
         if self.shaping_gamma is not None and not 0 <= self.shaping_gamma <= 1:
             raise InvalidTaskError(f"reward profile {self.id!r}: shaping_gamma must be in [0, 1]")
 

@@ -34,7 +34,7 @@ def draw_text(episode: Episode) -> str:
         f"step {episode.steps}/{task.max_steps}",
         f"battery {episode.battery_units}/{task.battery_capacity}",
         f"delivered {episode.deliveries_done}/{task.deliveries}",
-        f"score {100 * episode.score:.1f}",
+        f"score {100 * episode.score:.1f}/100",
     )
     rows = _symbols(episode)
     if episode.target is not None:

@@ -25,7 +25,7 @@ class EpisodeRecord(Message):
     task: str = Field(description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
     seed: Count = Field(description="Number of the map.")
-    agent: str = Field(description="Who flew.")
+    agent: str = Field(min_length=1, max_length=200, pattern=r"^\P{C}+$", description="Who flew: one printable line.")
     reward_profile: str = Field(description="What the steps paid.")
     actions: list[Direction] = Field(description="The actions, in order.")
     deliveries: Count = Field(description="Parcels delivered.")
@@ -87,18 +87,19 @@ def replay(record: EpisodeRecord, reward_profile: str | RewardProfile | None = N
     return episode
 
 
-def save_record(record: EpisodeRecord, path: Path) -> None:
+def save_record(record: EpisodeRecord, path: str | Path) -> None:
     """Write a record as JSON, so that the file is there whole or not at all.
 
     Raises:
         OSError: if it cannot be written.
     """
+    path = Path(path)
     temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
     temporary.write_text(record.model_dump_json(indent=2) + "\n", encoding="utf-8")
     temporary.replace(path)
 
 
-def load_record(path: Path) -> EpisodeRecord:
+def load_record(path: str | Path) -> EpisodeRecord:
     """Read a record.
 
     Raises:
@@ -106,8 +107,8 @@ def load_record(path: Path) -> EpisodeRecord:
         InvalidValueError: if it is not a record; the message says what is wrong with it.
     """
     try:
-        return EpisodeRecord.model_validate_json(path.read_bytes())
+        return EpisodeRecord.model_validate_json(Path(path).read_bytes())
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise InvalidValueError(f"{path} is not the record of a flight: {where} {first['msg']}".strip()) from None
+        where = "".join(f"{part}: " for part in first["loc"])
+        raise InvalidValueError(f"{path} is not the record of a flight: {where}{first['msg']}") from None

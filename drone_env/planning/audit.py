@@ -50,7 +50,9 @@ from drone_env.planning.optimal import Solution, solve
 FLYING = int(Outcome.FLYING)
 DELIVERY = int(Cell.DELIVERY)
 TIE = 1e-9
-"""Returns closer than this count as equal: they are sums of up to `max_steps` rounded numbers."""
+"""Returns count as equal if they differ by less than this share of the largest of them."""
+NOISE = 1e-14
+"""And if they differ by less than this share of the largest single reward: returns are sums of rounded numbers."""
 
 
 def number_of(row: Any, parcels: Any, cell: int) -> int:
@@ -68,6 +70,7 @@ def audit_kernel(
     rules: Rules,
     rewards: Rewards,
     gamma: float,
+    noise: float,
     grid: Any,
     row: Any,
     parcels: Any,
@@ -84,6 +87,7 @@ def audit_kernel(
         rules: The task's tables.
         rewards: The profile's tables.
         gamma: The learner's discount.
+        noise: What returns may differ by, by rounding alone.
         grid: uint8[cells], without the drone; left as it was.
         row: uint16[row size], working memory.
         parcels: int64[n], the entries of `row` that hold the parcels still to deliver.
@@ -132,9 +136,10 @@ def audit_kernel(
                                 put_parcels(rules, grid, row, parcels, delivered)
                             grid[cell] = under
                         best = returns.max()
+                        tie = TIE * np.abs(returns).max() + noise
                         choice = -1
                         for action in range(N_ACTIONS):
-                            tied = returns[action] >= best - TIE
+                            tied = returns[action] >= best - tie
                             if tied and (choice < 0 or scores[action] < scores[choice]):
                                 choice = action
                         values[now, units, delivered, target, cell] = best
@@ -183,9 +188,11 @@ def audited_profile(
 
     Raises:
         UnknownNameError: if there is no such profile.
-        InvalidValueError: if a gamma is not in [0, 1].
+        InvalidValueError: if a gamma is not in [0, 1], or a `shaping_gamma` is given for a profile without shaping.
     """
     profile = get_reward_profile(reward_profile)
+    if shaping_gamma is not None and profile.shaping_gamma is None:
+        raise InvalidValueError(f"reward profile {profile.id!r} has no shaping that a shaping_gamma could be set for")
     for name, value in (("gamma", gamma), ("shaping_gamma", shaping_gamma)):
         if value is not None and not 0 <= value <= 1:
             raise InvalidValueError(f"{name} must be in [0, 1], got {value}")
@@ -232,7 +239,22 @@ def _maximise(episode: Episode, profile: RewardProfile, gamma: float) -> tuple[l
     choices = np.zeros((len(sizes), *shape), np.uint8)
     start, aim = int(row[CELL]), number_of(row, parcels, int(row[TARGET]))
     rewards = tabulate_rewards(task, profile)
-    audit_kernel(rules, rewards, gamma, grid, row, parcels, first_step, lowest, sizes, values, lows, choices)
+    largest = max(np.abs(rewards.events).max(), np.abs(rewards.potential).max() if rewards.shaped else 0.0)
+    audit_kernel(
+        rules,
+        rewards,
+        gamma,
+        NOISE * float(largest),
+        grid,
+        row,
+        parcels,
+        first_step,
+        lowest,
+        sizes,
+        values,
+        lows,
+        choices,
+    )
     flight = Episode(task, profile)
     flight.set_state(episode.get_state())
     actions: list[Action] = []

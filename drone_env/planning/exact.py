@@ -21,9 +21,9 @@ from drone_env.core.drone import units_left
 from drone_env.core.dynamics import outcome_of
 from drone_env.core.rules import BATTERY, CELL, DELIVERED_FLAG, PARCELS, STEPS, Rules, tabulate
 from drone_env.core.score import score_of
-from drone_env.core.state_manager import Episode
+from drone_env.core.state_manager import ALLOWED_ACTIONS, Episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import EpisodeError, TooLargeError
+from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError
 from drone_env.planning.map_graph import (
     MAX_BYTES,
     battery_ranges,
@@ -195,7 +195,14 @@ class ExactSolver:
         return tuple(Action(int(action)) for action in np.flatnonzero(values == values.max()))
 
     def regret(self, episode: Episode, action: int) -> float:
-        """V*(s) - Q*(s, a): what an action gives away for good, in score; raises as `q_values`."""
+        """V*(s) - Q*(s, a): what an action gives away for good, in score.
+
+        Raises:
+            InvalidValueError: if the action is not an integer from 0 to 4.
+            EpisodeError: as `q_values`.
+        """
+        if isinstance(action, bool) or action not in range(N_ACTIONS):
+            raise InvalidValueError(f"action must be one of {ALLOWED_ACTIONS}; got {action!r}")
         values = self.q_values(episode)
         return float(values.max() - values[action])
 

@@ -196,7 +196,7 @@ def test_a_file_that_cannot_be_written_is_an_error_without_a_traceback(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("in the way")
-    assert main(["fly", "--seed", "1", "--picture", str(tmp_path / "file" / "flight.png")]) == 1
+    assert main(["fly", "--seed", "1", "--picture", str(tmp_path / "file" / "flight.png")]) == 2
     assert "file" in capsys.readouterr().err
 
 

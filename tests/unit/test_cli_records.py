@@ -84,7 +84,7 @@ def test_a_tampered_record_is_refused_before_anything_is_printed(
 
 
 @pytest.mark.parametrize("command", ["replay", "analyse-flight"])
-@pytest.mark.parametrize(("text", "status"), [(None, 1), ("{}", 2), ("not JSON", 2)])
+@pytest.mark.parametrize(("text", "status"), [(None, 2), ("{}", 2), ("not JSON", 2)])
 def test_what_is_no_record_is_an_error_that_names_the_file(
     command: str, text: str | None, status: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

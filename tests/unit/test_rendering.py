@@ -314,7 +314,7 @@ class TestText:
     def test_tells_how_the_flight_stands(self) -> None:
         episode = fly(fresh("hard", 42), 7)
         *_, status, message = draw_text(episode).split("\n")
-        score = f"score {100 * episode.score:.1f}"
+        score = f"score {100 * episode.score:.1f}/100"
         for words in ("hard_delivery", "map 42", "step 7/160", "battery 153/160", "delivered 2/5", score):
             assert words in status.split(" · ")
         assert message == episode.message
