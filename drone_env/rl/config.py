@@ -33,6 +33,9 @@ class TrainConfig:
     """Episodes flown side by side."""
     gamma: float = 0.99
     """Discount."""
+    reward_scale: float = 20.0
+    """What rewards are multiplied by for the network: brings the differences between actions, some hundredths of a
+    score, above what its output jitters by at this learning rate."""
     n_step: int = 1
     """Steps over which rewards are summed before the network's own estimate takes over."""
     batch_size: int = 256
@@ -85,7 +88,7 @@ class TrainConfig:
         get_reward_profile(self.reward_profile)
         positive = (
             "episodes", "num_threads", "num_envs", "n_step", "batch_size", "learning_rate", "replay_size",
-            "steps_per_update", "target_every", "epsilon_steps", "validation_every", "validation_maps", "log_every",
+            "reward_scale", "steps_per_update", "target_every", "epsilon_steps", "validation_every", "validation_maps", "log_every",
             "checkpoint_seconds",
         )  # fmt: skip
         for name in positive:
@@ -114,6 +117,7 @@ def _require(holds: bool, message: str) -> None:
 
 
 ORIGINAL = TrainConfig(
+    reward_scale=1.0,
     episodes=500,
     num_envs=1,
     batch_size=64,

@@ -127,7 +127,7 @@ class Trainer:
         grids, telemetry = batch.grids.copy(), batch.telemetry.copy()
         actions = epsilon_greedy(self.values(grids, telemetry), self.epsilon, self.rng)
         batch.step(actions)
-        self.replay.add(grids, telemetry, actions, batch.rewards, batch.terminated)
+        self.replay.add(grids, telemetry, actions, batch.rewards * self.config.reward_scale, batch.terminated)
         self.rewards += batch.rewards
         self.steps += self.config.num_envs
 
