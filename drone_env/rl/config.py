@@ -138,7 +138,7 @@ ORIGINAL = TrainConfig(
 """The original's hyperparameters."""
 
 FAST: dict[str, TrainConfig] = {
-    "easy_delivery": TrainConfig(task="easy", episodes=4_000),
+    "easy_delivery": TrainConfig(task="easy", episodes=4_000, reward_scale=1.0),
     "medium_delivery": TrainConfig(task="medium", episodes=4_000, steps_per_update=10, epsilon_steps=60_000),
     "hard_delivery": TrainConfig(task="hard", episodes=5_000, steps_per_update=20, epsilon_steps=150_000),
 }
