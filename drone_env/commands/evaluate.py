@@ -1,7 +1,6 @@
 """`drone-env evaluate`: agents side by side on the same maps, beside the exact optimum."""
 
 import json as json_format
-import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +17,7 @@ from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation import EpisodesKey, concatenate, episodes_key, run_in_chunks, summarise
+from drone_env.files import replacing
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
 AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
@@ -76,7 +76,8 @@ def evaluate(
         sys.stdout.write(text)
         return
     if target is not None:
-        _write_whole(target, text)
+        with replacing(target) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     Console(width=None if sys.stdout.isatty() else 120).print(_table(report))
 
 
@@ -137,10 +138,3 @@ def _table(report: dict[str, Any]) -> Table:
 
 def _figure(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
-
-
-def _write_whole(path: Path, text: str) -> None:
-    """Write a file so that it is there whole or not at all."""
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)

@@ -3,7 +3,6 @@
 The dynamics are deterministic, so task, seed and actions say it all; the results stand beside them to be checked.
 """
 
-import os
 from pathlib import Path
 from typing import Literal
 
@@ -14,6 +13,7 @@ from drone_env.core.rewards import RewardProfile
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
+from drone_env.files import replacing
 from drone_env.models import Count, Direction, Message, Score
 
 
@@ -93,10 +93,8 @@ def save_record(record: EpisodeRecord, path: str | Path) -> None:
     Raises:
         OSError: if it cannot be written.
     """
-    path = Path(path)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
-    temporary.write_text(record.model_dump_json(indent=2) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    with replacing(Path(path)) as temporary:
+        temporary.write_text(record.model_dump_json(indent=2) + "\n", encoding="utf-8")
 
 
 def load_record(path: str | Path) -> EpisodeRecord:

@@ -35,14 +35,14 @@ from drone_env.core.rules import (
 from drone_env.core.score import score
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.errors import InvalidValueError, TooLargeError
+from drone_env.errors import InvalidValueError
 from drone_env.planning.map_graph import (
-    MAX_BYTES,
     battery_ranges,
     delivered_set,
     drain_range,
     put_drone,
     put_parcels,
+    require_memory,
     state_arrays,
 )
 from drone_env.planning.optimal import Solution, solve
@@ -231,10 +231,7 @@ def _maximise(episode: Episode, profile: RewardProfile, gamma: float) -> tuple[l
     lowest, sizes = battery_ranges(battery, *drain_range(rules), task, task.max_steps - first_step)
     shape = (int(sizes.max()), 1 << len(parcels), len(parcels), rules.cells)
     size = int(np.prod(shape, dtype=object)) * (len(sizes) + 32)
-    if size > MAX_BYTES:
-        raise TooLargeError(
-            f"auditing a map of {task.id!r} would take {size / 1e9:.1f} GB; {MAX_BYTES / 1e9:.1f} GB are allowed"
-        )
+    require_memory("the audit", task, size)
     values, lows = np.zeros((2, 2, *shape))
     choices = np.zeros((len(sizes), *shape), np.uint8)
     start, aim = int(row[CELL]), number_of(row, parcels, int(row[TARGET]))

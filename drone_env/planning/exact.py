@@ -23,14 +23,14 @@ from drone_env.core.rules import BATTERY, CELL, DELIVERED_FLAG, PARCELS, STEPS, 
 from drone_env.core.score import score_of
 from drone_env.core.state_manager import ALLOWED_ACTIONS, Episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError
+from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.planning.map_graph import (
-    MAX_BYTES,
     battery_ranges,
     delivered_set,
     done_counts,
     drain_range,
     map_graph,
+    require_memory,
     state_arrays,
 )
 
@@ -138,13 +138,13 @@ class ExactSolver:
         self._first_step, battery = int(row[STEPS]), int(row[BATTERY])
         self._places = len(self._grid) << len(self._parcels)
         ends = (task.deliveries + 1) * (task.battery_capacity + 1) * (task.max_steps + 1)
-        _refuse_if_too_large(task, 12 * ends + 30 * self._places)
+        require_memory("the exact values", task, 12 * ends + 30 * self._places)
         graph = map_graph(episode)
         lowest, sizes = battery_ranges(battery, *drain_range(graph.rules), task, task.max_steps - self._first_step)
         self._lowest = lowest
         self._starts = np.concatenate([[0], np.cumsum(sizes)]) * self._places
         self._scores, ranks = ranked_scores(task)
-        _refuse_if_too_large(task, int(self._starts[-1]) * ranks.itemsize)
+        require_memory("the exact values", task, int(self._starts[-1]) * ranks.itemsize)
         self._done = done_counts(task, self._parcels)
         self._leads_to, self._drain, self._ranks = graph.leads_to, graph.drain, ranks
         self._values = np.zeros(int(self._starts[-1]), ranks.dtype)
@@ -246,11 +246,3 @@ class ExactSolver:
         grid[parcels] = self._grid[parcels]  # whether delivered or not
         start = np.frombuffer(self._start.row, np.uint16)
         return np.array_equal(parcels, start[PARCELS:] % DELIVERED_FLAG) and np.array_equal(grid, self._grid)
-
-
-def _refuse_if_too_large(task: TaskConfig, size: int) -> None:
-    if size > MAX_BYTES:
-        raise TooLargeError(
-            f"the exact values of a map of {task.id!r} would take {size / 1e9:.1f} GB; "
-            f"{MAX_BYTES / 1e9:.1f} GB are allowed"
-        )

@@ -32,6 +32,7 @@ from drone_env.core.rules import (
 )
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig
+from drone_env.errors import TooLargeError
 
 FLYING = int(Outcome.FLYING)
 DRONE = int(Cell.DRONE)
@@ -167,6 +168,18 @@ def map_graph(episode: Episode) -> MapGraph:
     drain = np.zeros((places, N_ACTIONS), np.int16)
     explore(rules, tabulate_rewards(task, _UNPAID), grid.copy(), row.copy(), parcels, leads_to, drain)
     return MapGraph(task, rules, grid, row, parcels, leads_to, drain)
+
+
+def require_memory(what: str, task: TaskConfig, size: int) -> None:
+    """Refuse what would not fit; `what` names it in the message.
+
+    Raises:
+        TooLargeError: if `size`, in bytes, is above `MAX_BYTES`.
+    """
+    if size > MAX_BYTES:
+        raise TooLargeError(
+            f"{what} of a map of {task.id!r} would take {size / 1e9:.1f} GB; {MAX_BYTES / 1e9:.1f} GB are allowed"
+        )
 
 
 def drain_range(rules: Rules) -> tuple[int, int]:

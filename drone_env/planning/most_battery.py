@@ -18,8 +18,8 @@ from drone_env.core.dynamics import outcome_of
 from drone_env.core.rules import BATTERY, CELL, STEPS, Rules
 from drone_env.core.score import score_of
 from drone_env.core.state_manager import Episode
-from drone_env.errors import TooLargeError, UnsupportedTaskError
-from drone_env.planning.map_graph import MAX_BYTES, done_counts, map_graph
+from drone_env.errors import UnsupportedTaskError
+from drone_env.planning.map_graph import done_counts, map_graph, require_memory
 
 FLYING = int(Outcome.FLYING)
 
@@ -91,10 +91,7 @@ def best_actions(episode: Episode) -> list[Action]:
     waiting = sum(not delivered for _, _, delivered in episode.parcels)
     places = task.width * task.height << waiting
     size = places * (30 + 6 * (task.max_steps - episode.steps + 1))
-    if size > MAX_BYTES:
-        raise TooLargeError(
-            f"the optimum of a map of {task.id!r} would take {size / 1e9:.1f} GB; {MAX_BYTES / 1e9:.1f} GB are allowed"
-        )
+    require_memory("the optimum", task, size)
     graph = map_graph(episode)
     steps, start = int(graph.row[STEPS]), int(graph.row[CELL])
     most = np.zeros((task.max_steps - steps + 1, places), np.uint16)

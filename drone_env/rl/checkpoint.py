@@ -13,6 +13,7 @@ from typing import Any
 import torch
 
 from drone_env.errors import CheckpointError
+from drone_env.files import replacing
 
 FORMAT = "drone_env/checkpoint"
 VERSION = 1
@@ -25,15 +26,10 @@ def save_checkpoint(path: Path, contents: dict[str, Any]) -> None:
         OSError: if it cannot be written; the file that was there before is left as it was.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        with temporary.open("wb") as file:
-            torch.save({"format": FORMAT, "version": VERSION, **contents}, file)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        torch.save({"format": FORMAT, "version": VERSION, **contents}, file)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:

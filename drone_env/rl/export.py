@@ -1,13 +1,13 @@
 """From a PyTorch network to the file that `agents.network` reads without PyTorch."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from drone_env.files import replacing
 from drone_env.rl.model import PathQNet
 
 
@@ -23,11 +23,6 @@ def export_network(network: PathQNet, path: Path, metadata: dict[str, Any]) -> N
         OSError: if it cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        with temporary.open("wb") as file:
-            arrays: dict[str, Any] = parameters_of(network)
-            np.savez_compressed(file, metadata=np.array(json.dumps(metadata, sort_keys=True)), **arrays)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    arrays: dict[str, Any] = parameters_of(network)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, metadata=np.array(json.dumps(metadata, sort_keys=True)), **arrays)

@@ -2,7 +2,6 @@
 
 import csv
 import math
-import os
 import signal
 import sys
 import time
@@ -14,6 +13,7 @@ from types import FrameType
 from typing import Any
 
 from drone_env.errors import CheckpointError, MissingPackageError
+from drone_env.files import replacing
 from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.export import export_network
@@ -82,7 +82,7 @@ class Run:
                     if by_episodes
                     else time.monotonic() - saved_at >= config.checkpoint_seconds
                 )
-                if due or self.stopped:
+                if due and not self.stopped:
                     self.save()
                     saved_at, saved_episodes = time.monotonic(), trainer.episodes
                 if self.stopped:
@@ -119,9 +119,8 @@ class Run:
     @contextmanager
     def _log_file(self) -> Generator[Callable[[Progress], None], None, None]:
         """The log, begun anew with the lines of the checkpoint: what was logged after it is flown again."""
-        temporary = self.log.with_name(f"{self.log.name}.{os.getpid()}.part")
-        temporary.write_text("".join(f"{log_line(line)}\n" for line in self.trainer.history), encoding="utf-8")
-        temporary.replace(self.log)
+        with replacing(self.log) as temporary:
+            temporary.write_text("".join(f"{log_line(line)}\n" for line in self.trainer.history), encoding="utf-8")
         with self.log.open("a", encoding="utf-8", buffering=1) as file:
 
             def write(progress: Progress) -> None:
@@ -167,13 +166,13 @@ class Run:
             signal.signal(signal.SIGINT, before)
 
     def _write_history(self) -> None:
-        path = self.results / "history.csv"
-        temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
-        with temporary.open("w", newline="", encoding="utf-8") as file:
+        with (
+            replacing(self.results / "history.csv") as temporary,
+            temporary.open("w", newline="", encoding="utf-8") as file,
+        ):
             table = csv.DictWriter(file, [field.name for field in fields(Progress)])
             table.writeheader()
             table.writerows(asdict(line) for line in self.trainer.history)
-        temporary.replace(path)
 
     def _draw_curves(self) -> None:
         from drone_env.rl.curves import draw_curves

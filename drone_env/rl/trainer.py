@@ -8,7 +8,7 @@ Every end is part of the task, so nothing is bootstrapped over an end, and nothi
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -301,10 +301,3 @@ def as_array(tensor: Tensor, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Back from `as_tensor`."""
     array: npt.NDArray[Any] = tensor.cpu().numpy()
     return array.view(np.uint16) if like.dtype == np.uint16 else array
-
-
-def resumed(config: TrainConfig, state: dict[str, Any]) -> Trainer:
-    """A trainer that goes on where a checkpoint stood; raises as `Trainer` and `Trainer.set_state`."""
-    trainer = Trainer(replace(config))
-    trainer.set_state(state)
-    return trainer

@@ -20,7 +20,7 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import EpisodeError, TooLargeError, UnsupportedTaskError
-from drone_env.planning import exact, most_battery
+from drone_env.planning import map_graph, most_battery
 from drone_env.planning.exact import ExactSolver
 from drone_env.planning.from_observation import episode_of
 from drone_env.planning.optimal import best_actions, solve, solve_episode
@@ -266,8 +266,7 @@ class TestRefusals:
 
     def test_more_memory_than_is_allowed(self, monkeypatch: pytest.MonkeyPatch) -> None:
         episode = reset("skyline_easy", 0)
-        monkeypatch.setattr(exact, "MAX_BYTES", 100_000)
-        monkeypatch.setattr(most_battery, "MAX_BYTES", 100_000)
+        monkeypatch.setattr(map_graph, "MAX_BYTES", 100_000)
         with pytest.raises(TooLargeError, match="'skyline_easy' would take"):
             ExactSolver(episode)
         with pytest.raises(TooLargeError, match="'skyline_easy' would take"):

@@ -244,10 +244,6 @@ def test_training_learns() -> None:
     assert trainer.best_score > 0.95 * trainer.validator.optimum
 
 
-def states_of(trainer: Trainer) -> dict[str, Any]:
-    return trainer.get_state()
-
-
 def assert_same(a: Any, b: Any) -> None:
     if isinstance(a, torch.Tensor):
         assert torch.equal(a, b)
