@@ -34,8 +34,8 @@ class MapEncoder(nn.Module):
         """The features of a batch of maps."""
         # Channels last, as the embedding leaves them, is what the convolutions are fastest on.
         x = self.embedding(grid.int()).permute(0, 3, 1, 2)
-        x = torch.relu(self.conv1(x))
-        x = torch.relu(self.conv2(x))
+        x = torch.relu_(self.conv1(x))
+        x = torch.relu_(self.conv2(x))
         x = pooling(grid.shape[1], grid.shape[2], x.device) @ x.permute(0, 2, 3, 1).flatten(1, 2)
         return torch.relu(self.linear(x.flatten(1)))
 

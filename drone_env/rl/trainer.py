@@ -23,6 +23,7 @@ from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl.config import TrainConfig
+from drone_env.rl.malloc import keep_freed_memory
 from drone_env.rl.model import PathQNet
 from drone_env.rl.policy import LinearSchedule, MultiplicativeSchedule, epsilon_greedy
 from drone_env.rl.replay_buffer import ReplayBuffer
@@ -76,6 +77,7 @@ class Trainer:
     def __init__(self, config: TrainConfig) -> None:
         if config.gpu and not torch.cuda.is_available():
             raise InvalidValueError("--gpu needs a CUDA device, and PyTorch sees none; train without it on the CPU")
+        keep_freed_memory()
         torch.set_num_threads(config.num_threads)
         torch.manual_seed(config.seed)
         self.config = config
