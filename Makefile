@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check verify bench docs-data format clean
+.PHONY: demo test check verify bench bench-training evidence docs-data format clean
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -18,13 +18,13 @@ BIN := .venv/bin
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	touch $@
 
-# Fly the agents on every task, compare them, and draw one mission.
+# Fly the trained network, compare the agents on every task, and draw one mission.
 demo: .venv/.base
-	@echo "== One mission: the optimal flight over hard map 7 =="
-	@$(BIN)/drone-env fly --task hard --agent optimal --seed 7 --picture demo/mission.png
+	@echo "== One mission: the trained network over hard map 7 =="
+	@$(BIN)/drone-env fly --task hard --agent pathqnet --seed 7 --picture demo/mission.png
 	@echo
 	@echo "== 100 test maps of each task =="
-	@$(BIN)/drone-env evaluate --task all --agents random greedy optimal --split test --episodes 100
+	@$(BIN)/drone-env evaluate --task all --agents random greedy pathqnet optimal --split test --episodes 100
 
 test: .venv/.dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
@@ -43,6 +43,14 @@ verify: .venv/.dev
 bench: .venv/.base
 	$(BIN)/python benchmarks/simulator.py $(ARGS)
 	$(BIN)/python benchmarks/scalar_step.py
+
+# The trainer beside Stable-Baselines3's DQN; takes half an hour.
+bench-training: .venv/.dev
+	$(BIN)/python benchmarks/training.py $(ARGS)
+
+# Train all standard tasks with three seeds each and fly the test maps; takes an hour, and goes on where it was stopped.
+evidence: .venv/.dev
+	$(BIN)/python benchmarks/training_runs.py $(ARGS)
 
 # The generated pages, tables and pictures of docs/; takes minutes.
 docs-data: .venv/.base

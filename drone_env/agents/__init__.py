@@ -15,12 +15,13 @@ AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
     "random": RandomAgent,
     "greedy": GreedyAgent,
     "optimal": OptimalAgent,
+    "pathqnet": PathQNetAgent,
 }
 NETWORK_PREFIX = "pathqnet:"
 
 
 def make_agent(name: str, task: str | TaskConfig) -> Agent:
-    """A new agent for a task. `pathqnet:FILE` flies by the network in a file.
+    """A new agent for a task. `pathqnet` flies by the shipped network, `pathqnet:FILE` by the one in a file.
 
     Raises:
         UnknownNameError: if there is no such agent or task; the message lists the valid names.

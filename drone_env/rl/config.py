@@ -19,7 +19,7 @@ class TrainConfig:
 
     task: str = "easy"
     """The task, by its short name, id or grader."""
-    episodes: int = 4_000
+    episodes: int = 3_000
     """Episodes to fly in all; a resumed run goes on up to this number."""
     seed: int = 0
     """Of the weights, the maps, the exploration and the replay: equal seeds, equal runs (on a CPU)."""
@@ -29,36 +29,39 @@ class TrainConfig:
     """Train on a CUDA device."""
     num_threads: int = 2
     """Threads that PyTorch computes with. Runs with other numbers differ in the last bits."""
-    num_envs: int = 64
-    """Episodes flown side by side."""
+    num_envs: int = 512
+    """Episodes flown side by side: as many maps are in the replay from the first step on."""
     gamma: float = 0.99
     """Discount."""
-    reward_scale: float = 20.0
+    reward_scale: float = 10.0
     """What rewards are multiplied by for the network: brings the differences between actions, some hundredths of a
     score, above what its output jitters by at this learning rate."""
     n_step: int = 1
     """Steps over which rewards are summed before the network's own estimate takes over."""
     batch_size: int = 256
     """Transitions per update."""
-    learning_rate: float = 1e-3
+    learning_rate: float = 5e-4
     """Of Adam, at the start."""
-    final_learning_rate: float = 1e-4
+    final_learning_rate: float = 1e-5
     """At the last episode; it falls in a straight line."""
     replay_size: int = 200_000
     """Transitions that are kept."""
-    learning_starts: int = 2_000
+    learning_starts: int = 5_000
     """Steps before the first update."""
-    steps_per_update: float = 4.0
+    steps_per_update: float = 64.0
     """Steps flown for each update."""
     double: bool = True
     """Whether the online network chooses the action that the target network values (Double DQN)."""
+    advantage_learning: float = 0.7
+    """By which share of its disadvantage an action is valued lower still (advantage learning): 0.7 makes the gap
+    between the best action and another 1 / (1 - 0.7) times as wide, and leaves the best one's value as it is."""
     loss: Literal["huber", "mse"] = "huber"
     """What the error of an estimate costs."""
     max_grad_norm: float = 10.0
     """Gradients longer than this are shortened to it; 0 for never."""
     target_update: Literal["soft", "episodes"] = "soft"
     """Whether the target network follows a little at every update, or is copied every so many episodes."""
-    tau: float = 0.005
+    tau: float = 0.01
     """How much it follows, where it is `soft`."""
     target_every: int = 10
     """Every how many episodes it is copied, where it is by `episodes`."""
@@ -66,13 +69,13 @@ class TrainConfig:
     """Whether epsilon falls in a line over steps, or by a factor per episode."""
     epsilon_start: float = 1.0
     """Share of random actions at the start."""
-    epsilon_end: float = 0.05
+    epsilon_end: float = 0.5
     """And at the end."""
-    epsilon_steps: int = 20_000
+    epsilon_steps: int = 80_000
     """Steps over which it falls, where it is `linear`."""
     epsilon_factor: float = 0.995
     """Factor per episode, where it is `multiplicative`."""
-    validation_every: int = 200
+    validation_every: int = 100
     """Episodes between two validations."""
     validation_maps: int = 200
     """Maps of the validation split that each flies."""
@@ -95,8 +98,9 @@ class TrainConfig:
             _require(getattr(self, name) > 0, f"{name} must be above 0, got {getattr(self, name)}")
         for name in ("final_learning_rate", "learning_starts", "max_grad_norm", "checkpoint_episodes", "seed"):
             _require(getattr(self, name) >= 0, f"{name} must not be below 0, got {getattr(self, name)}")
-        for name in ("gamma", "tau", "epsilon_start", "epsilon_end", "epsilon_factor"):
+        for name in ("gamma", "tau", "advantage_learning", "epsilon_start", "epsilon_end", "epsilon_factor"):
             _require(0 <= getattr(self, name) <= 1, f"{name} must be in [0, 1], got {getattr(self, name)}")
+        _require(self.advantage_learning < 1, f"advantage_learning must be below 1, got {self.advantage_learning}")
         _require(
             self.replay_size >= self.num_envs * (self.n_step + 2),
             f"replay_size {self.replay_size} does not hold {self.n_step + 2} steps of {self.num_envs} episodes",
@@ -117,9 +121,9 @@ def _require(holds: bool, message: str) -> None:
 
 
 ORIGINAL = TrainConfig(
-    reward_scale=1.0,
     episodes=500,
     num_envs=1,
+    reward_scale=1.0,
     batch_size=64,
     learning_rate=1e-4,
     final_learning_rate=1e-4,
@@ -127,10 +131,12 @@ ORIGINAL = TrainConfig(
     learning_starts=64,
     steps_per_update=1,
     double=False,
+    advantage_learning=0,
     max_grad_norm=0,
     target_update="episodes",
     target_every=10,
     exploration="multiplicative",
+    epsilon_end=0.05,
     validation_every=50,
     log_every=1,
     checkpoint_episodes=50,
@@ -138,11 +144,11 @@ ORIGINAL = TrainConfig(
 """The original's hyperparameters."""
 
 FAST: dict[str, TrainConfig] = {
-    "easy_delivery": TrainConfig(task="easy", episodes=4_000, reward_scale=1.0),
-    "medium_delivery": TrainConfig(task="medium", episodes=4_000, steps_per_update=10, epsilon_steps=60_000),
-    "hard_delivery": TrainConfig(task="hard", episodes=5_000, steps_per_update=20, epsilon_steps=150_000),
+    "easy_delivery": TrainConfig(episodes=4_000, validation_every=200),
+    "medium_delivery": TrainConfig(episodes=2_000),
+    "hard_delivery": TrainConfig(episodes=1_500),
 }
-"""What was found to learn fastest, for each task; others start from that of `hard_delivery`."""
+"""What was found to learn fastest, for each task; others take the numbers of `hard_delivery`."""
 
 PRESETS = ("fast", "original")
 

@@ -9,6 +9,7 @@ from drone_env.rl.trainer import Progress
 
 CURVES = {
     "reward": "mean reward of an episode",
+    "length": "mean steps of an episode",
     "loss": "loss",
     "epsilon": "share of random actions",
     "validation": "score on validation maps",

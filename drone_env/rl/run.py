@@ -50,11 +50,14 @@ class Run:
         if fresh and self.checkpoint.exists():
             self.checkpoint.replace(self.checkpoint.with_suffix(".pth.old"))
         self.resumed = self.checkpoint.exists()
+        self._seconds, self._since = 0.0, time.monotonic()
         if self.resumed:
             try:
-                self.trainer.set_state(load_checkpoint(self.checkpoint, str(self.trainer.device)))
+                state = load_checkpoint(self.checkpoint, str(self.trainer.device))
+                self.trainer.set_state(state)
             except CheckpointError as error:
                 raise CheckpointError(f"{error}; --fresh starts anew and keeps it as {self.checkpoint}.old") from None
+            self._seconds = state["seconds"]
         self.stopped = False
 
     def train(self, show: Callable[[Progress], None]) -> None:
@@ -67,6 +70,7 @@ class Run:
         for folder in (self.log.parent, self.results):
             folder.mkdir(parents=True, exist_ok=True)
         saved_at, saved_episodes = time.monotonic(), trainer.episodes
+        self._since = time.monotonic()
         with self._log_file() as write, self._tensorboard() as add, self._stopping_on_interrupt():
 
             def after_log(progress: Progress) -> None:
@@ -99,9 +103,14 @@ class Run:
         """How it trains."""
         return self.trainer.config
 
+    @property
+    def seconds(self) -> float:
+        """How long this run has been trained, in all its parts, validations and files included."""
+        return self._seconds + time.monotonic() - self._since
+
     def save(self) -> None:
         """Write the checkpoint, and the best network beside it."""
-        save_checkpoint(self.checkpoint, self.trainer.get_state())
+        save_checkpoint(self.checkpoint, self.trainer.get_state() | {"seconds": self.seconds})
         task = self.trainer.task
         metadata = {
             "task": task.id,
@@ -111,6 +120,7 @@ class Run:
             "episodes": self.trainer.episodes,
             "steps": self.trainer.steps,
             "updates": self.trainer.updates,
+            "seconds": round(self.seconds, 1),
             "validation_score": self.trainer.best_score,
             "validation_optimum": self.trainer.validator.optimum,
         }

@@ -86,7 +86,7 @@ def test_the_optimal_agent_goes_on_from_wherever_it_is_put() -> None:
 
 
 def test_an_unknown_agent_is_refused_with_the_names_that_exist() -> None:
-    with pytest.raises(UnknownNameError, match=r"'greedier'.*greedy, optimal, random"):
+    with pytest.raises(UnknownNameError, match=r"'greedier'.*greedy, optimal, pathqnet, random"):
         make_agent("greedier", "easy")
 
 

@@ -140,11 +140,11 @@ def test_solve_as_json_can_be_flown(capsys: pytest.CaptureFixture[str]) -> None:
     ("arguments", "allowed"),
     [
         (["fly", "--task", "extreme"], "easy, easy_delivery, hard, hard_delivery, medium, medium_delivery"),
-        (["fly", "--agent", "ace"], "greedy, optimal, random"),
+        (["fly", "--agent", "ace"], "greedy, optimal, pathqnet, random"),
         (["fly", "--reward-profile", "generous"], "aligned, composite, score, tiered"),
         (["fly", "--seed", "-1"], "[0, 2^53)"),
         (["evaluate", "--task", "easy", "extreme"], "easy_delivery"),
-        (["evaluate", "--agents", "ace"], "greedy, optimal, random"),
+        (["evaluate", "--agents", "ace"], "greedy, optimal, pathqnet, random"),
         (["evaluate", "--split", "exam"], "test, train, validation"),
         (["evaluate", "--episodes", "0"], "at least 1"),
         (["evaluate", "--seeds", "5:5"], "A < B"),

@@ -327,7 +327,7 @@ def test_what_is_not_allowed(tmp_path: Path) -> None:
     for agents in ([], ["greedy", "greedy"]):
         with pytest.raises(InvalidValueError, match="agents"):
             dataset_config("easy", range(1), agents=agents)
-    with pytest.raises(UnknownNameError, match="greedy, optimal, random"):
+    with pytest.raises(UnknownNameError, match="greedy, optimal, pathqnet, random"):
         dataset_config("easy", range(1), agents=["ace"])
     with pytest.raises(InvalidValueError, match="not of the split"):
         dataset_config("easy", split_seeds("test", 1), "train")
@@ -363,7 +363,7 @@ def test_only_who_asks_for_test_maps_gets_them(tmp_path: Path) -> None:
     [
         (["--maps", "0"], "at least 1"),
         (["--task", "extreme"], "easy_delivery"),
-        (["--agents", "ace"], "greedy, optimal, random"),
+        (["--agents", "ace"], "greedy, optimal, pathqnet, random"),
         (["--epsilon", "2"], "0 to 1"),
         (["--split", "exam"], "test, train, validation"),
         (["--formats", "csv"], "minari, parquet"),

@@ -244,6 +244,50 @@ def test_training_learns() -> None:
     assert trainer.best_score > 0.95 * trainer.validator.optimum
 
 
+@pytest.mark.parametrize("double", [True, False])
+@pytest.mark.parametrize("share", [0.0, 0.7])
+def test_the_network_is_fitted_to_the_targets_of_the_papers(
+    double: bool, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Transition by transition from the formulas, where the trainer works on whole batches."""
+    trainer = Trainer(replace(SMALL, double=double, advantage_learning=share, loss="mse", target_update="episodes"))
+    for _ in range(20):
+        trainer.fly()
+    with torch.no_grad():
+        for parameter in trainer.target.parameters():
+            parameter += 0.1 * torch.randn_like(parameter)
+    drawn = trainer.replay.sample(16, 1, 0.99, np.random.default_rng(0))
+    monkeypatch.setattr(trainer.replay, "sample", lambda *_: drawn)
+
+    def values(network: PathQNet, grids: Any, telemetry: Any, i: int) -> list[float]:
+        return trainer.values(grids[i : i + 1], telemetry[i : i + 1], network)[0].tolist()
+
+    errors = []
+    for i in range(16):
+        later = values(trainer.target, drawn.next_grids, drawn.next_telemetry, i)
+        chooser = values(trainer.online, drawn.next_grids, drawn.next_telemetry, i) if double else later
+        present = values(trainer.target, drawn.grids, drawn.telemetry, i)
+        wanted = float(drawn.returns[i]) + float(drawn.discounts[i]) * later[chooser.index(max(chooser))]
+        wanted -= share * (max(present) - present[drawn.actions[i]])
+        errors.append(wanted - values(trainer.online, drawn.grids, drawn.telemetry, i)[drawn.actions[i]])
+    trainer.learn()
+    assert trainer.losses == [pytest.approx(np.mean(np.square(errors)), rel=1e-4)]
+
+
+def test_the_moving_average_is_what_is_judged() -> None:
+    for target_update, judged in (("soft", "target"), ("episodes", "online")):
+        trainer = Trainer(replace(SMALL, episodes=16, target_update=target_update))
+        trainer.train(do_nothing, do_nothing)
+        assert trainer.updates > 0
+        state = getattr(trainer, judged).state_dict()
+        assert any(not torch.equal(state[name], tensor) for name, tensor in trainer.online.state_dict().items()) == (
+            judged == "target"
+        )
+        trainer.best_score = -1.0
+        trainer.validate()
+        assert_same(trainer.best, dict(state))
+
+
 def assert_same(a: Any, b: Any) -> None:
     if isinstance(a, torch.Tensor):
         assert torch.equal(a, b)
