@@ -1,12 +1,20 @@
 """What the finished episodes of a task come to."""
 
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, cast
+
 from pydantic import Field
 
+from drone_env.core.actions import Action
 from drone_env.models import Count, Direction, Message, Score
 
 
 class Analysis(Message):
-    """Figures over the newest finished episodes of one task, of all agents and reward profiles. What is not known is null."""
+    """Figures over the newest finished episodes of one task, of all agents and reward profiles.
+
+    What is not known is null.
+    """
 
     task: str = Field(description="Id of the task.")
     episodes_total: Count = Field(description="Finished episodes of this task in the store.")
@@ -25,3 +33,57 @@ class Analysis(Message):
         ge=0, description="Mean of optimum of the map - score, over the episodes whose optimum is known."
     )
     regret_episodes: Count = Field(description="Episodes whose optimum is known; the others are being solved.")
+
+
+class FinishedRow(NamedTuple):
+    """What an analysis needs of one episode."""
+
+    reward_total: float
+    score: float
+    steps: int
+    deliveries: int
+    outcome: str
+    actions: str
+    """One digit per action."""
+    solved: bool
+    """Whether the map has been given to the solver."""
+    optimum: float | None
+    """The optimum of the map, None while it is not known or where the map is too large."""
+    seed: int
+
+
+def analyse(task: str, total: int, rows: Sequence[FinishedRow]) -> Analysis:
+    """The figures of the newest episodes of a task.
+
+    Args:
+        task: Id of the task.
+        total: Finished episodes of this task in the store.
+        rows: The newest of them, newest first.
+    """
+    wins = [row.outcome == "delivered" for row in rows]
+    half = len(rows) // 2
+    steps = sum(row.steps for row in rows)
+    counts = {action: sum(row.actions.count(str(int(action))) for row in rows) for action in Action}
+    regrets = [row.optimum - row.score for row in rows if row.optimum is not None]
+    return Analysis(
+        task=task,
+        episodes_total=total,
+        episodes=len(rows),
+        average_reward=_mean([row.reward_total for row in rows]),
+        average_score=_mean([row.score for row in rows]),
+        success_rate=_mean(wins),
+        # An odd episode in the middle belongs to neither half.
+        success_trend=(sum(wins[:half]) - sum(wins[-half:])) / half if half else None,
+        average_steps=_mean([row.steps for row in rows]),
+        average_deliveries=_mean([row.deliveries for row in rows]),
+        deliveries=sum(row.deliveries for row in rows),
+        action_distribution={
+            cast(Direction, action.name): count / steps if steps else 0.0 for action, count in counts.items()
+        },
+        mean_regret=_mean(regrets),
+        regret_episodes=len(regrets),
+    )
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return math.fsum(values) / len(values) if values else None
