@@ -1,5 +1,6 @@
 """A session as it is kept: which map, which actions so far. Flying them again gives its episode."""
 
+import re
 import secrets
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -11,6 +12,9 @@ from drone_env.core.state_manager import ALLOWED_ACTIONS, Episode
 from drone_env.core.tasks import get_task
 from drone_env.episodes.finished import StoredEpisode, check_agent
 from drone_env.errors import EpisodeError, InvalidValueError
+
+EPISODE_ID = re.compile(r"[0-9a-f]{16}")
+"""What the store names an episode."""
 
 
 @dataclass
@@ -124,5 +128,5 @@ def known_task(task: str, task_version: int, seed: int, reward_profile: str) -> 
 
 
 def new_episode_id() -> str:
-    """A name for a finished episode: 16 hexadecimal digits."""
+    """A name for a finished episode."""
     return secrets.token_hex(8)
