@@ -128,18 +128,19 @@ def _wrong_rewards(says: Sequence[float], pays: Sequence[float]) -> list[str]:
     if not steps:
         return []
     first = steps[0]
-    others = f" ({len(steps) - 1} other rewards differ, too)" if len(steps) > 1 else ""
-    return [f"reward {says[first - 1]!r} of step {first} where the flight pays {pays[first - 1]!r}{others}"]
+    more = f" (and {len(steps) - 1} more)" if len(steps) > 1 else ""
+    return [f"reward {says[first - 1]!r} of step {first} where the flight pays {pays[first - 1]!r}{more}"]
 
 
 def save_record(record: EpisodeRecord, path: str | Path) -> None:
-    """Write a record as JSON, so that the file is there whole or not at all.
+    """Write a record as JSON, on one line where the file is named `.jsonl`; the file is there whole or not at all.
 
     Raises:
         OSError: if it cannot be written.
     """
-    with replacing(Path(path)) as temporary:
-        temporary.write_text(record.to_json(indent=2) + "\n", encoding="utf-8")
+    path = Path(path)
+    with replacing(path) as temporary:
+        temporary.write_text(record.to_json(None if path.suffix == ".jsonl" else 2) + "\n", encoding="utf-8")
 
 
 def load_record(path: str | Path) -> EpisodeRecord:
