@@ -7,7 +7,7 @@ from typing import NamedTuple, cast
 from pydantic import Field
 
 from drone_env.core.actions import Action
-from drone_env.models import Count, Direction, Message, Score
+from drone_env.models import Count, Direction, Message
 
 
 class Analysis(Message):
@@ -20,7 +20,8 @@ class Analysis(Message):
     episodes_total: Count = Field(description="Finished episodes of this task in the store.")
     episodes: Count = Field(description="The newest of them, over which everything below is counted.")
     average_reward: float | None = Field(description="Mean of the episodes' total rewards.")
-    average_score: Score | None = Field(description="Mean graded score.")
+    # Not bounded by 0.01 and 0.99: a mean of many 0.99 may be rounded beyond it.
+    average_score: float | None = Field(ge=0, le=1, description="Mean graded score.")
     success_rate: float | None = Field(ge=0, le=1, description="Share of episodes that delivered everything.")
     success_trend: float | None = Field(
         ge=-1, le=1, description="Success rate of the newer half minus that of the older half; null below two episodes."

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from drone_env.episodes.finished import StoredEpisode
-from drone_env.errors import StoreError
+from drone_env.errors import DroneEnvError
 from drone_env.files import replacing
 
 LENGTH = 100
@@ -67,7 +67,7 @@ class MemoryView:
             # Whoever writes last looks last, so no process can leave an older view over a newer one.
             while self._look():
                 self._write()
-        except StoreError as error:
+        except DroneEnvError as error:
             log.warning("%s could not be written: %s", self._path, error)
 
     def _look(self) -> bool:

@@ -167,6 +167,13 @@ def test_what_cannot_have_been_flown_is_refused(fields: dict[str, Any], error: t
     assert message in str(raised.value)
 
 
+def test_the_record_in_the_manual_is_one() -> None:
+    manual = (Path(__file__).parents[2] / "docs" / "episodes.md").read_text(encoding="utf-8")
+    record = parse_record(manual.split("```json\n")[1].split("```")[0], "the manual")
+    assert set(EpisodeRecord.model_fields) == set(json.loads(record.to_json()))
+    assert replay(record).success
+
+
 def test_there_is_no_record_before_the_first_reset() -> None:
     with pytest.raises(EpisodeError):
         record_of(Episode(), "someone")

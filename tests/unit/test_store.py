@@ -24,6 +24,7 @@ from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.episodes import database
 from drone_env.episodes.analysis import FinishedRow, analyse
+from drone_env.episodes.memory_view import MemoryView
 from drone_env.episodes.record import EpisodeRecord, parse_record, record_of, replay
 from drone_env.episodes.schema import MIGRATIONS, migrate
 from drone_env.episodes.sessions import SessionRow
@@ -248,6 +249,31 @@ def test_the_view_holds_the_last_hundred_of_all_stores_on_the_folder(tmp_path: P
     assert [stored.record.agent for stored in expected] == [f"ace {number}" for number in range(30, 130)]
 
 
+def test_an_older_view_that_overwrites_a_newer_one_is_put_right(tmp_path: Path) -> None:
+    path = tmp_path / "memory.json"
+    stored = [StoredEpisode.of(f"{number:016x}", flown(), "ace") for number in range(3)]
+    kept = list(enumerate(stored[:1], 1))
+    overtaken = threading.Event()
+
+    def newer(after: int, n: int) -> list[tuple[int, StoredEpisode]]:
+        found = kept[after:][-n:]
+        if len(kept) == 2 and not overtaken.is_set():
+            # Another process stores one more, and writes its view, before this one writes what it has just read.
+            overtaken.set()
+            kept.append((3, stored[2]))
+            MemoryView(path, lambda after, n: kept[after:][-n:]).close()
+            assert view(tmp_path) == stored
+        return found
+
+    memory_view = MemoryView(path, newer)
+    assert view(tmp_path) == stored[:1]
+    kept.append((2, stored[1]))
+    memory_view.refresh()
+    memory_view.close()
+    assert overtaken.is_set()
+    assert view(tmp_path) == stored
+
+
 def test_a_view_that_was_lost_or_spoilt_is_made_anew(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         store.add_episode(flown(), "ace")
@@ -363,6 +389,13 @@ def test_maps_too_large_to_be_solved_are_left_out_of_regret() -> None:
     # The middle one of three belongs to neither half.
     assert analysis.success_trend == -1
     assert analysis.action_distribution["WAIT"] == 12 / 20
+
+
+def test_means_of_the_highest_and_lowest_scores_are_no_error() -> None:
+    for n in range(1, 300):
+        for score in (0.01, 0.99):
+            row = FinishedRow(score, score, 1, 1, "delivered", "4", True, score, 1)
+            assert analyse("easy_delivery", n, [row] * n).average_score == pytest.approx(score)
 
 
 # Sessions
