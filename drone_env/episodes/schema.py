@@ -10,9 +10,9 @@ APPLICATION_ID = 0x44726F6E
 """Marks an SQLite file as a store of this package."""
 
 MIGRATIONS: tuple[str, ...] = (
-    # 1. `record` is the flight as JSON, of whatever format version it was written in (a new one needs a new version here,
-    # so that older packages refuse the file); the columns beside it are what analyses need. `number` is the order of storing, and rises for ever. `optima.score` is null where the map is too
-    # large to be solved.
+    # 1. `record` is the flight as JSON, of whatever format version it was written in (a new one needs a new version
+    # here, too, so that older packages refuse the file); the columns beside it are what analyses need. `number` is the
+    # order of storing, and rises for ever. `optima.score` is null where the map is too large to be solved.
     """
     CREATE TABLE episodes (
         number INTEGER PRIMARY KEY AUTOINCREMENT,

@@ -1,11 +1,13 @@
 """A session as it is kept: which map, which actions so far. Flying them again gives its episode."""
 
+import operator
 import re
 import secrets
 from dataclasses import dataclass, field
 from datetime import datetime
+from typing import SupportsIndex
 
-from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.actions import N_ACTIONS
 from drone_env.core.rewards import get_reward_profile
 from drone_env.core.seeds import check_seed
 from drone_env.core.state_manager import ALLOWED_ACTIONS, Episode
@@ -47,7 +49,7 @@ class SessionRow:
     touched_at: datetime
     finished: list[StoredEpisode] = field(default_factory=list[StoredEpisode])
 
-    def append(self, action: int) -> None:
+    def append(self, action: SupportsIndex) -> None:
         """Note one more action.
 
         Raises:
@@ -56,9 +58,10 @@ class SessionRow:
         """
         if self.episode_id is not None:
             raise EpisodeError("the episode of this session has ended: reset to fly again")
-        if type(action) not in (int, Action) or not 0 <= action < N_ACTIONS:
+        number = -1 if isinstance(action, bool) or not isinstance(action, SupportsIndex) else operator.index(action)
+        if not 0 <= number < N_ACTIONS:
             raise InvalidValueError(f"action must be one of {ALLOWED_ACTIONS}; got {action!r}")
-        self.actions = (*self.actions, int(action))
+        self.actions = (*self.actions, number)
 
     def finish(self, episode: Episode) -> str:
         """Note that the episode has ended, and return the id under which the store will know it.
