@@ -20,7 +20,7 @@ from starlette.routing import WebSocketRoute
 from drone_env import __version__
 from drone_env.errors import DroneEnvError
 from drone_env.server.openenv_socket import OpenEnvSocket
-from drone_env.server.problems import install
+from drone_env.server.problems import answers, install
 from drone_env.server.request_log import LogRequests
 from drone_env.server.routes import catalogue, flight, history, openenv
 from drone_env.server.security import protect
@@ -65,7 +65,14 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             await run_in_threadpool(socket.close)
             await run_in_threadpool(shared.close)
 
-    app = FastAPI(title="Drone Delivery Env", version=API_VERSION, description=DESCRIPTION, lifespan=lifespan)
+    app = FastAPI(
+        title="Drone Delivery Env",
+        version=API_VERSION,
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        responses=answers(401, 403),
+        generate_unique_id_function=lambda route: route.name,
+    )
     app.state.shared = shared
     app.state.socket = socket
     install(app)

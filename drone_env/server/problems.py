@@ -74,7 +74,8 @@ STATUSES: list[tuple[type[DroneEnvError], int, str]] = [
 
 _MEANINGS = {
     400: "The body is not JSON.",
-    403: "A web page of an origin that is not allowed.",
+    401: "The token is missing or wrong.",
+    403: "A host, or a web page of an origin, that is not allowed.",
     404: "There is no such thing; `detail` lists what there is.",
     409: "No session was named, or the episode is not at the right point.",
     410: "The session is gone.",

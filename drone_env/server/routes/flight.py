@@ -30,9 +30,14 @@ from drone_env.server.schemas import (
 from drone_env.server.state import COOKIE, HEADER, NamedSession, SessionId, SharedParts
 
 router = APIRouter(tags=["flight"])
-SESSION_ERRORS = answers(409, 410, 503)
-SESSION_HEADER: dict[str, Any] = {
-    "headers": {HEADER: {"description": "The session.", "schema": {"type": "string"}}}
+SESSION_ERRORS = answers(409, 410, 422, 503)
+IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
+OPENED: dict[str, Any] = {
+    "headers": {HEADER: {"description": "The session.", "schema": {"type": "string"}}},
+    "links": {
+        name: {"operationId": name, "parameters": {f"header.{HEADER}": f"$response.header.{HEADER}"}}
+        for name in IN_SESSION
+    },
 }
 
 
@@ -41,7 +46,7 @@ def _examples(values: list[Any]) -> Any:
 
 
 @router.post(
-    "/reset", response_model=FlatReset | ResetResult, responses={200: SESSION_HEADER, **answers(400, 413, 415, 422, 503)}
+    "/reset", response_model=FlatReset | ResetResult, responses={200: OPENED, **answers(400, 413, 415, 422, 503)}
 )
 def reset(
     request: Request,
@@ -66,7 +71,7 @@ def reset(
 
 
 @router.post(
-    "/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | answers(400, 413, 415, 422)
+    "/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | answers(400, 413, 415)
 )
 def step(
     shared: SharedParts, id: SessionId, body: Annotated[StepRequest, Body(openapi_examples=_examples(STEPS))]
@@ -87,7 +92,7 @@ def state(shared: SharedParts, id: SessionId) -> DroneState:
         return DroneState.of(episode)
 
 
-@router.get("/grade/{task_name}", responses=SESSION_ERRORS | answers(404, 422))
+@router.get("/grade/{task_name}", responses=SESSION_ERRORS | answers(404))
 def grade(shared: SharedParts, id: SessionId, task_name: str) -> Grade:
     """The graded score of the session's episode, which must be of this task; provisional until it has ended."""
     task = get_task(task_name)
@@ -106,7 +111,7 @@ def path_history(shared: SharedParts, id: SessionId) -> PathHistory:
     return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=flown.path_history)
 
 
-@router.get("/solution", responses=SESSION_ERRORS | answers(422))
+@router.get("/solution", responses=SESSION_ERRORS)
 def solution(shared: SharedParts, id: SessionId) -> SolutionAnswer:
     """The best flight over the map of the session's episode, once that has ended."""
     with shared.sessions.reading(id) as episode:
@@ -133,7 +138,7 @@ def solution(shared: SharedParts, id: SessionId) -> SolutionAnswer:
     )
 
 
-@router.post("/predict", responses=SESSION_ERRORS | answers(400, 413, 415, 422))
+@router.post("/predict", responses=SESSION_ERRORS | answers(400, 413, 415))
 def predict(shared: SharedParts, named: NamedSession, body: DroneObservation | None = None) -> Prediction:
     """What the trained network would do: about the observation in the body, or, without one, about the session's."""
     if body is not None:

@@ -33,7 +33,7 @@ class Requests(Message):
     requests: Annotated[list[LoggedRequest], Field(description="At most 200.")]
 
 
-@router.get("/analyse/{task_name}", responses=answers(404, 503))
+@router.get("/analyse/{task_name}", responses=answers(404, 422, 503))
 def analyse(shared: SharedParts, task_name: str) -> Analysis:
     """What the finished episodes of a task come to."""
     return shared.store.analysis(task_name)

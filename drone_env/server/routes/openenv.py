@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body
+from fastapi import APIRouter, Body, Path
 from pydantic import Field
 
 from drone_env import __version__
@@ -14,6 +14,7 @@ from drone_env.server.schemas import WireAction, WireObservation, WireState
 
 router = APIRouter(tags=["openenv"])
 ENV_NAME = "drone-env"
+EnvName = Annotated[str, Path(description="Name of the environment.", examples=[ENV_NAME])]
 DESCRIPTION = (
     "A drone delivers parcels on a generated city grid, on one battery, in as few steps as possible. Maps are solved "
     "exactly, so every score stands beside the optimum of its map."
@@ -119,7 +120,7 @@ async def schema() -> Schemas:
     )
 
 
-@router.post("/mcp", responses=answers(400, 413, 415))
+@router.post("/mcp", responses=answers(400, 413, 415, 422))
 async def mcp(body: Annotated[Any, Body()] = None) -> dict[str, Any]:
     """MCP over JSON-RPC 2.0. The environment has no tools: it is flown by `/step` or over `/ws`."""
     return mcp_answer(body)
@@ -131,29 +132,29 @@ async def list_environments() -> list[str]:
     return [ENV_NAME]
 
 
-@router.get("/{env_name}/splits", responses=answers(404))
-async def splits(env_name: str) -> list[SplitInfo]:
+@router.get("/{env_name}/splits", responses=answers(404, 422))
+async def splits(env_name: EnvName) -> list[SplitInfo]:
     """All splits."""
     _check(env_name)
     return [SplitInfo.model_validate(split) for split in task_api.list_splits()]
 
 
 @router.post("/{env_name}/tasks", responses=BODY_ERRORS)
-def tasks(env_name: str, body: SplitRequest) -> NamedTaskSpecs:
+def split_tasks(env_name: EnvName, body: SplitRequest) -> NamedTaskSpecs:
     """The first 1,000 maps of a split."""
     _check(env_name)
     return NamedTaskSpecs(tasks=_specs(task_api.list_tasks(body.split)))
 
 
 @router.post("/{env_name}/num_tasks", responses=BODY_ERRORS)
-async def num_tasks(env_name: str, body: SplitRequest) -> TaskCount:
+async def num_tasks(env_name: EnvName, body: SplitRequest) -> TaskCount:
     """How many maps a split has."""
     _check(env_name)
     return TaskCount(num_tasks=task_api.num_tasks(body.split))
 
 
 @router.post("/{env_name}/task", responses=BODY_ERRORS)
-async def task(env_name: str, body: TaskRequest) -> OneTask:
+async def split_task(env_name: EnvName, body: TaskRequest) -> OneTask:
     """One map of a split."""
     _check(env_name)
     try:
@@ -163,7 +164,7 @@ async def task(env_name: str, body: TaskRequest) -> OneTask:
 
 
 @router.post("/{env_name}/task_range", responses=BODY_ERRORS)
-def task_range(env_name: str, body: RangeRequest) -> TaskSpecs:
+def task_range(env_name: EnvName, body: RangeRequest) -> TaskSpecs:
     """Maps start to stop (exclusive) of a split, at most 1,000."""
     _check(env_name)
     return TaskSpecs(tasks=_specs(task_api.get_task_range(body.split, body.start, body.stop)))
