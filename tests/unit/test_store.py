@@ -26,7 +26,7 @@ from drone_env.episodes import database
 from drone_env.episodes.analysis import FinishedRow, analyse
 from drone_env.episodes.memory_view import MemoryView
 from drone_env.episodes.record import EpisodeRecord, parse_record, record_of, replay
-from drone_env.episodes.schema import MIGRATIONS, migrate
+from drone_env.episodes.schema import APPLICATION_ID, MIGRATIONS, migrate
 from drone_env.episodes.sessions import SessionRow
 from drone_env.episodes.store import FILE_NAME, Store, StoredEpisode, data_folder
 from drone_env.errors import (
@@ -293,6 +293,26 @@ def test_an_episode_counts_as_stored_even_where_the_view_cannot_be_written(
         assert store.episode(episode_id).id == episode_id
     assert "memory.json could not be written" in caplog.text
     assert [path for path in tmp_path.iterdir() if path.suffix == ".part"] == []
+
+
+def test_a_view_that_cannot_be_read_is_logged_and_tried_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    store = Store(tmp_path)
+    store.add_episode(flown(), "ace")
+    eventually(lambda: len(view(tmp_path)) == 1)
+    with store._database.writing() as connection:
+        connection.execute(
+            "UPDATE episodes SET record = replace(record, '\"format_version\":2', '\"format_version\":3')"
+        )
+        connection.execute("UPDATE episodes SET number = number + 1")
+    store._view.refresh()
+    eventually(lambda: "version 3 is newer than 2" in caplog.text)
+    with store._database.writing() as connection:
+        connection.execute(
+            "UPDATE episodes SET record = replace(record, '\"format_version\":3', '\"format_version\":2')"
+        )
+    second = store.add_episode(flown(), "ace")
+    store.close()
+    assert view(tmp_path)[-1].id == second
 
 
 def test_leftovers_of_killed_processes_are_removed_but_not_what_is_being_written(tmp_path: Path) -> None:
@@ -651,6 +671,15 @@ def test_a_file_that_is_no_database_is_left_as_it_is(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="not a database"):
         Store(tmp_path)
     assert (tmp_path / FILE_NAME).read_text() == "buy milk\n" * 1000
+
+
+def test_a_store_without_its_tables_is_an_error(tmp_path: Path) -> None:
+    connection = sqlite3.connect(tmp_path / FILE_NAME)
+    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
+    connection.close()
+    with pytest.raises(StoreError, match="no such table"):
+        Store(tmp_path)
 
 
 def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
