@@ -40,9 +40,9 @@ from drone_env.errors import (
 )
 from drone_env.planning.optimal import solve
 
-THOROUGH = int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000
-KILLS = 300 if THOROUGH else 4
-HAMMERED_STEPS = 5000 if THOROUGH else 300
+EXAMPLES = int(os.environ.get("DRONE_ENV_EXAMPLES", "400"))
+KILLS = max(2, EXAMPLES // 100)
+HAMMERED_STEPS = max(300, EXAMPLES // 5)
 WORKER = Path(__file__).with_name("store_worker.py")
 
 
@@ -886,10 +886,13 @@ def test_killed_at_any_moment_nothing_that_was_said_is_lost(tmp_path: Path) -> N
         for kill in range(KILLS):
             output = tmp_path / "said"
             process = worker(tmp_path, session_id, 10**9, kill, output)
-            eventually(lambda output=output: output.stat().st_size, 60)
-            time.sleep(rng.uniform(0, 0.5))
-            process.send_signal(signal.SIGKILL)
-            assert process.wait() == -signal.SIGKILL
+            try:
+                eventually(lambda output=output: output.stat().st_size, 60)
+                time.sleep(rng.uniform(0, 0.5))
+            finally:
+                process.send_signal(signal.SIGKILL)
+                process.wait()
+            assert process.returncode == -signal.SIGKILL
             told = said(output)
             steps += len(told)
             with Store(tmp_path) as store:
