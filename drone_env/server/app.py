@@ -144,12 +144,16 @@ def run(host: str, port: int, workers: int, data: str) -> None:
 
     import uvicorn
 
+    url = f"http://{settings.host}:{settings.port}"
+    print(f"drone-env {__version__}: {url}, docs at {url}/docs, data in {settings.data}", file=sys.stderr, flush=True)
     uvicorn.run(
         "drone_env.server.app:app",
         host=settings.host,
         port=settings.port,
         workers=settings.workers,
         access_log=False,
+        # Below that uvicorn writes two lines for every WebSocket; `requests.log` has one, and is bounded.
+        log_level="warning",
         server_header=False,
         ws_max_size=settings.max_bytes,
         ws_per_message_deflate=False,

@@ -10,6 +10,7 @@ import asyncio
 import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any
 
 from pydantic import ValidationError
@@ -31,7 +32,7 @@ NORMAL, GOING_AWAY, TOO_BIG, TRY_LATER = 1000, 1001, 1009, 1013
 ALLOWED_TYPES = "reset, step, state, close, mcp"
 
 
-class Refused(Exception):
+class RefusedError(Exception):
     """A frame that is answered with an error; the session goes on.
 
     Args:
@@ -82,16 +83,15 @@ class OpenEnvSocket:
         """Serve one connection to its end."""
         socket = WebSocket(scope, receive, send)
         await socket.accept()
-        try:
+        # Where the other side has gone there is nobody left to tell.
+        with suppress(WebSocketDisconnect, OSError):
             await self._admit(socket)
-        except (WebSocketDisconnect, OSError):
-            pass  # the other side has gone: there is nobody left to tell
 
     async def _admit(self, socket: WebSocket) -> None:
         if "session_id" in socket.query_params:
-            refusal = Refused("SESSION_ERROR", "every connection has a session of its own: leave out session_id")
+            refusal = RefusedError("SESSION_ERROR", "every connection has a session of its own: leave out session_id")
         elif len(self.connections) >= self.capacity:
-            refusal = Refused(
+            refusal = RefusedError(
                 "CAPACITY_REACHED", f"{self.capacity} sessions are open, and no more are allowed: try again later"
             )
         else:
@@ -118,9 +118,9 @@ class OpenEnvSocket:
                 return
             try:
                 if text is None:
-                    raise Refused("INVALID_JSON", "send text frames with JSON")
+                    raise RefusedError("INVALID_JSON", "send text frames with JSON")
                 answer = await self._answer(connection.flight, text)
-            except Refused as refusal:
+            except RefusedError as refusal:
                 answer = _error(refusal)
             if answer is None:
                 await socket.close(NORMAL)
@@ -134,19 +134,19 @@ class OpenEnvSocket:
         """The answer to a frame, None where it asks to close.
 
         Raises:
-            Refused: if the frame cannot be answered.
+            RefusedError: if the frame cannot be answered.
         """
         try:
             frame = parse_json(text)
         except InvalidValueError as error:
-            raise Refused("INVALID_JSON", str(error)) from None
+            raise RefusedError("INVALID_JSON", str(error)) from None
         if not isinstance(frame, dict):
-            raise Refused("VALIDATION_ERROR", 'a frame is an object, such as {"type": "reset", "data": {}}')
+            raise RefusedError("VALIDATION_ERROR", 'a frame is an object, such as {"type": "reset", "data": {}}')
         kind = frame.get("type")
         unknown = frame.keys() - {"type", "data"}
         data = frame.get("data", {})
         if unknown or not isinstance(data, dict):
-            raise Refused("VALIDATION_ERROR", "a frame has `type` and `data`, an object, and nothing else")
+            raise RefusedError("VALIDATION_ERROR", "a frame has `type` and `data`, an object, and nothing else")
         try:
             if kind == "step":
                 return await self._step(flight, data)
@@ -158,18 +158,18 @@ class OpenEnvSocket:
         except ValidationError as error:
             errors = [{"loc": [printable(where(e["loc"]))], "msg": e["msg"], "type": e["type"]} for e in error.errors()]
             told = "; ".join(f"{e['loc'][0] or 'data'}: {e['msg']}" for e in errors[:5])
-            raise Refused("VALIDATION_ERROR", f"Invalid message: {told}", errors[:20]) from None
+            raise RefusedError("VALIDATION_ERROR", f"Invalid message: {told}", errors[:20]) from None
         except CapacityError as error:
-            raise Refused("CAPACITY_REACHED", str(error)) from None
+            raise RefusedError("CAPACITY_REACHED", str(error)) from None
         except LookupError as error:
-            raise Refused("VALIDATION_ERROR", str(error)) from None
+            raise RefusedError("VALIDATION_ERROR", str(error)) from None
         except DroneEnvError as error:
-            raise Refused("EXECUTION_ERROR", str(error)) from None
+            raise RefusedError("EXECUTION_ERROR", str(error)) from None
         if kind == "close":
             return None
         if kind == "mcp":
             return _frame("mcp", mcp_answer(data))
-        raise Refused("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
+        raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
 
     async def _step(self, flight: Flight, data: dict[str, Any]) -> str:
         action = WireAction.model_validate(data).action
@@ -211,7 +211,7 @@ def _frame(kind: str, data: dict[str, Any]) -> str:
     return to_json({"type": kind, "data": data}).decode()
 
 
-def _error(refusal: Refused) -> str:
+def _error(refusal: RefusedError) -> str:
     data: dict[str, Any] = {"message": printable(str(refusal)), "code": refusal.code}
     if refusal.errors is not None:
         data["errors"] = refusal.errors

@@ -41,17 +41,19 @@ class ResetOptions(Message):
 
     model_config = ConfigDict(json_schema_extra={"examples": RESETS})
 
-    task_name: str | None = Field(None, max_length=100, description="Id, short name or grader of the task.")
-    seed: Seed | None = Field(None, description="Number of the map; without one, the map after the last on a fixed walk.")
+    task_name: str | None = Field(default=None, max_length=100, description="Id, short name or grader of the task.")
+    seed: Seed | None = Field(default=None, description="Number of the map; without one, the next on a fixed walk.")
     reward_profile: str | None = Field(
-        None, max_length=100, description=f"What steps pay: {', '.join(REWARD_PROFILES)}; `tiered` without one."
+        default=None, max_length=100, description=f"What steps pay: {', '.join(REWARD_PROFILES)}; `tiered` without one."
     )
-    agent: AgentName | None = Field(None, description="Who flies, for the records: one printable line.")
-    episode_id: str | None = Field(None, max_length=255, description="Names the episode in OpenEnv's state.")
+    agent: AgentName | None = Field(default=None, description="Who flies, for the records: one printable line.")
+    episode_id: str | None = Field(default=None, max_length=255, description="Names the episode in OpenEnv's state.")
     split: str | None = Field(
-        None, max_length=100, description="Split of a task, such as `easy_delivery/test`; instead of task_name and seed."
+        default=None,
+        max_length=100,
+        description="Split of a task, such as `easy_delivery/test`; instead of task_name and seed.",
     )
-    index: int | None = Field(None, ge=0, le=MAX_SEED, description="Number of the map within the split.")
+    index: int | None = Field(default=None, ge=0, le=MAX_SEED, description="Number of the map within the split.")
 
     @model_validator(mode="after")
     def _one_way_to_name_a_map(self) -> Self:
@@ -60,7 +62,6 @@ class ResetOptions(Message):
         if self.split is not None and (self.task_name is not None or self.seed is not None):
             raise ValueError("split and index name a map; leave out task_name and seed")
         return self
-
 
 
 class WireAction(DroneAction):
@@ -74,10 +75,10 @@ class StepRequest(Message):
 
     model_config = ConfigDict(json_schema_extra={"examples": STEPS})
 
-    direction: Direction | None = Field(None, description="Where to fly; the answer is a `DroneObservation`.")
-    action: WireAction | None = Field(None, description="The same for OpenEnv; the answer is a `StepResult`.")
-    timeout_s: float | None = Field(None, gt=0, description="OpenEnv's; a step takes microseconds.")
-    request_id: str | None = Field(None, max_length=255, description="OpenEnv's; ignored.")
+    direction: Direction | None = Field(default=None, description="Where to fly; the answer is a `DroneObservation`.")
+    action: WireAction | None = Field(default=None, description="The same for OpenEnv; the answer is a `StepResult`.")
+    timeout_s: float | None = Field(default=None, gt=0, description="OpenEnv's; a step takes microseconds.")
+    request_id: str | None = Field(default=None, max_length=255, description="OpenEnv's; ignored.")
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:

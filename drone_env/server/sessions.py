@@ -69,7 +69,7 @@ class Sessions:
         self._live: OrderedDict[str, _Live] = OrderedDict()
         self._lock = threading.Lock()
 
-    def reset(self, id: str | None, options: ResetOptions) -> tuple[str, Stepped]:
+    def reset(self, session: str | None, options: ResetOptions) -> tuple[str, Stepped]:
         """Start an episode in the session, or in a new one where none is named or it is gone; return its id too.
 
         Raises:
@@ -77,42 +77,42 @@ class Sessions:
             InvalidValueError: if the split has no such map.
             CapacityError: if a new session is needed and there is no room.
         """
-        if id is not None:
+        if session is not None:
             try:
-                return id, self._reset_row(id, options)
+                return session, self._reset_row(session, options)
             except (NoSessionError, SessionGoneError):
                 pass  # the caller does what the error would tell: open a new one
         start = start_of(options, None)
         wanted = (start.task.id, start.task.version, start.seed, start.reward_profile.id, options.agent or ANONYMOUS)
         try:
-            id = self.store.open_session(*wanted, capacity=self.capacity)
+            session = self.store.open_session(*wanted, capacity=self.capacity)
         except CapacityError:
             if not self.expire():
                 raise
-            id = self.store.open_session(*wanted, capacity=self.capacity)
+            session = self.store.open_session(*wanted, capacity=self.capacity)
         episode = Episode(start.task, start.reward_profile)
         episode.reset(start.seed)
-        live = self._entry(id)
+        live = self._entry(session)
         with live.lock:
             live.episode = episode
-        return id, Stepped(observation_fields(episode), None)
+        return session, Stepped(observation_fields(episode), None)
 
-    def _reset_row(self, id: str, options: ResetOptions) -> Stepped:
-        with self._writing(id) as (live, row):
+    def _reset_row(self, session: str, options: ResetOptions) -> Stepped:
+        with self._writing(session) as (live, row):
             start = start_of(options, row.seed)
             row.reset(start.task.id, start.task.version, start.seed, start.reward_profile.id, options.agent)
             episode = live.episode = Episode(start.task, start.reward_profile)
             episode.reset(start.seed)
             return Stepped(observation_fields(episode), None)
 
-    def step(self, id: str, action: DroneAction) -> Stepped:
+    def step(self, session: str, action: DroneAction) -> Stepped:
         """Fly one action. What it returns is kept: the step, and the finished episode if it was the last.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        with self._writing(id) as (live, row):
+        with self._writing(session) as (live, row):
             episode = live.caught_up(row)
             over = episode.ended
             reward = episode.step(action.action)
@@ -123,30 +123,30 @@ class Sessions:
             return Stepped(observation_fields(episode), reward)
 
     @contextmanager
-    def reading(self, id: str) -> Generator[Episode, None, None]:
+    def reading(self, session: str) -> Generator[Episode, None, None]:
         """The episode of a session, to be read inside the block.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        live = self._entry(id)
-        with self._dropping(id), live.lock:
-            yield live.caught_up(self.store.read_session(id))
+        live = self._entry(session)
+        with self._dropping(session), live.lock:
+            yield live.caught_up(self.store.read_session(session))
 
     def expire(self) -> list[str]:
         """End the sessions that were idle for too long, and return their ids."""
         gone = self.store.expire_sessions(self.idle_seconds)
-        for id in gone:
-            self._forget(id)
+        for session in gone:
+            self._forget(session)
         return gone
 
     @contextmanager
-    def _writing(self, id: str) -> Generator[tuple[_Live, SessionRow], None, None]:
-        live = self._entry(id)
-        with self._dropping(id), live.lock:
+    def _writing(self, session: str) -> Generator[tuple[_Live, SessionRow], None, None]:
+        live = self._entry(session)
+        with self._dropping(session), live.lock:
             try:
-                with self.store.session(id) as row:
+                with self.store.session(session) as row:
                     yield live, row
             except BaseException:
                 # Nothing was kept, so what was flown inside is not so.
@@ -154,22 +154,21 @@ class Sessions:
                 raise
 
     @contextmanager
-    def _dropping(self, id: str) -> Generator[None, None, None]:
+    def _dropping(self, session: str) -> Generator[None, None, None]:
         try:
             yield
         except (NoSessionError, SessionGoneError):
-            self._forget(id)
+            self._forget(session)
             raise
 
-    def _entry(self, id: str) -> _Live:
+    def _entry(self, session: str) -> _Live:
         with self._lock:
-            live = self._live.setdefault(id, _Live())
-            self._live.move_to_end(id)
+            live = self._live.setdefault(session, _Live())
+            self._live.move_to_end(session)
             while len(self._live) > self.capacity:
                 self._live.popitem(last=False)
             return live
 
-    def _forget(self, id: str) -> None:
+    def _forget(self, session: str) -> None:
         with self._lock:
-            self._live.pop(id, None)
-
+            self._live.pop(session, None)

@@ -18,29 +18,30 @@ class Settings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix="DRONE_ENV_", env_ignore_empty=True, frozen=True, extra="forbid")
 
-    host: str = Field("127.0.0.1", description="Address to listen on; a container needs 0.0.0.0.")
-    port: int = Field(8000, ge=0, le=65535, description="Port to listen on.")
-    workers: int = Field(1, ge=1, le=64, description="Processes that serve.")
-    data: Path = Field(Path("data"), description="Folder of all that is kept: episodes, sessions, logs.")
-    weights: Path = Field(WEIGHTS, description="Folder of the networks that `/predict` asks.")
+    host: str = Field(default="127.0.0.1", description="Address to listen on; a container needs 0.0.0.0.")
+    port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on.")
+    workers: int = Field(default=1, ge=1, le=64, description="Processes that serve.")
+    data: Path = Field(default=Path("data"), description="Folder of all that is kept: episodes, sessions, logs.")
+    weights: Path = Field(default=WEIGHTS, description="Folder of the networks that `/predict` asks.")
     capacity: int = Field(
-        256, ge=1, le=100_000, description="Open HTTP sessions in all, and open WebSocket sessions per process."
+        default=256, ge=1, le=100_000, description="Open HTTP sessions in all, and open WebSocket sessions per process."
     )
-    idle_seconds: float = Field(900, gt=0, description="A session that is not used for so long ends.")
+    idle_seconds: float = Field(default=900, gt=0, description="A session that is not used for so long ends.")
     token: SecretStr | None = Field(
-        None, description="Where set, every call but `/health` must carry `Authorization: Bearer TOKEN`."
+        default=None, description="Where set, every call but `/health` must carry `Authorization: Bearer TOKEN`."
     )
     allowed_origins: Listed = Field(
-        (), description="Origins of web pages that may call, beside the server's own; comma-separated."
+        default=(), description="Origins of web pages that may call, beside the server's own; comma-separated."
     )
     allowed_hosts: Listed = Field(
-        (), description="Values of the `Host` header that are answered, without port; comma-separated. Empty for all."
+        default=(),
+        description="Values of the `Host` header that are answered, without port; comma-separated. Empty for all.",
     )
     frame_ancestors: Listed = Field(
-        ("'self'", "https://huggingface.co", "https://*.hf.space"),
+        default=("'self'", "https://huggingface.co", "https://*.hf.space"),
         description="Who may show the page in a frame; comma-separated.",
     )
-    max_bytes: int = Field(65_536, ge=1024, description="Largest request body and WebSocket frame, in bytes.")
+    max_bytes: int = Field(default=65_536, ge=1024, description="Largest request body and WebSocket frame, in bytes.")
 
     @field_validator("allowed_origins", "allowed_hosts", "frame_ancestors", mode="before")
     @classmethod

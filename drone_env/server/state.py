@@ -74,7 +74,8 @@ def shared_of(request: Request) -> Shared:
 
 def named_session(
     x_session_id: Annotated[
-        str | None, Header(max_length=LONGEST_ID, description="The session, as `/reset` gave it; goes before the cookie.")
+        str | None,
+        Header(max_length=LONGEST_ID, description="The session, as `/reset` gave it; goes before the cookie."),
     ] = None,
     drone_env_session: Annotated[str | None, Cookie(max_length=LONGEST_ID, include_in_schema=False)] = None,
 ) -> str | None:

@@ -39,10 +39,10 @@ def test_the_root_leads_to_the_documentation(client: TestClient) -> None:
 def test_every_task_is_listed_with_its_numbers(client: TestClient) -> None:
     listed = {task["id"]: task for task in client.get("/tasks").json()["tasks"]}
     assert list(listed) == list(TASKS)
-    for id, task in TASKS.items():
+    for task_id, task in TASKS.items():
         for name in ("width", "height", "deliveries", "max_steps", "r_delivery", "r_wall", "version", "grader"):
-            assert listed[id][name] == getattr(task, name)
-        assert listed[id]["published"] == (id in PUBLISHED)
+            assert listed[task_id][name] == getattr(task, name)
+        assert listed[task_id]["published"] == (task_id in PUBLISHED)
 
 
 def test_every_grader_is_listed_and_can_be_imported(client: TestClient) -> None:
@@ -207,7 +207,7 @@ class TestClientInProcess:
             drone.step("UP")
         assert (early.value.status, early.value.code) == (409, "no_session")
         drone.reset("easy", seed=7)
-        with pytest.raises(ServerError, match="body.direction"):
+        with pytest.raises(ServerError, match=r"body\.direction"):
             drone.step("SIDEWAYS")
         assert drone.state()["step_count"] == 0
 

@@ -45,7 +45,9 @@ def test_every_task_is_flown_as_the_rules_say(client: TestClient, task: str) -> 
     body = client.post("/reset", json={"task_name": task, "seed": 3}).json()
     session = {"X-Session-Id": body["session_id"]}
     episode = flown(task, 3)
-    assert FlatReset.model_validate(body).model_dump(exclude={"session_id"}) == DroneObservation.of(episode).model_dump()
+    assert (
+        FlatReset.model_validate(body).model_dump(exclude={"session_id"}) == DroneObservation.of(episode).model_dump()
+    )
     for direction in ("UP", "LEFT", "WAIT", "DOWN", "RIGHT", "UP"):
         answer = client.post("/step", json={"direction": direction}, headers=session)
         episode.step(["UP", "DOWN", "LEFT", "RIGHT", "WAIT"].index(direction))
@@ -153,13 +155,13 @@ def test_after_the_end_a_step_changes_nothing_and_pays_nothing(client: TestClien
 class TestSessions:
     def test_the_three_ways_to_be_told_a_session_agree(self, client: TestClient) -> None:
         answer = client.post("/reset")
-        id = answer.json()["session_id"]
-        assert answer.headers["X-Session-Id"] == id
+        session = answer.json()["session_id"]
+        assert answer.headers["X-Session-Id"] == session
         cookie = answer.headers["Set-Cookie"]
-        assert cookie.startswith(f"drone_env_session={id};")
+        assert cookie.startswith(f"drone_env_session={session};")
         assert "HttpOnly" in cookie
         assert "SameSite=lax" in cookie
-        assert len(id) >= 32
+        assert len(session) >= 32
 
     def test_over_https_the_cookie_works_in_a_frame(self, client: TestClient) -> None:
         cookie = client.post("https://testserver/reset").headers["Set-Cookie"]

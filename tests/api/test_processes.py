@@ -47,7 +47,11 @@ STEPS = int(os.environ.get("DRONE_ENV_SOCKET_STEPS", "20000"))
 def test_every_way_to_start_it_starts_it(tmp_path: Path, command: tuple[str, ...]) -> None:
     with serving(tmp_path / "data", command) as server:
         smoke = subprocess.run(
-            [sys.executable, "-m", "drone_env.client", server.url], capture_output=True, text=True, cwd=ROOT, check=False
+            [sys.executable, "-m", "drone_env.client", server.url],
+            capture_output=True,
+            text=True,
+            cwd=ROOT,
+            check=False,
         )
         assert smoke.returncode == 0, smoke.stderr
         assert "score: " in smoke.stdout

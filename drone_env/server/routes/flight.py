@@ -60,43 +60,41 @@ def reset(
     `episode_id`, as OpenEnv's clients send it, it is `{"observation", "reward", "done"}` with the `session_id`.
     """
     options = options or ResetOptions()
-    id, stepped = shared.sessions.reset(named, options)
+    session, stepped = shared.sessions.reset(named, options)
     content = stepped.fields if options.episode_id is None else openenv_result(stepped.fields, None)
-    response = _json(content | {"session_id": id})
-    response.headers[HEADER] = id
+    response = _json(content | {"session_id": session})
+    response.headers[HEADER] = session
     secure = request.url.scheme == "https"
     # A frame of another site needs SameSite=None, which browsers take over https alone.
-    response.set_cookie(COOKIE, id, httponly=True, secure=secure, samesite="none" if secure else "lax")
+    response.set_cookie(COOKIE, session, httponly=True, secure=secure, samesite="none" if secure else "lax")
     return response
 
 
-@router.post(
-    "/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | answers(400, 413, 415)
-)
+@router.post("/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | answers(400, 413, 415))
 def step(
-    shared: SharedParts, id: SessionId, body: Annotated[StepRequest, Body(openapi_examples=_examples(STEPS))]
+    shared: SharedParts, session: SessionId, body: Annotated[StepRequest, Body(openapi_examples=_examples(STEPS))]
 ) -> Response:
     """Fly one action.
 
     `{"direction": "UP"}` is answered with a `DroneObservation`; OpenEnv's `{"action": {"direction": "UP"}}` with
     `{"observation", "reward", "done"}`. After the end of the episode nothing changes, and `message` says so.
     """
-    stepped = shared.sessions.step(id, body.chosen)
+    stepped = shared.sessions.step(session, body.chosen)
     return _json(stepped.fields if body.action is None else openenv_result(stepped.fields, stepped.reward))
 
 
 @router.get("/state", responses=SESSION_ERRORS)
-def state(shared: SharedParts, id: SessionId) -> DroneState:
+def state(shared: SharedParts, session: SessionId) -> DroneState:
     """The full state of the session's episode."""
-    with shared.sessions.reading(id) as episode:
+    with shared.sessions.reading(session) as episode:
         return DroneState.of(episode)
 
 
 @router.get("/grade/{task_name}", responses=SESSION_ERRORS | answers(404))
-def grade(shared: SharedParts, id: SessionId, task_name: str) -> Grade:
+def grade(shared: SharedParts, session: SessionId, task_name: str) -> Grade:
     """The graded score of the session's episode, which must be of this task; provisional until it has ended."""
     task = get_task(task_name)
-    with shared.sessions.reading(id) as episode:
+    with shared.sessions.reading(session) as episode:
         if episode.task.id != task.id:
             raise RequestError(409, "other_task", f"the session flies {episode.task.id!r}, not {task.id!r}")
         score = GRADERS[task.id](DroneState.of(episode))
@@ -104,17 +102,17 @@ def grade(shared: SharedParts, id: SessionId, task_name: str) -> Grade:
 
 
 @router.get("/path_history", responses=SESSION_ERRORS)
-def path_history(shared: SharedParts, id: SessionId) -> PathHistory:
+def path_history(shared: SharedParts, session: SessionId) -> PathHistory:
     """The flight of the session's episode so far."""
-    with shared.sessions.reading(id) as episode:
+    with shared.sessions.reading(session) as episode:
         flown = DroneState.of(episode)
     return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=flown.path_history)
 
 
 @router.get("/solution", responses=SESSION_ERRORS)
-def solution(shared: SharedParts, id: SessionId) -> SolutionAnswer:
+def solution(shared: SharedParts, session: SessionId) -> SolutionAnswer:
     """The best flight over the map of the session's episode, once that has ended."""
-    with shared.sessions.reading(id) as episode:
+    with shared.sessions.reading(session) as episode:
         task, seed, score, ended = episode.task, episode.seed, episode.score, episode.ended
     if not ended:
         raise RequestError(409, "in_flight", "the best flight is told when the episode has ended")

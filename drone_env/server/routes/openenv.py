@@ -74,8 +74,8 @@ class TaskRequest(SplitRequest):
 class RangeRequest(SplitRequest):
     """Maps of a split, at most 1,000."""
 
-    start: int | None = Field(None, description="The first; 0 without one.")
-    stop: int | None = Field(None, description="The one after the last.")
+    start: int | None = Field(default=None, description="The first; 0 without one.")
+    stop: int | None = Field(default=None, description="The one after the last.")
 
 
 class TaskSpecs(Message):
