@@ -16,6 +16,7 @@ from drone_env.commands.evaluate import evaluate
 from drone_env.commands.fly import fly
 from drone_env.commands.play import play
 from drone_env.commands.replay import replay
+from drone_env.commands.serve import serve
 from drone_env.commands.solve import solve
 from drone_env.commands.train import train_command
 from drone_env.errors import DroneEnvError
@@ -28,7 +29,7 @@ DESCRIPTION = (
 def _app(arguments: Sequence[str]) -> SubcommandApp:
     app = SubcommandApp()
     train = train_command(arguments)
-    for command in (fly, evaluate, solve, audit, train, play, replay, analyse_flight, dataset):
+    for command in (fly, evaluate, solve, audit, train, play, replay, analyse_flight, dataset, serve):
         app.command(command)
     return app
 

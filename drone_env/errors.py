@@ -8,7 +8,11 @@
     ├── UnsupportedTaskError  (also a ValueError)   a planner asked about a task whose mechanics it does not cover
     ├── TooLargeError         (also a ValueError)   an exact solution that would not fit into memory
     ├── MissingPackageError   (also an ImportError) a package of an extra that is not installed
-    └── CheckpointError       (also a ValueError)   a file that is no checkpoint, cut short, or of another run
+    ├── CheckpointError       (also a ValueError)   a file that is no checkpoint, cut short, or of another run
+    ├── StoreError            (also an OSError)     a store that cannot be opened, read or written
+    ├── NoSessionError        (also a LookupError)  a session that never was
+    ├── SessionGoneError      (also a LookupError)  a session that has ended or expired
+    └── CapacityError         (also a RuntimeError) one more session than there is room for
 
 Each message says what was given and what is allowed.
 """
@@ -59,3 +63,19 @@ class MissingPackageError(DroneEnvError, ImportError):
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(f"{package} is not installed: run pip install 'drone-env[{extra}]'")
+
+
+class StoreError(DroneEnvError, OSError):
+    """A store that is no store, is newer than this package, or cannot be read or written now."""
+
+
+class NoSessionError(DroneEnvError, LookupError):
+    """A session id that was never given out, or so long ago that it is forgotten."""
+
+
+class SessionGoneError(DroneEnvError, LookupError):
+    """A session that has been ended or has expired."""
+
+
+class CapacityError(DroneEnvError, RuntimeError):
+    """As many sessions are open as are allowed."""

@@ -5,7 +5,8 @@ immutable; positions are `[x, y]` in JSON.
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, cast
+from functools import lru_cache
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from typing_extensions import Self
@@ -115,30 +116,48 @@ class DroneObservation(Message):
         Raises:
             EpisodeError: before the first reset.
         """
-        cells = episode.grid().tolist()
-        x, y = episode.position
-        return cls(
-            grid=["".join([EMOJI[cell] for cell in line]) for line in cells],
-            cell_types=[[NAMES[cell] for cell in line] for line in cells],
-            grid_width=episode.task.width,
-            grid_height=episode.task.height,
-            drone_x=x,
-            drone_y=y,
-            battery=episode.battery,
-            battery_steps_remaining=episode.battery_units,
-            deliveries_total=episode.task.deliveries,
-            deliveries_done=episode.deliveries_done,
-            current_target=episode.target,
-            distance_to_target=episode.distance_to_target,
-            step_count=episode.steps,
-            max_steps=episode.task.max_steps,
-            reward_last=episode.reward_last,
-            reward_total=episode.reward_total,
-            score=episode.score,
-            done=episode.ended,
-            message=episode.message,
-            legend=LEGEND,
-        )
+        return cls(**observation_fields(episode))
+
+
+def observation_fields(episode: Episode) -> dict[str, Any]:
+    """The fields of `DroneObservation.of(episode)` as a dictionary, unchecked: what to send where speed counts.
+
+    Raises:
+        EpisodeError: before the first reset.
+    """
+    x, y = episode.position
+    width, height = episode.task.width, episode.task.height
+    cells = episode.grid().tobytes()
+    lines = [_shown(cells[start : start + width]) for start in range(0, width * height, width)]
+    away = episode.distance_to_target
+    return {
+        "grid": [emoji for emoji, _ in lines],
+        "cell_types": [list(names) for _, names in lines],
+        "grid_width": width,
+        "grid_height": height,
+        "drone_x": x,
+        "drone_y": y,
+        "battery": episode.battery,
+        "battery_steps_remaining": episode.battery_units,
+        "deliveries_total": episode.task.deliveries,
+        "deliveries_done": episode.deliveries_done,
+        "current_target": episode.target,
+        "distance_to_target": None if away is None else float(away),
+        "step_count": episode.steps,
+        "max_steps": episode.task.max_steps,
+        "reward_last": episode.reward_last,
+        "reward_total": episode.reward_total,
+        "score": episode.score,
+        "done": episode.ended,
+        "message": episode.message,
+        "legend": LEGEND,
+    }
+
+
+@lru_cache(maxsize=4096)
+def _shown(line: bytes) -> tuple[str, tuple[str, ...]]:
+    """A line of cell ids as emoji and as names; a step changes one or two lines of a map."""
+    return "".join([EMOJI[cell] for cell in line]), tuple([NAMES[cell] for cell in line])
 
 
 class PathPoint(Message):

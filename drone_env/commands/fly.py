@@ -34,7 +34,8 @@ def fly(
         reward_profile: What steps pay.
         render: Show the map after every step.
         picture: Save a picture of the flight to this PNG file at the end.
-        record: Save the flight to this JSON file at the end, for `replay` and `analyse-flight`.
+        record: Save the flight to this JSON file at the end, for `replay` and `analyse-flight`; a file that ends in
+            .jsonl keeps the flights that it holds, and gets one more line.
     """
     episode = Episode(task, reward_profile)
     pilot = make_agent(agent, task)
@@ -51,7 +52,12 @@ def fly(
         print(f"picture: {picture}", file=sys.stderr)
     if record is not None:
         # Loads Pydantic, which only a record needs.
+        from drone_env.episodes.jsonl import RecordWriter
         from drone_env.episodes.record import record_of, save_record
 
-        save_record(record_of(episode, agent), record)
+        if record.suffix == ".jsonl":
+            with RecordWriter(record) as writer:
+                writer.write(record_of(episode, agent))
+        else:
+            save_record(record_of(episode, agent), record)
         print(f"record: {record}", file=sys.stderr)

@@ -1,39 +1,106 @@
-"""`drone-env replay`: a recorded flight once more."""
+"""`drone-env replay`: recorded flights once more."""
 
+import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from drone_env.commands.flights import log_flight
 from drone_env.core.actions import Action
-from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.state_manager import Episode
+from drone_env.envs.ansi import draw_text
+from drone_env.errors import InvalidValueError, StoreError, UnknownNameError
+
+if TYPE_CHECKING:
+    from drone_env.episodes.record import EpisodeRecord
 
 RewardName = Annotated[str | None, tyro.conf.arg(metavar=f"{'|'.join(REWARD_PROFILES)}|FILE.toml")]
-File = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|ID")]
 
 
-def replay(file: File, render: bool = False, reward: RewardName = None) -> None:
-    """Fly a recorded flight again, check that it comes to what the record says, and print its log lines.
+def replay(source: Source, verify: bool = False, render: bool = False, reward: RewardName = None) -> int:
+    """Fly recorded flights again, check that they come to what the records say, and print their log lines.
 
-    Standard output holds the lines that `fly` printed, and nothing else; maps and the comparison with the optimum go to
-    standard error. Of a record that does not fit its flight nothing is printed but what is wrong with it.
+    Every reward and the score must be the recorded ones to the last bit. Standard output holds the lines that `fly`
+    printed, and nothing else; maps and the comparison with the optimum go to standard error. Of a record that does not
+    fit its flight nothing is printed but what is wrong with it.
 
     Example: drone-env replay flight.json --render
 
     Args:
-        file: The record, as `fly --record` saves it.
-        render: Show the map after every step.
+        source: A record, as `fly --record` saves it; a JSONL file (.jsonl) with one record a line; or the id of an
+            episode in the store, whose folder is `DRONE_ENV_DATA`, without that `data`.
+        verify: Check all flights and print one line for each, no log. Exits with 1 if one does not fit its record.
+        render: Show the map after every step; with --verify, beside its lines.
         reward: What the steps are to pay, instead of the profile that the record names: another profile, or a TOML
-            file with one.
+            file with one. The rewards of another profile than the record's are not compared.
     """
     # Loads Pydantic, which only records need.
     from drone_env.episodes import record as records
     from drone_env.reward_file import reward_profile_from
 
-    record = records.load_record(file)
-    checked = records.replay(record, None if reward is None else reward_profile_from(reward))
-    episode = Episode(checked.task, checked.reward_profile)
-    episode.reset(record.seed)
-    log_flight(episode, record.agent, [Action[name] for name in record.actions], render)
+    profile = None if reward is None else reward_profile_from(reward)
+    failed = False
+    for name, record in _records(source):
+        if verify:
+            _require_own_profile(record, profile)
+        try:
+            checked = records.replay(record, profile)
+        except UnknownNameError as error:
+            raise InvalidValueError(f"{name}: {error}") from None
+        except InvalidValueError as error:
+            if not verify:
+                raise InvalidValueError(f"{name}: {error}") from None
+            print(f"wrong: {name}: {error}", flush=True)
+            failed = True
+            continue
+        episode = Episode(checked.task, checked.reward_profile)
+        episode.reset(record.seed)
+        actions = [Action[action] for action in record.actions]
+        if not verify:
+            log_flight(episode, record.agent, actions, render)
+            continue
+        if render:
+            _show(episode, actions)
+        rewards = "rewards not recorded" if record.rewards is None else f"{len(record.rewards)} rewards"
+        ended = "" if record.ended else ", unfinished"
+        print(f"verified: {name}: {record.task} map {record.seed}, {rewards}, score {record.score!r}{ended}")
+    return int(failed)
+
+
+def _show(episode: Episode, actions: Iterable[Action]) -> None:
+    print(draw_text(episode), file=sys.stderr)
+    for action in actions:
+        episode.step(action)
+        print(draw_text(episode), file=sys.stderr)
+
+
+def _records(source: str) -> Iterator[tuple[str, "EpisodeRecord"]]:
+    """Each record with what to call it."""
+    from drone_env.episodes.jsonl import numbered_records
+    from drone_env.episodes.record import load_record
+    from drone_env.episodes.sessions import EPISODE_ID
+    from drone_env.episodes.store import FILE_NAME, Store, data_folder
+
+    path = Path(source)
+    if EPISODE_ID.fullmatch(source) and not path.exists():
+        folder = data_folder()
+        if not (folder / FILE_NAME).is_file():
+            raise StoreError(f"there is neither a file {source} nor a store in {folder}: set DRONE_ENV_DATA")
+        with Store(folder) as store:
+            yield f"episode {source}", store.episode(source).record
+    elif path.suffix == ".jsonl":
+        for number, record in numbered_records(path):
+            yield f"line {number} of {path}", record
+    else:
+        yield str(path), load_record(path)
+
+
+def _require_own_profile(record: "EpisodeRecord", profile: RewardProfile | None) -> None:
+    if profile is not None and profile.id != record.reward_profile:
+        raise InvalidValueError(
+            f"--verify compares the rewards of {record.reward_profile!r}, so --reward cannot be {profile.id!r}"
+        )

@@ -275,6 +275,11 @@ class Episode:
         return [entry[0] for entry in self._path]
 
     @property
+    def rewards(self) -> list[float]:
+        """What each step paid, in order."""
+        return [entry[3] for entry in self._path]
+
+    @property
     def message(self) -> str:
         """What happened last, in words."""
         if self._seed is None:

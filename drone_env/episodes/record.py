@@ -1,12 +1,16 @@
 """A flight as a small file: which map, which actions, and what came of it.
 
 The dynamics are deterministic, so task, seed and actions say it all; the results stand beside them to be checked.
+
+Version 1 of the format has no rewards; it is read for ever.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator, model_validator
+from typing_extensions import Self
 
 from drone_env.core.actions import Action
 from drone_env.core.rewards import RewardProfile
@@ -16,22 +20,50 @@ from drone_env.errors import InvalidValueError
 from drone_env.files import replacing
 from drone_env.models import Count, Direction, Message, Score
 
+FORMAT_VERSION = 2
+NAMES: list[Direction] = [action.name for action in Action]
+AgentLabel = Annotated[
+    str, Field(min_length=1, max_length=200, pattern=r"^\P{C}+$", description="Who flew: one printable line.")
+]
+
 
 class EpisodeRecord(Message):
     """One flight, from its reset on. `replay` flies it again."""
 
     format: Literal["drone_env/episode"] = "drone_env/episode"
-    format_version: Literal[1] = 1
+    format_version: Literal[1, 2] = FORMAT_VERSION
     task: str = Field(description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
     seed: Count = Field(description="Number of the map.")
-    agent: str = Field(min_length=1, max_length=200, pattern=r"^\P{C}+$", description="Who flew: one printable line.")
+    agent: AgentLabel
     reward_profile: str = Field(description="What the steps paid.")
     actions: list[Direction] = Field(description="The actions, in order.")
+    rewards: list[float] | None = Field(
+        default=None, description="What each action paid, exactly; null in version 1 and only there."
+    )
     deliveries: Count = Field(description="Parcels delivered.")
     success: bool = Field(description="Whether all parcels were delivered.")
     score: Score = Field(description="The graded score; provisional if the flight has not ended.")
     ended: bool = Field(description="Whether the flight was flown to its end.")
+
+    @field_validator("format_version", mode="before")
+    @classmethod
+    def _not_newer(cls, version: object) -> object:
+        if type(version) is int and version > FORMAT_VERSION:
+            raise ValueError(f"version {version} is newer than {FORMAT_VERSION}, the last that this drone-env reads")
+        return version
+
+    @model_validator(mode="after")
+    def _rewards_fit(self) -> Self:
+        if (self.rewards is None) != (self.format_version == 1):
+            raise ValueError("rewards belong to version 2 of the format, and only to that")
+        if self.rewards is not None and len(self.rewards) != len(self.actions):
+            raise ValueError(f"{len(self.rewards)} rewards do not fit {len(self.actions)} actions")
+        return self
+
+    def to_json(self, indent: int | None = None) -> str:
+        """The record as JSON; without an indent, on one line."""
+        return self.model_dump_json(indent=indent, exclude_none=True)
 
 
 def record_of(episode: Episode, agent: str) -> EpisodeRecord:
@@ -46,7 +78,8 @@ def record_of(episode: Episode, agent: str) -> EpisodeRecord:
         seed=episode.seed,
         agent=agent,
         reward_profile=episode.reward_profile.id,
-        actions=[Action(action).name for action in episode.actions],
+        actions=[NAMES[action] for action in episode.actions],
+        rewards=episode.rewards,
         deliveries=episode.deliveries_done,
         success=episode.success,
         score=episode.score,
@@ -55,11 +88,12 @@ def record_of(episode: Episode, agent: str) -> EpisodeRecord:
 
 
 def replay(record: EpisodeRecord, reward_profile: str | RewardProfile | None = None) -> Episode:
-    """Fly a record again, and hold the result against what it says.
+    """Fly a record again, and hold the result against what it says, every reward and the score to the last bit.
 
     Args:
         record: The record.
-        reward_profile: What the steps are to pay; None for the profile that the record names.
+        reward_profile: What the steps are to pay; None for the profile that the record names. With another profile the
+            rewards are not compared.
 
     Raises:
         UnknownNameError: if there is no such task, version or reward profile.
@@ -75,26 +109,38 @@ def replay(record: EpisodeRecord, reward_profile: str | RewardProfile | None = N
                 f"the flight ends after {number - 1} steps, but the record has {len(record.actions)} actions"
             )
         episode.step(Action[action])
-    came_to = record_of(episode, record.agent).model_dump(exclude={"reward_profile"})
-    says = record.model_dump(exclude={"reward_profile"})
+    came_to = record_of(episode, record.agent)
     wrong = [
-        f"{name} {says[name]!r} where the flight gives {came_to[name]!r}"
-        for name in says
-        if says[name] != came_to[name]
+        f"{name} {getattr(record, name)!r} where the flight gives {getattr(came_to, name)!r}"
+        for name in ("task", "task_version", "seed", "deliveries", "success", "score", "ended")
+        if getattr(record, name) != getattr(came_to, name)
     ]
+    if record.rewards is not None and record.reward_profile == came_to.reward_profile:
+        wrong += _wrong_rewards(record.rewards, came_to.rewards or [])
     if wrong:
         raise InvalidValueError(f"the record does not fit its flight: {'; '.join(wrong)}")
     return episode
 
 
+def _wrong_rewards(says: Sequence[float], pays: Sequence[float]) -> list[str]:
+    # Compared by their digits, since 0.0 == -0.0.
+    steps = [number for number, (a, b) in enumerate(zip(says, pays, strict=True), 1) if a.hex() != b.hex()]
+    if not steps:
+        return []
+    first = steps[0]
+    more = f" (and {len(steps) - 1} more)" if len(steps) > 1 else ""
+    return [f"reward {says[first - 1]!r} of step {first} where the flight pays {pays[first - 1]!r}{more}"]
+
+
 def save_record(record: EpisodeRecord, path: str | Path) -> None:
-    """Write a record as JSON, so that the file is there whole or not at all.
+    """Write a record as JSON, on one line where the file is named `.jsonl`; the file is there whole or not at all.
 
     Raises:
         OSError: if it cannot be written.
     """
-    with replacing(Path(path)) as temporary:
-        temporary.write_text(record.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    path = Path(path)
+    with replacing(path) as temporary:
+        temporary.write_text(record.to_json(None if path.suffix == ".jsonl" else 2) + "\n", encoding="utf-8")
 
 
 def load_record(path: str | Path) -> EpisodeRecord:
@@ -104,9 +150,22 @@ def load_record(path: str | Path) -> EpisodeRecord:
         OSError: if the file cannot be read.
         InvalidValueError: if it is not a record; the message says what is wrong with it.
     """
+    return parse_record(Path(path).read_bytes(), str(path))
+
+
+def parse_record(text: str | bytes, name: str) -> EpisodeRecord:
+    """The record that is written as this JSON.
+
+    Args:
+        text: The JSON.
+        name: What the error calls it.
+
+    Raises:
+        InvalidValueError: if it is not a record; the message says what is wrong with it.
+    """
     try:
-        return EpisodeRecord.model_validate_json(Path(path).read_bytes())
+        return EpisodeRecord.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         where = "".join(f"{part}: " for part in first["loc"])
-        raise InvalidValueError(f"{path} is not the record of a flight: {where}{first['msg']}") from None
+        raise InvalidValueError(f"{name} is not the record of a flight: {where}{first['msg']}") from None

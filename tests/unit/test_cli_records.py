@@ -9,7 +9,10 @@ import pytest
 from drone_env.analysis import analyse_flight
 from drone_env.cli import main
 from drone_env.core.state_manager import Episode
+from drone_env.episodes.jsonl import read_records
 from drone_env.episodes.record import load_record, record_of, save_record
+from drone_env.episodes.store import Store
+from drone_env.reward_file import load_reward_profile
 
 
 @pytest.fixture
@@ -154,6 +157,7 @@ def test_analyse_flight_flies_greedy_on_a_map_of_its_own_choice(capsys: pytest.C
         (["analyse-flight", "--task", ""], "easy_delivery"),
         (["analyse-flight", "--task", "easy", "--seed", "-1"], "[0, 2^53)"),
         (["replay"], "FILE"),
+        (["replay", "flight.json", "--verify", "--reward", "mine"], "aligned"),
         (["fly", "--record", "."], "--record"),
     ],
 )
@@ -178,3 +182,125 @@ def test_help_is_a_manual(command: str, capsys: pytest.CaptureFixture[str]) -> N
     out = capsys.readouterr().out
     assert f"Example: drone-env {command}" in " ".join(out.split())
     assert "FILE" in out
+
+
+@pytest.fixture
+def flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    """A JSONL file of three flights."""
+    file = tmp_path / "flights.jsonl"
+    for seed in (7, 8, 9):
+        assert main(["fly", "--agent", "random", "--seed", str(seed), "--record", str(file)]) == 0
+    capsys.readouterr()
+    return file
+
+
+def spoil(file: Path, line: int, **fields: object) -> None:
+    lines = file.read_text().splitlines()
+    lines[line - 1] = json.dumps(json.loads(lines[line - 1]) | fields)
+    file.write_text("\n".join(lines) + "\n")
+
+
+def test_fly_appends_to_jsonl_and_replay_flies_all(flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert [record.seed for record in read_records(flights)] == [7, 8, 9]
+    assert main(["replay", str(flights)]) == 0
+    again = capsys.readouterr().out
+    for seed in (7, 8, 9):
+        main(["fly", "--agent", "random", "--seed", str(seed)])
+    assert capsys.readouterr().out == again
+
+
+def test_replay_stops_at_the_first_line_that_does_not_fit(flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    spoil(flights, 2, deliveries=2)
+    assert main(["replay", str(flights)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out.count("[START]") == captured.out.count("[END]") == 1
+    assert "line 2 of" in captured.err
+    assert "deliveries 2 where the flight gives" in captured.err
+
+
+def test_verify_says_it_of_every_line(flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(flights), "--verify"]) == 0
+    captured = capsys.readouterr()
+    assert re.fullmatch(
+        r"(verified: line \d of .*flights.jsonl: easy_delivery map \d, \d+ rewards, score 0\.\d+\n){3}", captured.out
+    )
+    assert captured.err == ""
+    spoil(flights, 2, rewards=[0.5] * 60)
+    assert main(["replay", str(flights), "--verify"]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["verified", "wrong", "verified"]
+    assert "reward 0.5 of step 1 where the flight pays" in lines[1]
+
+
+def test_verify_says_where_a_file_is_cut(flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flights.write_bytes(flights.read_bytes()[:-100])
+    assert main(["replay", str(flights), "--verify"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out.count("verified: ") == 2
+    assert "the last line is cut, and all before it are whole: line 3 of" in captured.err
+
+
+def test_verify_of_a_flight_that_nobody_can_fly_names_the_line(
+    flights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spoil(flights, 3, task_version=9)
+    assert main(["replay", str(flights), "--verify"]) == 2
+    assert "line 3 of" in capsys.readouterr().err
+
+
+def test_verify_with_maps(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(flight), "--verify", "--render"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.count("\n") == captured.out.count("verified: ") == 1
+    assert captured.err.count("🚁") == len(load_record(flight).actions) + 1
+
+
+def test_verify_tells_what_was_not_recorded(stopped: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = json.loads(stopped.read_text()) | {"format_version": 1}
+    del record["rewards"]
+    stopped.write_text(json.dumps(record))
+    assert main(["replay", str(stopped), "--verify"]) == 0
+    out = capsys.readouterr().out
+    assert out.endswith("easy_delivery map 7, rewards not recorded, score 0.19666666666666666, unfinished\n")
+
+
+def test_verify_with_a_reward_of_ones_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('id = "mine"\n[events]\nwait = 0.25\n')
+    episode = Episode("easy", load_reward_profile(mine))
+    episode.reset(7)
+    episode.step(4)
+    file = tmp_path / "flight.json"
+    save_record(record_of(episode, "someone"), file)
+    assert main(["replay", str(file), "--verify", "--reward", str(mine)]) == 0
+    assert main(["replay", str(file), "--verify"]) == 2
+    assert main(["replay", str(file), "--verify", "--reward", "aligned"]) == 2
+    assert "--reward cannot be 'aligned'" in capsys.readouterr().err
+    mine.write_text('id = "mine"\n[events]\nwait = 0.5\n')
+    assert main(["replay", str(file), "--verify", "--reward", str(mine)]) == 1
+    assert "reward 0.25 of step 1 where the flight pays 0.5" in capsys.readouterr().out
+
+
+def test_replay_of_a_stored_episode(
+    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("DRONE_ENV_DATA", str(tmp_path / "kept"))
+    with Store(tmp_path / "kept") as store:
+        episode_id = store.add_episode(load_record(flight))
+    assert main(["replay", str(flight)]) == 0
+    from_file = capsys.readouterr()
+    assert main(["replay", episode_id]) == 0
+    assert capsys.readouterr() == from_file
+    assert main(["replay", episode_id, "--verify"]) == 0
+    assert f"verified: episode {episode_id}: medium_delivery map 7" in capsys.readouterr().out
+    assert main(["replay", "0123456789abcdef"]) == 2
+    assert episode_id in capsys.readouterr().err
+
+
+def test_replay_of_an_id_without_a_store_makes_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("DRONE_ENV_DATA", str(tmp_path / "none"))
+    assert main(["replay", "0123456789abcdef"]) == 2
+    assert "DRONE_ENV_DATA" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -20,6 +20,8 @@ FLOORS = [
     {"planning", "models", "reward_file"},
     {"agents", "graders", "episodes"},
     {"analysis", "datasets", "envs", "evaluation", "rl"},
+    {"server"},
+    {"client", "openenv_client"},
     {"commands", "cli"},
 ]
 

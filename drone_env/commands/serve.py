@@ -1,0 +1,36 @@
+"""`drone-env serve`: the server."""
+
+from pathlib import Path
+
+from drone_env.errors import MissingPackageError
+
+
+def serve(
+    host: str | None = None, port: int | None = None, workers: int | None = None, data: Path | None = None
+) -> None:
+    """Serve the environment: flat JSON over HTTP, OpenEnv over WebSocket; /docs describes both.
+
+    What is not given comes from the environment (`DRONE_ENV_HOST` and so on), else 127.0.0.1, 8000, 1 and `data`.
+
+    Example: drone-env serve --port 8000
+
+    Args:
+        host: Address to listen on; 0.0.0.0 for all.
+        port: Port to listen on.
+        workers: Processes that serve.
+        data: Folder of what is kept: episodes, sessions, logs.
+    """
+    try:
+        from drone_env.server.app import run
+        from drone_env.server.settings import load_settings
+    except ModuleNotFoundError as error:
+        if error.name not in ("fastapi", "pydantic_settings", "sse_starlette", "starlette"):
+            raise
+        raise MissingPackageError(error.name, "server") from None
+    defaults = load_settings()
+    run(
+        defaults.host if host is None else host,
+        defaults.port if port is None else port,
+        defaults.workers if workers is None else workers,
+        str(defaults.data if data is None else data),
+    )

@@ -1,0 +1,110 @@
+"""The SQLite file of the store: who may read and write it when."""
+
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+from drone_env.episodes.schema import migrate
+from drone_env.errors import StoreError
+
+BUSY_SECONDS = 30.0
+POLL_SECONDS = 0.0005
+
+
+class Database:
+    """One connection to write and one to read, each for one thread at a time, so that a long read holds up no writer.
+
+    Raises:
+        OSError: if the file cannot be made.
+        StoreError: if it is no store, is newer than this package, or cannot be opened.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        # Session ids are secrets; SQLite gives the files beside this one the same permissions.
+        path.touch(mode=0o600)
+        self._write_lock = threading.Lock()
+        self._read_lock = threading.Lock()
+        self._writing_thread: int | None = None
+        with self._errors():
+            # Whoever writes polls by itself: SQLite's own waiting grows to 100 ms, a transaction here lasts 0.1 ms.
+            self._writer = self._connect(0)
+            try:
+                self._reader = self._connect(BUSY_SECONDS)
+            except BaseException:
+                self._writer.close()
+                raise
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        with self._write_lock, self._read_lock:
+            self._reader.close()
+            self._writer.close()
+
+    @contextmanager
+    def reading(self) -> Generator[sqlite3.Connection, None, None]:
+        """The connection to read from; every statement sees what is kept by then.
+
+        Raises:
+            StoreError: if a statement fails.
+        """
+        with self._errors(), self._read_lock:
+            yield self._reader
+
+    @contextmanager
+    def writing(self) -> Generator[sqlite3.Connection, None, None]:
+        """The connection to write to, in a transaction that is kept if the block ends well.
+
+        Raises:
+            StoreError: if a statement fails, the file stays busy, or this thread is inside such a block already.
+        """
+        if self._writing_thread == threading.get_ident():
+            raise StoreError("this thread is inside another transaction of the store: end that first")
+        with self._errors(), self._write_lock:
+            connection = self._writer
+            self._writing_thread = threading.get_ident()
+            try:
+                _when_free(lambda: connection.execute("BEGIN IMMEDIATE"))
+                yield connection
+                connection.execute("COMMIT")
+            except BaseException:
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
+                raise
+            finally:
+                self._writing_thread = None
+
+    def _connect(self, busy_seconds: float) -> sqlite3.Connection:
+        connection = sqlite3.connect(self.path, busy_seconds, isolation_level=None, check_same_thread=False)
+        try:
+            _when_free(lambda: migrate(connection, self.path))
+            _when_free(lambda: connection.execute("PRAGMA journal_mode = WAL").fetchone())
+            connection.execute("PRAGMA synchronous = NORMAL")
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    @contextmanager
+    def _errors(self) -> Generator[None, None, None]:
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise StoreError(f"store {self.path}: {error}") from error
+
+
+def _when_free(operation: Callable[[], object]) -> None:
+    """Do it as soon as no other process is writing, within 30 s."""
+    deadline = time.monotonic() + BUSY_SECONDS
+    while True:
+        try:
+            operation()
+            return
+        except sqlite3.OperationalError as error:
+            # Python 3.10 does not tell the error code.
+            if "locked" not in str(error) or time.monotonic() > deadline:
+                raise
+        time.sleep(POLL_SECONDS)

@@ -1,0 +1,62 @@
+"""The optima of the maps that were flown: solved once, in the background, and kept."""
+
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+
+from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.episodes.database import Database
+from drone_env.planning.optimal import best_of
+
+KEEP_SECONDS = 0.1
+
+
+class Optima:
+    """Solves maps in a thread per task: one task may have to compile for seconds while another needs 1 ms."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._closing = threading.Event()
+        self._threads = ThreadPoolExecutor(len(TASKS), "drone_env-optima")
+        self._lock = threading.Lock()
+        self._jobs: dict[TaskConfig, Future[None]] = {}
+
+    def solve(self, task: TaskConfig, seeds: Sequence[int], patience: float) -> None:
+        """Have maps solved and kept, unless the task is being worked on already; wait for that, up to `patience` s.
+
+        Raises:
+            StoreError: if the optima could not be written.
+        """
+        with self._lock:
+            if task not in self._jobs:
+                self._jobs[task] = self._threads.submit(self._work, task, seeds)
+            job = self._jobs[task]
+        wait([job], patience)
+        with self._lock:
+            if job.done() and self._jobs.get(task) is job:
+                del self._jobs[task]
+        if job.done():
+            job.result()
+
+    def close(self) -> None:
+        """Stop; waits for the maps that are being solved just now."""
+        self._closing.set()
+        self._threads.shutdown()
+
+    def _work(self, task: TaskConfig, seeds: Sequence[int]) -> None:
+        solved: list[tuple[str, int, int, float | None]] = []
+        kept_at = time.monotonic()
+        for seed in seeds:
+            if self._closing.is_set():
+                break
+            best = best_of(task, seed)
+            solved.append((task.id, task.version, seed, None if best is None else best.score))
+            if time.monotonic() - kept_at > KEEP_SECONDS:
+                self._keep(solved)
+                solved, kept_at = [], time.monotonic()
+        self._keep(solved)
+
+    def _keep(self, solved: Sequence[tuple[str, int, int, float | None]]) -> None:
+        with self._database.writing() as connection:
+            connection.executemany("INSERT OR IGNORE INTO optima VALUES (?, ?, ?, ?)", solved)

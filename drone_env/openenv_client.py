@@ -1,0 +1,32 @@
+"""The OpenEnv client: one session over a WebSocket. Importing it imports OpenEnv, which takes seconds."""
+
+from typing import Any
+
+from openenv.core.client_types import StepResult
+from openenv.core.env_client import EnvClient
+
+from drone_env.models import DroneAction, DroneObservation
+from drone_env.server.schemas import WireState
+
+
+class DroneDeliveryClient(EnvClient[DroneAction, DroneObservation, WireState]):
+    """Flies over `/ws`: asynchronous as it is, synchronous through `sync()`.
+
+        with DroneDeliveryClient("http://localhost:8000").sync() as env:
+            result = env.reset(task_name="hard", seed=7)
+            while not result.done:
+                result = env.step(DroneAction(direction="RIGHT"))
+
+    `reset` takes `seed`, `episode_id`, `task_name`, `reward_profile`, `agent`, or `split` and `index`.
+    """
+
+    def _step_payload(self, action: DroneAction) -> dict[str, Any]:
+        return action.model_dump()
+
+    def _parse_result(self, payload: dict[str, Any]) -> StepResult[DroneObservation]:
+        fields = {name: value for name, value in payload["observation"].items() if name != "metadata"}
+        observation = DroneObservation(**fields, done=payload["done"])
+        return StepResult(observation=observation, reward=payload["reward"], done=payload["done"])
+
+    def _parse_state(self, payload: dict[str, Any]) -> WireState:
+        return WireState.model_validate(payload)

@@ -1,0 +1,1 @@
+"""The server: OpenEnv over WebSocket, flat JSON over HTTP."""

@@ -1,0 +1,176 @@
+"""The application, and the command that serves it.
+
+OpenEnv's server package is not imported: it costs seconds and 150 MB, most of it for Gradio. `openenv_socket` and
+`routes.openenv` speak its protocol, and `grid_world_environment` is the environment for those who bring OpenEnv.
+"""
+
+import argparse
+import asyncio
+import logging
+import os
+import sys
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import asynccontextmanager, suppress
+
+from fastapi import FastAPI
+from fastapi.responses import RedirectResponse
+from starlette.concurrency import run_in_threadpool
+from starlette.routing import WebSocketRoute
+
+from drone_env import __version__
+from drone_env.errors import DroneEnvError
+from drone_env.server.openenv_socket import OpenEnvSocket
+from drone_env.server.problems import answers, install
+from drone_env.server.request_log import LogRequests
+from drone_env.server.routes import catalogue, flight, history, openenv
+from drone_env.server.security import protect
+from drone_env.server.settings import Settings, load_settings
+from drone_env.server.state import Shared
+
+log = logging.getLogger(__name__)
+
+API_VERSION = "1.0.0"
+DESCRIPTION = f"""
+A drone delivers parcels on a generated city grid. Version {__version__} of the package.
+
+`POST /reset` opens a session and gives it back as `session_id`, as the header `X-Session-Id` and as a cookie; send it
+with what follows. OpenEnv's clients connect to the WebSocket `/ws` instead, which is a session of its own.
+"""
+SWEEP_SECONDS = 5.0
+
+
+def create_app(settings: Settings | None = None) -> FastAPI:
+    """The server as an ASGI application. Nothing is opened or written before it starts.
+
+    Args:
+        settings: The configuration; None for the environment's.
+
+    Raises:
+        InvalidValueError: if a variable of the environment has a value that it cannot have.
+    """
+    shared = Shared(settings or load_settings())
+    settings = shared.settings
+    socket = OpenEnvSocket(lambda: shared.store, settings.capacity, settings.idle_seconds, settings.max_bytes)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncGenerator[None, None]:
+        await run_in_threadpool(shared.open)
+        sweeper = asyncio.create_task(_sweep(shared, socket))
+        try:
+            yield
+        finally:
+            sweeper.cancel()
+            with suppress(asyncio.CancelledError):
+                await sweeper
+            await run_in_threadpool(socket.close)
+            await run_in_threadpool(shared.close)
+
+    app = FastAPI(
+        title="Drone Delivery Env",
+        version=API_VERSION,
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        responses=answers(401, 403),
+        generate_unique_id_function=lambda route: route.name,
+    )
+    app.state.shared = shared
+    app.state.socket = socket
+    install(app)
+    protect(app, settings)
+    app.add_middleware(LogRequests, log=shared.requests)
+    for routes in (flight, catalogue, history, openenv):
+        app.include_router(routes.router)
+    app.router.routes.append(WebSocketRoute("/ws", socket))
+    _add_page(app)
+    return app
+
+
+def _add_page(app: FastAPI) -> None:
+    @app.get("/", include_in_schema=False)
+    async def page() -> RedirectResponse:
+        return RedirectResponse("/docs")
+
+
+async def _sweep(shared: Shared, socket: OpenEnvSocket) -> None:
+    """End what is idle, for ever."""
+    interval = min(SWEEP_SECONDS, shared.settings.idle_seconds / 4)
+    while True:
+        await asyncio.sleep(interval)
+        try:
+            await socket.close_idle()
+            await run_in_threadpool(shared.sessions.expire)
+        except DroneEnvError:
+            log.exception("idle sessions could not be ended; trying again in %g s", interval)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Serve until told to stop. Options go before the environment.
+
+    Args:
+        arguments: Those of the command line if None.
+    """
+    try:
+        defaults = load_settings()
+    except DroneEnvError as error:
+        sys.exit(f"server: {error}")
+    parser = argparse.ArgumentParser("server", description="Serve the environment over HTTP and WebSocket.")
+    parser.add_argument("--host", default=defaults.host, help="address to listen on (%(default)s)")
+    parser.add_argument("--port", default=defaults.port, type=int, help="port to listen on (%(default)s)")
+    parser.add_argument("--workers", default=defaults.workers, type=int, help="processes that serve (%(default)s)")
+    parser.add_argument("--data", default=str(defaults.data), help="folder of what is kept (%(default)s)")
+    given = parser.parse_args(arguments)
+    try:
+        run(given.host, given.port, given.workers, given.data)
+    except DroneEnvError as error:
+        sys.exit(f"server: {error}")
+
+
+def run(host: str, port: int, workers: int, data: str) -> None:
+    """Serve until told to stop.
+
+    Args:
+        host: Address to listen on.
+        port: Port to listen on.
+        workers: Processes that serve.
+        data: Folder of what is kept.
+
+    Raises:
+        InvalidValueError: if one of them is not allowed.
+    """
+    # The workers are processes of their own, which read the environment.
+    chosen = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA": data}
+    os.environ.update({f"DRONE_ENV_{name}": str(value) for name, value in chosen.items()})
+    settings = load_settings()
+
+    import uvicorn
+
+    url = f"http://{settings.host}:{settings.port}"
+    print(f"drone-env {__version__}: {url}, docs at {url}/docs, data in {settings.data}", file=sys.stderr, flush=True)
+    uvicorn.run(
+        "drone_env.server.app:app",
+        host=settings.host,
+        port=settings.port,
+        workers=settings.workers,
+        access_log=False,
+        # Below that uvicorn writes two lines for every WebSocket; `requests.log` has one, and is bounded.
+        log_level="warning",
+        server_header=False,
+        ws_max_size=settings.max_bytes,
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=5,
+    )
+
+
+app: FastAPI
+
+
+def __getattr__(name: str) -> FastAPI:
+    """`app`, made when it is first asked for: importing this module reads no configuration."""
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()["app"] = create_app()
+    return value
+
+
+if __name__ == "__main__":
+    main()

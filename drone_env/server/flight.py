@@ -1,0 +1,100 @@
+"""One OpenEnv session: an episode, the name that its client gave it, and what the wire carries of it."""
+
+import secrets
+import uuid
+from typing import Any, NamedTuple
+
+from drone_env.core.rewards import RewardProfile, get_reward_profile
+from drone_env.core.seeds import SPLITS, next_seed
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.errors import InvalidValueError
+from drone_env.models import DroneState, observation_fields
+from drone_env.server.schemas import ResetOptions
+from drone_env.server.task_api import find_map
+
+DEFAULT_TASK = "easy_delivery"
+DEFAULT_PROFILE = "tiered"
+
+
+class Start(NamedTuple):
+    """Which map to fly, and what steps pay."""
+
+    task: TaskConfig
+    seed: int
+    reward_profile: RewardProfile
+
+
+def start_of(options: ResetOptions, last_seed: int | None, task: str = DEFAULT_TASK) -> Start:
+    """What a reset asks for.
+
+    Args:
+        options: The reset.
+        last_seed: The map that the session flew last: without a seed, the next on the walk follows. None for a new
+            session, whose first map is drawn at random from the train split.
+        task: The task where the reset names none.
+
+    Raises:
+        UnknownNameError: if there is no such task, profile or split.
+        InvalidValueError: if the split has no such map.
+    """
+    profile = get_reward_profile(options.reward_profile or DEFAULT_PROFILE)
+    if options.split is not None and options.index is not None:
+        try:
+            return Start(*find_map(options.split, options.index), profile)
+        except IndexError as error:
+            raise InvalidValueError(str(error)) from None
+    seed = options.seed
+    if seed is None:
+        seed = secrets.randbelow(SPLITS["train"].stop) if last_seed is None else next_seed(last_seed)
+    return Start(get_task(options.task_name or task), seed, profile)
+
+
+class Flight:
+    """One session. Before the first reset `step` and the readers raise `EpisodeError`.
+
+    Args:
+        task: The task of a reset that names none.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+    """
+
+    def __init__(self, task: str = DEFAULT_TASK) -> None:
+        self.default_task = task
+        self.episode = Episode(task)
+        self.episode_id: str | None = None
+        self.agent: str | None = None
+        self.stored = False
+        """Whether the episode, once ended, is in the store."""
+
+    def reset(self, options: ResetOptions) -> None:
+        """Start an episode. On an error the running one is left as it was.
+
+        Raises:
+            UnknownNameError: if there is no such task, profile or split.
+            InvalidValueError: if the split has no such map.
+        """
+        last = self.episode.seed if self.episode.started else None
+        start = start_of(options, last, self.default_task)
+        if start.task != self.episode.task:
+            self.episode = Episode(start.task, start.reward_profile)
+        self.episode.reset(start.seed, start.reward_profile)
+        self.episode_id = options.episode_id if options.episode_id is not None else str(uuid.uuid4())
+        self.agent = options.agent
+        self.stored = False
+
+    def result(self, reward: float | None) -> dict[str, Any]:
+        """The observation now as OpenEnv sends it, with what the last step paid (None after a reset)."""
+        return openenv_result(observation_fields(self.episode), reward)
+
+    def state(self) -> dict[str, Any]:
+        """The full state as OpenEnv sends it."""
+        return {"episode_id": self.episode_id, **DroneState.of(self.episode).model_dump()}
+
+
+def openenv_result(fields: dict[str, Any], reward: float | None) -> dict[str, Any]:
+    """An observation as OpenEnv sends it: reward and done beside the rest. Takes the fields for its own."""
+    done = fields.pop("done")
+    fields["metadata"] = {}
+    return {"observation": fields, "reward": reward, "done": done}

@@ -1,0 +1,154 @@
+"""What goes wrong, as it is told to callers: one JSON model, and the status of every exception."""
+
+import logging
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import Field
+from starlette.exceptions import HTTPException
+
+from drone_env.errors import (
+    CapacityError,
+    CheckpointError,
+    DroneEnvError,
+    EpisodeError,
+    InvalidValueError,
+    NoSessionError,
+    SessionGoneError,
+    StoreError,
+    TooLargeError,
+    UnknownNameError,
+    UnsupportedTaskError,
+)
+from drone_env.models import Message
+
+log = logging.getLogger(__name__)
+
+WHAT_TO_DO = "POST /reset opens a session; send its session_id in the header X-Session-Id, or keep the cookie"
+
+
+class FieldProblem(Message):
+    """What is wrong with one part of a request."""
+
+    where: str = Field(description="The part, such as `body.direction`.")
+    message: str = Field(description="What is wrong with it.")
+
+
+class Problem(Message):
+    """Why a request was not answered."""
+
+    code: str = Field(description="What went wrong, for programs.")
+    detail: str = Field(description="What went wrong and what is allowed, for people.")
+    errors: list[FieldProblem] = Field(default_factory=list[FieldProblem], description="The parts that are wrong.")
+
+
+class RequestError(DroneEnvError):
+    """A request that is answered with a `Problem`.
+
+    Args:
+        status: The HTTP status.
+        code: What went wrong, for programs.
+        detail: What went wrong, for people.
+    """
+
+    def __init__(self, status: int, code: str, detail: str) -> None:
+        self.status = status
+        self.code = code
+        super().__init__(detail)
+
+
+STATUSES: list[tuple[type[DroneEnvError], int, str]] = [
+    (NoSessionError, 410, "session_gone"),
+    (SessionGoneError, 410, "session_gone"),
+    (CapacityError, 503, "no_room"),
+    (StoreError, 503, "store"),
+    (CheckpointError, 503, "no_network"),
+    (UnsupportedTaskError, 422, "unsupported"),
+    (TooLargeError, 422, "too_large"),
+    (InvalidValueError, 422, "invalid_request"),
+    (EpisodeError, 409, "wrong_moment"),
+]
+"""The first that fits holds."""
+
+_MEANINGS = {
+    400: "The body is not JSON.",
+    401: "The token is missing or wrong.",
+    403: "A host, or a web page of an origin, that is not allowed.",
+    404: "There is no such thing; `detail` lists what there is.",
+    409: "No session was named, or the episode is not at the right point.",
+    410: "The session is gone.",
+    413: "The body is too large.",
+    415: "The body is not declared as JSON.",
+    422: "A value that is not allowed.",
+    503: "No room, no network, or the store is busy.",
+}
+
+
+def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """The error answers of a route, for its documentation."""
+    return {status: {"model": Problem, "description": _MEANINGS[status]} for status in statuses}
+
+
+def problem(
+    status: int, code: str, detail: str, errors: list[FieldProblem] | None = None, headers: dict[str, str] | None = None
+) -> JSONResponse:
+    """The answer that tells a problem."""
+    told = Problem(code=code, detail=printable(detail), errors=errors or [])
+    return JSONResponse(told.model_dump(), status, headers)
+
+
+def status_of(error: DroneEnvError, method: str) -> tuple[int, str]:
+    """HTTP status and code of an error; an unknown name is 404 in a path (GET) and 422 in a body."""
+    if isinstance(error, RequestError):
+        return error.status, error.code
+    if isinstance(error, UnknownNameError):
+        return (404 if method in ("GET", "HEAD") else 422), "unknown_name"
+    return next(((status, code) for kind, status, code in STATUSES if isinstance(error, kind)), (500, "internal"))
+
+
+def where(location: tuple[int | str, ...]) -> str:
+    """A location in a message, such as `body.direction`."""
+    return ".".join(map(str, location))
+
+
+def printable(text: str) -> str:
+    """The text with lone surrogates, which JSON can escape but nobody can send, escaped again."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+async def _own(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, DroneEnvError)
+    status, code = status_of(error, request.method)
+    if status == 500:
+        log.error("%s %s", request.method, request.url.path, exc_info=error)
+        return problem(500, code, "the server failed; its log says why")
+    detail = f"{error}: {WHAT_TO_DO}" if status == 410 else str(error)
+    return problem(status, code, detail, headers={"Retry-After": "5"} if status == 503 else None)
+
+
+async def _invalid(_: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError)
+    errors = [FieldProblem(where=printable(where(e["loc"])), message=printable(e["msg"])) for e in error.errors()]
+    told = "; ".join(f"{e.where}: {e.message}" for e in errors[:5])
+    return problem(422, "invalid_request", told, errors[:20])
+
+
+async def _http(_: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, HTTPException)
+    headers = None if error.headers is None else dict(error.headers)
+    return problem(error.status_code, "http", str(error.detail), headers=headers)
+
+
+async def _unforeseen(request: Request, error: Exception) -> JSONResponse:
+    # The server logs the trace; callers do not see it.
+    return problem(500, "internal", "the server failed; its log says why")
+
+
+def install(app: FastAPI) -> None:
+    """Tell all problems of an application in this way."""
+    app.add_exception_handler(DroneEnvError, _own)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(Exception, _unforeseen)

@@ -1,0 +1,110 @@
+"""The requests that were answered: the last ones in memory for `/terminal_logs`, all in a file that cannot grow.
+
+A line says when, what and how long, never a body, a query, a header or a session.
+"""
+
+import json
+import logging
+import time
+from collections import deque
+from datetime import datetime, timezone
+from logging.handlers import RotatingFileHandler
+from pathlib import Path
+
+from pydantic import Field
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from drone_env import models
+
+KEPT = 200
+FILE_NAME = "requests.log"
+MAX_BYTES, BACKUPS = 1_000_000, 3
+LONGEST_PATH = 200
+
+
+class LoggedRequest(models.Message):
+    """One answered request."""
+
+    number: int = Field(ge=1, description="Counted since the process started.")
+    time: str = Field(description="When it was answered, UTC, ISO 8601.")
+    method: str = Field(description="The method, `WEBSOCKET` for a connection.")
+    path: str = Field(description="The path, without query.")
+    status: int = Field(description="HTTP status; 101 for a WebSocket that was opened, 403 for one that was refused.")
+    milliseconds: float = Field(ge=0, description="How long it took; a WebSocket counts when it is closed.")
+
+
+class RequestLog:
+    """The log of one process."""
+
+    def __init__(self) -> None:
+        self.recent: deque[LoggedRequest] = deque(maxlen=KEPT)
+        self.count = 0
+        self._file: RotatingFileHandler | None = None
+
+    def open(self, folder: Path) -> None:
+        """Also write to `requests.log` in this folder, which must exist."""
+        self._file = RotatingFileHandler(
+            folder / FILE_NAME, maxBytes=MAX_BYTES, backupCount=BACKUPS, encoding="utf-8", errors="backslashreplace"
+        )
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def add(self, method: str, path: str, status: int, seconds: float) -> None:
+        """Note one answer."""
+        self.count += 1
+        entry = LoggedRequest(
+            number=self.count,
+            time=datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
+            method=method,
+            path=path[:LONGEST_PATH],
+            status=status,
+            milliseconds=round(seconds * 1000, 3),
+        )
+        self.recent.append(entry)
+        if self._file is not None:
+            line = json.dumps(entry.model_dump())
+            self._file.handle(logging.LogRecord(__name__, logging.INFO, "", 0, line, None, None))
+
+    def since(self, number: int) -> list[LoggedRequest]:
+        """What is kept of the requests after this one, oldest first."""
+        return [entry for entry in self.recent if entry.number > number]
+
+
+class LogRequests:
+    """Middleware that notes every answer.
+
+    Args:
+        app: The application within.
+        log: Where to.
+    """
+
+    def __init__(self, app: ASGIApp, log: RequestLog) -> None:
+        self.app = app
+        self.log = log
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass on, and note what came of it."""
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+        is_http = scope["type"] == "http"
+        started = time.perf_counter()
+        status = 500 if is_http else 403
+
+        async def noting(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+            elif message["type"] == "websocket.accept":
+                status = 101
+            await send(message)
+
+        try:
+            await self.app(scope, receive, noting)
+        finally:
+            method = scope["method"] if is_http else "WEBSOCKET"
+            self.log.add(method, scope["path"], status, time.perf_counter() - started)

@@ -1,0 +1,33 @@
+"""The routes that say what there is: tasks, graders, health."""
+
+from fastapi import APIRouter
+
+from drone_env import __version__
+from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.tasks import TASKS
+from drone_env.server.schemas import GraderInfo, GraderList, Health, ProfileInfo, TaskInfo, TaskList
+
+router = APIRouter(tags=["catalogue"])
+PUBLISHED = ("easy_delivery", "medium_delivery", "hard_delivery")
+"""The tasks of `openenv.yaml`."""
+
+
+@router.get("/tasks")
+async def tasks() -> TaskList:
+    """All tasks with all their numbers, and the reward profiles."""
+    return TaskList(
+        tasks=[TaskInfo.of(task, task.id in PUBLISHED) for task in TASKS.values()],
+        reward_profiles=[ProfileInfo(id=profile.id, summary=profile.summary) for profile in REWARD_PROFILES.values()],
+    )
+
+
+@router.get("/graders")
+async def graders() -> GraderList:
+    """The graders: functions that can be imported under these names."""
+    return GraderList(graders=[GraderInfo(id=task.grader, task=task.id) for task in TASKS.values()])
+
+
+@router.get("/health")
+async def health() -> Health:
+    """Whether the server is well; answered without a token."""
+    return Health(version=__version__)

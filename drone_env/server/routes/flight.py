@@ -1,0 +1,157 @@
+"""The routes that fly: reset, step, and what there is to know about the session's episode."""
+
+from typing import Annotated, Any, cast
+
+from fastapi import APIRouter, Body, Request, Response
+from pydantic_core import to_json
+
+from drone_env.core.actions import Action
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import get_task
+from drone_env.graders import GRADERS
+from drone_env.models import Direction, DroneObservation, DroneState
+from drone_env.planning.optimal import solve
+from drone_env.server.flight import openenv_result
+from drone_env.server.predict import arrays_of
+from drone_env.server.problems import RequestError, answers
+from drone_env.server.schemas import (
+    RESETS,
+    STEPS,
+    FlatReset,
+    Grade,
+    PathHistory,
+    Prediction,
+    ResetOptions,
+    ResetResult,
+    SolutionAnswer,
+    StepRequest,
+    StepResult,
+)
+from drone_env.server.state import COOKIE, HEADER, NamedSession, SessionId, SharedParts
+
+router = APIRouter(tags=["flight"])
+SESSION_ERRORS = answers(409, 410, 422, 503)
+IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
+OPENED: dict[str, Any] = {
+    "headers": {HEADER: {"description": "The session.", "schema": {"type": "string"}}},
+    "links": {
+        name: {"operationId": name, "parameters": {f"header.{HEADER}": f"$response.header.{HEADER}"}}
+        for name in IN_SESSION
+    },
+}
+
+
+def _examples(values: list[Any]) -> Any:
+    return {str(value): {"value": value} for value in values}
+
+
+@router.post(
+    "/reset", response_model=FlatReset | ResetResult, responses={200: OPENED, **answers(400, 413, 415, 422, 503)}
+)
+def reset(
+    request: Request,
+    shared: SharedParts,
+    named: NamedSession,
+    options: Annotated[ResetOptions | None, Body(openapi_examples=_examples(RESETS))] = None,
+) -> Response:
+    """Start an episode: in the session that the request names, or in a new one.
+
+    An empty body is the same as `{}`. The answer is a `DroneObservation` with the `session_id`; where the body has
+    `episode_id`, as OpenEnv's clients send it, it is `{"observation", "reward", "done"}` with the `session_id`.
+    """
+    options = options or ResetOptions()
+    session, stepped = shared.sessions.reset(named, options)
+    content = stepped.fields if options.episode_id is None else openenv_result(stepped.fields, None)
+    response = _json(content | {"session_id": session})
+    response.headers[HEADER] = session
+    secure = request.url.scheme == "https"
+    # A frame of another site needs SameSite=None, which browsers take over https alone.
+    response.set_cookie(COOKIE, session, httponly=True, secure=secure, samesite="none" if secure else "lax")
+    return response
+
+
+@router.post("/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | answers(400, 413, 415))
+def step(
+    shared: SharedParts, session: SessionId, body: Annotated[StepRequest, Body(openapi_examples=_examples(STEPS))]
+) -> Response:
+    """Fly one action.
+
+    `{"direction": "UP"}` is answered with a `DroneObservation`; OpenEnv's `{"action": {"direction": "UP"}}` with
+    `{"observation", "reward", "done"}`. After the end of the episode nothing changes, and `message` says so.
+    """
+    stepped = shared.sessions.step(session, body.chosen)
+    return _json(stepped.fields if body.action is None else openenv_result(stepped.fields, stepped.reward))
+
+
+@router.get("/state", responses=SESSION_ERRORS)
+def state(shared: SharedParts, session: SessionId) -> DroneState:
+    """The full state of the session's episode."""
+    with shared.sessions.reading(session) as episode:
+        return DroneState.of(episode)
+
+
+@router.get("/grade/{task_name}", responses=SESSION_ERRORS | answers(404))
+def grade(shared: SharedParts, session: SessionId, task_name: str) -> Grade:
+    """The graded score of the session's episode, which must be of this task; provisional until it has ended."""
+    task = get_task(task_name)
+    with shared.sessions.reading(session) as episode:
+        if episode.task.id != task.id:
+            raise RequestError(409, "other_task", f"the session flies {episode.task.id!r}, not {task.id!r}")
+        score = GRADERS[task.id](DroneState.of(episode))
+        return Grade(task=task.id, score=score, done=episode.ended)
+
+
+@router.get("/path_history", responses=SESSION_ERRORS)
+def path_history(shared: SharedParts, session: SessionId) -> PathHistory:
+    """The flight of the session's episode so far."""
+    with shared.sessions.reading(session) as episode:
+        flown = DroneState.of(episode)
+    return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=flown.path_history)
+
+
+@router.get("/solution", responses=SESSION_ERRORS)
+def solution(shared: SharedParts, session: SessionId) -> SolutionAnswer:
+    """The best flight over the map of the session's episode, once that has ended."""
+    with shared.sessions.reading(session) as episode:
+        task, seed, score, ended = episode.task, episode.seed, episode.score, episode.ended
+    if not ended:
+        raise RequestError(409, "in_flight", "the best flight is told when the episode has ended")
+    best = solve(task, seed)
+    flight = Episode(task)
+    flight.reset(seed)
+    path = [flight.position]
+    for action in best.actions:
+        flight.step(action)
+        path.append(flight.position)
+    return SolutionAnswer(
+        task=task.id,
+        seed=seed,
+        score=score,
+        optimal_score=best.score,
+        regret=best.score - score,
+        steps=best.steps,
+        deliveries=best.deliveries,
+        actions=[cast(Direction, Action(action).name) for action in best.actions],
+        path=path,
+    )
+
+
+@router.post("/predict", responses=SESSION_ERRORS | answers(400, 413, 415))
+def predict(shared: SharedParts, named: NamedSession, body: DroneObservation | None = None) -> Prediction:
+    """What the trained network would do: about the observation in the body, or, without one, about the session's."""
+    if body is not None:
+        if body.done:
+            raise RequestError(422, "ended", "the episode of this observation has ended: there is nothing to fly")
+        return shared.networks.predict(*arrays_of(body))
+    if named is None:
+        raise RequestError(409, "no_session", "send a DroneObservation, or name a session")
+    with shared.sessions.reading(named) as episode:
+        if episode.ended:
+            raise RequestError(409, "ended", "the episode has ended: POST /reset starts another")
+        task, observation = episode.task, episode.observation()
+    return shared.networks.predict(task, observation)
+
+
+def _json(content: dict[str, Any]) -> Response:
+    # Built from the rules, so it is not validated again; the tests hold it against the documented models.
+    return Response(to_json(content), media_type="application/json")

@@ -1,0 +1,280 @@
+"""What travels beside actions, observations and states: requests and answers of the server."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, ConfigDict, Field, JsonValue, model_validator
+from typing_extensions import Self
+
+from drone_env.core.cells import CELL_KINDS
+from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.seeds import N_SEEDS
+from drone_env.core.tasks import TaskConfig
+from drone_env.models import (
+    Count,
+    Direction,
+    DroneAction,
+    DroneObservation,
+    DroneState,
+    Message,
+    PathPoint,
+    Position,
+    Score,
+)
+
+MAX_SEED = N_SEEDS - 1
+RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
+STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
+Seed = Annotated[int, Field(ge=0, le=MAX_SEED)]
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("must be one printable line")
+    return text
+
+
+AgentName = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
+
+
+class ResetOptions(Message):
+    """What to fly. All of it may be left out."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": RESETS})
+
+    task_name: str | None = Field(default=None, max_length=100, description="Id, short name or grader of the task.")
+    seed: Seed | None = Field(default=None, description="Number of the map; without one, the next on a fixed walk.")
+    reward_profile: str | None = Field(
+        default=None, max_length=100, description=f"What steps pay: {', '.join(REWARD_PROFILES)}; `tiered` without one."
+    )
+    agent: AgentName | None = Field(default=None, description="Who flies, for the records: one printable line.")
+    episode_id: str | None = Field(default=None, max_length=255, description="Names the episode in OpenEnv's state.")
+    split: str | None = Field(
+        default=None,
+        max_length=100,
+        description="Split of a task, such as `easy_delivery/test`; instead of task_name and seed.",
+    )
+    index: int | None = Field(default=None, ge=0, le=MAX_SEED, description="Number of the map within the split.")
+
+    @model_validator(mode="after")
+    def _one_way_to_name_a_map(self) -> Self:
+        if (self.split is None) != (self.index is None):
+            raise ValueError("split and index go together")
+        if self.split is not None and (self.task_name is not None or self.seed is not None):
+            raise ValueError("split and index name a map; leave out task_name and seed")
+        return self
+
+
+class WireAction(DroneAction):
+    """One action, as OpenEnv sends it."""
+
+    metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Ignored.")
+
+
+class StepRequest(Message):
+    """One action: flat (`direction`), or as OpenEnv sends it (`action`). Exactly one of them."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": STEPS})
+
+    direction: Direction | None = Field(default=None, description="Where to fly; the answer is a `DroneObservation`.")
+    action: WireAction | None = Field(default=None, description="The same for OpenEnv; the answer is a `StepResult`.")
+    timeout_s: float | None = Field(default=None, gt=0, description="OpenEnv's; a step takes microseconds.")
+    request_id: str | None = Field(default=None, max_length=255, description="OpenEnv's; ignored.")
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if (self.direction is None) == (self.action is None):
+            raise ValueError('give either {"direction": ...} or {"action": {"direction": ...}}')
+        return self
+
+    @property
+    def chosen(self) -> DroneAction:
+        """The action."""
+        return self.action or DroneAction.model_validate({"direction": self.direction})
+
+
+class StepResult(Message):
+    """An observation as OpenEnv has it: reward and done stand beside it."""
+
+    observation: dict[str, Any] = Field(description="The fields of `DroneObservation` without `done`, and `metadata`.")
+    reward: float | None = Field(description="What the step paid; null after a reset.")
+    done: bool = Field(description="Whether the episode has ended.")
+
+
+class FlatReset(DroneObservation):
+    """The first observation of an episode, and the session that it is flown in."""
+
+    session_id: str = Field(description="Send it as the header X-Session-Id with what follows.")
+
+
+class ResetResult(StepResult):
+    """The same as OpenEnv has it."""
+
+    session_id: str = Field(description="Send it as the header X-Session-Id with what follows.")
+
+
+class WireObservation(DroneObservation):
+    """An observation with all that OpenEnv adds."""
+
+    reward: float | None = Field(default=None, description="What the step paid; null after a reset.")
+    metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Empty.")
+
+
+class WireState(DroneState):
+    """The full state of an episode with all that OpenEnv adds."""
+
+    episode_id: str | None = Field(default=None, description="Names the episode.")
+
+
+class Grade(Message):
+    """The graded score of the session's episode."""
+
+    task: str = Field(description="Id of the task.")
+    score: Score = Field(description="The graded score; provisional until `done`.")
+    done: bool = Field(description="Whether the episode has ended.")
+
+
+class PathHistory(Message):
+    """The flight of a session so far."""
+
+    task: str = Field(description="Id of the task.")
+    seed: Seed = Field(description="Number of the map.")
+    step_count: Count = Field(description="Steps flown.")
+    path: list[PathPoint] = Field(description="All steps, in order.")
+
+
+class SolutionAnswer(Message):
+    """The best flight over the map of an episode that has ended."""
+
+    task: str = Field(description="Id of the task.")
+    seed: Seed = Field(description="Number of the map.")
+    score: Score = Field(description="What the session's flight scored.")
+    optimal_score: Score = Field(description="The highest score that any flight over this map can reach.")
+    regret: float = Field(ge=0, description="optimal_score - score.")
+    steps: Count = Field(description="Steps of the best flight.")
+    deliveries: Count = Field(description="Parcels that it delivers.")
+    actions: list[Direction] = Field(description="Its actions, in order.")
+    path: list[Position] = Field(description="[x, y] of the drone, from its start on.")
+
+
+class TaskInfo(Message):
+    """One task: every number of it."""
+
+    id: str
+    short_name: str
+    grader: str
+    version: int
+    width: int
+    height: int
+    deliveries: int
+    buildings: int
+    trees: int
+    obstacles: int
+    pads: int
+    max_steps: int
+    battery_capacity: int
+    r_delivery: float
+    r_battery_dead: float
+    r_wall: float
+    r_blocked: float
+    r_obstacle: float
+    r_building: float
+    r_tree: float
+    r_wait: float
+    r_step: float
+    drain: dict[str, int] = Field(description="Battery units per step above a kind of cell; 1 where not named.")
+    impassable: list[str] = Field(description="Kinds of cells that the drone cannot enter.")
+    charge_rate: int = Field(description="Battery units that waiting on a pad adds.")
+    published: bool = Field(description="Whether it is one of the three tasks of the OpenEnv manifest.")
+
+    @classmethod
+    def of(cls, task: TaskConfig, published: bool) -> Self:
+        """The numbers of a task."""
+        own = {"drain", "impassable", "published"}
+        return cls(
+            **{name: getattr(task, name) for name in cls.model_fields if name not in own},
+            drain={CELL_KINDS[cell].name: units for cell, units in task.drain},
+            impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
+            published=published,
+        )
+
+
+class ProfileInfo(Message):
+    """One reward profile."""
+
+    id: str
+    summary: str = Field(description="What it pays, in a line.")
+
+
+class TaskList(Message):
+    """All tasks and reward profiles."""
+
+    tasks: list[TaskInfo]
+    reward_profiles: list[ProfileInfo]
+
+
+class GraderInfo(Message):
+    """One grader."""
+
+    id: str = Field(description="`module:function`.")
+    task: str = Field(description="Id of the task that it grades.")
+
+
+class GraderList(Message):
+    """All graders."""
+
+    graders: list[GraderInfo]
+
+
+class ModelInfo(Message):
+    """The network that was asked."""
+
+    name: Literal["pathqnet"] = "pathqnet"
+    file: str = Field(description="Name of its file.")
+    digest: str = Field(description="First 16 digits of the SHA-256 of that file.")
+
+
+class Prediction(Message):
+    """What the trained network would do."""
+
+    action: Direction = Field(description="The action of the highest value.")
+    q_values: dict[Direction, float] = Field(description="The network's value of each action.")
+    model: ModelInfo
+
+
+class Health(Message):
+    """Whether the server is well."""
+
+    status: Literal["healthy"] = "healthy"
+    version: str = Field(description="Version of the package.")
+
+
+class EpisodeSummary(Message):
+    """One finished episode."""
+
+    id: str
+    finished_at: str = Field(description="UTC, ISO 8601.")
+    task: str
+    task_version: int
+    seed: Seed
+    agent: str
+    reward_profile: str
+    steps: Count
+    deliveries: Count
+    deliveries_total: Count
+    reward_total: float
+    score: Score
+    success: bool
+    outcome: str
+
+
+class EpisodeSummaries(Message):
+    """The last finished episodes, newest first."""
+
+    episodes: list[EpisodeSummary]
+
+
+class LogLines(Message):
+    """The end of a log file."""
+
+    file: str = Field(description="Name of the file.")
+    lines: list[str] = Field(description="Its last lines, oldest first; empty where there is no file.")

@@ -1,0 +1,174 @@
+"""HTTP sessions: rows of the store, and the live episodes of those that this process has flown.
+
+The row is the truth: another process may have stepped the session, so each use brings the live episode up to the
+row's actions first.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Generator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from drone_env.core.state_manager import Episode
+from drone_env.episodes.sessions import SessionRow
+from drone_env.episodes.store import Store
+from drone_env.errors import CapacityError, NoSessionError, SessionGoneError
+from drone_env.models import DroneAction, observation_fields
+from drone_env.server.flight import start_of
+from drone_env.server.schemas import ResetOptions
+
+ANONYMOUS = "anonymous"
+"""The agent's name where none is given."""
+
+
+class Stepped(NamedTuple):
+    """What a reset or a step came to."""
+
+    fields: dict[str, Any]
+    """The fields of `DroneObservation`."""
+    reward: float | None
+
+
+class _Live:
+    """The episode of a session in this process; its lock is held by whoever uses it."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.episode: Episode | None = None
+
+    def caught_up(self, row: SessionRow) -> Episode:
+        """The episode with all actions of the row flown."""
+        episode = self.episode
+        if episode is None or not _is_before(episode, row):
+            episode = self.episode = row.fly()
+        for action in row.actions[len(episode.path) :]:
+            episode.step(action)
+        return episode
+
+
+def _is_before(episode: Episode, row: SessionRow) -> bool:
+    flown = tuple(episode.actions)
+    mine = (episode.task.id, episode.task.version, episode.seed, episode.reward_profile.id)
+    return mine == (row.task, row.task_version, row.seed, row.reward_profile) and row.actions[: len(flown)] == flown
+
+
+class Sessions:
+    """The HTTP sessions of a store; safe to share between threads.
+
+    Args:
+        store: Where they are kept.
+        capacity: How many may be open, in all processes together.
+        idle_seconds: How long one may be unused.
+    """
+
+    def __init__(self, store: Store, capacity: int, idle_seconds: float) -> None:
+        self.store = store
+        self.capacity = capacity
+        self.idle_seconds = idle_seconds
+        self._live: OrderedDict[str, _Live] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def reset(self, session: str | None, options: ResetOptions) -> tuple[str, Stepped]:
+        """Start an episode in the session, or in a new one where none is named or it is gone; return its id too.
+
+        Raises:
+            UnknownNameError: if there is no such task, profile or split.
+            InvalidValueError: if the split has no such map.
+            CapacityError: if a new session is needed and there is no room.
+        """
+        if session is not None:
+            try:
+                return session, self._reset_row(session, options)
+            except (NoSessionError, SessionGoneError):
+                pass  # the caller does what the error would tell: open a new one
+        start = start_of(options, None)
+        wanted = (start.task.id, start.task.version, start.seed, start.reward_profile.id, options.agent or ANONYMOUS)
+        try:
+            session = self.store.open_session(*wanted, capacity=self.capacity)
+        except CapacityError:
+            if not self.expire():
+                raise
+            session = self.store.open_session(*wanted, capacity=self.capacity)
+        episode = Episode(start.task, start.reward_profile)
+        episode.reset(start.seed)
+        live = self._entry(session)
+        with live.lock:
+            live.episode = episode
+        return session, Stepped(observation_fields(episode), None)
+
+    def _reset_row(self, session: str, options: ResetOptions) -> Stepped:
+        with self._writing(session) as (live, row):
+            start = start_of(options, row.seed)
+            row.reset(start.task.id, start.task.version, start.seed, start.reward_profile.id, options.agent)
+            episode = live.episode = Episode(start.task, start.reward_profile)
+            episode.reset(start.seed)
+            return Stepped(observation_fields(episode), None)
+
+    def step(self, session: str, action: DroneAction) -> Stepped:
+        """Fly one action. What it returns is kept: the step, and the finished episode if it was the last.
+
+        Raises:
+            NoSessionError: if there never was such a session.
+            SessionGoneError: if it has ended or expired.
+        """
+        with self._writing(session) as (live, row):
+            episode = live.caught_up(row)
+            over = episode.ended
+            reward = episode.step(action.action)
+            if not over:
+                row.append(action.action)
+                if episode.ended:
+                    row.finish(episode)
+            return Stepped(observation_fields(episode), reward)
+
+    @contextmanager
+    def reading(self, session: str) -> Generator[Episode, None, None]:
+        """The episode of a session, to be read inside the block.
+
+        Raises:
+            NoSessionError: if there never was such a session.
+            SessionGoneError: if it has ended or expired.
+        """
+        live = self._entry(session)
+        with self._dropping(session), live.lock:
+            yield live.caught_up(self.store.read_session(session))
+
+    def expire(self) -> list[str]:
+        """End the sessions that were idle for too long, and return their ids."""
+        gone = self.store.expire_sessions(self.idle_seconds)
+        for session in gone:
+            self._forget(session)
+        return gone
+
+    @contextmanager
+    def _writing(self, session: str) -> Generator[tuple[_Live, SessionRow], None, None]:
+        live = self._entry(session)
+        with self._dropping(session), live.lock:
+            try:
+                with self.store.session(session) as row:
+                    yield live, row
+            except BaseException:
+                # Nothing was kept, so what was flown inside is not so.
+                live.episode = None
+                raise
+
+    @contextmanager
+    def _dropping(self, session: str) -> Generator[None, None, None]:
+        try:
+            yield
+        except (NoSessionError, SessionGoneError):
+            self._forget(session)
+            raise
+
+    def _entry(self, session: str) -> _Live:
+        with self._lock:
+            live = self._live.setdefault(session, _Live())
+            self._live.move_to_end(session)
+            while len(self._live) > self.capacity:
+                self._live.popitem(last=False)
+            return live
+
+    def _forget(self, session: str) -> None:
+        with self._lock:
+            self._live.pop(session, None)

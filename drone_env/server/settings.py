@@ -1,0 +1,87 @@
+"""The configuration of the server, from the environment. `docs/server.md` shows it as a table."""
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, SecretStr, ValidationError, field_validator
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+
+from drone_env.agents.pathqnet import WEIGHTS
+from drone_env.errors import InvalidValueError
+
+Listed = Annotated[tuple[str, ...], NoDecode]
+"""Comma-separated in the environment."""
+
+
+class Settings(BaseSettings):
+    """What can be configured. Each field is read from the variable `DRONE_ENV_` and its name in capitals."""
+
+    model_config = SettingsConfigDict(env_prefix="DRONE_ENV_", env_ignore_empty=True, frozen=True, extra="forbid")
+
+    host: str = Field(default="127.0.0.1", description="Address to listen on; a container needs 0.0.0.0.")
+    port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on.")
+    workers: int = Field(default=1, ge=1, le=64, description="Processes that serve.")
+    data: Path = Field(default=Path("data"), description="Folder of all that is kept: episodes, sessions, logs.")
+    weights: Path = Field(default=WEIGHTS, description="Folder of the networks that `/predict` asks.")
+    capacity: int = Field(
+        default=256, ge=1, le=100_000, description="Open HTTP sessions in all, and open WebSocket sessions per process."
+    )
+    idle_seconds: float = Field(default=900, gt=0, description="A session that is not used for so long ends.")
+    token: SecretStr | None = Field(
+        default=None, description="Where set, every call but `/health` must carry `Authorization: Bearer TOKEN`."
+    )
+    allowed_origins: Listed = Field(
+        default=(), description="Origins of web pages that may call, beside the server's own; comma-separated."
+    )
+    allowed_hosts: Listed = Field(
+        default=(),
+        description="Values of the `Host` header that are answered, without port; comma-separated. Empty for all.",
+    )
+    frame_ancestors: Listed = Field(
+        default=("'self'", "https://huggingface.co", "https://*.hf.space"),
+        description="Who may show the page in a frame; comma-separated.",
+    )
+    max_bytes: int = Field(default=65_536, ge=1024, description="Largest request body and WebSocket frame, in bytes.")
+
+    @field_validator("allowed_origins", "allowed_hosts", "frame_ancestors", mode="before")
+    @classmethod
+    def _split(cls, value: object) -> object:
+        if isinstance(value, str):
+            return tuple(part.strip() for part in value.split(",") if part.strip())
+        return value
+
+    @field_validator("token")
+    @classmethod
+    def _usable(cls, value: SecretStr | None) -> SecretStr | None:
+        if value is not None and not (value.get_secret_value().isascii() and value.get_secret_value().isprintable()):
+            raise ValueError("must be printable ASCII, as a header has to carry it")
+        return value
+
+
+def load_settings() -> Settings:
+    """The settings from the environment.
+
+    Raises:
+        InvalidValueError: if a variable has a value that it cannot have; the message names it and what is allowed.
+    """
+    try:
+        return Settings()
+    except ValidationError as error:
+        wrong = "; ".join(f"DRONE_ENV_{str(e['loc'][0]).upper()}: {e['msg']}" for e in error.errors())
+        raise InvalidValueError(wrong) from None
+
+
+def settings_table() -> str:
+    """The settings as a table in Markdown."""
+    lines = ["| variable | default | meaning |", "|---|---|---|"]
+    for name, field in Settings.model_fields.items():
+        lines.append(f"| `DRONE_ENV_{name.upper()}` | {_shown(name, field.default)} | {field.description} |")
+    return "\n".join(lines)
+
+
+def _shown(name: str, default: object) -> str:
+    if default is None or default == ():
+        return "-"
+    if name == "weights":
+        return "the networks that are shipped"
+    return f"`{','.join(default)}`" if isinstance(default, tuple) else f"`{default}`"

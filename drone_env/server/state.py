@@ -1,0 +1,99 @@
+"""What the routes share: one `Shared` per application, found at `app.state.shared`."""
+
+from typing import Annotated
+
+from fastapi import Cookie, Depends, Header, Request
+
+from drone_env.episodes.store import Store
+from drone_env.server.predict import Networks
+from drone_env.server.problems import WHAT_TO_DO, RequestError
+from drone_env.server.request_log import RequestLog
+from drone_env.server.sessions import Sessions
+from drone_env.server.settings import Settings
+
+COOKIE = "drone_env_session"
+HEADER = "X-Session-Id"
+LONGEST_ID = 200
+
+
+class Shared:
+    """The parts of a server; store and sessions are there while it runs.
+
+    Args:
+        settings: The configuration.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.requests = RequestLog()
+        self.networks = Networks(settings.weights)
+        self._sessions: Sessions | None = None
+
+    @property
+    def sessions(self) -> Sessions:
+        """The HTTP sessions.
+
+        Raises:
+            RequestError: if the server has not started, or has ended.
+        """
+        if self._sessions is None:
+            raise RequestError(503, "not_started", "the server is not running")
+        return self._sessions
+
+    @property
+    def store(self) -> Store:
+        """The store.
+
+        Raises:
+            RequestError: if the server has not started, or has ended.
+        """
+        return self.sessions.store
+
+    def open(self) -> None:
+        """Open what is kept in the data folder.
+
+        Raises:
+            OSError: if it cannot be opened.
+        """
+        store = Store(self.settings.data)
+        self.requests.open(self.settings.data)
+        self._sessions = Sessions(store, self.settings.capacity, self.settings.idle_seconds)
+
+    def close(self) -> None:
+        """Close it."""
+        if self._sessions is not None:
+            self._sessions.store.close()
+            self._sessions = None
+        self.requests.close()
+
+
+def shared_of(request: Request) -> Shared:
+    """The parts of the server that answers a request."""
+    return request.app.state.shared
+
+
+def named_session(
+    x_session_id: Annotated[
+        str | None,
+        Header(max_length=LONGEST_ID, description="The session, as `/reset` gave it; goes before the cookie."),
+    ] = None,
+    drone_env_session: Annotated[str | None, Cookie(max_length=LONGEST_ID, include_in_schema=False)] = None,
+) -> str | None:
+    """The session that a request names, None for none."""
+    return x_session_id or drone_env_session
+
+
+def needed_session(named: Annotated[str | None, Depends(named_session)]) -> str:
+    """The session that a request names.
+
+    Raises:
+        RequestError: if it names none.
+    """
+    if named is None:
+        raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
+    return named
+
+
+SharedParts = Annotated[Shared, Depends(shared_of)]
+NamedSession = Annotated[str | None, Depends(named_session)]
+SessionId = Annotated[str, Depends(needed_session)]

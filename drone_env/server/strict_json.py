@@ -1,0 +1,53 @@
+"""JSON as the standard has it: no NaN, no Infinity, no key twice, nothing nested deeply."""
+
+import json
+from typing import Any
+
+from drone_env.errors import InvalidValueError
+
+MAX_DEPTH = 32
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is not JSON")
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the key {twice!r} stands there twice")
+    return found
+
+
+_DECODER = json.JSONDecoder(parse_constant=_no_constant, object_pairs_hook=_unique)
+
+
+def parse_json(text: str) -> Any:
+    """The value of a JSON text.
+
+    Raises:
+        InvalidValueError: if it is not JSON, or nested deeper than `MAX_DEPTH`; the message says what is wrong.
+    """
+    try:
+        value = _DECODER.decode(text)
+    except ValueError as error:
+        raise InvalidValueError(f"not JSON: {error}") from None
+    except RecursionError:
+        raise InvalidValueError(TOO_DEEP) from None
+    _check_depth(value)
+    return value
+
+
+TOO_DEEP = f"JSON may be nested {MAX_DEPTH} deep"
+
+
+def _check_depth(value: Any) -> None:
+    layer, depth = [value], 0
+    while layer:
+        depth += 1
+        nested = [node for node in layer if isinstance(node, dict | list)]
+        if nested and depth > MAX_DEPTH:
+            raise InvalidValueError(TOO_DEEP)
+        layer = [child for node in nested for child in (node.values() if isinstance(node, dict) else node)]

@@ -1,0 +1,15 @@
+"""The server's application and command where OpenEnv's tools look for them."""
+
+from drone_env.server import app as server
+from drone_env.server.app import app
+
+__all__ = ["app", "main"]
+
+
+def main() -> None:
+    """Serve until told to stop; see `--help`."""
+    server.main()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""The application in this process, and clients of it."""
+
+import time
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> dict[str, Any]:
+    """Settings of the test's application, to be changed with `@pytest.mark.parametrize("settings", ...)`."""
+    return {"data": tmp_path / "data"}
+
+
+@pytest.fixture
+def client(settings: dict[str, Any]) -> Generator[TestClient, None, None]:
+    """A client that keeps no cookies, so that sessions are named by their header alone."""
+    with TestClient(create_app(Settings(**settings))) as running:
+        running.cookies.jar.set_policy(_NoCookies())
+        yield running
+
+
+class _NoCookies:
+    """A cookie policy that keeps none."""
+
+    netscape = True
+    rfc2965 = hide_cookie2 = False
+
+    def set_ok(self, *_: object) -> bool:
+        return False
+
+    def return_ok(self, *_: object) -> bool:
+        return False
+
+    def domain_return_ok(self, *_: object) -> bool:
+        return False
+
+    def path_return_ok(self, *_: object) -> bool:
+        return False
+
+
+@pytest.fixture
+def session(client: TestClient) -> dict[str, str]:
+    """The header of a session on easy map 7."""
+    return {"X-Session-Id": client.post("/reset", json={"seed": 7}).json()["session_id"]}
+
+
+@pytest.fixture
+def eventually() -> Callable[[Callable[[], bool]], None]:
+    """Waits until something holds, and fails where it never does."""
+
+    def wait(holds: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + 30
+        while not holds():
+            assert time.monotonic() < deadline, "it never came to hold"
+            time.sleep(0.05)
+
+    return wait

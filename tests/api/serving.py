@@ -1,0 +1,78 @@
+"""A server in a process of its own, as users start it."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+
+ROOT = Path(__file__).parents[2]
+
+
+def free_port() -> int:
+    """A port that nobody listened on a moment ago."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Server:
+    """A running server.
+
+    Args:
+        command: What to run, after the interpreter.
+        data: Its data folder.
+        port: Its port.
+        settings: More of its environment, without the prefix.
+    """
+
+    def __init__(self, command: list[str], data: Path, port: int, settings: dict[str, str]) -> None:
+        self.url = f"http://127.0.0.1:{port}"
+        variables = {f"DRONE_ENV_{name}": value for name, value in settings.items()}
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "DRONE_ENV_DATA": str(data), **variables}
+        self.log = data.parent / f"server-{port}.log"
+        with self.log.open("ab") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, *command, "--port", str(port)], cwd=ROOT, env=environment, stdout=log, stderr=log
+            )
+        self._wait()
+
+    def _wait(self) -> None:
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            assert self.process.poll() is None, self.log.read_text()
+            try:
+                if httpx.get(f"{self.url}/health", timeout=1).status_code == 200:
+                    return
+            except httpx.HTTPError:
+                time.sleep(0.05)
+        raise AssertionError(f"the server did not answer: {self.log.read_text()}")
+
+    def kill(self) -> None:
+        """End it as a power cut would, but for the machine."""
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+
+    def stop(self) -> None:
+        """Ask it to end, and wait."""
+        self.process.terminate()
+        self.process.wait(timeout=30)
+
+
+@contextmanager
+def serving(
+    data: Path, command: tuple[str, ...] = ("drone_env/server/app.py",), port: int | None = None, **settings: str
+) -> Generator[Server, None, None]:
+    """A server for the time of the block."""
+    server = Server(list(command), data, port or free_port(), settings)
+    try:
+        yield server
+    finally:
+        if server.process.poll() is None:
+            server.stop()

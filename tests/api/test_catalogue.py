@@ -1,0 +1,222 @@
+"""What the server says there is, its logs, its predictions, and its description of itself."""
+
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+
+from drone_env import __version__
+from drone_env.agents.pathqnet import PathQNetAgent
+from drone_env.client import DroneEnvClient, ServerError
+from drone_env.core.actions import Action
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS, get_task
+from drone_env.models import DroneObservation
+from drone_env.server.app import create_app
+from drone_env.server.predict import arrays_of
+from drone_env.server.routes.catalogue import PUBLISHED
+from drone_env.server.routes.history import LINES, tail
+from drone_env.server.schemas import Prediction
+from drone_env.server.settings import Settings
+
+Header = dict[str, str]
+
+
+def test_health(client: TestClient) -> None:
+    assert client.get("/health").json() == {"status": "healthy", "version": __version__}
+
+
+def test_the_root_leads_to_the_documentation(client: TestClient) -> None:
+    answer = client.get("/", follow_redirects=False)
+    assert (answer.status_code, answer.headers["Location"]) == (307, "/docs")
+    assert client.get("/docs").status_code == 200
+
+
+def test_every_task_is_listed_with_its_numbers(client: TestClient) -> None:
+    listed = {task["id"]: task for task in client.get("/tasks").json()["tasks"]}
+    assert list(listed) == list(TASKS)
+    for task_id, task in TASKS.items():
+        for name in ("width", "height", "deliveries", "max_steps", "r_delivery", "r_wall", "version", "grader"):
+            assert listed[task_id][name] == getattr(task, name)
+        assert listed[task_id]["published"] == (task_id in PUBLISHED)
+
+
+def test_every_grader_is_listed_and_can_be_imported(client: TestClient) -> None:
+    graders = client.get("/graders").json()["graders"]
+    assert [grader["task"] for grader in graders] == list(TASKS)
+    for grader in graders:
+        module, _, name = grader["id"].partition(":")
+        assert callable(getattr(importlib.import_module(module), name))
+
+
+class TestLogs:
+    def test_the_end_of_the_training_log(self, client: TestClient, settings: dict[str, Any]) -> None:
+        assert client.get("/logs").json() == {"file": "train.log", "lines": []}
+        (settings["data"] / "train.log").write_text("".join(f"line {i}\n" for i in range(200)))
+        assert client.get("/logs").json()["lines"] == [f"line {i}" for i in range(150, 200)]
+
+    def test_the_end_of_a_huge_file_is_read_alone(self, tmp_path: Path) -> None:
+        path = tmp_path / "huge.log"
+        path.write_text("x" * 1_000_000 + "\n" + "short\n" * 3)
+        assert tail(path, LINES) == ["short"] * 3
+
+    def test_requests_are_logged_without_what_they_carried(self, client: TestClient, settings: dict[str, Any]) -> None:
+        session = client.post("/reset?secret=query", json={"agent": "secret body"}).json()["session_id"]
+        client.get("/state", headers={"X-Session-Id": session})
+        client.get("/nowhere")
+        logged = client.get("/terminal_logs").json()["requests"]
+        assert [(r["method"], r["path"], r["status"]) for r in logged] == [
+            ("POST", "/reset", 200),
+            ("GET", "/state", 200),
+            ("GET", "/nowhere", 404),
+        ]
+        lines = (settings["data"] / "requests.log").read_text().splitlines()
+        assert [json.loads(line) for line in lines[:3]] == logged
+        assert "secret" not in "".join(lines)
+        assert session not in "".join(lines)
+
+    def test_the_log_is_bounded(self, client: TestClient) -> None:
+        for _ in range(250):
+            client.get("/health")
+        logged = client.get("/terminal_logs").json()["requests"]
+        assert (len(logged), logged[-1]["number"]) == (200, 250)
+
+
+class TestPredictions:
+    @pytest.fixture
+    def settings(self, tmp_path: Path) -> dict[str, Any]:
+        """An application whose weights were exported from networks that nobody trained."""
+        pytest.importorskip("torch")
+        from drone_env.rl.export import export_network
+        from drone_env.rl.model import PathQNet
+
+        for task in ("easy", "skyline_easy"):
+            config = get_task(task)
+            file = tmp_path / f"{config.id}_v{config.version}.npz"
+            size = {"telemetry_size": config.telemetry_size}
+            export_network(PathQNet(**size), file, size)
+        return {"data": tmp_path / "data", "weights": tmp_path}
+
+    @pytest.mark.parametrize("task", ["easy", "skyline_easy"])
+    def test_the_network_is_asked_about_the_session_or_about_an_observation(
+        self, client: TestClient, settings: dict[str, Any], task: str
+    ) -> None:
+        config = get_task(task)
+        reset = client.post("/reset", json={"task_name": task, "seed": 7}).json()
+        session = {"X-Session-Id": reset.pop("session_id")}
+        answer = client.post("/predict", headers=session)
+        told = Prediction.model_validate(answer.json())
+        episode = Episode(task)
+        episode.reset(7)
+        agent = PathQNetAgent(config, settings["weights"] / f"{config.id}_v1.npz")
+        values = agent.q_values(episode.observation())
+        assert list(told.q_values.values()) == pytest.approx(values.tolist())
+        assert told.action == Action(int(values.argmax())).name
+        assert told.model.digest == agent.config["network"]
+        assert client.post("/predict", json=reset).json() == answer.json()
+
+    def test_a_task_without_a_network_is_told(self, client: TestClient) -> None:
+        session = {"X-Session-Id": client.post("/reset", json={"task_name": "hard"}).json()["session_id"]}
+        answer = client.post("/predict", headers=session)
+        assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
+        assert "hard_delivery_v1.npz" in answer.json()["detail"]
+
+    def test_a_file_that_is_no_network_is_told(self, client: TestClient, settings: dict[str, Any]) -> None:
+        (settings["weights"] / "hard_delivery_v1.npz").write_bytes(b"nothing")
+        session = {"X-Session-Id": client.post("/reset", json={"task_name": "hard"}).json()["session_id"]}
+        answer = client.post("/predict", headers=session)
+        assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
+
+    def test_after_the_end_there_is_nothing_to_predict(self, client: TestClient, session: Header) -> None:
+        observation: dict[str, Any] = {"done": False}
+        while not observation["done"]:
+            observation = client.post("/step", json={"direction": "WAIT"}, headers=session).json()
+        assert client.post("/predict", headers=session).status_code == 409
+        assert client.post("/predict", json=observation).status_code == 422
+
+    def test_an_observation_of_no_task_is_refused(self, client: TestClient) -> None:
+        observation = client.post("/reset").json()
+        observation.pop("session_id")
+        for wrong in ({"max_steps": 61}, {"battery_steps_remaining": 61}):
+            answer = client.post("/predict", json=observation | wrong)
+            assert (answer.status_code, answer.json()["code"]) == (422, "invalid_request")
+        assert client.post("/predict", json=observation | {"grid": []}).status_code == 422
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_an_observation_from_the_wire_becomes_what_agents_see(task: str) -> None:
+    episode = Episode(task)
+    for seed in range(5):
+        episode.reset(seed)
+        for action in np.random.default_rng(seed).integers(5, size=40).tolist():
+            found, arrays = arrays_of(DroneObservation.of(episode))
+            expected = episode.observation()
+            assert found is episode.task
+            np.testing.assert_array_equal(arrays["grid"], expected["grid"])
+            np.testing.assert_array_equal(arrays["telemetry"], expected["telemetry"])
+            episode.step(action)
+
+
+def test_openenvs_routes(client: TestClient) -> None:
+    assert client.get("/metadata").json()["name"] == "drone-env"
+    assert client.get("/list_environments").json() == ["drone-env"]
+    assert len(client.get("/Drone-Env/splits").json()) == 3 * len(TASKS)
+    test = {"split": "hard_delivery/test"}
+    assert client.post("/drone-env/num_tasks", json=test).json() == {"num_tasks": 2**51}
+    assert len(client.post("/drone-env/tasks", json=test).json()["tasks"]) == 1000
+    one = client.post("/drone-env/task", json=test | {"index": 2}).json()["task"]
+    assert (one["seed"], one["id"]) == (2**52 + 2**51 + 2, "hard_delivery/test/2")
+    assert client.post("/drone-env/task_range", json=test | {"start": 2, "stop": 3}).json() == {"tasks": [one]}
+    assert client.post("/drone-env/task", json=test | {"index": -1}).status_code == 400
+    assert client.post("/drone-env/task_range", json=test | {"start": 0, "stop": 1001}).status_code == 422
+    assert client.post("/drone-env/num_tasks", json={"split": "test"}).status_code == 422
+    assert client.get("/other/splits").status_code == 404
+
+
+def test_every_route_describes_its_answers_and_its_errors(client: TestClient) -> None:
+    paths = client.get("/openapi.json").json()["paths"]
+    for path, methods in paths.items():
+        for method, route in methods.items():
+            assert route["description"], (path, method)
+            for status, answer in route["responses"].items():
+                content = answer["content"]["application/json"]["schema"]
+                assert content, (path, method, status)
+                if status.startswith(("4", "5")):
+                    assert content == {"$ref": "#/components/schemas/Problem"}, (path, method, status)
+
+
+class TestClientInProcess:
+    def test_it_flies(self, client: TestClient, capsys: pytest.CaptureFixture[str]) -> None:
+        with DroneEnvClient(http=client) as drone:
+            assert drone.health()["status"] == "healthy"
+            result = drone.run_random_episode("easy_delivery", verbose=True)
+            assert len(capsys.readouterr().out.splitlines()) == result["steps"]
+            assert drone.grade("easy")["score"] == result["score"]
+            assert drone.analyse("easy")["episodes_total"] == 1
+            assert drone.path_history()["step_count"] == drone.state()["step_count"] == result["steps"]
+            assert drone.solution()["optimal_score"] >= result["score"]
+            assert [task["id"] for task in drone.tasks()["tasks"]] == list(TASKS)
+
+    def test_what_the_server_refuses_is_an_error_that_says_why(self, client: TestClient) -> None:
+        drone = DroneEnvClient(http=client)
+        with pytest.raises(ServerError, match="POST /reset") as early:
+            drone.step("UP")
+        assert (early.value.status, early.value.code) == (409, "no_session")
+        drone.reset("easy", seed=7)
+        with pytest.raises(ServerError, match=r"body\.direction"):
+            drone.step("SIDEWAYS")
+        assert drone.state()["step_count"] == 0
+
+    def test_where_there_is_no_server_it_says_so(self) -> None:
+        with DroneEnvClient("http://127.0.0.1:9") as drone, pytest.raises(ServerError, match="GET /health"):
+            drone.health()
+
+
+def test_an_application_that_is_not_running_says_so(tmp_path: Path) -> None:
+    client = TestClient(create_app(Settings(data=tmp_path / "data")))
+    assert client.post("/reset").status_code == 503
+    assert not (tmp_path / "data").exists()

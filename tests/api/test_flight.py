@@ -1,0 +1,294 @@
+"""Flying over HTTP: reset, step, sessions, and what there is to know about an episode."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS
+from drone_env.episodes.record import replay
+from drone_env.episodes.store import Store
+from drone_env.graders import GRADERS
+from drone_env.models import DroneObservation, DroneState
+from drone_env.planning.optimal import solve
+from drone_env.server.app import create_app
+from drone_env.server.schemas import FlatReset, PathHistory, ResetResult, SolutionAnswer, StepResult
+from drone_env.server.settings import Settings
+
+Header = dict[str, str]
+
+
+def flown(task: str, seed: int, actions: int = 0) -> Episode:
+    """An episode after the first actions of the best flight."""
+    episode = Episode(task)
+    episode.reset(seed)
+    for action in solve(task, seed).actions[:actions]:
+        episode.step(action)
+    return episode
+
+
+def finish(client: TestClient, task: str, seed: int) -> tuple[Header, dict[str, Any]]:
+    """Fly the best flight; the session and the last observation."""
+    reset = client.post("/reset", json={"task_name": task, "seed": seed, "agent": "tester"}).json()
+    session = {"X-Session-Id": reset["session_id"]}
+    last: dict[str, Any] = {}
+    for action in solve(task, seed).actions:
+        last = client.post("/step", json={"direction": action.name}, headers=session).json()
+    return session, last
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_task_is_flown_as_the_rules_say(client: TestClient, task: str) -> None:
+    body = client.post("/reset", json={"task_name": task, "seed": 3}).json()
+    session = {"X-Session-Id": body["session_id"]}
+    episode = flown(task, 3)
+    assert (
+        FlatReset.model_validate(body).model_dump(exclude={"session_id"}) == DroneObservation.of(episode).model_dump()
+    )
+    for direction in ("UP", "LEFT", "WAIT", "DOWN", "RIGHT", "UP"):
+        answer = client.post("/step", json={"direction": direction}, headers=session)
+        episode.step(["UP", "DOWN", "LEFT", "RIGHT", "WAIT"].index(direction))
+        assert answer.status_code == 200
+        assert DroneObservation.model_validate(answer.json()) == DroneObservation.of(episode)
+    assert DroneState.model_validate(client.get("/state", headers=session).json()) == DroneState.of(episode)
+    history = PathHistory.model_validate(client.get("/path_history", headers=session).json())
+    assert history.path == DroneState.of(episode).path_history
+    grade = client.get(f"/grade/{task}", headers=session).json()
+    assert grade == {"task": task, "score": episode.score, "done": False}
+
+
+def test_the_graders_and_short_names_are_accepted_wherever_a_task_is_named(client: TestClient) -> None:
+    for name in ("hard", "hard_delivery", "drone_env.graders:grade_hard"):
+        session = {"X-Session-Id": client.post("/reset", json={"task_name": name}).json()["session_id"]}
+        assert client.get(f"/grade/{name}", headers=session).json()["task"] == "hard_delivery"
+        assert client.get(f"/analyse/{name}").json()["task"] == "hard_delivery"
+
+
+def test_openenvs_form_of_a_step_is_answered_in_openenvs_form(client: TestClient, session: Header) -> None:
+    flat = client.post("/step", json={"direction": "UP"}, headers=session).json()
+    body = {"action": {"direction": "WAIT", "metadata": {"why": "because"}}, "timeout_s": 30, "request_id": "r"}
+    answer = client.post("/step", json=body, headers=session).json()
+    StepResult.model_validate(answer)
+    assert answer["observation"].keys() == (flat.keys() | {"metadata"}) - {"done"}
+    assert (answer["reward"], answer["done"]) == (answer["observation"]["reward_last"], False)
+
+
+def test_openenvs_form_of_a_reset_is_answered_in_openenvs_form(client: TestClient) -> None:
+    answer = client.post("/reset", json={"episode_id": "mine", "seed": 7}).json()
+    ResetResult.model_validate(answer)
+    assert (answer["reward"], answer["done"], answer["observation"]["step_count"]) == (None, False, 0)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {},
+        {"direction": "UP", "action": {"direction": "UP"}},
+        {"direction": None},
+        {"direction": "up"},
+        {"direction": 0},
+        {"direction": "UP", "speed": 2},
+        {"action": {}},
+        {"action": {"direction": "UP", "speed": 2}},
+        [],
+        "UP",
+    ],
+)
+def test_a_step_that_is_none_is_refused_and_changes_nothing(client: TestClient, session: Header, body: Any) -> None:
+    answer = client.post("/step", json=body, headers=session)
+    assert answer.status_code == 422
+    assert answer.json()["code"] == "invalid_request"
+    assert answer.json()["errors"]
+    assert client.get("/state", headers=session).json()["step_count"] == 0
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        ({"task_name": "none"}, "allowed: easy, easy_delivery"),
+        ({"reward_profile": "none"}, "allowed: aligned"),
+        ({"seed": -1}, "body.seed"),
+        ({"seed": 2**53}, "body.seed"),
+        ({"seed": "7"}, "body.seed"),
+        ({"seed": 7.0}, "body.seed"),
+        ({"colour": "red"}, "body.colour"),
+        ({"agent": "two\nlines"}, "one printable line"),
+        ({"split": "easy_delivery/nowhere", "index": 1}, "easy_delivery/test"),
+        ({"split": "easy_delivery/test", "index": 2**51}, "there is no number"),
+    ],
+)
+def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(
+    client: TestClient, session: Header, body: Any, told: str
+) -> None:
+    client.post("/step", json={"direction": "UP"}, headers=session)
+    answer = client.post("/reset", json=body, headers=session)
+    assert answer.status_code == 422
+    assert told in answer.json()["detail"]
+    assert client.get("/state", headers=session).json()["step_count"] == 1
+
+
+def test_an_empty_body_resets(client: TestClient) -> None:
+    for answer in (client.post("/reset"), client.post("/reset", json={})):
+        assert answer.status_code == 200
+        assert answer.json()["grid_width"] == 10
+
+
+def test_a_reset_in_a_session_stays_in_it_and_walks_on(client: TestClient, session: Header) -> None:
+    answer = client.post("/reset", headers=session)
+    walk = flown("easy_delivery", 7)
+    assert answer.json()["session_id"] == session["X-Session-Id"] == answer.headers["X-Session-Id"]
+    assert client.get("/state", headers=session).json()["seed"] == walk.reset()
+
+
+def test_after_the_end_a_step_changes_nothing_and_pays_nothing(client: TestClient) -> None:
+    session, last = finish(client, "easy", 7)
+    answer = client.post("/step", json={"action": {"direction": "UP"}}, headers=session).json()
+    assert answer["reward"] == 0.0
+    assert answer["observation"]["message"].startswith("Nothing done")
+    assert answer["observation"]["step_count"] == last["step_count"]
+    assert len(client.get("/memory_logs").json()["episodes"]) == 1
+
+
+class TestSessions:
+    def test_the_three_ways_to_be_told_a_session_agree(self, client: TestClient) -> None:
+        answer = client.post("/reset")
+        session = answer.json()["session_id"]
+        assert answer.headers["X-Session-Id"] == session
+        cookie = answer.headers["Set-Cookie"]
+        assert cookie.startswith(f"drone_env_session={session};")
+        assert "HttpOnly" in cookie
+        assert "SameSite=lax" in cookie
+        assert len(session) >= 32
+
+    def test_over_https_the_cookie_works_in_a_frame(self, client: TestClient) -> None:
+        cookie = client.post("https://testserver/reset").headers["Set-Cookie"]
+        assert "Secure" in cookie
+        assert "SameSite=none" in cookie
+
+    def test_the_cookie_names_the_session_and_the_header_goes_before_it(
+        self, client: TestClient, session: Header
+    ) -> None:
+        client.post("/step", json={"direction": "UP"}, headers=session)
+        cookie = {"Cookie": f"drone_env_session={session['X-Session-Id']}"}
+        assert client.get("/state", headers=cookie).json()["step_count"] == 1
+        other = {"X-Session-Id": client.post("/reset").json()["session_id"]}
+        assert client.get("/state", headers=cookie | other).json()["step_count"] == 0
+
+    @pytest.mark.parametrize(
+        ("method", "path", "body"),
+        [
+            ("POST", "/step", {"direction": "UP"}),
+            ("GET", "/state", None),
+            ("GET", "/grade/easy", None),
+            ("GET", "/path_history", None),
+            ("GET", "/solution", None),
+            ("POST", "/predict", None),
+        ],
+    )
+    def test_without_a_session_one_is_told_what_to_do(
+        self, client: TestClient, method: str, path: str, body: Any
+    ) -> None:
+        none = client.request(method, path, json=body)
+        assert (none.status_code, none.json()["code"]) == (409, "no_session")
+        gone = client.request(method, path, json=body, headers={"X-Session-Id": "never"})
+        assert (gone.status_code, gone.json()["code"]) == (410, "session_gone")
+        assert "POST /reset" in gone.json()["detail"]
+
+    def test_a_reset_that_names_a_session_that_is_gone_opens_another(self, client: TestClient) -> None:
+        answer = client.post("/reset", headers={"X-Session-Id": "never"})
+        assert answer.status_code == 200
+        assert answer.json()["session_id"] != "never"
+
+    def test_sessions_do_not_see_each_other(self, client: TestClient) -> None:
+        sessions = [{"X-Session-Id": client.post("/reset", json={"seed": i}).json()["session_id"]} for i in range(20)]
+        for steps in range(1, 4):
+            for session in sessions:
+                client.post("/step", json={"direction": "WAIT"}, headers=session)
+            states = [client.get("/state", headers=session).json() for session in sessions]
+            assert [(s["seed"], s["step_count"]) for s in states] == [(i, steps) for i in range(20)]
+
+    def test_one_session_more_than_there_is_room_for_is_refused(self, tmp_path: Path) -> None:
+        with TestClient(create_app(Settings(data=tmp_path, capacity=2))) as client:
+            first = client.post("/reset").json()["session_id"]
+            client.cookies.clear()
+            assert client.post("/reset").status_code == 200
+            client.cookies.clear()
+            full = client.post("/reset")
+            assert (full.status_code, full.json()["code"]) == (503, "no_room")
+            assert full.headers["Retry-After"] == "5"
+            assert client.post("/reset", headers={"X-Session-Id": first}).status_code == 200
+
+    def test_an_idle_session_ends_and_makes_room(self, tmp_path: Path, eventually: Callable[..., None]) -> None:
+        with TestClient(create_app(Settings(data=tmp_path, capacity=1, idle_seconds=0.2))) as client:
+            session = {"X-Session-Id": client.post("/reset").json()["session_id"]}
+            client.cookies.clear()
+
+            def ended() -> bool:
+                return client.get("/state", headers=session).status_code == 410
+
+            eventually(ended)
+            assert client.post("/reset").status_code == 200
+
+    def test_a_session_is_there_after_a_restart(self, tmp_path: Path) -> None:
+        with TestClient(create_app(Settings(data=tmp_path))) as client:
+            session = {"X-Session-Id": client.post("/reset", json={"seed": 7}).json()["session_id"]}
+            seen = client.post("/step", json={"direction": "UP"}, headers=session).json()
+        with TestClient(create_app(Settings(data=tmp_path))) as client:
+            assert client.get("/state", headers=session).json()["step_count"] == 1
+            after = client.post("/step", json={"direction": "WAIT"}, headers=session).json()
+        assert after["reward_total"] == pytest.approx(seen["reward_total"] + after["reward_last"])
+        assert after["step_count"] == 2
+
+    def test_two_servers_on_one_folder_fly_one_session(self, tmp_path: Path) -> None:
+        with (
+            TestClient(create_app(Settings(data=tmp_path))) as one,
+            TestClient(create_app(Settings(data=tmp_path))) as two,
+        ):
+            session = {"X-Session-Id": one.post("/reset", json={"task_name": "hard", "seed": 7}).json()["session_id"]}
+            expected = flown("hard", 7)
+            for i, action in enumerate(solve("hard", 7).actions):
+                client = (one, two)[i % 2]
+                answer = client.post("/step", json={"direction": action.name}, headers=session).json()
+                expected.step(action)
+                assert answer == DroneObservation.of(expected).model_dump(mode="json")
+            assert one.post("/reset", json={"seed": 1}, headers=session).status_code == 200
+            assert two.get("/state", headers=session).json()["seed"] == 1
+
+
+class TestAfterTheEnd:
+    def test_the_best_flight_is_told_only_then(self, client: TestClient, session: Header) -> None:
+        early = client.get("/solution", headers=session)
+        assert (early.status_code, early.json()["code"]) == (409, "in_flight")
+        session, last = finish(client, "hard", 7)
+        told = SolutionAnswer.model_validate(client.get("/solution", headers=session).json())
+        best = solve("hard", 7)
+        assert told.optimal_score == told.score == last["score"] == best.score
+        assert told.regret == 0.0
+        assert told.actions == [action.name for action in best.actions]
+        assert told.path == [flown("hard", 7, i).position for i in range(best.steps + 1)]
+
+    def test_the_episode_is_kept_and_can_be_flown_again(self, client: TestClient, settings: dict[str, Any]) -> None:
+        _, last = finish(client, "medium", 9)
+        summary = client.get("/memory_logs").json()["episodes"][0]
+        assert (summary["task"], summary["agent"], summary["success"]) == ("medium_delivery", "tester", True)
+        assert (summary["score"], summary["reward_total"]) == (last["score"], last["reward_total"])
+        with Store(settings["data"]) as store:
+            stored = store.episode(summary["id"])
+        assert replay(stored.record).score == last["score"]
+        analysis = client.get("/analyse/medium").json()
+        assert (analysis["episodes_total"], analysis["success_rate"], analysis["deliveries"]) == (1, 1.0, 3)
+
+    def test_the_grade_is_the_graders(self, client: TestClient) -> None:
+        session, last = finish(client, "easy", 3)
+        state = client.get("/state", headers=session).json()
+        answer = client.get("/grade/easy_delivery", headers=session).json()
+        assert answer == {"task": "easy_delivery", "score": last["score"], "done": True}
+        assert GRADERS["easy_delivery"](DroneState.model_validate(state)) == last["score"]
+
+    def test_the_grade_of_another_task_is_refused(self, client: TestClient, session: Header) -> None:
+        answer = client.get("/grade/hard", headers=session)
+        assert (answer.status_code, answer.json()["code"]) == (409, "other_task")
+        assert client.get("/grade/none", headers=session).status_code == 404

@@ -1,0 +1,188 @@
+"""Who may call, and with what."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from drone_env.errors import InvalidValueError
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings, load_settings, settings_table
+from drone_env.server.strict_json import MAX_DEPTH, parse_json
+
+JSON = {"Content-Type": "application/json"}
+DOCS = Path(__file__).parents[2] / "docs" / "server.md"
+
+
+def app_with(tmp_path: Path, **settings: Any) -> TestClient:
+    return TestClient(create_app(Settings(data=tmp_path, **settings)))
+
+
+class TestBodies:
+    @pytest.mark.parametrize(
+        ("text", "told"),
+        [
+            ('{"seed": NaN}', "NaN is not JSON"),
+            ('{"seed": Infinity}', "Infinity is not JSON"),
+            ('{"seed": -Infinity}', "-Infinity is not JSON"),
+            ('{"seed": 1, "seed": 2}', "twice"),
+            ("{", "not JSON"),
+            ('{"seed": ' + "1" * 5000 + "}", "not JSON"),
+            ("[" * 1000 + "]" * 1000, "nested"),
+            ("[" * 30000 + "]" * 30000, "nested"),
+        ],
+    )
+    def test_what_is_not_json_is_refused(self, client: TestClient, text: str, told: str) -> None:
+        answer = client.post("/reset", content=text, headers=JSON)
+        assert (answer.status_code, answer.json()["code"]) == (400, "not_json")
+        assert told in answer.json()["detail"]
+
+    def test_what_is_not_utf8_is_refused(self, client: TestClient) -> None:
+        assert client.post("/reset", content=b'{"agent": "\xff"}', headers=JSON).status_code == 400
+
+    def test_lone_surrogates_are_refused(self, client: TestClient) -> None:
+        for body in (r'{"agent": "\ud800"}', r'{"\ud800": 1}', r'{"task_name": "\udfff"}'):
+            assert client.post("/reset", content=body, headers=JSON).status_code == 422
+
+    @pytest.mark.parametrize("declared", ["text/plain", "application/x-www-form-urlencoded", "", None])
+    def test_a_body_must_be_declared_as_json(self, client: TestClient, declared: str | None) -> None:
+        headers = {} if declared is None else {"Content-Type": declared}
+        answer = client.post("/reset", content=b'{"seed": 1}', headers=headers)
+        assert (answer.status_code, answer.json()["code"]) == (415, "content_type")
+
+    def test_a_charset_is_fine(self, client: TestClient) -> None:
+        headers = {"Content-Type": "Application/JSON; charset=utf-8"}
+        assert client.post("/reset", content=b'{"seed": 1}', headers=headers).status_code == 200
+
+    def test_a_large_body_is_refused_whether_it_says_so_or_not(self, client: TestClient) -> None:
+        body = b'{"agent": "' + b"a" * 65_536 + b'"}'
+        assert client.post("/reset", content=body, headers=JSON).status_code == 413
+        assert client.post("/reset", content=iter([body[:40_000], body[40_000:]]), headers=JSON).status_code == 413
+        largest = b'{"seed": 1}'.ljust(65_536)
+        assert client.post("/reset", content=largest, headers=JSON).status_code == 200
+
+
+class TestStrictJson:
+    def test_depth_is_counted(self) -> None:
+        deepest = "[" * MAX_DEPTH + "]" * MAX_DEPTH
+        assert parse_json(deepest)
+        assert parse_json('{"a":' * MAX_DEPTH + "1" + "}" * MAX_DEPTH)
+        for text in (f"[{deepest}]", '{"a":' * (MAX_DEPTH + 1) + "1" + "}" * (MAX_DEPTH + 1)):
+            with pytest.raises(InvalidValueError, match="nested"):
+                parse_json(text)
+
+    def test_brackets_in_strings_do_not_count(self) -> None:
+        assert parse_json('["' + "[" * 100 + '"]') == ["[" * 100]
+
+
+class TestOrigins:
+    @pytest.mark.parametrize(
+        ("origin", "allowed"),
+        [
+            ("http://testserver", True),
+            ("https://testserver", True),
+            ("https://page.example", True),
+            ("HTTPS://PAGE.EXAMPLE", True),
+            ("http://page.example", False),
+            ("https://page.example.evil", False),
+            ("http://testserver.evil", False),
+            ("http://evil/testserver", False),
+            ("file://testserver", False),
+            ("null", False),
+            ("", False),
+        ],
+    )
+    def test_pages_of_other_origins_are_refused(self, tmp_path: Path, origin: str, allowed: bool) -> None:
+        with app_with(tmp_path, allowed_origins=("https://page.example",)) as client:
+            answer = client.post("/reset", headers={"Origin": origin})
+            assert answer.status_code == (200 if allowed else 403)
+            assert "Access-Control-Allow-Origin" not in answer.headers
+            try:
+                with client.websocket_connect("/ws", headers={"Origin": origin}) as socket:
+                    socket.send_json({"type": "reset"})
+                    assert socket.receive_json()["type"] == "observation"
+                    assert allowed
+            except WebSocketDisconnect:
+                assert not allowed
+
+    def test_programs_send_none(self, client: TestClient) -> None:
+        assert client.post("/reset").status_code == 200
+
+
+class TestHosts:
+    @pytest.mark.parametrize(
+        ("host", "allowed"),
+        [("drone.example", True), ("Drone.Example:8000", True), ("evil.example", False), ("", False), ("[::1", False)],
+    )
+    def test_only_listed_hosts_are_answered(self, tmp_path: Path, host: str, allowed: bool) -> None:
+        with app_with(tmp_path, allowed_hosts=("drone.example",)) as client:
+            assert client.get("/health", headers={"Host": host}).status_code == (200 if allowed else 403)
+
+
+class TestToken:
+    def test_all_but_the_health_asks_for_it(self, tmp_path: Path) -> None:
+        with app_with(tmp_path, token="secret") as client:
+            assert client.get("/health").status_code == 200
+            for path in ("/", "/docs", "/openapi.json", "/tasks", "/terminal_logs", "/nowhere"):
+                for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": "secret"}):
+                    answer = client.get(path, headers=headers)
+                    assert (answer.status_code, answer.headers["WWW-Authenticate"]) == (401, "Bearer")
+            right = {"Authorization": "Bearer secret"}
+            assert client.post("/reset", headers=right).status_code == 200
+            with pytest.raises(WebSocketDisconnect), client.websocket_connect("/ws"):
+                pass
+            with client.websocket_connect("/ws", headers=right) as socket:
+                socket.send_json({"type": "reset"})
+                assert socket.receive_json()["type"] == "observation"
+
+    def test_it_is_not_shown(self) -> None:
+        assert "secret" not in repr(Settings(token="secret"))  # pyright: ignore[reportArgumentType]
+
+
+class TestHeaders:
+    def test_every_answer_carries_them(self, client: TestClient) -> None:
+        for answer in (client.get("/health"), client.get("/nowhere"), client.post("/step"), client.get("/docs")):
+            policy = answer.headers["Content-Security-Policy"]
+            assert "frame-ancestors 'self' https://huggingface.co https://*.hf.space" in policy
+            assert answer.headers["X-Content-Type-Options"] == "nosniff"
+            assert "X-Frame-Options" not in answer.headers
+
+    def test_scripts_from_elsewhere_are_for_the_docs_alone(self, client: TestClient) -> None:
+        assert "unsafe-inline" not in client.get("/health").headers["Content-Security-Policy"]
+        assert "https://cdn.jsdelivr.net" in client.get("/docs").headers["Content-Security-Policy"]
+
+
+def test_an_unforeseen_failure_tells_no_trace(tmp_path: Path) -> None:
+    app = create_app(Settings(data=tmp_path))
+
+    @app.get("/broken")
+    def broken() -> None:
+        raise ZeroDivisionError("secret detail")
+
+    with TestClient(app, raise_server_exceptions=False) as client:
+        answer = client.get("/broken")
+    assert answer.status_code == 500
+    assert answer.json() == {"code": "internal", "detail": "the server failed; its log says why", "errors": []}
+
+
+class TestSettings:
+    def test_they_come_from_the_environment(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("DRONE_ENV_PORT", "9000")
+        monkeypatch.setenv("DRONE_ENV_ALLOWED_ORIGINS", "https://a.example, https://b.example")
+        monkeypatch.setenv("DRONE_ENV_TOKEN", "")
+        settings = load_settings()
+        assert (settings.port, settings.token, settings.host) == (9000, None, "127.0.0.1")
+        assert settings.allowed_origins == ("https://a.example", "https://b.example")
+
+    @pytest.mark.parametrize(
+        ("name", "value"), [("PORT", "many"), ("CAPACITY", "0"), ("IDLE_SECONDS", "-1"), ("TOKEN", "a\u00e9")]
+    )
+    def test_a_wrong_value_is_named(self, monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
+        monkeypatch.setenv(f"DRONE_ENV_{name}", value)
+        with pytest.raises(InvalidValueError, match=f"DRONE_ENV_{name}: "):
+            load_settings()
+
+    def test_the_documentation_has_their_table(self) -> None:
+        assert settings_table() in DOCS.read_text(encoding="utf-8")

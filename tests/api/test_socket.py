@@ -1,0 +1,149 @@
+"""The WebSocket: frames that nobody planned for, capacity, idleness, what is kept."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient, WebSocketTestSession
+from starlette.websockets import WebSocketDisconnect
+
+from drone_env.planning.optimal import solve
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
+
+
+def ask(socket: WebSocketTestSession, frame: Any) -> Any:
+    socket.send_text(frame if isinstance(frame, str) else json.dumps(frame))
+    return json.loads(socket.receive_text())
+
+
+@pytest.mark.parametrize(
+    ("frame", "code"),
+    [
+        ("", "INVALID_JSON"),
+        ("{", "INVALID_JSON"),
+        ('{"type": "reset", "data": {"seed": NaN}}', "INVALID_JSON"),
+        ("[" * 5000, "INVALID_JSON"),
+        ("[" * 50 + "]" * 50, "INVALID_JSON"),
+        ("[]", "VALIDATION_ERROR"),
+        ("null", "VALIDATION_ERROR"),
+        ('"step"', "VALIDATION_ERROR"),
+        ({"type": "reset", "data": []}, "VALIDATION_ERROR"),
+        ({"type": "reset", "extra": 1}, "VALIDATION_ERROR"),
+        ({"type": "reset", "data": {"seed": -1}}, "VALIDATION_ERROR"),
+        ({"type": "reset", "data": {"seed": 1.5}}, "VALIDATION_ERROR"),
+        ({"type": "reset", "data": {"colour": "red"}}, "VALIDATION_ERROR"),
+        ({"type": "reset", "data": {"task_name": "none"}}, "VALIDATION_ERROR"),
+        ({"type": "reset", "data": {"agent": "\ud800"}}, "VALIDATION_ERROR"),
+        ({"type": "reset", "data": {"\ud800": 1}}, "VALIDATION_ERROR"),
+        ({"type": "step"}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"direction": "up"}}, "VALIDATION_ERROR"),
+        ({"type": "step", "data": {"direction": ["UP"]}}, "VALIDATION_ERROR"),
+        ({"type": "\ud800"}, "UNKNOWN_TYPE"),
+        ({"type": ["step"]}, "UNKNOWN_TYPE"),
+        ({"data": {}}, "UNKNOWN_TYPE"),
+    ],
+)
+def test_a_frame_that_cannot_be_answered_is_an_error_and_the_session_goes_on(
+    client: TestClient, frame: Any, code: str
+) -> None:
+    with client.websocket_connect("/ws") as socket:
+        ask(socket, {"type": "reset", "data": {"seed": 7}})
+        ask(socket, {"type": "step", "data": {"direction": "UP"}})
+        before = ask(socket, {"type": "state"})
+        answer = ask(socket, frame)
+        assert (answer["type"], answer["data"]["code"]) == ("error", code)
+        assert answer["data"]["message"]
+        assert ask(socket, {"type": "state"}) == before
+
+
+def test_before_the_first_reset_a_step_is_an_error(client: TestClient) -> None:
+    with client.websocket_connect("/ws") as socket:
+        for frame in ({"type": "step", "data": {"direction": "UP"}}, {"type": "state"}):
+            assert ask(socket, frame)["data"]["code"] == "EXECUTION_ERROR"
+        assert ask(socket, {"type": "reset"})["type"] == "observation"
+
+
+def test_bytes_are_refused_and_the_session_goes_on(client: TestClient) -> None:
+    with client.websocket_connect("/ws") as socket:
+        socket.send_bytes(b'{"type": "reset"}')
+        assert json.loads(socket.receive_text())["data"]["code"] == "INVALID_JSON"
+        assert ask(socket, {"type": "reset"})["type"] == "observation"
+
+
+def test_close_closes(client: TestClient) -> None:
+    with client.websocket_connect("/ws") as socket:
+        socket.send_json({"type": "close"})
+        with pytest.raises(WebSocketDisconnect) as closed:
+            socket.receive_text()
+    assert closed.value.code == 1000
+
+
+def test_a_large_frame_closes(client: TestClient) -> None:
+    with client.websocket_connect("/ws") as socket:
+        socket.send_text('{"type": "reset"}'.ljust(65_537))
+        with pytest.raises(WebSocketDisconnect) as closed:
+            socket.receive_text()
+    assert closed.value.code == 1009
+
+
+def test_mcp_is_answered_that_there_are_no_tools(client: TestClient) -> None:
+    with client.websocket_connect("/ws") as socket:
+        answer = ask(socket, {"type": "mcp", "data": {"jsonrpc": "2.0", "id": 5, "method": "tools/list"}})
+        assert answer == {"type": "mcp", "data": {"jsonrpc": "2.0", "id": 5, "result": {"tools": []}}}
+
+
+def test_one_connection_more_than_there_is_room_for_is_told_so(tmp_path: Path) -> None:
+    with (
+        TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client,
+        client.websocket_connect("/ws") as first,
+    ):
+        ask(first, {"type": "reset"})
+        with client.websocket_connect("/ws") as second:
+            assert second.receive_json()["data"]["code"] == "CAPACITY_REACHED"
+            with pytest.raises(WebSocketDisconnect) as closed:
+                second.receive_text()
+        assert closed.value.code == 1013
+        assert ask(first, {"type": "state"})["type"] == "state"
+
+
+def test_a_place_is_free_when_its_socket_is_closed(tmp_path: Path, eventually: Callable[..., None]) -> None:
+    app = create_app(Settings(data=tmp_path, capacity=1))
+    with TestClient(app) as client:
+        for _ in range(5):
+            with client.websocket_connect("/ws") as socket:
+                assert ask(socket, {"type": "reset"})["type"] == "observation"
+            eventually(lambda: not app.state.socket.connections)
+
+
+def test_an_idle_socket_is_closed_and_its_place_is_free(tmp_path: Path) -> None:
+    app = create_app(Settings(data=tmp_path, capacity=1, idle_seconds=0.2))
+    with TestClient(app) as client:
+        for _ in range(2):
+            with client.websocket_connect("/ws") as socket:
+                assert ask(socket, {"type": "reset"})["type"] == "observation"
+                with pytest.raises(WebSocketDisconnect) as closed:
+                    socket.receive_text()
+            assert closed.value.code == 1001
+            assert not app.state.socket.connections
+
+
+def test_a_session_of_another_connection_cannot_be_taken_over(client: TestClient) -> None:
+    with client.websocket_connect("/ws?session_id=1") as socket:
+        assert socket.receive_json()["data"]["code"] == "SESSION_ERROR"
+
+
+def test_a_finished_episode_is_kept_before_it_is_answered(client: TestClient) -> None:
+    with client.websocket_connect("/ws") as socket:
+        for seed in range(3):
+            reset = {"task_name": "medium", "seed": seed, "agent": "tester"}
+            ask(socket, {"type": "reset", "data": reset})
+            for action in solve("medium", seed).actions:
+                answer = ask(socket, {"type": "step", "data": {"direction": action.name}})
+            assert answer["data"]["done"]
+            kept = client.get("/memory_logs").json()["episodes"]
+            assert (len(kept), kept[0]["seed"], kept[0]["agent"]) == (seed + 1, seed, "tester")
+            ask(socket, {"type": "step", "data": {"direction": "UP"}})
+    assert client.get("/analyse/medium").json()["episodes_total"] == 3

@@ -1,0 +1,288 @@
+"""OpenEnv's own tools against our server and our environment: clients, server, validator."""
+
+import asyncio
+import json
+import shutil
+import uuid
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from openenv.cli._validation import validate_running_environment
+from openenv.core.env_server import create_fastapi_app
+from openenv.core.generic_client import GenericEnvClient
+from openenv.validation import Level, run_validation
+from openenv.validation.types import ProviderCapability
+from starlette.testclient import TestClient
+
+from drone_env.client import DroneDeliveryClient, DroneEnvClient
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS
+from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError
+from drone_env.graders import GRADERS
+from drone_env.models import DroneAction, DroneObservation, DroneState
+from drone_env.planning.optimal import solve
+from drone_env.server.app import create_app
+from drone_env.server.grid_world_environment import (
+    DroneDeliveryEnvironment,
+    DroneEnvAction,
+    DroneEnvObservation,
+    DroneEnvState,
+)
+from drone_env.server.schemas import WireState
+from drone_env.server.settings import Settings
+from tests.api.serving import ROOT, Server, free_port, serving
+
+STANDARD = ["easy_delivery", "medium_delivery", "hard_delivery"]
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server, None, None]:
+    with serving(tmp_path_factory.mktemp("openenv") / "data") as running:
+        yield running
+
+
+def best_actions(task: str, seed: int) -> list[DroneAction]:
+    return [DroneAction.model_validate({"direction": action.name}) for action in solve(task, seed).actions]
+
+
+@pytest.mark.parametrize("task", STANDARD)
+def test_the_official_client_flies_synchronously(server: Server, task: str) -> None:
+    flight = Episode(task)
+    flight.reset(7)
+    with DroneDeliveryClient(server.url).sync() as env:
+        result = env.reset(seed=7, task_name=task, episode_id="mine")
+        assert (result.reward, result.done) == (None, False)
+        assert result.observation == DroneObservation.of(flight)
+        for action in best_actions(task, 7):
+            result = env.step(action)
+            assert result.reward == flight.step(action.action)
+            assert result.observation == DroneObservation.of(flight)
+        state = env.state()
+        assert result.done
+        assert result.observation.score == solve(task, 7).score
+        assert isinstance(state, WireState)
+        assert state.episode_id == "mine"
+        assert DroneState.model_validate(state.model_dump(exclude={"episode_id"})) == DroneState.of(flight)
+        assert GRADERS[task](state.model_dump(exclude={"episode_id"})) == result.observation.score
+
+
+def test_official_clients_fly_asynchronously_and_at_once(server: Server) -> None:
+    async def fly(task: str, seed: int) -> float:
+        async with DroneDeliveryClient(server.url) as env:
+            result = await env.reset(seed=seed, task_name=task)
+            for action in best_actions(task, seed):
+                result = await env.step(action)
+            assert result.done
+            return result.observation.score
+
+    async def all_at_once() -> list[float]:
+        return await asyncio.gather(*[fly(task, seed) for task in STANDARD for seed in range(8)])
+
+    scores = asyncio.run(all_at_once())
+    assert scores == [solve(task, seed).score for task in STANDARD for seed in range(8)]
+
+
+def test_the_http_client_and_the_official_one_share_a_server(server: Server) -> None:
+    with DroneDeliveryClient(server.url).sync() as env, DroneEnvClient(server.url) as client:
+        env.reset(seed=1)
+        observation = client.reset("easy_delivery", seed=2)
+        assert env.step(DroneAction(direction="WAIT")).observation.step_count == 1
+        assert client.step("WAIT")["step_count"] == 1
+        assert (env.state().seed, client.state()["seed"]) == (1, 2)
+        assert observation["step_count"] == 0
+
+
+def test_a_client_that_knows_nothing_of_us_flies_as_well(server: Server) -> None:
+    with GenericEnvClient(server.url).sync() as env:
+        env.reset(split="hard_delivery/test", index=3)
+        result = env.step({"direction": "UP", "metadata": {"thought": "up"}})
+        assert result.observation["step_count"] == 1
+        with pytest.raises(RuntimeError, match="VALIDATION_ERROR"):
+            env.step({"direction": "SIDEWAYS"})
+        assert env.step({"direction": "UP"}).observation["step_count"] == 2
+
+
+MESSAGES: list[dict[str, Any]] = [
+    {"type": "reset", "data": {"seed": 7, "episode_id": "one", "task_name": "hard"}},
+    {"type": "state"},
+    *[{"type": "step", "data": {"direction": action.name}} for action in solve("hard", 7).actions],
+    {"type": "state"},
+    {"type": "step", "data": {"direction": "UP"}},
+    {"type": "reset", "data": {"seed": 8, "episode_id": "two", "reward_profile": "aligned"}},
+    {"type": "step", "data": {"direction": "WAIT", "metadata": {}}},
+]
+
+
+@pytest.mark.filterwarnings("default")
+def test_our_socket_sends_what_openenvs_own_server_sends(tmp_path: Path) -> None:
+    theirs = create_fastapi_app(
+        DroneDeliveryEnvironment,
+        DroneEnvAction,
+        DroneEnvObservation,
+        max_concurrent_envs=4,
+        state_cls=DroneEnvState,
+    )
+
+    def frames(app: Any) -> list[Any]:
+        with TestClient(app) as client, client.websocket_connect("/ws") as socket:
+            answers = []
+            for message in MESSAGES:
+                socket.send_text(json.dumps(message))
+                answers.append(json.loads(socket.receive_text()))
+            return answers
+
+    assert frames(create_app(Settings(data=tmp_path))) == frames(theirs)
+
+
+class TestEnvironment:
+    def test_an_episode(self) -> None:
+        env = DroneDeliveryEnvironment("medium")
+        observation = env.reset(seed=3)
+        assert (env.state.task_name, env.state.seed, observation.reward) == ("medium_delivery", 3, None)
+        assert uuid.UUID(env.state.episode_id)
+        for action in solve("medium", 3).actions:
+            observation = env.step(DroneEnvAction(direction=action.name))
+            assert observation.reward == observation.reward_last
+        assert observation.done
+        assert env.rubric is not None
+        assert env.rubric.last_score == observation.score == GRADERS["medium_delivery"](_plain(env.state))
+        DroneEnvObservation.model_validate(observation.model_dump())
+        assert env.step(DroneEnvAction(direction="UP")).reward == 0.0
+
+    def test_asynchronously_it_does_the_same(self) -> None:
+        async def fly() -> list[dict[str, Any]]:
+            env = DroneDeliveryEnvironment()
+            seen = [await env.reset_async(seed=5)]
+            seen += [await env.step_async(DroneEnvAction(direction="LEFT")) for _ in range(3)]
+            return [observation.model_dump() for observation in seen]
+
+        env = DroneDeliveryEnvironment()
+        expected = [env.reset(seed=5)] + [env.step(DroneEnvAction(direction="LEFT")) for _ in range(3)]
+        assert asyncio.run(fly()) == [observation.model_dump() for observation in expected]
+
+    def test_without_a_seed_it_walks_on_from_the_last_map(self) -> None:
+        env, walk = DroneDeliveryEnvironment(), Episode()
+        env.reset(seed=5)
+        walk.reset(5)
+        env.reset()
+        assert env.state.seed == walk.reset()
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"seed": -1}, "seed: Input should be greater than or equal to 0"),
+            ({"seed": 1.5}, "seed: Input should be a valid integer"),
+            ({"seed": True}, "seed: Input should be a valid integer"),
+            ({"colour": "red"}, "colour: Extra inputs are not permitted"),
+            ({"split": "easy_delivery/test"}, "split and index go together"),
+            ({"split": "easy_delivery/test", "index": 2**52}, "there is no number"),
+            ({"split": "easy_delivery/test", "index": 0, "seed": 1}, "leave out task_name and seed"),
+        ],
+    )
+    def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(self, options: dict[str, Any], message: str) -> None:
+        env = DroneDeliveryEnvironment()
+        env.reset(seed=5)
+        before = env.state
+        with pytest.raises(InvalidValueError, match=message):
+            env.reset(**options)
+        with pytest.raises(UnknownNameError, match="allowed: easy"):
+            env.reset(task_name="none")
+        assert env.state == before
+
+    def test_before_the_first_reset_it_says_so(self) -> None:
+        env = DroneDeliveryEnvironment()
+        with pytest.raises(EpisodeError, match="reset"):
+            env.step(DroneEnvAction(direction="UP"))
+        with pytest.raises(EpisodeError, match="reset"):
+            _ = env.state
+
+    def test_the_task_api_lists_the_maps_of_our_splits(self) -> None:
+        env = DroneDeliveryEnvironment()
+        splits = env.list_splits()
+        assert len(splits) == 3 * len(TASKS)
+        for split in splits:
+            name = split["name"]
+            assert split["type"] == name.partition("/")[2]
+            assert len(env.list_tasks(name)) == 1000
+            assert env.num_tasks(name) in (2**52, 2**51)
+            spec = env.get_task(name, 12)
+            assert env.get_task_range(name, 12, 13) == [spec]
+            env.reset(split=name, index=12)
+            assert (env.state.task_name, env.state.seed) == (spec["task_name"], spec["seed"])
+        with pytest.raises(IndexError):
+            env.get_task("easy_delivery/test", 2**51)
+        with pytest.raises(UnknownNameError, match="easy_delivery/test"):
+            env.num_tasks("test")
+
+    def test_metadata(self) -> None:
+        metadata = DroneDeliveryEnvironment().get_metadata()
+        assert metadata.name == "drone-env"
+
+
+def _plain(state: DroneEnvState) -> dict[str, Any]:
+    return state.model_dump(exclude={"episode_id"})
+
+
+def test_the_validator_passes_the_running_server(server: Server) -> None:
+    report = validate_running_environment(server.url, timeout_s=30)
+    assert report["summary"]["passed_count"] == report["summary"]["total_count"] == 6, report
+    assert (report["passed"], report["mode"]) == (True, "simulation")
+
+
+def test_the_validator_passes_the_manifest(tmp_path: Path) -> None:
+    report = run_validation(_package(tmp_path), max_level=Level.STATIC)
+    assert report.verdict.value == "pass", report
+
+
+class LocalProcesses:
+    """Runs the package in a process of this machine, where the validator would run a container."""
+
+    name = "local-process"
+    capabilities = frozenset({ProviderCapability.IMAGE_BUILD})
+    supported_network_modes = frozenset({"public"})
+
+    def __init__(self, data: Path) -> None:
+        self.data = data
+
+    def build(self, root: Path, execution: Any) -> str:
+        return "sha256:" + "0" * 64
+
+    def start(self, spec: Any) -> "LocalProcess":
+        return LocalProcess(Server(["drone_env/server/app.py"], self.data, free_port(), {}))
+
+
+class LocalProcess:
+    def __init__(self, server: Server) -> None:
+        self.server = server
+        self.base_url = server.url
+
+    def inspect(self) -> dict[str, Any]:
+        return {"pid": self.server.process.pid}
+
+    def logs(self, max_bytes: int = 65536) -> str:
+        return self.server.log.read_text()[-max_bytes:]
+
+    def exec(self, argv: list[str], timeout_s: float) -> Any:
+        raise NotImplementedError("the capability is not declared")
+
+    def stop(self) -> None:
+        self.server.stop()
+
+
+@pytest.mark.filterwarnings("default::DeprecationWarning")
+def test_the_validators_runtime_checks_pass(tmp_path: Path) -> None:
+    provider = LocalProcesses(tmp_path / "data")
+    report = run_validation(_package(tmp_path), max_level=Level.RUNTIME, provider=provider)
+    statuses = {result.check_id: (result.status.value, result.evidence) for result in report.results}
+    for check in ("startup", "reward_well_formed", "observation_schema", "state_contract"):
+        assert statuses[f"runtime.{check}"][0] == "pass", statuses[f"runtime.{check}"]
+
+
+def _package(folder: Path) -> Path:
+    """What the validator reads of this repository, where nobody writes beside it."""
+    package = folder / "package"
+    shutil.copytree(ROOT / "validation", package / "validation")
+    shutil.copy(ROOT / "openenv.yaml", package)
+    return package
