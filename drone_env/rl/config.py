@@ -52,16 +52,16 @@ class TrainConfig:
     """Steps flown for each update."""
     double: bool = True
     """Whether the online network chooses the action that the target network values (Double DQN)."""
-    advantage_learning: float = 0.7
-    """By which share of its disadvantage an action is valued lower still (advantage learning): 0.7 makes the gap
-    between the best action and another 1 / (1 - 0.7) times as wide, and leaves the best one's value as it is."""
+    advantage_learning: float = 0.9
+    """By which share of its disadvantage an action is valued lower still (advantage learning): 0.9 makes the gap
+    between the best action and another 1 / (1 - 0.9) times as wide, and leaves the best one's value as it is."""
     loss: Literal["huber", "mse"] = "huber"
     """What the error of an estimate costs."""
     max_grad_norm: float = 10.0
     """Gradients longer than this are shortened to it; 0 for never."""
     target_update: Literal["soft", "episodes"] = "soft"
     """Whether the target network follows a little at every update, or is copied every so many episodes."""
-    tau: float = 0.01
+    tau: float = 0.02
     """How much it follows, where it is `soft`."""
     target_every: int = 10
     """Every how many episodes it is copied, where it is by `episodes`."""
@@ -77,7 +77,7 @@ class TrainConfig:
     """Factor per episode, where it is `multiplicative`."""
     validation_every: int = 100
     """Episodes between two validations."""
-    validation_maps: int = 200
+    validation_maps: int = 500
     """Maps of the validation split that each flies."""
     log_every: int = 20
     """Episodes per line of the log."""
