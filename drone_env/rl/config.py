@@ -145,8 +145,8 @@ ORIGINAL = TrainConfig(
 
 FAST: dict[str, TrainConfig] = {
     "easy_delivery": TrainConfig(episodes=4_000, validation_every=200),
-    "medium_delivery": TrainConfig(episodes=2_000),
-    "hard_delivery": TrainConfig(episodes=1_500),
+    "medium_delivery": TrainConfig(episodes=1_200),
+    "hard_delivery": TrainConfig(episodes=1_000),
 }
 """What was found to learn fastest, for each task; others take the numbers of `hard_delivery`."""
 
