@@ -113,7 +113,7 @@ class OpenEnvSocket:
                 return
             connection.touched = clock()
             text = message.get("text")
-            if len(text or message.get("bytes") or "") > self.max_bytes:
+            if _is_longer(text or message.get("bytes") or "", self.max_bytes):
                 await socket.close(TOO_BIG, f"a frame may have {self.max_bytes} bytes")
                 return
             try:
@@ -205,6 +205,13 @@ def mcp_answer(request: Any) -> dict[str, Any]:
     if request["method"] == "tools/list":
         return answer | {"result": {"tools": []}}
     return answer | {"error": {"code": -32601, "message": "Method not found: this environment has no MCP tools"}}
+
+
+def _is_longer(frame: str | bytes, most: int) -> bool:
+    """Whether a frame has more bytes; one of ASCII need not be encoded to be counted."""
+    if isinstance(frame, str) and not frame.isascii():
+        return len(frame) > most or len(frame.encode("utf-8", "surrogatepass")) > most
+    return len(frame) > most
 
 
 def _frame(kind: str, data: dict[str, Any]) -> str:

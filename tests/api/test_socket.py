@@ -81,9 +81,12 @@ def test_close_closes(client: TestClient) -> None:
     assert closed.value.code == 1000
 
 
-def test_a_large_frame_closes(client: TestClient) -> None:
+@pytest.mark.parametrize("frame", ['{"type": "reset"}'.ljust(65_537), "🚁" * 16_385])
+def test_a_large_frame_closes(client: TestClient, frame: str) -> None:
     with client.websocket_connect("/ws") as socket:
-        socket.send_text('{"type": "reset"}'.ljust(65_537))
+        assert ask(socket, '{"type": "reset"}'.ljust(65_536))["type"] == "observation"
+        assert ask(socket, "🚁" * 16_384)["data"]["code"] == "INVALID_JSON"
+        socket.send_text(frame)
         with pytest.raises(WebSocketDisconnect) as closed:
             socket.receive_text()
     assert closed.value.code == 1009
