@@ -24,7 +24,7 @@ from drone_env.planning.audit import MapAudit, audit_map, audited_profile
 from drone_env.planning.optimal import solve
 
 DOCS = Path(__file__).parent
-AGENTS = ("random", "greedy", "optimal")
+AGENTS = ("random", "greedy", "pathqnet", "optimal")
 MAPS = 1000
 AUDITED = {
     "easy_delivery": 1000,

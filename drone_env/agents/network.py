@@ -31,7 +31,7 @@ class Network:
 
     def __init__(self, parameters: dict[str, Array], metadata: dict[str, Any]) -> None:
         self.metadata = metadata
-        self._parameters = parameters
+        self.parameters = parameters
         embedding, weight = parameters["encoder.embedding.weight"], parameters["encoder.conv1.weight"]
         # The first convolution only ever sees embeddings, so it is nine table lookups. The last row is the padding.
         table = np.einsum("ke,oeyx->yxko", embedding, weight).reshape(9, len(embedding), -1)
@@ -40,7 +40,7 @@ class Network:
 
     def __call__(self, grids: npt.NDArray[np.uint8], telemetry: Array) -> Array:
         """The values of the actions."""
-        p = self._parameters
+        p = self.parameters
         x = np.concatenate([self._encode(grids), telemetry], axis=1)
         x = x @ p["head.0.weight"].T + p["head.0.bias"]
         centred = x - x.mean(axis=1, keepdims=True)
@@ -51,7 +51,7 @@ class Network:
         return x @ p["head.7.weight"].T + p["head.7.bias"]
 
     def _encode(self, grids: npt.NDArray[np.uint8]) -> Array:
-        p = self._parameters
+        p = self.parameters
         n, height, width = grids.shape
         padded = np.pad(grids, ((0, 0), (1, 1), (1, 1)), constant_values=N_CELL_KINDS)
         x = np.broadcast_to(p["encoder.conv1.bias"], (n, height, width, self._conv1.shape[2])).copy()
