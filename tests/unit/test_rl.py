@@ -1,6 +1,7 @@
 """Training: the network, the replay, the schedules, and that a run goes on as if it had never stopped."""
 
 import json
+import os
 import random
 import signal
 import subprocess
@@ -49,6 +50,9 @@ SMALL = TrainConfig(
     log_every=5,
     checkpoint_seconds=3600,
 )
+
+
+KILLS = 20 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 2
 
 
 def do_nothing(*_: object) -> None:
@@ -449,23 +453,25 @@ def test_the_command_refuses(
 
 
 def test_killed_at_random_moments_the_run_comes_to_the_same_end(tmp_path: Path) -> None:
+    episodes = 80 + 20 * KILLS
+
     def command(folder: Path) -> list[str]:
-        return [sys.executable, "-m", "drone_env.cli", *TRAIN, "--episodes", "120", "--checkpoint-seconds", "0.2",
-                "--data", str(folder / "data"), "--results", str(folder / "results")]  # fmt: skip
+        return [sys.executable, "-m", "drone_env.cli", *TRAIN, "--episodes", str(episodes), "--checkpoint-seconds",
+                "0.2", "--data", str(folder / "data"), "--results", str(folder / "results")]  # fmt: skip
 
     subprocess.run(command(tmp_path / "whole"), check=True, capture_output=True, timeout=300)
-    rng, kills = random.Random(1), 0
-    while True:
+    rng, log = random.Random(KILLS), tmp_path / "killed/data/train.log"
+    for lines in sorted(rng.sample(range(1, episodes // 5 - 10), KILLS)):
         process = subprocess.Popen(command(tmp_path / "killed"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        try:
-            status = process.wait(timeout=rng.uniform(4, 8) if kills < 2 else 300)
-            assert status == 0
-            break
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-            kills += 1
+        while not log.exists() or log.read_text().count("\n") < lines:
+            assert process.poll() is None, "the run ended before it could be killed"
+            time.sleep(0.005)
+        time.sleep(rng.uniform(0, 0.1))
+        process.send_signal(signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL
+    subprocess.run(command(tmp_path / "killed"), check=True, capture_output=True, timeout=300)
     whole, killed = (load_checkpoint(tmp_path / name / "data/easy.pth") for name in ("whole", "killed"))
+    assert whole.pop("seconds") > 0 < killed.pop("seconds")
     assert_same(whole, killed)
     logs = [(tmp_path / name / "data/train.log").read_text() for name in ("whole", "killed")]
     assert logs[0] == logs[1]
