@@ -459,7 +459,7 @@ def test_killed_at_random_moments_the_run_comes_to_the_same_end(tmp_path: Path) 
         return [sys.executable, "-m", "drone_env.cli", *TRAIN, "--episodes", str(episodes), "--checkpoint-seconds",
                 "0.2", "--data", str(folder / "data"), "--results", str(folder / "results")]  # fmt: skip
 
-    subprocess.run(command(tmp_path / "whole"), check=True, capture_output=True, timeout=300)
+    subprocess.run(command(tmp_path / "whole"), check=True, capture_output=True, timeout=1200)
     rng, log = random.Random(KILLS), tmp_path / "killed/data/train.log"
     for lines in sorted(rng.sample(range(1, episodes // 5 - 10), KILLS)):
         process = subprocess.Popen(command(tmp_path / "killed"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -469,7 +469,7 @@ def test_killed_at_random_moments_the_run_comes_to_the_same_end(tmp_path: Path) 
         time.sleep(rng.uniform(0, 0.1))
         process.send_signal(signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL
-    subprocess.run(command(tmp_path / "killed"), check=True, capture_output=True, timeout=300)
+    subprocess.run(command(tmp_path / "killed"), check=True, capture_output=True, timeout=1200)
     whole, killed = (load_checkpoint(tmp_path / name / "data/easy.pth") for name in ("whole", "killed"))
     assert whole.pop("seconds") > 0 < killed.pop("seconds")
     assert_same(whole, killed)
