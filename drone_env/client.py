@@ -156,7 +156,7 @@ class DroneEnvClient:
         """Send a request and return its JSON.
 
         Raises:
-            ServerError: if there is no answer, or one that tells a problem.
+            ServerError: if there is no answer, one that tells a problem, or one that is not a JSON object.
         """
         headers = {} if self.session_id is None else {"X-Session-Id": self.session_id}
         try:
@@ -166,12 +166,13 @@ class DroneEnvClient:
         try:
             answer = response.json()
         except ValueError:
-            answer = {}
-        if response.status_code >= 400:
-            detail = answer.get("detail", response.text[:200])
-            code = answer.get("code", "http")
-            raise ServerError(response.status_code, code, f"{method} {path}: {response.status_code}: {detail}")
-        return answer
+            answer = None
+        if response.is_success and isinstance(answer, dict):
+            return answer
+        told = answer if isinstance(answer, dict) else {}
+        detail = told.get("detail", response.text[:200])
+        code = told.get("code", "http")
+        raise ServerError(response.status_code, code, f"{method} {path}: {response.status_code}: {detail}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

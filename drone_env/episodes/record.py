@@ -23,7 +23,10 @@ from drone_env.models import Count, Direction, Message, Score
 FORMAT_VERSION = 2
 NAMES: list[Direction] = [action.name for action in Action]
 AgentLabel = Annotated[
-    str, Field(min_length=1, max_length=200, pattern=r"^\P{C}+$", description="Who flew: one printable line.")
+    str,
+    Field(
+        min_length=1, max_length=200, pattern=r"^[^\p{C}\p{Zl}\p{Zp}]+$", description="Who flew: one printable line."
+    ),
 ]
 
 

@@ -18,7 +18,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.routing import WebSocketRoute
 
 from drone_env import __version__
-from drone_env.errors import DroneEnvError
+from drone_env.episodes.store import Store
+from drone_env.errors import DroneEnvError, StoreError
 from drone_env.server.openenv_socket import OpenEnvSocket
 from drone_env.server.problems import answers, install
 from drone_env.server.request_log import LogRequests
@@ -136,11 +137,19 @@ def run(host: str, port: int, workers: int, data: str) -> None:
 
     Raises:
         InvalidValueError: if one of them is not allowed.
+        StoreError: if the data folder cannot be used.
     """
     # The workers are processes of their own, which read the environment.
     chosen = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA": data}
     os.environ.update({f"DRONE_ENV_{name}": str(value) for name, value in chosen.items()})
     settings = load_settings()
+    try:
+        # Said here in a line: a worker that cannot open it prints a long trace, and so does each of the others.
+        Store(settings.data).close()
+    except StoreError:
+        raise
+    except OSError as error:
+        raise StoreError(f"the data folder {settings.data} cannot be used: {error}") from None
 
     import uvicorn
 
@@ -158,6 +167,8 @@ def run(host: str, port: int, workers: int, data: str) -> None:
         ws_max_size=settings.max_bytes,
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=5,
+        # After 5 s uvicorn would kill a worker that is merely slow, with its sockets, and without a word at this level.
+        timeout_worker_healthcheck=60,
     )
 
 

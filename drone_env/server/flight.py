@@ -13,6 +13,11 @@ from drone_env.models import DroneState, observation_fields
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.task_api import find_map
 
+ENV_NAME = "drone-env"
+DESCRIPTION = (
+    "A drone delivers parcels on a generated city grid, on one battery, in as few steps as possible. Maps are solved "
+    "exactly, so every score stands beside the optimum of its map."
+)
 DEFAULT_TASK = "easy_delivery"
 DEFAULT_PROFILE = "tiered"
 

@@ -20,9 +20,8 @@ from drone_env import __version__
 from drone_env.errors import InvalidValueError
 from drone_env.models import DroneState, observation_fields
 from drone_env.server import task_api
-from drone_env.server.flight import DEFAULT_TASK, Flight
+from drone_env.server.flight import DEFAULT_TASK, DESCRIPTION, ENV_NAME, Flight
 from drone_env.server.problems import where
-from drone_env.server.routes.openenv import DESCRIPTION, ENV_NAME
 from drone_env.server.schemas import ResetOptions, WireAction, WireObservation, WireState
 
 
@@ -72,7 +71,8 @@ class DroneDeliveryEnvironment(Environment[DroneEnvAction, DroneEnvObservation, 
         """Start an episode. On an error the running one is left as it was.
 
         Args:
-            seed: Number of the map, 0 to 2^53 - 1; without one, the map after the last on a fixed walk.
+            seed: Number of the map, 0 to 2^53 - 1; without one, the map after the last on a fixed walk, and at first
+                one that is drawn at random from the train split.
             episode_id: Names the episode in the state; a random one without.
             kwargs: `task_name`, `reward_profile`, `agent`, or `split` and `index` of the task API.
 

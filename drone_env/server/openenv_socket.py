@@ -19,7 +19,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.episodes.store import Store
-from drone_env.errors import CapacityError, DroneEnvError, InvalidValueError
+from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.server.flight import Flight
 from drone_env.server.problems import printable, where
 from drone_env.server.schemas import ResetOptions, WireAction
@@ -159,8 +159,6 @@ class OpenEnvSocket:
             errors = [{"loc": [printable(where(e["loc"]))], "msg": e["msg"], "type": e["type"]} for e in error.errors()]
             told = "; ".join(f"{e['loc'][0] or 'data'}: {e['msg']}" for e in errors[:5])
             raise RefusedError("VALIDATION_ERROR", f"Invalid message: {told}", errors[:20]) from None
-        except CapacityError as error:
-            raise RefusedError("CAPACITY_REACHED", str(error)) from None
         except LookupError as error:
             raise RefusedError("VALIDATION_ERROR", str(error)) from None
         except DroneEnvError as error:
@@ -185,12 +183,16 @@ class OpenEnvSocket:
     async def close_idle(self) -> None:
         """Close the sockets that were idle for too long."""
         limit = asyncio.get_running_loop().time() - self.idle_seconds
-        for connection in [c for c in self.connections if c.touched < limit]:
-            self.connections.discard(connection)
-            try:
-                await connection.socket.close(GOING_AWAY, f"idle for {self.idle_seconds:g} s: connect again")
-            except (RuntimeError, WebSocketDisconnect, OSError):
-                log.debug("an idle socket had been closed already")
+        idle = {connection for connection in self.connections if connection.touched < limit}
+        self.connections -= idle
+        # All at once: each waits for its client to say goodbye, which may take seconds.
+        await asyncio.gather(*[self._close_idle(connection.socket) for connection in idle])
+
+    async def _close_idle(self, socket: WebSocket) -> None:
+        try:
+            await socket.close(GOING_AWAY, f"idle for {self.idle_seconds:g} s: connect again")
+        except (RuntimeError, WebSocketDisconnect, OSError):
+            log.debug("an idle socket had been closed already")
 
 
 def mcp_answer(request: Any) -> dict[str, Any]:

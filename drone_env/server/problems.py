@@ -73,7 +73,7 @@ STATUSES: list[tuple[type[DroneEnvError], int, str]] = [
 """The first that fits holds."""
 
 _MEANINGS = {
-    400: "The body is not JSON.",
+    400: "The body is not JSON; in the task API also an index that the split does not have.",
     401: "The token is missing or wrong.",
     403: "A host, or a web page of an origin, that is not allowed.",
     404: "There is no such thing; `detail` lists what there is.",
@@ -125,7 +125,8 @@ async def _own(request: Request, error: Exception) -> JSONResponse:
         log.error("%s %s", request.method, request.url.path, exc_info=error)
         return problem(500, code, "the server failed; its log says why")
     detail = f"{error}: {WHAT_TO_DO}" if status == 410 else str(error)
-    return problem(status, code, detail, headers={"Retry-After": "5"} if status == 503 else None)
+    waiting_helps = status == 503 and code != "no_network"
+    return problem(status, code, detail, headers={"Retry-After": "5"} if waiting_helps else None)
 
 
 async def _invalid(_: Request, error: Exception) -> JSONResponse:

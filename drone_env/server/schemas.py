@@ -9,6 +9,7 @@ from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig
+from drone_env.episodes.finished import check_agent
 from drone_env.models import (
     Count,
     Direction,
@@ -27,13 +28,8 @@ STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
 Seed = Annotated[int, Field(ge=0, le=MAX_SEED)]
 
 
-def _printable(text: str) -> str:
-    if not text.isprintable():
-        raise ValueError("must be one printable line")
-    return text
-
-
-AgentName = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
+# What the store takes: an episode must not fail to be kept when it has been flown.
+AgentName = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(check_agent)]
 
 
 class ResetOptions(Message):
@@ -42,7 +38,10 @@ class ResetOptions(Message):
     model_config = ConfigDict(json_schema_extra={"examples": RESETS})
 
     task_name: str | None = Field(default=None, max_length=100, description="Id, short name or grader of the task.")
-    seed: Seed | None = Field(default=None, description="Number of the map; without one, the next on a fixed walk.")
+    seed: Seed | None = Field(
+        default=None,
+        description="Number of the map; without one, the next on a fixed walk; drawn at random in a new session.",
+    )
     reward_profile: str | None = Field(
         default=None, max_length=100, description=f"What steps pay: {', '.join(REWARD_PROFILES)}; `tiered` without one."
     )

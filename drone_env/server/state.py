@@ -79,8 +79,8 @@ def named_session(
     ] = None,
     drone_env_session: Annotated[str | None, Cookie(max_length=LONGEST_ID, include_in_schema=False)] = None,
 ) -> str | None:
-    """The session that a request names, None for none."""
-    return x_session_id or drone_env_session
+    """The session that a request names, None for none; an empty header or cookie names none."""
+    return x_session_id or drone_env_session or None
 
 
 def needed_session(named: Annotated[str | None, Depends(named_session)]) -> str:

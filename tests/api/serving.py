@@ -41,7 +41,11 @@ class Server:
             self.process = subprocess.Popen(
                 [sys.executable, *command, "--port", str(port)], cwd=ROOT, env=environment, stdout=log, stderr=log
             )
-        self._wait()
+        try:
+            self._wait()
+        except BaseException:
+            self.kill()
+            raise
 
     def _wait(self) -> None:
         deadline = time.monotonic() + 60

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
@@ -124,6 +125,7 @@ class TestPredictions:
         answer = client.post("/predict", headers=session)
         assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
         assert "hard_delivery_v1.npz" in answer.json()["detail"]
+        assert "Retry-After" not in answer.headers
 
     def test_a_file_that_is_no_network_is_told(self, client: TestClient, settings: dict[str, Any]) -> None:
         (settings["weights"] / "hard_delivery_v1.npz").write_bytes(b"nothing")
@@ -210,6 +212,21 @@ class TestClientInProcess:
         with pytest.raises(ServerError, match=r"body\.direction"):
             drone.step("SIDEWAYS")
         assert drone.state()["step_count"] == 0
+
+    @pytest.mark.parametrize(
+        "answer",
+        [
+            httpx.Response(200, text="<html>another server</html>"),
+            httpx.Response(200, json=["another server"]),
+            httpx.Response(307, headers={"Location": "/"}),
+            httpx.Response(500, json="another server"),
+        ],
+    )
+    def test_what_no_server_of_ours_answers_is_an_error(self, answer: httpx.Response) -> None:
+        http = httpx.Client(base_url="http://other", transport=httpx.MockTransport(lambda _: answer))
+        with pytest.raises(ServerError, match="GET /health") as wrong:
+            DroneEnvClient(http=http).health()
+        assert wrong.value.status == answer.status_code
 
     def test_where_there_is_no_server_it_says_so(self) -> None:
         with DroneEnvClient("http://127.0.0.1:9") as drone, pytest.raises(ServerError, match="GET /health"):

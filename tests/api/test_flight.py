@@ -9,8 +9,10 @@ from starlette.testclient import TestClient
 
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
+from drone_env.episodes.finished import check_agent
 from drone_env.episodes.record import replay
 from drone_env.episodes.store import Store
+from drone_env.errors import InvalidValueError
 from drone_env.graders import GRADERS
 from drone_env.models import DroneObservation, DroneState
 from drone_env.planning.optimal import solve
@@ -130,6 +132,19 @@ def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(
     assert client.get("/state", headers=session).json()["step_count"] == 1
 
 
+@pytest.mark.parametrize(
+    "name", ["a\u00a0b", "\u3000", "a\u2028b", "a\u200bb", "a\tb", "\ue000", "a" * 200, "a" * 201, ""]
+)
+def test_an_agent_is_named_as_records_name_it(client: TestClient, name: str) -> None:
+    try:
+        check_agent(name)
+    except InvalidValueError:
+        allowed = 422
+    else:
+        allowed = 200
+    assert client.post("/reset", json={"agent": name}).status_code == allowed
+
+
 def test_an_empty_body_resets(client: TestClient) -> None:
     for answer in (client.post("/reset"), client.post("/reset", json={})):
         assert answer.status_code == 200
@@ -193,6 +208,8 @@ class TestSessions:
     ) -> None:
         none = client.request(method, path, json=body)
         assert (none.status_code, none.json()["code"]) == (409, "no_session")
+        for nothing in ({"X-Session-Id": ""}, {"Cookie": "drone_env_session="}):
+            assert client.request(method, path, json=body, headers=nothing).status_code == 409
         gone = client.request(method, path, json=body, headers={"X-Session-Id": "never"})
         assert (gone.status_code, gone.json()["code"]) == (410, "session_gone")
         assert "POST /reset" in gone.json()["detail"]

@@ -5,6 +5,7 @@ import json
 import os
 import random
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -76,15 +77,25 @@ def test_the_smoke_flight_fails_where_there_is_no_server() -> None:
     assert run.stderr.startswith("drone_env.client: GET /health: ")
 
 
-def test_a_wrong_setting_is_told_in_one_line(tmp_path: Path) -> None:
-    environment = {**os.environ, "DRONE_ENV_CAPACITY": "none", "DRONE_ENV_DATA": str(tmp_path)}
-    for command in (["drone_env/server/app.py"], ["-m", "drone_env.cli", "serve"]):
-        run = subprocess.run(
-            [sys.executable, *command], capture_output=True, text=True, cwd=ROOT, env=environment, check=False
-        )
-        assert run.returncode != 0
-        assert "DRONE_ENV_CAPACITY: " in run.stderr
-        assert "Traceback" not in run.stderr
+@pytest.mark.parametrize("command", [("drone_env/server/app.py",), ("-m", "drone_env.cli", "serve")])
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"CAPACITY": "none"}, "DRONE_ENV_CAPACITY: "),
+        ({"DATA": __file__, "WORKERS": "2"}, f"the data folder {__file__} cannot be used: "),
+    ],
+)
+def test_a_wrong_setting_is_told_in_one_line(
+    tmp_path: Path, command: tuple[str, ...], wrong: dict[str, str], told: str
+) -> None:
+    settings = {"DATA": str(tmp_path), "PORT": "0", **wrong}
+    environment = {**os.environ, **{f"DRONE_ENV_{name}": value for name, value in settings.items()}}
+    run = subprocess.run(
+        [sys.executable, *command], capture_output=True, text=True, cwd=ROOT, env=environment, check=False, timeout=200
+    )
+    assert run.returncode != 0
+    assert told in run.stderr
+    assert len(run.stderr.splitlines()) == 1
 
 
 class Pilot(threading.Thread):
@@ -197,6 +208,21 @@ def test_several_workers_serve_one_session(tmp_path: Path) -> None:
             expected.step(action)
             assert (observation["step_count"], observation["reward_total"]) == (expected.steps, expected.reward_total)
         assert observation["done"]
+
+
+def test_a_worker_that_is_slow_for_a_while_is_not_replaced(tmp_path: Path) -> None:
+    with serving(tmp_path / "data", WORKERS="2") as server:
+        children = Path(f"/proc/{server.process.pid}/task/{server.process.pid}/children")
+        if not children.exists():
+            pytest.skip("this system does not tell the children of a process")
+        before = children.read_text().split()
+        for child in before:
+            os.kill(int(child), signal.SIGSTOP)
+        time.sleep(12)
+        after = children.read_text().split()
+        for child in after:
+            os.kill(int(child), signal.SIGCONT)
+        assert after == before
 
 
 def test_concurrent_steps_of_one_session_are_flown_one_after_another(tmp_path: Path) -> None:

@@ -1,16 +1,19 @@
 """The WebSocket: frames that nobody planned for, capacity, idleness, what is kept."""
 
+import asyncio
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from starlette.testclient import TestClient, WebSocketTestSession
-from starlette.websockets import WebSocketDisconnect
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
+from drone_env.server.openenv_socket import Connection, OpenEnvSocket
 from drone_env.server.settings import Settings
 
 
@@ -131,6 +134,31 @@ def test_an_idle_socket_is_closed_and_its_place_is_free(tmp_path: Path) -> None:
                     socket.receive_text()
             assert closed.value.code == 1001
             assert not app.state.socket.connections
+
+
+def test_clients_that_do_not_say_goodbye_hold_up_no_other_place() -> None:
+    told = 0
+
+    async def receive() -> Any:
+        return {"type": "websocket.connect"}
+
+    async def send(message: Any) -> None:
+        nonlocal told
+        if message["type"] == "websocket.close":
+            told += 1
+            while told < 2:
+                await asyncio.sleep(0.01)
+
+    async def sweep() -> None:
+        endpoint = OpenEnvSocket(lambda: pytest.fail("nothing is kept"), 2, idle_seconds=1, max_bytes=1024)
+        for _ in range(2):
+            socket = WebSocket({"type": "websocket"}, receive, send)
+            await socket.accept()
+            endpoint.connections.add(Connection(socket, -math.inf))
+        await asyncio.wait_for(endpoint.close_idle(), 10)
+        assert not endpoint.connections
+
+    asyncio.run(sweep())
 
 
 def test_a_session_of_another_connection_cannot_be_taken_over(client: TestClient) -> None:

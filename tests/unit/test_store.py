@@ -189,6 +189,7 @@ def flying(task: str | TaskConfig = "easy", profile: str | RewardProfile = "tier
         (flown(), "", InvalidValueError, "one printable line"),
         (flown(), "two\nlines", InvalidValueError, "one printable line"),
         (flown(), "\ud800", InvalidValueError, "one printable line"),
+        (flown(), "two\u2028lines", InvalidValueError, "one printable line"),
         (flown(), "x" * 201, InvalidValueError, "200 characters"),
         (flying(profile=mine(), steps=60), "ace", UnknownNameError, "tiered"),
         (flying(task=unlike(), steps=60), "ace", InvalidValueError, "registered"),

@@ -8,17 +8,13 @@ from pydantic import Field
 from drone_env import __version__
 from drone_env.models import Message
 from drone_env.server import task_api
+from drone_env.server.flight import DESCRIPTION, ENV_NAME
 from drone_env.server.openenv_socket import mcp_answer
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import WireAction, WireObservation, WireState
 
 router = APIRouter(tags=["openenv"])
-ENV_NAME = "drone-env"
 EnvName = Annotated[str, Path(description="Name of the environment.", examples=[ENV_NAME])]
-DESCRIPTION = (
-    "A drone delivers parcels on a generated city grid, on one battery, in as few steps as possible. Maps are solved "
-    "exactly, so every score stands beside the optimum of its map."
-)
 BODY_ERRORS = answers(400, 404, 413, 415, 422)
 
 
