@@ -14,6 +14,8 @@ from drone_env.commands.audit import audit
 from drone_env.commands.dataset import dataset
 from drone_env.commands.evaluate import evaluate
 from drone_env.commands.fly import fly
+from drone_env.commands.infer import infer
+from drone_env.commands.leaderboard import leaderboard
 from drone_env.commands.play import play
 from drone_env.commands.replay import replay
 from drone_env.commands.serve import serve
@@ -29,7 +31,8 @@ DESCRIPTION = (
 def _app(arguments: Sequence[str]) -> SubcommandApp:
     app = SubcommandApp()
     train = train_command(arguments)
-    for command in (fly, evaluate, solve, audit, train, play, replay, analyse_flight, dataset, serve):
+    commands = (fly, evaluate, solve, audit, train, infer, leaderboard, play, replay, analyse_flight, dataset, serve)
+    for command in commands:
         app.command(command)
     return app
 

@@ -12,7 +12,8 @@
     ├── StoreError            (also an OSError)     a store that cannot be opened, read or written
     ├── NoSessionError        (also a LookupError)  a session that never was
     ├── SessionGoneError      (also a LookupError)  a session that has ended or expired
-    └── CapacityError         (also a RuntimeError) one more session than there is room for
+    ├── CapacityError         (also a RuntimeError) one more session than there is room for
+    └── EndpointError         (also a RuntimeError) an endpoint of language models that refuses every call
 
 Each message says what was given and what is allowed.
 """
@@ -79,3 +80,7 @@ class SessionGoneError(DroneEnvError, LookupError):
 
 class CapacityError(DroneEnvError, RuntimeError):
     """As many sessions are open as are allowed."""
+
+
+class EndpointError(DroneEnvError, RuntimeError):
+    """An endpoint of language models refuses, so that no further call makes sense: a wrong token, no such model."""

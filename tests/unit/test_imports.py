@@ -21,7 +21,7 @@ FLOORS = [
     {"agents", "graders", "episodes"},
     {"analysis", "datasets", "envs", "evaluation", "rl"},
     {"server"},
-    {"client", "openenv_client"},
+    {"client", "llm", "openenv_client"},
     {"commands", "cli"},
 ]
 

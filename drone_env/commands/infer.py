@@ -1,0 +1,196 @@
+"""`drone-env infer`: a language model flies."""
+
+import asyncio
+import json as json_format
+import sys
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from drone_env.commands.arguments import SHORT_NAMES, ProfileName, parse_seeds
+from drone_env.core.seeds import SPLITS, split_seeds
+from drone_env.core.tasks import get_task
+from drone_env.errors import InvalidValueError, MissingPackageError
+
+ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
+SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
+SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
+PromptName = Annotated[str, tyro.conf.arg(metavar="minimal|grid|coordinates|plan")]
+Number = Annotated[float | None, tyro.conf.arg(metavar="X")]
+Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
+NEEDED = ("httpx2", "matplotlib", "openai", "pydantic_settings", "tenacity")
+
+
+def infer(
+    task: ChosenTask = None,
+    model: str | None = None,
+    base_url: str | None = None,
+    episodes: Whole = None,
+    split: SplitName = None,
+    seeds: SeedRange = None,
+    repeats: int = 1,
+    prompt: PromptName = "minimal",
+    history: int = 0,
+    answers: Literal["text", "json", "tool"] = "text",
+    stream: bool = False,
+    temperature: Number = 0.0,
+    no_temperature: bool = False,
+    top_p: Number = None,
+    max_answer_tokens: int = 1024,
+    sampling_seed: Whole = None,
+    extra: str = "{}",
+    reward_profile: ProfileName = "tiered",
+    concurrency: int = 64,
+    timeout: float = 120.0,
+    tries: int = 6,
+    backoff: float = 1.0,
+    longest_wait: float = 120.0,
+    max_calls: Whole = None,
+    max_tokens: Whole = None,
+    max_seconds: Number = None,
+    max_cost: Number = None,
+    price_prompt: Number = None,
+    price_completion: Number = None,
+    cache: Path | None = None,
+    out: Path | None = None,
+    resume: bool = False,
+    report: bool = True,
+    moves: bool = True,
+) -> int:
+    """Let a language model of any OpenAI-compatible endpoint fly, and say what it is worth.
+
+    Standard output holds one [START] line, one [STEP] line per step and one [END] line for each flight, together, and
+    nothing else. HF_TOKEN, OPENAI_API_KEY, API_BASE_URL, MODEL_NAME and DRONE_TASK come from the environment or .env.
+    An answer that cannot be used is asked for once more, then it is a WAIT and counted; nobody else ever flies for the
+    model. Exit status: 0 for a valid run, 1 if more than 5 % of the flights errored (INVALID), 2 if the endpoint
+    refuses or something else is wrong, 3 if a limit was reached.
+
+    Example: drone-env infer --task easy --episodes 100 --out runs/qwen-easy
+
+    Args:
+        task: The task, by its short name, id or grader; DRONE_TASK if nothing is said.
+        model: The model; MODEL_NAME if nothing is said.
+        base_url: The endpoint; API_BASE_URL if nothing is said.
+        episodes: How many maps of the split, 1 if nothing is said.
+        split: Whose first maps to fly: test if nothing is said.
+        seeds: Fly the maps from A up to and not including B instead of a split's.
+        repeats: Flights over each map, for pass^k.
+        prompt: The prompt, by its name (the newest version) or id, such as grid-1.
+        history: How many of the last steps are told.
+        answers: Ask for plain text, for structured output (JSON schema), or for a tool call.
+        stream: Have answers streamed.
+        temperature: Sampling temperature.
+        no_temperature: Send no temperature, for models that take none.
+        top_p: Nucleus sampling; not sent if nothing is said.
+        max_answer_tokens: The longest answer in tokens, sent as max_tokens; 0 sends none.
+        sampling_seed: The endpoint's sampling seed; not sent if nothing is said.
+        extra: More of the request's body, as a JSON object, such as '{"reasoning_effort": "low"}'.
+        reward_profile: What steps pay.
+        concurrency: The most requests at once; fewer when the endpoint is overloaded.
+        timeout: Seconds that an answer may take.
+        tries: How often a call is tried that meets 408, 409, 429, 5xx or a network failure.
+        backoff: Seconds below which the first wait is drawn; the bound doubles each time, up to 30 s.
+        longest_wait: A call whose endpoint asks for a longer wait in seconds (Retry-After) has failed.
+        max_calls: Stop after so many requests, retries counted in.
+        max_tokens: Stop when so many tokens have been used.
+        max_seconds: Stop after so many seconds.
+        max_cost: Stop when so many US dollars have been spent.
+        price_prompt: US dollars per million prompt tokens.
+        price_completion: US dollars per million completion tokens.
+        cache: Folder of answers that equal requests of other runs share.
+        out: The run folder; results/llm/ and a name of its own if nothing is said.
+        resume: Go on with the run in --out, under the same configuration.
+        report: Check the whole run once more and write report.md, report.json and report.html into its folder.
+        moves: Say in the report how many moves were blunders, beside the exact value of every state.
+    """
+    try:
+        from drone_env.llm import run_folder, runner
+        from drone_env.llm.config import RunConfig, Sampling
+        from drone_env.llm.limits import Limits, Prices
+        from drone_env.llm.progress import ConsoleObserver
+        from drone_env.llm.prompt import get_prompt
+        from drone_env.llm.settings import check_url, load_settings, token_for
+    except ModuleNotFoundError as error:
+        if error.name not in NEEDED:
+            raise
+        raise MissingPackageError(error.name, "llm") from None
+    from pydantic import ValidationError
+
+    if seeds is not None and (split is not None or episodes is not None):
+        raise InvalidValueError("--seeds names the maps itself: give it without --split and --episodes")
+    if episodes is not None and episodes < 1:
+        raise InvalidValueError(f"--episodes must be at least 1, got {episodes}")
+    if resume and out is None:
+        raise InvalidValueError("--resume needs --out, the folder of the run to go on with")
+    if (price_prompt is None) != (price_completion is None):
+        raise InvalidValueError("--price-prompt and --price-completion belong together")
+    settings = load_settings()
+    config_task = get_task(settings.drone_task if task is None else task)
+    chosen_split = "custom" if seeds is not None else split or "test"
+    maps = split_seeds(chosen_split, episodes or 1) if seeds is None else parse_seeds(seeds)
+    chosen_prompt = get_prompt(prompt)
+    try:
+        more = json_format.loads(extra)
+        config = RunConfig(
+            model=settings.model_name if model is None else model,
+            base_url=check_url(settings.api_base_url if base_url is None else base_url),
+            task=config_task.id,
+            task_version=config_task.version,
+            split=chosen_split,
+            seeds=(maps.start, maps.stop),
+            repeats=repeats,
+            reward_profile=reward_profile,
+            prompt=chosen_prompt.id,
+            prompt_digest=chosen_prompt.digest,
+            history=history,
+            answers=answers,
+            stream=stream,
+            sampling=Sampling(
+                temperature=None if no_temperature else temperature,
+                top_p=top_p,
+                max_tokens=max_answer_tokens or None,
+                seed=sampling_seed,
+                extra=more,
+            ),
+        )
+    except ValidationError as error:
+        raise InvalidValueError(run_folder.first_problem(error)) from None
+    except json_format.JSONDecodeError as error:
+        raise InvalidValueError(f"--extra takes a JSON object: {error}") from None
+    token = token_for(settings, config.base_url)
+    prices = None if price_prompt is None or price_completion is None else Prices(price_prompt, price_completion)
+    options = runner.Options(
+        concurrency=concurrency,
+        timeout=timeout,
+        limits=Limits(max_calls, max_tokens, max_seconds, max_cost),
+        prices=prices,
+        retries=runner.RetryPolicy(tries, backoff, longest_wait),
+        cache=cache,
+    )
+    if max_cost is not None and prices is None:
+        raise InvalidValueError("--max-cost needs prices: give --price-prompt and --price-completion")
+    folder = run_folder.RunFolder(out or _new_folder(config.model, config_task.short_name), config, resume)
+    try:
+        with ConsoleObserver() as observer:
+            result = asyncio.run(runner.run(config, folder, token, options, observer))
+        if report:
+            from drone_env.llm.report import report as figures_of
+            from drone_env.llm.report import write_report
+            from drone_env.llm.verify import verified_run
+
+            checked = verified_run(folder.path)
+            write_report(checked, figures_of(checked, prices, moves))
+    finally:
+        folder.close()
+    for line in runner.summary_lines(result):
+        print(line, file=sys.stderr)
+    print(f"run: {folder.path}", file=sys.stderr)
+    return runner.EXIT_STATUS[result.verdict]
+
+
+def _new_folder(model: str, task: str) -> Path:
+    name = "".join(letter if letter.isalnum() or letter in ".-_" else "-" for letter in model)
+    now = datetime.now(timezone.utc).strftime("%Y%m%d-%H%M%S-%f")
+    return Path("results") / "llm" / f"{now}-{task}-{name}"

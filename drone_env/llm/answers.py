@@ -1,0 +1,129 @@
+"""What a model's answer comes to: actions, or why it is none. Nobody guesses what was meant.
+
+An answer is usable where, apart from its packaging, it is the asked-for actions and nothing else. Packaging is: a
+leading `<think>` block, a Markdown code fence, quotes or emphasis, a full stop, upper or lower case, and a JSON object
+with one key `action`, `direction`, `actions` or `directions`.
+"""
+
+import json
+import re
+from typing import Any, Literal, NamedTuple
+
+from drone_env.core.actions import Action
+from drone_env.models import Count, Message
+
+AnswerClass = Literal["ok", "parse_error", "illegal", "refusal", "truncated"]
+Outcome = Literal["ok", "repaired", "parse_error", "illegal", "refusal", "truncated", "api_error", "budget_stop"]
+OUTCOMES: tuple[Outcome, ...] = (
+    "ok",
+    "repaired",
+    "parse_error",
+    "illegal",
+    "refusal",
+    "truncated",
+    "api_error",
+    "budget_stop",
+)
+
+KEYS = {"action", "direction", "actions", "directions"}
+FENCE = re.compile(r"```[a-zA-Z]*\s*(.*?)\s*```", re.DOTALL)
+THOUGHT = re.compile(r"\A\s*<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
+OPEN_THOUGHT = re.compile(r"\A\s*<think(?:ing)?>", re.IGNORECASE)
+# Some servers' chat templates open the block in the prompt, so that only its end is in the answer.
+HEADLESS_THOUGHT = re.compile(r"\A.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
+REFUSAL = re.compile(
+    r"\A\W*(?:i['’]?m sorry|i am sorry|sorry,|i can(?:no|['’])t|i can not|i am (?:not able|unable)"
+    r"|i['’]m (?:not able|unable)|i won['’]t|i will not|as an ai\b)",
+    re.IGNORECASE,
+)
+SEPARATOR = re.compile(r"(?:\s|,|;|->|→|\|)+")
+WORD = re.compile(r"[A-Za-z_]+\Z")
+
+
+class Answer(Message):
+    """What the endpoint sent for one call."""
+
+    text: str
+    reasoning: str | None = None
+    tool_arguments: str | None = None
+    refusal: str | None = None
+    finish_reason: str | None = None
+    prompt_tokens: Count | None = None
+    completion_tokens: Count | None = None
+    model: str | None = None
+
+
+class Reading(NamedTuple):
+    """An answer as it was understood: `actions` is empty unless `kind` is ok."""
+
+    kind: AnswerClass
+    actions: tuple[Action, ...]
+    reason: str
+    """Why it is not ok, in words; empty where it is."""
+
+
+def read_answer(answer: Answer, plan: bool) -> Reading:
+    """Understand an answer.
+
+    Args:
+        answer: What was sent.
+        plan: Whether a whole route was asked for; else exactly one action.
+    """
+    if answer.refusal or answer.finish_reason == "content_filter":
+        return Reading("refusal", (), "the model refused")
+    # Also where the piece that arrived looks whole: nobody knows what would have followed.
+    if answer.finish_reason == "length":
+        return Reading("truncated", (), "the answer was cut at the limit of tokens")
+    text = answer.text if answer.tool_arguments is None else answer.tool_arguments
+    text = _without_thoughts(text)
+    if text is None:
+        return Reading("truncated", (), "the answer ends inside its <think> block")
+    words = _words(text, plan)
+    if words is None and REFUSAL.match(text):
+        return Reading("refusal", (), "the model refused")
+    if words is None:
+        asked = "a list of actions" if plan else "one action"
+        return Reading("parse_error", (), "the answer is empty" if not text.strip() else f"the answer is not {asked}")
+    unknown = [word for word in words if word.upper() not in Action.__members__]
+    if unknown:
+        return Reading("illegal", (), f"{unknown[0][:40]!r} is not an action")
+    return Reading("ok", tuple(Action[word.upper()] for word in words), "")
+
+
+def _without_thoughts(text: str) -> str | None:
+    """The text behind its thoughts; None where they do not end."""
+    if THOUGHT.match(text):
+        return THOUGHT.sub("", text, count=1)
+    if OPEN_THOUGHT.match(text):
+        return None
+    return HEADLESS_THOUGHT.sub("", text, count=1)
+
+
+def _words(text: str, plan: bool) -> list[str] | None:
+    """The words that stand where actions should; None where there is something else."""
+    fenced = FENCE.fullmatch(text.strip())
+    text = (fenced[1] if fenced else text).strip()
+    if text[:1] in ("{", "["):
+        return _json_words(text, plan)
+    text = text.strip(" \t\r\n*_`'\".")
+    words = [word.strip("*_`'\".") for word in SEPARATOR.split(text) if word] if plan else [text]
+    if not words or not all(WORD.match(word) for word in words):
+        return None
+    if plan and len(words) > 1 and not any(word.upper() in Action.__members__ for word in words):
+        return None  # prose
+    return words
+
+
+def _json_words(text: str, plan: bool) -> list[str] | None:
+    try:
+        value: Any = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    if isinstance(value, dict):
+        keys = list(value)
+        if len(keys) != 1 or not isinstance(keys[0], str) or keys[0].lower() not in KEYS:
+            return None
+        value = value[keys[0]]
+    if plan:
+        return value if isinstance(value, list) and value and all(isinstance(word, str) for word in value) else None
+    return [value] if isinstance(value, str) else None

@@ -1,0 +1,113 @@
+"""What a run is: everything that decides its calls and its results. Limits and speed are not among that."""
+
+import hashlib
+import json
+from typing import Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+from typing_extensions import Self
+
+from drone_env.core.rewards import get_reward_profile
+from drone_env.core.seeds import N_SEEDS
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.llm.prompt import Prompt, get_prompt
+from drone_env.llm.settings import check_url
+from drone_env.models import Count, Message
+
+AnswerForm = Literal["text", "json", "tool"]
+
+
+class Sampling(Message):
+    """What is sent with every request beside the messages. What is null is not sent."""
+
+    temperature: float | None = Field(default=0.0, ge=0, le=2)
+    top_p: float | None = Field(default=None, gt=0, le=1)
+    max_tokens: int | None = Field(default=1024, ge=1)
+    seed: int | None = Field(default=None, ge=0)
+    extra: dict[str, Any] = Field(default_factory=dict, description="More of the request's body, as it is.")
+
+    @field_validator("extra")
+    @classmethod
+    def _only_more(cls, extra: dict[str, Any]) -> dict[str, Any]:
+        taken = {"model", "messages", "stream", "stream_options", "temperature", "top_p", "max_tokens", "seed", "n"}
+        taken |= {"tools", "tool_choice", "response_format"}
+        if taken & extra.keys():
+            raise ValueError(f"{sorted(taken & extra.keys())[0]!r} is set by other means than extra")
+        json.dumps(extra, allow_nan=False)
+        return extra
+
+
+class RunConfig(Message):
+    """The identity of a run: a run folder is resumed under an equal one only."""
+
+    format: Literal["drone_env/llm-run"] = "drone_env/llm-run"
+    format_version: Literal[1] = 1
+    model: str = Field(min_length=1, max_length=180, pattern=r"^[^\s\p{C}]+$", description="The model, without spaces.")
+    base_url: str
+    task: str
+    task_version: int = Field(ge=1)
+    split: str
+    seeds: tuple[Count, Count] = Field(strict=False, description="The maps, [start, stop).")
+    repeats: int = Field(ge=1, le=100, description="Flights over each map.")
+    reward_profile: str
+    prompt: str = Field(description="Id of the prompt.")
+    prompt_digest: str = Field(description="What its file held.")
+    history: Count = Field(description="How many of the last steps are told.")
+    answers: AnswerForm
+    stream: bool
+    sampling: Sampling
+
+    @field_validator("base_url")
+    @classmethod
+    def _address(cls, url: str) -> str:
+        return check_url(url)
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        get_task(self.task, self.task_version)
+        get_reward_profile(self.reward_profile)
+        start, stop = self.seeds
+        if not start < stop <= N_SEEDS:
+            raise ValueError(f"seeds {self.seeds} are not [start, stop) within [0, 2^53]")
+        return self
+
+    @property
+    def task_config(self) -> TaskConfig:
+        """The task."""
+        return get_task(self.task, self.task_version)
+
+    @property
+    def flights(self) -> int:
+        """How many flights the run has."""
+        return (self.seeds[1] - self.seeds[0]) * self.repeats
+
+    def flight(self, index: int) -> tuple[int, int]:
+        """(seed, repeat) of a flight by its number from 0: all maps once, then all again."""
+        repeat, offset = divmod(index, self.seeds[1] - self.seeds[0])
+        return self.seeds[0] + offset, repeat
+
+    def load_prompt(self) -> Prompt:
+        """The prompt.
+
+        Raises:
+            UnknownNameError: if it is not there.
+            ValueError: if it is not what it was when the run began.
+        """
+        prompt = get_prompt(self.prompt)
+        if prompt.digest != self.prompt_digest:
+            raise ValueError(f"prompt {self.prompt} is now {prompt.digest}; the run was made with {self.prompt_digest}")
+        return prompt
+
+    def differences(self, other: "RunConfig") -> list[str]:
+        """What differs, one line for each field."""
+        return [
+            f"{name}: {getattr(self, name)!r} is now {getattr(other, name)!r}"
+            for name in type(self).model_fields
+            if getattr(self, name) != getattr(other, name)
+        ]
+
+
+def digest(value: object) -> str:
+    """SHA-256 of a JSON value, 16 hex digits."""
+    text = json.dumps(value, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

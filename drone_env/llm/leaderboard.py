@@ -1,0 +1,60 @@
+"""Runs side by side: only those that were checked, are whole, and flew the same maps are ranked against each other."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from drone_env.errors import DroneEnvError
+from drone_env.llm.report import report
+from drone_env.llm.verify import verified_run
+
+
+class Refused(NamedTuple):
+    """A run that is not ranked."""
+
+    path: Path
+    reason: str
+    damaged: bool
+    """Whether it is not what it says; else it is only not whole, or invalid."""
+
+
+class Board(NamedTuple):
+    """Runs over the same maps of the same task, best first, by (score - random) / (optimal - random), then by score."""
+
+    task: str
+    maps: str
+    rows: list[dict[str, Any]]
+
+
+def leaderboard(paths: Iterable[Path]) -> tuple[list[Board], list[Refused]]:
+    """Check runs and rank them.
+
+    Args:
+        paths: The run folders.
+    """
+    boards: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
+    refused: list[Refused] = []
+    for path in paths:
+        try:
+            run = verified_run(path)
+        except (DroneEnvError, OSError, ValueError) as error:
+            refused.append(Refused(path, str(error), damaged=True))
+            continue
+        figures = report(run, moves=False)
+        if figures["verdict"] != "valid":
+            refused.append(Refused(path, f"{figures['verdict']}: {figures['reason']}", damaged=False))
+            continue
+        config = run.config
+        task = f"{config.task} version {config.task_version}"
+        maps = f"maps {config.seeds[0]} to {config.seeds[1] - 1} ({config.split})"
+        boards[task, maps].append({"path": str(path), **figures})
+    return [Board(*key, _ranked(rows)) for key, rows in sorted(boards.items())], refused
+
+
+def _ranked(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    def key(row: dict[str, Any]) -> tuple[float, float]:
+        normalised = row["normalised"]
+        return (float("-inf") if normalised is None else normalised, row["score"])
+
+    return sorted(rows, key=key, reverse=True)

@@ -1,0 +1,94 @@
+"""One flight of a model: ask, read, fly. No other policy ever acts: an unusable answer is a WAIT, and counted."""
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from drone_env.core.actions import Action
+from drone_env.core.state_manager import Episode
+from drone_env.errors import DroneEnvError
+from drone_env.llm.answers import Answer, Outcome, read_answer
+from drone_env.llm.config import RunConfig
+from drone_env.llm.limits import LimitReachedError
+from drone_env.llm.prompt import ChatMessage, Flown, Prompt, first_messages, repair_messages
+from drone_env.llm.transcript import CallKey
+from drone_env.models import DroneObservation
+
+Ask = Callable[[CallKey, list[ChatMessage]], Awaitable[Answer]]
+Status = Literal["finished", "errored", "budget_stop"]
+
+
+class CallFailedError(DroneEnvError):
+    """A call brought no answer, after all retries."""
+
+
+@dataclass
+class Flight:
+    """A flight as far as it was flown.
+
+    Attributes:
+        index: Its number in the run.
+        seed, repeat: The map, and the how manieth flight over it from 0.
+        episode: The episode where the flight stopped.
+        turns: How each request for actions came out, in order.
+        step_errors: For each step, why it is a WAIT that the model did not choose; None where it chose.
+        status: `finished` also where a route that was planned at once ended before the episode did.
+        error: Why it was not finished.
+    """
+
+    index: int
+    seed: int
+    repeat: int
+    episode: Episode
+    turns: list[Outcome] = field(default_factory=list[Outcome])
+    step_errors: list[str | None] = field(default_factory=list[str | None])
+    status: Status = "finished"
+    error: str | None = None
+
+
+async def fly(config: RunConfig, prompt: Prompt, index: int, ask: Ask) -> Flight:
+    """Fly one flight of a run. Equal answers give equal flights.
+
+    Args:
+        config: The run.
+        prompt: Its prompt.
+        index: The number of the flight.
+        ask: Brings the answer of one call; raises `CallFailedError` or `LimitReachedError` where there is none.
+    """
+    task = config.task_config
+    seed, repeat = config.flight(index)
+    episode = Episode(task, config.reward_profile)
+    episode.reset(seed)
+    flight = Flight(index, seed, repeat, episode)
+    flown: list[Flown] = []
+    while not episode.ended:
+        turn = len(flight.turns) + 1
+        asked = first_messages(prompt, task, DroneObservation.of(episode), flown, config.history)
+        try:
+            answer = await ask(CallKey(index, turn, 1), asked)
+            reading = read_answer(answer, prompt.plan)
+            outcome: Outcome = reading.kind
+            if reading.kind != "ok":
+                shown = answer.text if answer.tool_arguments is None else answer.tool_arguments
+                again = repair_messages(prompt, asked, shown, reading.reason)
+                reading = read_answer(await ask(CallKey(index, turn, 2), again), prompt.plan)
+                outcome = "repaired" if reading.kind == "ok" else reading.kind
+        except CallFailedError as error:
+            flight.turns.append("api_error")
+            flight.status, flight.error = "errored", str(error)
+            break
+        except LimitReachedError as error:
+            flight.turns.append("budget_stop")
+            flight.status, flight.error = "budget_stop", str(error)
+            break
+        flight.turns.append(outcome)
+        for action in reading.actions or (Action.WAIT,):
+            if episode.ended:
+                break
+            episode.step(action)
+            x, y = episode.position
+            flown.append(Flown(action.name, x, y, episode.message))
+            flight.step_errors.append(None if reading.actions else outcome)
+        if prompt.plan:
+            break
+    return flight

@@ -1,0 +1,105 @@
+"""Progress of a run on standard error: a bar in a terminal, a line now and then elsewhere. Waits are always told."""
+
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from typing_extensions import Self
+
+from drone_env.llm.concurrency import AdaptiveGate
+from drone_env.llm.config import RunConfig
+from drone_env.llm.limits import Spending
+from drone_env.llm.pilot import Flight
+from drone_env.llm.runner import log_text
+from drone_env.llm.transcript import Call
+
+LINE_SECONDS = 10.0
+LONG_WAIT = 5.0
+QUIET_SECONDS = 1.0
+
+
+class ConsoleObserver:
+    """Prints the log lines of each flight to standard output, together, and all else to standard error."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True, highlight=False, markup=False)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        terminal = self._console.is_terminal
+        self._progress = Progress(
+            *columns,
+            TextColumn("{task.fields[figures]}"),
+            console=self._console,
+            transient=True,
+            disable=not terminal,
+            redirect_stdout=terminal,
+        )
+        self._bar = self._progress.add_task("flights", total=None, figures="")
+        self._model = ""
+        self._flights = 0
+        self._done = 0
+        self._calls = 0
+        self._began = self._told = time.monotonic()
+        self._waits = 0
+        self._wait_told = 0.0
+        self._spending: Spending | None = None
+        self._gate: AdaptiveGate | None = None
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def started(self, config: RunConfig, spending: Spending, gate: AdaptiveGate) -> None:
+        """The run begins."""
+        self._model, self._flights = config.model, config.flights
+        self._spending, self._gate = spending, gate
+        self._progress.update(self._bar, total=config.flights, description=config.task_config.short_name)
+
+    def called(self, call: Call) -> None:
+        """A call was made."""
+        self._calls += 1
+        self._show()
+
+    def waiting(self, seconds: float, reason: str) -> None:
+        """A try failed and is repeated after a wait."""
+        self._waits += 1
+        now = time.monotonic()
+        if seconds >= LONG_WAIT or now - self._wait_told >= QUIET_SECONDS:
+            self._wait_told = now
+            self._console.print(f"waiting {seconds:.1f} s, then trying again ({self._waits} so far): {reason}")
+
+    def flown(self, flight: Flight) -> None:
+        """A flight is over: its log lines."""
+        print(log_text(flight, self._model), end="", flush=True)
+        self._done += 1
+        if flight.status != "finished":
+            self._console.print(f"map {flight.seed}: {flight.status}: {flight.error}")
+        self._progress.update(self._bar, completed=self._done)
+        self._show()
+
+    def _show(self) -> None:
+        now = time.monotonic()
+        if self._progress.disable:
+            if now - self._told >= LINE_SECONDS:
+                self._told = now
+                self._console.print(f"{self._done} of {self._flights} flights, {self._figures(now)}", soft_wrap=True)
+            return
+        self._progress.update(self._bar, figures=self._figures(now))
+
+    def _figures(self, now: float) -> str:
+        spending, gate = self._spending, self._gate
+        if spending is None or gate is None:
+            return ""
+        rate = self._calls / max(now - self._began, 1e-9)
+        parts = [
+            f"{spending.requests} requests, {rate:.1f} calls/s, {gate.active} at once",
+            f"{spending.tokens} tokens",
+        ]
+        if spending.cost is not None:
+            parts.append(f"${spending.cost:.4f}")
+        return ", ".join(parts)

@@ -1,0 +1,226 @@
+"""Prompts: data files with a version in their names, filled in from what the drone observes.
+
+A prompt that has been published is never changed: a better one is a new file with the next number.
+"""
+
+import hashlib
+import re
+import string
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from typing_extensions import TypedDict
+
+from drone_env.core.cells import CELL_KINDS
+from drone_env.core.tasks import TaskConfig
+from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.models import DroneObservation
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+FOLDER = Path(__file__).with_name("prompts")
+LETTERS = {
+    "road": ".",
+    "building": "B",
+    "tree": "T",
+    "obstacle": "O",
+    "delivery": "P",
+    "delivered": "x",
+    "drone": "D",
+    "unknown": "?",
+    "pad": "C",
+}
+QUOTED_CHARACTERS = 2000
+"""How much of a bad answer is shown to the model again."""
+
+
+class ChatMessage(TypedDict):
+    """One message of a request."""
+
+    role: str
+    content: str
+
+
+@dataclass(frozen=True)
+class Prompt:
+    """One version of a prompt.
+
+    Attributes:
+        id: Name and version, such as `minimal-1`.
+        plan: Whether it asks for a whole route.
+        system, user, repair: Templates; `repair` takes `reason` alone.
+        digest: SHA-256 of the file, 16 hex digits.
+    """
+
+    id: str
+    plan: bool
+    system: str
+    user: str
+    repair: str
+    digest: str
+
+
+@dataclass(frozen=True)
+class Flown:
+    """One flown step, for the history."""
+
+    action: str
+    x: int
+    y: int
+    message: str
+
+
+def prompt_ids() -> list[str]:
+    """The ids of all prompts, sorted."""
+    return sorted(path.stem for path in FOLDER.glob("*-*.toml"))
+
+
+@lru_cache
+def get_prompt(name: str) -> Prompt:
+    """A prompt by its id, or the newest version of a name.
+
+    Raises:
+        UnknownNameError: if there is none.
+    """
+    versions = {found: int(found.rpartition("-")[2]) for found in prompt_ids()}
+    named = [found for found in versions if found == name or found.rpartition("-")[0] == name]
+    if not named:
+        names = {found.rpartition("-")[0] for found in versions}
+        raise UnknownNameError("prompt", name, names | set(versions))
+    return read_prompt(FOLDER / f"{max(named, key=versions.__getitem__)}.toml")
+
+
+def read_prompt(path: Path) -> Prompt:
+    """A prompt from its file.
+
+    Raises:
+        OSError: if it cannot be read.
+        InvalidValueError: if it is not a prompt; the message says why.
+    """
+    raw = path.read_bytes()
+    try:
+        data: dict[str, Any] = tomllib.loads(raw.decode())
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InvalidValueError(f"{path}: {error}") from None
+    kinds: dict[str, type] = {"plan": bool, "system": str, "user": str, "repair": str}
+    wrong = [name for name in kinds.keys() | data.keys() if type(data.get(name)) is not kinds.get(name)]
+    if wrong:
+        raise InvalidValueError(f"{path}: a prompt holds plan (true or false), system, user and repair; see {wrong[0]}")
+    for name, known in (("system", VALUES), ("user", VALUES), ("repair", {"reason"})):
+        try:
+            used = {field for _, field, _, _ in string.Formatter().parse(data[name]) if field is not None}
+        except ValueError as error:
+            raise InvalidValueError(f"{path}: {name}: {error}") from None
+        if used - known:
+            raise InvalidValueError(
+                f"{path}: {name}: unknown {sorted(used - known)[0]!r}; there are {', '.join(sorted(known))}"
+            )
+    texts = {name: data[name].strip() for name in ("system", "user", "repair")}
+    return Prompt(id=path.stem, plan=data["plan"], digest=hashlib.sha256(raw).hexdigest()[:16], **texts)
+
+
+def first_messages(
+    prompt: Prompt, task: TaskConfig, observation: DroneObservation, flown: Sequence[Flown], history: int
+) -> list[ChatMessage]:
+    """The messages that ask for the next action, or for the route.
+
+    Args:
+        prompt: The prompt.
+        task: The task, whose costs and barriers are told.
+        observation: What the drone sees now.
+        flown: All steps so far.
+        history: How many of the last steps to tell.
+    """
+    values = _values(task, observation, flown, history)
+    return [
+        {"role": "system", "content": _fill(prompt.system, values)},
+        {"role": "user", "content": _fill(prompt.user, values)},
+    ]
+
+
+def repair_messages(prompt: Prompt, asked: Sequence[ChatMessage], answer: str, reason: str) -> list[ChatMessage]:
+    """The messages that ask once more, after an answer that could not be used."""
+    return [
+        *asked,
+        {"role": "assistant", "content": answer[:QUOTED_CHARACTERS]},
+        {"role": "user", "content": _fill(prompt.repair, {"reason": reason})},
+    ]
+
+
+VALUES = {
+    *("x", "y", "battery_percent", "battery_steps", "target", "distance", "deliveries_done", "deliveries_total"),
+    *("step", "steps_left", "max_steps", "width", "height", "grid", "parcels", "buildings", "trees", "obstacles"),
+    *("pads", "rules", "history"),
+}
+"""What a template may name."""
+
+
+def _fill(template: str, values: dict[str, object]) -> str:
+    return re.sub(r"\n{3,}", "\n\n", template.format(**values)).strip()
+
+
+def _values(task: TaskConfig, observation: DroneObservation, flown: Sequence[Flown], history: int) -> dict[str, object]:
+    target, away = observation.current_target, observation.distance_to_target
+    return {
+        "x": observation.drone_x,
+        "y": observation.drone_y,
+        "battery_percent": round(100 * observation.battery),
+        "battery_steps": observation.battery_steps_remaining,
+        "target": "none" if target is None else f"({target[0]}, {target[1]})",
+        "distance": 0 if away is None else round(away),
+        "deliveries_done": observation.deliveries_done,
+        "deliveries_total": observation.deliveries_total,
+        "step": observation.step_count,
+        "steps_left": observation.max_steps - observation.step_count,
+        "max_steps": observation.max_steps,
+        "width": observation.grid_width,
+        "height": observation.grid_height,
+        "grid": _grid(observation),
+        "parcels": _places(observation, "delivery"),
+        "buildings": _places(observation, "building"),
+        "trees": _places(observation, "tree"),
+        "obstacles": _places(observation, "obstacle"),
+        "pads": _places(observation, "pad"),
+        "rules": rules_text(task),
+        "history": _history(flown, history),
+    }
+
+
+def _grid(observation: DroneObservation) -> str:
+    return "\n".join(" ".join(LETTERS[name] for name in line) for line in observation.cell_types)
+
+
+def _places(observation: DroneObservation, kind: str) -> str:
+    found = [
+        f"({x}, {y})" for y, line in enumerate(observation.cell_types) for x, name in enumerate(line) if name == kind
+    ]
+    return " ".join(found) or "none"
+
+
+def _history(flown: Sequence[Flown], last: int) -> str:
+    if not last or not flown:
+        return ""
+    start = max(0, len(flown) - last)
+    lines = [
+        f"{number}. {step.action} -> ({step.x}, {step.y}). {step.message}"
+        for number, step in enumerate(flown[start:], start + 1)
+    ]
+    return "\n".join(["", "Last steps:", *lines])
+
+
+def rules_text(task: TaskConfig) -> str:
+    """What a step costs and what blocks the way, in words."""
+    drain = [f"{units} above a {CELL_KINDS[kind].name}" for kind, units in task.drain if units != 1]
+    costs = f"Each step, WAIT too, costs 1 unit of battery{', but ' + ', '.join(drain) if drain else ''}."
+    blocked = sorted(CELL_KINDS[kind].name for kind in task.impassable)
+    lines = [costs, f"{' and '.join(blocked).capitalize()} cells block the way." if blocked else ""]
+    if task.pads and task.charge_rate:
+        lines.append(f"WAIT on a charging pad adds {task.charge_rate} units instead.")
+    return " ".join(line for line in lines if line)

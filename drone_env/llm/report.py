@@ -1,0 +1,243 @@
+"""The figures of a run: every score beside the exact optimum of its map, and beside other agents on the same maps."""
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from drone_env.analysis import analyse_flight
+from drone_env.errors import CheckpointError, TooLargeError, UnsupportedTaskError
+from drone_env.evaluation import EpisodeResults, episodes_key, run_episodes
+from drone_env.files import replacing
+from drone_env.llm.answers import OUTCOMES
+from drone_env.llm.limits import Prices
+from drone_env.llm.run_folder import FlightResult
+from drone_env.llm.runner import verdict_of
+from drone_env.llm.verify import VerifiedRun
+
+BASELINES = ("random", "greedy", "pathqnet", "optimal")
+
+
+def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -> dict[str, Any]:
+    """The figures of a run, as JSON values; what is not known is null.
+
+    `score_ci95` is mean +- 1.96 standard errors over the maps (flights over one map are averaged first), null for one
+    map. `normalised` is (score - random) / (optimal - random) of the means over the same maps.
+
+    Args:
+        run: The run.
+        prices: What tokens cost.
+        moves: Whether to analyse every move, which takes some time for each flight.
+    """
+    config = run.config
+    counted = [result for result in run.results if result.status != "errored"]
+    statuses = [result.status for result in run.results]
+    verdict, reason = verdict_of(config.flights, [str(status) for status in statuses])
+    by_map: dict[int, list[FlightResult]] = defaultdict(list)
+    for result in counted:
+        by_map[result.seed].append(result)
+    baselines = _baselines(run, sorted(by_map))
+    optima = baselines["optimal"]
+    means = [_mean([r.score for r in results]) for results in by_map.values()]
+    score, random = _mean([result.score for result in counted]), _mean_of(baselines["random"])
+    best = _mean_of(optima)
+    return {
+        "format": "drone_env/llm-report",
+        "config": config.model_dump(mode="json"),
+        "verdict": verdict,
+        "reason": reason,
+        "flights": {
+            "planned": config.flights,
+            "flown": len(run.results),
+            "counted": len(counted),
+            "errored": len(run.results) - len(counted),
+            "unfinished": sum(not result.ended for result in counted),
+        },
+        "score": score,
+        "score_ci95": _interval([mean for mean in means if mean is not None]),
+        "success_rate": _mean([result.success for result in counted]),
+        "pass_hat_k": _pass_hat_k(list(by_map.values())),
+        "regret": None if optima is None else _mean([optima[result.seed] - result.score for result in counted]),
+        "normalised": None
+        if score is None or random is None or best is None or best == random
+        else (score - random) / (best - random),
+        "baselines": {name: _mean_of(scores) for name, scores in baselines.items()},
+        "turns": {name: sum(result.turns.get(name, 0) for result in run.results) for name in OUTCOMES},
+        "waits": sum(result.waits for result in run.results),
+        "moves": _moves(run) if moves else None,
+        **_spending(run, prices),
+        "maps": [
+            {
+                "seed": seed,
+                "scores": [result.score for result in results],
+                "optimum": None if optima is None else optima[seed],
+                "success": sum(result.success for result in results),
+                "steps": [result.steps for result in results],
+                "waits": sum(result.waits for result in results),
+            }
+            for seed, results in sorted(by_map.items())
+        ],
+    }
+
+
+def _baselines(run: VerifiedRun, seeds: Sequence[int]) -> dict[str, dict[int, float] | None]:
+    """The scores of other agents by map; None for an agent that cannot fly this task."""
+    config = run.config
+    found: dict[str, dict[int, float] | None] = {}
+    for agent in BASELINES:
+        try:
+            flown = run_episodes(episodes_key(config.task_config, agent, range(*config.seeds), config.split))
+        except (CheckpointError, FileNotFoundError, TooLargeError, UnsupportedTaskError):
+            found[agent] = None
+            continue
+        found[agent] = {seed: _score(flown, seed) for seed in seeds}
+    return found
+
+
+def _score(flown: EpisodeResults, seed: int) -> float:
+    return float(flown.scores[int(np.searchsorted(flown.seeds, seed))])
+
+
+def _mean_of(scores: dict[int, float] | None) -> float | None:
+    return None if scores is None else _mean(list(scores.values()))
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return math.fsum(values) / len(values) if values else None
+
+
+def _interval(means: Sequence[float]) -> list[float] | None:
+    if len(means) < 2:
+        return None
+    mean = math.fsum(means) / len(means)
+    error = 1.96 * float(np.std(means, ddof=1)) / math.sqrt(len(means))
+    return [mean - error, mean + error]
+
+
+def _pass_hat_k(maps: Sequence[Sequence[FlightResult]]) -> dict[str, float]:
+    """For each k, the chance that k flights over one map, drawn without replacement, all deliver everything.
+
+    The unbiased estimate C(successes, k) / C(flights, k), averaged over the maps (Yao et al., tau-bench, 2024).
+    """
+    repeats = min((len(results) for results in maps), default=0)
+    found: dict[str, float] = {}
+    for k in range(1, repeats + 1):
+        chances = [
+            math.comb(sum(result.success for result in results), k) / math.comb(len(results), k) for results in maps
+        ]
+        found[str(k)] = math.fsum(chances) / len(chances)
+    return found
+
+
+def _moves(run: VerifiedRun) -> dict[str, Any] | None:
+    """How many moves have which label; None where the maps are too large for exact values."""
+    counts: dict[str, int] = defaultdict(int)
+    best = decisive = 0
+    for result, record in zip(run.results, run.records, strict=True):
+        if result.status == "errored":
+            continue
+        try:
+            analysis = analyse_flight(record)
+        except TooLargeError:
+            return None
+        for label, count in analysis.counts.items():
+            counts[label] += count
+        decisive += analysis.decisive
+        best += sum(move.margin > 0 and move.regret == 0 for move in analysis.moves)
+    return {"labels": dict(counts), "decisive": decisive, "accuracy": best / decisive if decisive else None}
+
+
+def _spending(run: VerifiedRun, prices: Prices | None) -> dict[str, Any]:
+    paid = [call.answer for call in run.calls if call.answer is not None and not call.cached]
+    prompt = sum(answer.prompt_tokens or 0 for answer in paid)
+    completion = sum(answer.completion_tokens or 0 for answer in paid)
+    latencies = sorted(call.latency for call in run.calls if call.answer is not None and not call.cached)
+    return {
+        "calls": {
+            "answered": len(paid),
+            "cached": sum(call.cached for call in run.calls),
+            "requests": sum(call.requests for call in run.calls),
+            "without_usage": sum(a.prompt_tokens is None or a.completion_tokens is None for a in paid),
+        },
+        "tokens": {"prompt": prompt, "completion": completion},
+        "cost_usd": None if prices is None else prices.cost(prompt, completion),
+        "latency_median": latencies[len(latencies) // 2] if latencies else None,
+    }
+
+
+def markdown(figures: dict[str, Any]) -> str:
+    """The report as a page of Markdown."""
+    config, flights = figures["config"], figures["flights"]
+    interval = figures["score_ci95"]
+    width = "" if interval is None or figures["score"] is None else f" ± {interval[1] - figures['score']:.4f}"
+    base, calls, tokens = figures["baselines"], figures["calls"], figures["tokens"]
+    verdict = figures["verdict"].upper() if figures["verdict"] == "invalid" else figures["verdict"]
+    rows = [
+        ("score (95 %)", _shown(figures["score"]) + width),
+        ("delivered all", _percent(figures["success_rate"])),
+        ("regret", _shown(figures["regret"])),
+        ("(score - random) / (optimal - random)", _shown(figures["normalised"])),
+        *((f"{name}, same maps", _shown(score)) for name, score in base.items()),
+        *((f"pass^{k}", _percent(share)) for k, share in figures["pass_hat_k"].items()),
+        ("flights planned, flown", f"{flights['planned']}, {flights['flown']}"),
+        ("errored, left out", str(flights["errored"])),
+        ("unfinished, counted as waiting to the end", str(flights["unfinished"])),
+        ("WAIT in place of an unusable answer", str(figures["waits"])),
+        ("requests; answers; from the cache", f"{calls['requests']}; {calls['answered']}; {calls['cached']}"),
+        ("tokens: prompt, completion", f"{tokens['prompt']}, {tokens['completion']}"),
+        ("cost in US dollars", _shown(figures["cost_usd"])),
+    ]
+    if figures["moves"] is not None:
+        labels = ", ".join(f"{label} {count}" for label, count in figures["moves"]["labels"].items())
+        rows += [("moves", labels), ("best moves where it mattered", _percent(figures["moves"]["accuracy"]))]
+    title = f"{config['model']} on {config['task']}, prompt {config['prompt']}"
+    seeds = (
+        f"Maps {config['seeds'][0]} to {config['seeds'][1] - 1} ({config['split']}), {config['repeats']} flights each."
+    )
+    lines = [f"# {title}", "", f"**{verdict}**{': ' if figures['reason'] else ''}{figures['reason']}", "", seeds]
+    lines += ["", "| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)]
+    lines += ["", "## Answers", "", "| outcome | requests for actions |", "|---|---|"]
+    lines += [f"| {name} | {count} |" for name, count in figures["turns"].items()]
+    lines += [
+        "",
+        "## Maps",
+        "",
+        "| map | scores | optimum | delivered all | steps | WAIT in place |",
+        "|---|---|---|---|---|---|",
+    ]
+    for of_map in figures["maps"]:
+        scores, steps = ", ".join(map(_shown, of_map["scores"])), ", ".join(map(str, of_map["steps"]))
+        all_of = f"{of_map['success']} of {len(of_map['scores'])}"
+        lines.append(
+            f"| {of_map['seed']} | {scores} | {_shown(of_map['optimum'])} | {all_of} | {steps} | {of_map['waits']} |"
+        )
+    return "\n".join([*lines, ""])
+
+
+def _shown(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1%}"
+
+
+def write_report(run: VerifiedRun, figures: dict[str, Any]) -> None:
+    """Write `report.json`, `report.md` and `report.html` into the run's folder, each whole or not at all.
+
+    Raises:
+        OSError: if they cannot be written.
+    """
+    from drone_env.llm.report_page import page
+
+    texts = {
+        "report.json": json.dumps(figures, indent=2, allow_nan=False) + "\n",
+        "report.md": markdown(figures),
+        "report.html": page(figures),
+    }
+    for name, text in texts.items():
+        with replacing(run.path / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")

@@ -1,0 +1,207 @@
+"""A run: many flights at once, each call in the transcript before it counts."""
+
+import asyncio
+import contextlib
+import math
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+from drone_env.core.actions import Action
+from drone_env.episodes.log_lines import end_line, start_line, step_line
+from drone_env.errors import InvalidValueError
+from drone_env.llm.answers import OUTCOMES
+from drone_env.llm.cache import AnswerCache
+from drone_env.llm.caller import Caller, RetryPolicy, StoppedError, Watcher
+from drone_env.llm.concurrency import AdaptiveGate
+from drone_env.llm.config import RunConfig
+from drone_env.llm.endpoint import Endpoint
+from drone_env.llm.limits import Limits, Prices, Spending
+from drone_env.llm.pilot import Flight, fly
+from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
+from drone_env.llm.transcript import Transcript
+
+Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
+MOST_ERRORED = 0.05
+EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a run is made; none of this changes its results.
+
+    Attributes:
+        concurrency: The most requests, and flights, at once.
+        timeout: Seconds that an answer may take.
+        limits: What may be spent.
+        prices: What tokens cost, if that is known.
+        retries: How often a call is tried.
+        cache: Folder of answers to share between runs.
+    """
+
+    concurrency: int = 64
+    timeout: float = 120.0
+    limits: Limits = field(default_factory=Limits)
+    prices: Prices | None = None
+    retries: RetryPolicy = field(default_factory=RetryPolicy)
+    cache: Path | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.concurrency <= 10_000:
+            raise InvalidValueError(f"--concurrency must be 1 to 10000, got {self.concurrency}")
+        if not 0 < self.timeout < float("inf"):
+            raise InvalidValueError(f"--timeout must be above 0 s, got {self.timeout}")
+
+
+class Observer(Watcher, Protocol):
+    """Is told what happens in a run."""
+
+    def started(self, config: RunConfig, spending: Spending, gate: AdaptiveGate) -> None:
+        """It begins."""
+        ...
+
+    def flown(self, flight: Flight) -> None:
+        """A flight is over."""
+        ...
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What came of a run.
+
+    Attributes:
+        verdict: `valid`; `stopped` by an endpoint that refuses; `invalid` because too many flights errored;
+            `incomplete` because a limit was reached.
+        reason: Why it is not valid, in words.
+        flights: All that were begun and not left in the middle, in order.
+    """
+
+    verdict: Verdict
+    reason: str
+    flights: list[Flight]
+
+
+def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> tuple[Verdict, str]:
+    """What a run is worth, and why.
+
+    Args:
+        flights: How many it should have.
+        statuses: Of those that were flown.
+        fatal: Why the endpoint refused every call, if it did.
+    """
+    errored = statuses.count("errored")
+    if fatal is not None:
+        return "stopped", fatal
+    if statuses and errored / len(statuses) > MOST_ERRORED:
+        return "invalid", f"{errored} of {len(statuses)} flights errored, more than {MOST_ERRORED:.0%}"
+    if "budget_stop" in statuses or len(statuses) < flights:
+        left = flights - len(statuses)
+        return "incomplete", f"{statuses.count('budget_stop')} flights were cut short and {left} not begun"
+    return "valid", ""
+
+
+async def run(
+    config: RunConfig, folder: RunFolder, token: str | None, options: Options, observer: Observer
+) -> RunResult:
+    """Fly all flights of a run, going on where its transcript ends. The folder then holds records and results.
+
+    Raises:
+        OSError: if the folder cannot be written to.
+        InvalidValueError: if the transcript is damaged or of another run.
+    """
+    prompt = config.load_prompt()
+    flights: list[Flight] = []
+    spending = Spending(options.limits, options.prices)
+    gate = AdaptiveGate(options.concurrency)
+    with contextlib.ExitStack() as stack:
+        transcript = Transcript(folder.path / TRANSCRIPT, token)
+        stack.callback(transcript.close)
+        # Also when interrupted: what was flown is then there to be seen.
+        stack.callback(lambda: folder.write_flights(flights, config.model))
+        for call in transcript.calls:
+            spending.add(call)
+        endpoint = Endpoint(config, token, prompt.plan, options.timeout)
+        cache = None if options.cache is None else AnswerCache(options.cache)
+        caller = Caller(config, prompt.plan, endpoint, transcript, spending, gate, options.retries, cache, observer)
+        observer.started(config, spending, gate)
+
+        async def fly_one(index: int) -> bool:
+            """Whether to go on with the next one."""
+            try:
+                flight = await fly(config, prompt, index, caller.ask)
+            except StoppedError:
+                return False
+            # A flight that the limits did not let begin is not one.
+            if flight.turns != ["budget_stop"]:
+                flights.append(flight)
+                observer.flown(flight)
+            return caller.fatal is None
+
+        try:
+            await _all(config.flights, options.concurrency, fly_one)
+        finally:
+            await endpoint.close()
+    flights.sort(key=lambda flight: flight.index)
+    fatal = None if caller.fatal is None else str(caller.fatal)
+    verdict, reason = verdict_of(config.flights, [flight.status for flight in flights], fatal)
+    return RunResult(verdict, reason, flights)
+
+
+async def _all(n: int, at_once: int, work: Callable[[int], Coroutine[Any, Any, bool]]) -> None:
+    """Do `work(0)` to `work(n - 1)`, so many at once, until one says to stop or fails."""
+    numbers = iter(range(n))
+    stop = asyncio.Event()
+
+    async def worker() -> None:
+        for number in numbers:
+            if not await work(number):
+                stop.set()
+                return
+
+    tasks = [asyncio.ensure_future(worker()) for _ in range(min(n, at_once))]
+    stopping = asyncio.ensure_future(stop.wait())
+    waiting: set[asyncio.Future[Any]] = {stopping, *tasks}
+    try:
+        while not stop.is_set() and any(not task.done() for task in tasks):
+            done, waiting = await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+    finally:
+        for task in (stopping, *tasks):
+            task.cancel()
+        await asyncio.gather(stopping, *tasks, return_exceptions=True)
+
+
+def log_text(flight: Flight, model: str) -> str:
+    """The log lines of a flight, each with its newline.
+
+    The steps of an unusable answer name it as their error. A flight that stopped early has fewer steps, and its score
+    is what waiting to the end would earn.
+    """
+    episode = flight.episode
+    lines = [start_line(episode.task, model)]
+    for number, (step, error) in enumerate(zip(episode.path, flight.step_errors, strict=True), 1):
+        done = episode.ended and number == episode.steps
+        lines.append(step_line(number, Action(step.action), step.reward, done, error))
+    lines.append(end_line(episode.success, episode.counted_score(), episode.rewards))
+    return "".join(f"{line}\n" for line in lines)
+
+
+def summary_lines(result: RunResult) -> list[str]:
+    """What came of a run, for people: the verdict, the score of those that count, and how the answers came out."""
+    counted = [flight for flight in result.flights if flight.status != "errored"]
+    outcomes = {name: sum(flight.turns.count(name) for flight in result.flights) for name in OUTCOMES}
+    waits = sum(error is not None for flight in result.flights for error in flight.step_errors)
+    errored = len(result.flights) - len(counted)
+    unfinished = sum(not flight.episode.ended for flight in counted)
+    lines: list[str] = []
+    if counted:
+        mean = math.fsum(flight.episode.counted_score() for flight in counted) / len(counted)
+        success = sum(flight.episode.success for flight in counted)
+        lines.append(f"mean score {mean:.4f} over {len(counted)} flights, {success} delivered everything")
+    lines.append(f"errored and left out: {errored}; unfinished, counted as waiting to the end: {unfinished}")
+    lines.append(f"answers: {', '.join(f'{name} {count}' for name, count in outcomes.items())}; WAIT in place: {waits}")
+    verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
+    lines.append(f"verdict: {verdict}{': ' if result.reason else ''}{result.reason}")
+    return lines

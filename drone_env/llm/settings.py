@@ -1,0 +1,110 @@
+"""Which model is asked, where, and with which token: from the environment or `.env`, the environment first."""
+
+from urllib.parse import urlsplit
+
+from pydantic import Field, SecretStr, ValidationError
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from drone_env.errors import InvalidValueError
+
+HUGGING_FACE = "https://router.huggingface.co/v1"
+HUGGING_FACE_HOSTS = ("huggingface.co", "hf.co", "hf.space", "endpoints.huggingface.cloud")
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+
+SUPPORTED_MODELS = (
+    ("Qwen/Qwen2.5-7B-Instruct", "HF Router", "Free", "Fast, good baseline"),
+    ("Qwen/Qwen2.5-72B-Instruct", "HF Router", "Credits", "High capability"),
+    ("Qwen/QwQ-32B-Preview", "HF Router", "Credits", "Reasoning-optimized"),
+    ("gpt-4o", "OpenAI", "Paid", "Reference performance"),
+)
+"""Model, provider, tier, notes. Any other model of an OpenAI-compatible endpoint can be named as well."""
+
+
+class InferenceSettings(BaseSettings):
+    """What can be configured. Each field is read from the variable of its name in capitals."""
+
+    model_config = SettingsConfigDict(
+        env_file=".env", env_file_encoding="utf-8", env_ignore_empty=True, frozen=True, extra="ignore"
+    )
+
+    hf_token: SecretStr | None = Field(default=None, description="Token for Hugging Face; sent to its hosts alone.")
+    openai_api_key: SecretStr | None = Field(
+        default=None, description="Token for any other endpoint; never sent to Hugging Face."
+    )
+    api_base_url: str = Field(default=HUGGING_FACE, description="The OpenAI-compatible endpoint.")
+    model_name: str = Field(default="Qwen/Qwen2.5-7B-Instruct", description="The model.")
+    drone_task: str = Field(default="easy_delivery", description="The task to fly: id, short name or grader.")
+    local_image_name: str = Field(
+        default="drone-inference-v1", description="Docker image of the server that `--use-image` starts."
+    )
+
+
+def load_settings() -> InferenceSettings:
+    """The settings from the environment and `.env` of the working folder.
+
+    Raises:
+        InvalidValueError: if a variable has a value that it cannot have; the message names it.
+    """
+    try:
+        return InferenceSettings()
+    except ValidationError as error:
+        wrong = "; ".join(f"{str(e['loc'][0]).upper()}: {e['msg']}" for e in error.errors())
+        raise InvalidValueError(wrong) from None
+
+
+def check_url(url: str) -> str:
+    """An endpoint's address without a slash at its end.
+
+    Raises:
+        InvalidValueError: if it is no http or https address, or holds a user, a password, a query or a fragment.
+    """
+    try:
+        parts = urlsplit(url)
+        usable = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
+    except ValueError:
+        raise InvalidValueError(f"API_BASE_URL is no address: {url!r}") from None
+    # A password in the address would end up in the run folder.
+    if not usable or "@" in parts.netloc or parts.query or parts.fragment:
+        raise InvalidValueError(
+            "API_BASE_URL must be http(s)://HOST[:PORT][/PATH] without a user, password, query or fragment"
+        )
+    return url.rstrip("/")
+
+
+def token_for(settings: InferenceSettings, url: str) -> str | None:
+    """The token that goes to an endpoint: by its host alone. None for a local endpoint where no key is set.
+
+    Raises:
+        InvalidValueError: if the token that the host needs is not set or cannot stand in a header, or it would be sent
+            unencrypted to another machine.
+    """
+    parts = urlsplit(check_url(url))
+    host = (parts.hostname or "").lower()
+    name, secret = ("OPENAI_API_KEY", settings.openai_api_key)
+    if any(host == known or host.endswith(f".{known}") for known in HUGGING_FACE_HOSTS):
+        name, secret = ("HF_TOKEN", settings.hf_token)
+    if secret is None:
+        if host in LOOPBACK:
+            return None
+        raise InvalidValueError(f"{host} needs {name}: set it in the environment or in .env")
+    token = secret.get_secret_value().strip()
+    if not token or not token.isascii() or not token.isprintable() or " " in token:
+        raise InvalidValueError(f"{name} must be printable ASCII without spaces, as a header has to carry it")
+    if parts.scheme != "https" and host not in LOOPBACK:
+        raise InvalidValueError(f"{name} is not sent unencrypted: API_BASE_URL must begin with https:// for {host}")
+    return token
+
+
+def settings_table() -> str:
+    """The settings as a table in Markdown."""
+    lines = ["| variable | default | meaning |", "|---|---|---|"]
+    for name, field in InferenceSettings.model_fields.items():
+        default = "-" if field.default is None else f"`{field.default}`"
+        lines.append(f"| `{name.upper()}` | {default} | {field.description} |")
+    return "\n".join(lines)
+
+
+def models_table() -> str:
+    """The supported models as a table in Markdown."""
+    lines = ["| model | provider | tier | notes |", "|---|---|---|---|"]
+    return "\n".join(lines + [f"| `{model}` | {' | '.join(rest)} |" for model, *rest in SUPPORTED_MODELS])

@@ -1,0 +1,146 @@
+"""The transcript: every call of a run, one JSON line each, in the file before anything is done with the answer.
+
+It is the one source of a run: flights, records and figures all follow from it, so a run that was killed goes on from
+it. A process that dies while it writes leaves at most a cut last line, whose call was not acknowledged.
+"""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from pydantic import Field, ValidationError
+
+from drone_env.errors import InvalidValueError
+from drone_env.llm.answers import Answer
+from drone_env.llm.prompt import ChatMessage
+from drone_env.models import Count, Message
+
+
+class CallKey(NamedTuple):
+    """Which call of a run: flight from 0, turn from 1, attempt 1 or, after a bad answer, 2."""
+
+    flight: int
+    turn: int
+    attempt: int
+
+    def __str__(self) -> str:
+        return f"{self.flight}-{self.turn}-{self.attempt}"
+
+
+class Failure(Message):
+    """One try that brought no answer."""
+
+    status: int = Field(ge=0, description="HTTP status, 0 where there was none.")
+    reason: str
+    waited: float = Field(ge=0, description="Seconds waited before the next try.")
+
+
+class Call(Message):
+    """One call, with all its tries."""
+
+    flight: Count
+    seed: Count
+    repeat: Count
+    turn: int = Field(ge=1)
+    attempt: Literal[1, 2]
+    messages: list[ChatMessage]
+    request_digest: str = Field(description="Of the messages and all that is sent with them.")
+    answer: Answer | None = Field(description="Null where no try brought one.")
+    outcome: str = Field(description="How the answer was understood, or `api_error`.")
+    failures: list[Failure] = Field(default_factory=list)
+    latency: float = Field(ge=0, description="Seconds that the last try took.")
+    at: float = Field(description="When it was done, seconds since 1970.")
+    cached: bool = Field(default=False, description="Whether the answer is from the cache and was not paid.")
+
+    @property
+    def key(self) -> CallKey:
+        """Which call it is."""
+        return CallKey(self.flight, self.turn, self.attempt)
+
+    @property
+    def requests(self) -> int:
+        """How many requests were sent for it."""
+        return len(self.failures) + (self.answer is not None and not self.cached)
+
+
+class Transcript:
+    """A transcript to read from and append to. Not for several threads.
+
+    Args:
+        path: The file; it is made where it is missing, and a cut last line is removed.
+        secret: A text that must never be written, such as the token.
+
+    Raises:
+        OSError: if it cannot be opened.
+        InvalidValueError: if a line is no call; the message says which.
+    """
+
+    def __init__(self, path: Path, secret: str | None = None) -> None:
+        self.path = path
+        self._secret = secret
+        self.calls: list[Call] = []
+        self._file = path.open("ab+", buffering=0)
+        try:
+            self._read()
+        except BaseException:
+            self._file.close()
+            raise
+        self.answered = {call.key: call for call in self.calls if call.answer is not None}
+
+    def append(self, call: Call) -> Call:
+        """Write a call and return it as it was written; it is in the file when this returns.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        line = call.model_dump_json()
+        if self._secret and self._secret in line:
+            # An endpoint may quote the token, in an error or in an answer.
+            line = line.replace(self._secret, "***")
+            call = Call.model_validate_json(line)
+        data = f"{line}\n".encode()
+        if self._file.write(data) != len(data):
+            raise OSError(f"a call could not be written whole to {self.path}")
+        self.calls.append(call)
+        if call.answer is not None:
+            self.answered[call.key] = call
+        return call
+
+    def close(self) -> None:
+        """Put all on the disk and close the file."""
+        if not self._file.closed:
+            os.fsync(self._file.fileno())
+            self._file.close()
+
+    def _read(self) -> None:
+        end = 0
+        for size, call in read_calls(self.path):
+            end += size
+            self.calls.append(call)
+        self._file.truncate(end)
+
+
+def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
+    """The calls of a transcript, each with the bytes of its line; a cut last line is left out.
+
+    Raises:
+        OSError: if it cannot be read.
+        InvalidValueError: at a line that is no call, or the second answer of one.
+    """
+    seen: set[CallKey] = set()
+    with path.open("rb") as file:
+        for number, line in enumerate(file, 1):
+            if not line.endswith(b"\n"):
+                return
+            try:
+                call = Call.model_validate_json(line)
+            except ValidationError as error:
+                first = error.errors()[0]
+                where = "".join(f"{part}: " for part in first["loc"])
+                raise InvalidValueError(f"line {number} of {path} is no call: {where}{first['msg']}") from None
+            if call.answer is not None:
+                if call.key in seen:
+                    raise InvalidValueError(f"line {number} of {path}: call {call.key} has an answer already")
+                seen.add(call.key)
+            yield len(line), call

@@ -1,0 +1,96 @@
+"""Whether a run folder is what it says: every flight is flown again, from the model's own answers."""
+
+import asyncio
+from pathlib import Path
+
+from drone_env.episodes.jsonl import read_records
+from drone_env.episodes.record import EpisodeRecord, record_of, replay
+from drone_env.errors import DroneEnvError, InvalidValueError
+from drone_env.llm.answers import Answer
+from drone_env.llm.config import RunConfig
+from drone_env.llm.limits import LimitReachedError
+from drone_env.llm.pilot import CallFailedError, Flight, fly
+from drone_env.llm.prompt import ChatMessage
+from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
+from drone_env.llm.transcript import Call, CallKey, read_calls
+
+
+class VerifiedRun:
+    """A run that has been checked.
+
+    Attributes:
+        path: Its folder.
+        config: What it is.
+        results: Of each flight.
+        records: Of each flight, in the same order.
+        calls: All of the transcript.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        config: RunConfig,
+        results: list[FlightResult],
+        records: list[EpisodeRecord],
+        calls: list[Call],
+    ) -> None:
+        self.path = path
+        self.config = config
+        self.results = results
+        self.records = records
+        self.calls = calls
+
+
+def verified_run(path: Path) -> VerifiedRun:
+    """A run, checked: records and results are what the transcript's answers come to under the rules of the world.
+
+    Raises:
+        OSError: if a file of it cannot be read.
+        InvalidValueError: if it is damaged, or anything in it does not follow from its answers; the message says what.
+    """
+    config = load_config(path)
+    results, records = load_results(path), list(read_records(path / EPISODES))
+    calls = [call for _, call in read_calls(path / TRANSCRIPT)]
+    answers = {call.key: call for call in calls if call.answer is not None}
+    if len(results) != len(records):
+        raise InvalidValueError(f"{path} holds {len(records)} records for {len(results)} flights")
+    numbers = [result.flight for result in results]
+    if numbers != sorted(set(numbers)) or (numbers and numbers[-1] >= config.flights):
+        raise InvalidValueError(f"{path}: the flights are not numbered as those of {config.flights}")
+    begun = {call.flight for call in answers.values()}
+    lost = sorted(begun - set(numbers))
+    if lost:
+        # Leaving out the flights that went badly would make a run look better than it was.
+        raise InvalidValueError(f"{path}: flight {lost[0]} was begun but is not among the results: resume the run")
+    used: set[CallKey] = set()
+    for result, record in zip(results, records, strict=True):
+        try:
+            replay(record)
+            flight = asyncio.run(_flown_again(config, result, answers, used))
+        except DroneEnvError as error:
+            raise InvalidValueError(f"{path}: flight {result.flight}: {error}") from None
+        if FlightResult.of(flight) != result or record_of(flight.episode, config.model) != record:
+            raise InvalidValueError(f"{path}: flight {result.flight} is not what the model's answers come to")
+    if used != answers.keys():
+        raise InvalidValueError(f"{path}: {len(answers.keys() - used)} answers belong to no flight")
+    return VerifiedRun(path, config, results, records, calls)
+
+
+async def _flown_again(
+    config: RunConfig, result: FlightResult, answers: dict[CallKey, Call], used: set[CallKey]
+) -> Flight:
+    async def ask(key: CallKey, messages: list[ChatMessage]) -> Answer:
+        call = answers.get(key)
+        if call is not None and call.answer is not None:
+            if call.messages != messages:
+                raise InvalidValueError(f"call {key} asked something else than this prompt does")
+            used.add(key)
+            return call.answer
+        # Where the answers end, the flight ended as its result says, which is compared with the rest of it.
+        if result.status == "errored":
+            raise CallFailedError(result.error or "")
+        if result.status == "budget_stop":
+            raise LimitReachedError(result.error or "")
+        raise InvalidValueError(f"call {key} has no answer, but the flight is said to be finished")
+
+    return await fly(config, config.load_prompt(), result.flight, ask)

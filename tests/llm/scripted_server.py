@@ -1,0 +1,184 @@
+"""An OpenAI-compatible server that does as it is told: `python scripted_server.py PORT`.
+
+`POST /NAME/script` opens an endpoint at `/NAME/v1`; its body holds `log` (a file), `pilot` (perfect, greedy, plan, or a
+text to answer with), `repair` (the same, for repair prompts), `latency` in seconds, and `faults`: a list of
+[first, last, fault] by the number of the request from 0, where the first that covers it holds. Each request is a line
+in the log before it is answered, and a second line when the answer has been written.
+"""
+
+import asyncio
+import json
+import re
+import sys
+from pathlib import Path
+
+from drone_env.core.actions import Action
+from drone_env.planning.optimal import shortest_tour, tour_actions
+from drone_env.planning.paths import towards
+
+POINT = re.compile(r"\((\d+), (\d+)\)")
+
+
+def points(text: str, label: str) -> list[tuple[int, int]]:
+    line = next(line for line in text.splitlines() if line.startswith(label))
+    return [(int(x), int(y)) for x, y in POINT.findall(line)]
+
+
+def number(text: str, pattern: str) -> int:
+    return int(re.search(pattern, text)[1])
+
+
+def tour(text: str, budget: int) -> list[Action]:
+    start = points(text, "Position:")[0]
+    return tour_actions(start, shortest_tour(start, points(text, "Parcels to deliver:"), budget))
+
+
+def reply(pilot: str, prompt: str) -> str:
+    if pilot == "perfect":
+        return tour(prompt, number(prompt, r"(\d+) units"))[0].name
+    if pilot == "plan":
+        return json.dumps({"actions": [a.name for a in tour(prompt, number(prompt, r"Steps left: (\d+)"))]})
+    if pilot == "greedy":
+        return Action(towards(points(prompt, "Position:")[0], points(prompt, "Target:")[0])).name
+    return pilot
+
+
+class Channel:
+    """One scripted endpoint."""
+
+    def __init__(self, script: dict) -> None:
+        self._path = Path(script["log"])
+        self.script = script
+        self.count = 0
+
+    def log(self, line: dict) -> None:
+        with self._path.open("a") as file:
+            file.write(json.dumps(line) + "\n")
+
+
+class Server:
+    def __init__(self) -> None:
+        self.channels: dict[str, Channel] = {}
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while await self.answer(reader, writer):
+                pass
+        except (ConnectionError, asyncio.IncompleteReadError):
+            pass
+        finally:
+            writer.close()
+
+    async def answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
+        head = (await reader.readuntil(b"\r\n\r\n")).decode()
+        headers = {
+            name.lower(): value.strip()
+            for name, _, value in (line.partition(":") for line in head.splitlines()[1:] if line)
+        }
+        body = json.loads(await reader.readexactly(int(headers.get("content-length", 0))) or b"{}")
+        _, name, what = head.split()[1].split("/", 2)
+        if what == "script":
+            self.channels[name] = Channel(body)
+            self.send(writer, 200, {})
+            return True
+        assert what == "v1/chat/completions", what
+        channel = self.channels[name]
+        script = channel.script
+        index, channel.count = channel.count, channel.count + 1
+        call = headers.get("x-client-request-id", "")
+        fault = next((f for first, last, f in script.get("faults", []) if first <= index <= last), None)
+        line = {"call": call, "fault": fault, "headers": headers, "body": body}
+        channel.log({"at": asyncio.get_running_loop().time(), **line})
+        await asyncio.sleep(script.get("latency", 0))
+        if fault == "hang":
+            await asyncio.sleep(3600)
+        if fault == "cut":
+            return False
+        if fault == "cut_body":
+            writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n{")
+            await writer.drain()
+            return False
+        if fault == "no_json":
+            data = b"<html>busy</html>"
+            writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/html\r\nContent-Length: %d\r\n\r\n" % len(data) + data)
+            return True
+        if isinstance(fault, dict) and "status" in fault:
+            error = {"error": {"message": fault.get("message", f"scripted {fault['status']}"), "type": "scripted"}}
+            self.send(writer, fault["status"], error, fault.get("headers", {}))
+            return True
+        prompt = next(m["content"] for m in reversed(body["messages"]) if "Position:" in m["content"])
+        repairing = body["messages"][-1]["content"] != prompt
+        pilot = script["pilot"]
+        if repairing and "repair" in script:
+            pilot = script["repair"]
+        message = {"role": "assistant", "content": reply(pilot, prompt), **script.get("message", {})}
+        if body.get("tools"):
+            function = body["tools"][0]["function"]["name"]
+            arguments = json.dumps({"direction": message["content"]})
+            message["tool_calls"] = [
+                {"id": "1", "type": "function", "function": {"name": function, "arguments": arguments}}
+            ]
+            message["content"] = None
+        elif body.get("response_format"):
+            message["content"] = json.dumps({"direction": message["content"]})
+        reason = script.get("finish_reason", "stop")
+        usage = {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102}
+        if script.get("no_usage"):
+            usage = None
+        common = {"id": "x", "created": 0, "model": body["model"]}
+        if body.get("stream"):
+            await self.stream(writer, common, message, reason, usage, fault)
+            if fault == "cut_stream":
+                return False
+        else:
+            choice = {"index": 0, "message": message, "finish_reason": reason}
+            self.send(writer, 200, {**common, "object": "chat.completion", "choices": [choice], "usage": usage})
+        await writer.drain()
+        channel.log({"answered": call})
+        return True
+
+    async def stream(self, writer, common, message, reason, usage, fault) -> None:
+        writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\nTransfer-Encoding: chunked\r\n\r\n")
+
+        def event(text: str) -> None:
+            data = f"data: {text}\n\n".encode()
+            writer.write(b"%x\r\n%s\r\n" % (len(data), data))
+
+        def chunk(delta: dict, finish: str | None) -> str:
+            choice = {"index": 0, "delta": delta, "finish_reason": finish}
+            return json.dumps({**common, "object": "chat.completion.chunk", "choices": [choice]})
+
+        for name in ("reasoning_content", "refusal", "content"):
+            text = message.get(name) or ""
+            step = max(1, len(text) // 3)
+            for start in range(0, len(text), step):
+                event(chunk({name: text[start : start + step]}, None))
+        for call in message.get("tool_calls", []):
+            event(chunk({"tool_calls": [{"index": 0, **call}]}, None))
+        if fault == "end_stream":
+            event("[DONE]")
+            writer.write(b"0\r\n\r\n")
+            return
+        if fault == "cut_stream":
+            await writer.drain()
+            return
+        event(chunk({}, reason))
+        event(json.dumps({**common, "object": "chat.completion.chunk", "choices": [], "usage": usage}))
+        event("[DONE]")
+        writer.write(b"0\r\n\r\n")
+
+    def send(self, writer, status: int, value: dict, headers: dict | None = None) -> None:
+        data = json.dumps(value).encode()
+        more = "".join(f"{name}: {text}\r\n" for name, text in (headers or {}).items())
+        start = f"HTTP/1.1 {status} Scripted\r\nContent-Type: application/json\r\nContent-Length: {len(data)}\r\n{more}"
+        writer.write(f"{start}\r\n".encode() + data)
+
+
+async def main(port: str) -> None:
+    server = Server()
+    async with await asyncio.start_server(server.serve, "127.0.0.1", int(port), limit=1 << 26, backlog=4096) as running:
+        await running.serve_forever()
+
+
+if __name__ == "__main__":
+    asyncio.run(main(*sys.argv[1:]))
