@@ -147,9 +147,9 @@ FAST: dict[str, TrainConfig] = {
     "easy_delivery": TrainConfig(episodes=4_000, validation_every=200),
     "medium_delivery": TrainConfig(episodes=1_200),
     "hard_delivery": TrainConfig(episodes=1_000),
-    "skyline_easy": TrainConfig(episodes=12_000, validation_every=1_000),
-    "skyline_medium": TrainConfig(episodes=8_000, validation_every=500),
-    "skyline_hard": TrainConfig(episodes=6_000, validation_every=500),
+    "skyline_easy": TrainConfig(episodes=12_000, epsilon_end=0.1, validation_every=1_000),
+    "skyline_medium": TrainConfig(episodes=8_000, epsilon_end=0.1, validation_every=500),
+    "skyline_hard": TrainConfig(episodes=6_000, epsilon_end=0.1, validation_every=500),
 }
 """What was found to learn fastest, for each of the three delivery tasks; others take the numbers of `hard_delivery`."""
 
