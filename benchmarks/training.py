@@ -34,22 +34,22 @@ from drone_env.rl.validation import Validator, Values
 SHARES = (0.95, 0.99, 0.995)
 SECONDS = 2.0
 """Of computing, between two validations."""
-NUM_ENVS = 64
+NUM_ENVS = 512
 SB3: dict[str, Any] = {
     "learning_rate": 1e-3,
     "buffer_size": 200_000,
-    "learning_starts": 2_000,
+    "learning_starts": 5_000,
     "batch_size": 256,
-    "tau": 0.005,
-    "target_update_interval": 1,
+    "tau": 0.15,
+    "target_update_interval": NUM_ENVS,
     "train_freq": 1,
-    "gradient_steps": 16,
+    "gradient_steps": 8,
     "gamma": 0.99,
-    "exploration_final_eps": 0.05,
+    "exploration_final_eps": 0.2,
     "max_grad_norm": 10,
 }
 SB3_STEPS = 400_000
-SB3_EXPLORATION_STEPS = 20_000
+SB3_EXPLORATION_STEPS = 60_000
 
 
 class ReachedError(Exception):
