@@ -18,13 +18,14 @@ BIN := .venv/bin
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	touch $@
 
-# Fly the trained network, compare the agents on every task, and draw one mission.
+# Fly the trained network, compare the agents on every task (no network is shipped for skyline), draw one mission.
 demo: .venv/.base
 	@echo "== One mission: the trained network over hard map 7 =="
 	@$(BIN)/drone-env fly --task hard --agent pathqnet --seed 7 --picture demo/mission.png
 	@echo
 	@echo "== 100 test maps of each task =="
-	@$(BIN)/drone-env evaluate --task all --agents random greedy pathqnet optimal --split test --episodes 100
+	@$(BIN)/drone-env evaluate --task easy medium hard --agents random greedy pathqnet optimal --split test --episodes 100
+	@$(BIN)/drone-env evaluate --task skyline_easy skyline_medium skyline_hard --split test --episodes 100
 
 test: .venv/.dev
 	$(BIN)/python -m pytest -n auto --dist worksteal

@@ -18,7 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from drone_env.agents.pathqnet import WEIGHTS
+from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.evaluation import episodes_key, run_episodes, summarise
@@ -156,11 +156,11 @@ It knows this task's maps and numbers. On others it takes what it sees for this 
 def ship(result: dict[str, Any]) -> None:
     """Put a network and its card where the agent looks for it."""
     task = get_task(result["task"], result["task_version"])
-    WEIGHTS.mkdir(exist_ok=True)
-    name = f"{task.id}_v{task.version}"
-    with replacing(WEIGHTS / f"{name}.npz") as temporary:
+    shipped = shipped_network(task)
+    shipped.parent.mkdir(exist_ok=True)
+    with replacing(shipped) as temporary:
         temporary.write_bytes((ROOT / result["network"]).read_bytes())
-    with replacing(WEIGHTS / f"{name}.md") as temporary:
+    with replacing(shipped.with_suffix(".md")) as temporary:
         temporary.write_text(card(result), encoding="utf-8")
 
 

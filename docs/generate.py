@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
+from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES
@@ -74,6 +75,8 @@ def figures(task: TaskConfig) -> str:
     """The table of how the agents fly a task."""
     lines = ["| agent | mean score | of the optimum | all delivered | mean steps |", "|---|---|---|---|---|"]
     for agent in AGENTS:
+        if agent == "pathqnet" and not shipped_network(task).is_file():
+            continue
         key = episodes_key(task, agent, split_seeds("test", MAPS), "test")
         of_agent = summarise(run_episodes(key))
         lines.append(

@@ -15,6 +15,11 @@ from drone_env.errors import CheckpointError, UnsupportedTaskError
 WEIGHTS = Path(__file__).parents[1] / "weights"
 
 
+def shipped_network(task: TaskConfig) -> Path:
+    """Where the network of a task lies, if one is shipped."""
+    return WEIGHTS / f"{task.id}_v{task.version}.npz"
+
+
 class PathQNetAgent:
     """Flies by a network.
 
@@ -30,7 +35,7 @@ class PathQNetAgent:
     """
 
     def __init__(self, task: TaskConfig, network: Path | None = None) -> None:
-        path = WEIGHTS / f"{task.id}_v{task.version}.npz" if network is None else network
+        path = shipped_network(task) if network is None else network
         if network is None and not path.is_file():
             raise UnsupportedTaskError(
                 f"no network is shipped for {task.id!r}: train one (drone-env train --task {task.short_name}) and name "
