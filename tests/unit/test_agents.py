@@ -14,7 +14,6 @@ from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import UnknownNameError
 from drone_env.planning.optimal import solve
 
-
 PAIRS = [
     (name, task) for name in AGENTS for task in TASKS.values() if name != "pathqnet" or shipped_network(task).is_file()
 ]
