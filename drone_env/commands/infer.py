@@ -1,6 +1,8 @@
 """`drone-env infer`: a language model flies."""
 
 import asyncio
+import contextlib
+import dataclasses
 import json as json_format
 import sys
 from datetime import datetime, timezone
@@ -20,7 +22,7 @@ SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 PromptName = Annotated[str, tyro.conf.arg(metavar="minimal|grid|coordinates|plan")]
 Number = Annotated[float | None, tyro.conf.arg(metavar="X")]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
-NEEDED = ("httpx2", "matplotlib", "openai", "pydantic_settings", "tenacity")
+NEEDED = ("httpx", "httpx2", "matplotlib", "openai", "pydantic_settings", "tenacity")
 
 
 def infer(
@@ -58,6 +60,8 @@ def infer(
     resume: bool = False,
     report: bool = True,
     moves: bool = True,
+    use_image: bool = False,
+    server: str | None = None,
 ) -> int:
     """Let a language model of any OpenAI-compatible endpoint fly, and say what it is worth.
 
@@ -104,10 +108,14 @@ def infer(
         resume: Go on with the run in --out, under the same configuration.
         report: Check the whole run once more and write report.md, report.json and report.html into its folder.
         moves: Say in the report how many moves were blunders, beside the exact value of every state.
+        use_image: Start the Docker image LOCAL_IMAGE_NAME and fly in its server. Each of its observations must be the
+            one that the rules here give.
+        server: Fly in the server at this address, in the same way.
     """
     try:
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import RunConfig, Sampling
+        from drone_env.llm.image import running_image
         from drone_env.llm.limits import Limits, Prices
         from drone_env.llm.progress import ConsoleObserver
         from drone_env.llm.prompt import get_prompt
@@ -161,6 +169,8 @@ def infer(
         raise InvalidValueError(f"--extra takes a JSON object: {error}") from None
     token = token_for(settings, config.base_url)
     prices = None if price_prompt is None or price_completion is None else Prices(price_prompt, price_completion)
+    if use_image and server is not None:
+        raise InvalidValueError("--use-image starts a server itself: give it without --server")
     options = runner.Options(
         concurrency=concurrency,
         timeout=timeout,
@@ -168,12 +178,17 @@ def infer(
         prices=prices,
         retries=runner.RetryPolicy(tries, backoff, longest_wait),
         cache=cache,
+        server=server,
     )
     if max_cost is not None and prices is None:
         raise InvalidValueError("--max-cost needs prices: give --price-prompt and --price-completion")
     folder = run_folder.RunFolder(out or _new_folder(config.model, config_task.short_name), config, resume)
     try:
-        with ConsoleObserver() as observer:
+        with contextlib.ExitStack() as stack:
+            if use_image:
+                url = stack.enter_context(running_image(settings.local_image_name))
+                options = dataclasses.replace(options, server=url)
+            observer = stack.enter_context(ConsoleObserver())
             result = asyncio.run(runner.run(config, folder, token, options, observer))
         if report:
             from drone_env.llm.report import report as figures_of

@@ -16,6 +16,7 @@ from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import AnswerForm, RunConfig
 from drone_env.llm.prompt import ChatMessage
+from drone_env.llm.transcript import SHORTEST_SECRET
 
 RETRIED = {408, 409, 429}
 SENT_HEADERS = {
@@ -135,7 +136,7 @@ class Endpoint:
 
     def _clean(self, text: str) -> str:
         """The text on one line, without the token."""
-        if self._token:
+        if self._token and len(self._token) >= SHORTEST_SECRET:
             text = text.replace(self._token, "***")
         return " ".join(text.split())[:REASON_CHARACTERS]
 

@@ -9,6 +9,7 @@ from drone_env.core.state_manager import Episode
 from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer, Outcome, read_answer
 from drone_env.llm.config import RunConfig
+from drone_env.llm.image import ServerFlight
 from drone_env.llm.limits import LimitReachedError
 from drone_env.llm.prompt import ChatMessage, Flown, Prompt, first_messages, repair_messages
 from drone_env.llm.transcript import CallKey
@@ -46,7 +47,7 @@ class Flight:
     error: str | None = None
 
 
-async def fly(config: RunConfig, prompt: Prompt, index: int, ask: Ask) -> Flight:
+async def fly(config: RunConfig, prompt: Prompt, index: int, ask: Ask, server: ServerFlight | None = None) -> Flight:
     """Fly one flight of a run. Equal answers give equal flights.
 
     Args:
@@ -54,12 +55,18 @@ async def fly(config: RunConfig, prompt: Prompt, index: int, ask: Ask) -> Flight
         prompt: Its prompt.
         index: The number of the flight.
         ask: Brings the answer of one call; raises `CallFailedError` or `LimitReachedError` where there is none.
+        server: Flies along, and must show the same.
+
+    Raises:
+        InvalidValueError: if the server shows something else.
     """
     task = config.task_config
     seed, repeat = config.flight(index)
     episode = Episode(task, config.reward_profile)
     episode.reset(seed)
     flight = Flight(index, seed, repeat, episode)
+    if server is not None:
+        await server.reset(episode, config.model)
     flown: list[Flown] = []
     while not episode.ended:
         turn = len(flight.turns) + 1
@@ -86,6 +93,8 @@ async def fly(config: RunConfig, prompt: Prompt, index: int, ask: Ask) -> Flight
             if episode.ended:
                 break
             episode.step(action)
+            if server is not None:
+                await server.step(episode, action)
             x, y = episode.position
             flown.append(Flown(action.name, x, y, episode.message))
             flight.step_errors.append(None if reading.actions else outcome)

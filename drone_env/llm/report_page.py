@@ -59,6 +59,6 @@ def _plots(figures: dict[str, Any]) -> str:
     right.barh(list(turns), list(turns.values()), color="#1b9e77")
     right.set_title("how requests for actions came out")
     text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
+    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     svg = text.getvalue()
     return svg[svg.index("<svg") :]

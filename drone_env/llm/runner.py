@@ -17,6 +17,7 @@ from drone_env.llm.caller import Caller, RetryPolicy, StoppedError, Watcher
 from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.config import RunConfig
 from drone_env.llm.endpoint import Endpoint
+from drone_env.llm.image import ServerFlight
 from drone_env.llm.limits import Limits, Prices, Spending
 from drone_env.llm.pilot import Flight, fly
 from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
@@ -38,6 +39,7 @@ class Options:
         prices: What tokens cost, if that is known.
         retries: How often a call is tried.
         cache: Folder of answers to share between runs.
+        server: Address of a server that flies along.
     """
 
     concurrency: int = 64
@@ -46,6 +48,7 @@ class Options:
     prices: Prices | None = None
     retries: RetryPolicy = field(default_factory=RetryPolicy)
     cache: Path | None = None
+    server: str | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.concurrency <= 10_000:
@@ -128,10 +131,14 @@ async def run(
 
         async def fly_one(index: int) -> bool:
             """Whether to go on with the next one."""
+            server = None if options.server is None else ServerFlight(options.server)
             try:
-                flight = await fly(config, prompt, index, caller.ask)
+                flight = await fly(config, prompt, index, caller.ask, server)
             except StoppedError:
                 return False
+            finally:
+                if server is not None:
+                    server.close()
             # A flight that the limits did not let begin is not one.
             if flight.turns != ["budget_stop"]:
                 flights.append(flight)

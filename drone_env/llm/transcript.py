@@ -4,10 +4,11 @@ It is the one source of a run: flights, records and figures all follow from it, 
 it. A process that dies while it writes leaves at most a cut last line, whose call was not acknowledged.
 """
 
+import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
@@ -15,6 +16,9 @@ from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
 from drone_env.llm.prompt import ChatMessage
 from drone_env.models import Count, Message
+
+SHORTEST_SECRET = 8
+"""Shorter tokens, such as the `x` that local servers are content with, are no secrets: they are parts of words."""
 
 
 class CallKey(NamedTuple):
@@ -78,7 +82,7 @@ class Transcript:
 
     def __init__(self, path: Path, secret: str | None = None) -> None:
         self.path = path
-        self._secret = secret
+        self._secret = secret if secret is not None and len(secret) >= SHORTEST_SECRET else None
         self.calls: list[Call] = []
         self._file = path.open("ab+", buffering=0)
         try:
@@ -97,8 +101,8 @@ class Transcript:
         line = call.model_dump_json()
         if self._secret and self._secret in line:
             # An endpoint may quote the token, in an error or in an answer.
-            line = line.replace(self._secret, "***")
-            call = Call.model_validate_json(line)
+            call = Call.model_validate_json(json.dumps(_without(json.loads(line), self._secret)))
+            line = call.model_dump_json()
         data = f"{line}\n".encode()
         if self._file.write(data) != len(data):
             raise OSError(f"a call could not be written whole to {self.path}")
@@ -119,6 +123,17 @@ class Transcript:
             end += size
             self.calls.append(call)
         self._file.truncate(end)
+
+
+def _without(value: Any, secret: str) -> Any:
+    """A JSON value with a text taken out of all its texts."""
+    if isinstance(value, str):
+        return value.replace(secret, "***")
+    if isinstance(value, list):
+        return [_without(item, secret) for item in value]
+    if isinstance(value, dict):
+        return {name: _without(item, secret) for name, item in value.items()}
+    return value
 
 
 def read_calls(path: Path) -> Iterator[tuple[int, Call]]:

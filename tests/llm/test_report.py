@@ -1,0 +1,105 @@
+"""Reports and the leaderboard: figures by hand, and runs that are not what they say."""
+
+import json
+import re
+from collections.abc import Callable
+
+import pytest
+
+from drone_env.cli import main
+from drone_env.core.seeds import SPLITS
+from drone_env.core.state_manager import Episode
+from drone_env.episodes.record import EpisodeRecord, record_of
+from drone_env.errors import InvalidValueError
+from drone_env.evaluation import episodes_key, run_episodes
+from drone_env.llm.limits import Prices
+from drone_env.llm.report import report, write_report
+from drone_env.llm.verify import verified_run
+
+from .conftest import Endpoint
+
+Start = Callable[..., Endpoint]
+
+
+def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
+    done = endpoint(pilot="greedy").infer("--task", "medium", "--episodes", "4", "--repeats", "2")
+    assert done.status == 0, done.err
+    run = verified_run(done.folder)
+    figures = report(run, Prices(10, 50))
+    start = SPLITS["test"].start
+    known = {
+        agent: run_episodes(episodes_key("medium", agent, range(start, start + 4), "test")).scores.mean()
+        for agent in ("random", "greedy", "optimal")
+    }
+    assert figures["verdict"] == "valid"
+    assert figures["score"] == pytest.approx(known["greedy"], abs=1e-12)
+    assert figures["baselines"]["greedy"] == pytest.approx(known["greedy"], abs=1e-12)
+    assert figures["regret"] == pytest.approx(known["optimal"] - known["greedy"], abs=1e-12)
+    normalised = (known["greedy"] - known["random"]) / (known["optimal"] - known["random"])
+    assert figures["normalised"] == pytest.approx(normalised, abs=1e-12)
+    assert figures["pass_hat_k"] == {"1": 1.0, "2": 1.0}
+    calls = len(done.calls)
+    assert figures["calls"] == {"answered": calls, "cached": 0, "requests": calls, "without_usage": 0}
+    assert figures["cost_usd"] == pytest.approx(calls * (100 * 10 + 2 * 50) / 1e6)
+    assert sum(figures["moves"]["labels"].values()) == calls
+    assert figures["moves"]["labels"]["blunder"] == 0
+    write_report(run, figures)
+    assert json.loads((done.folder / "report.json").read_text()) == figures
+    assert f"| score (95 %) | {figures['score']:.4f} ± " in (done.folder / "report.md").read_text()
+    page = (done.folder / "report.html").read_text()
+    assert "<svg" in page
+    assert not re.search(r"<script|<link|<img|src=|href=\"(?!#)", page)
+
+
+def test_errored_flights_are_kept_out_and_shown(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[3, 10**9, {"status": 500}]])
+    done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--tries", "1")
+    figures = report(verified_run(done.folder), moves=False)
+    assert (figures["verdict"], figures["score"], figures["score_ci95"]) == ("invalid", 0.99, None)
+    assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
+    assert [of_map["seed"] for of_map in figures["maps"]] == [14]
+    assert figures["turns"]["api_error"] == 1
+
+
+def test_the_leaderboard_ranks_whole_runs_and_refuses_forged_ones(
+    endpoint: Start, capfd: pytest.CaptureFixture[str]
+) -> None:
+    greedy = endpoint(pilot="greedy").infer("--seeds", "14:16").folder
+    waiting = endpoint(pilot="WAIT").infer("--seeds", "14:16").folder
+    short = endpoint(pilot="greedy").infer("--seeds", "14:16", "--max-calls", "4", "--concurrency", "1").folder
+    forged = endpoint(pilot="WAIT").infer("--seeds", "14:16").folder
+    # The forger writes a perfect flight, whose record replays; but that is not what the model answered.
+    episode = Episode("easy")
+    episode.reset(14)
+    for action in (2, 0, 0):
+        episode.step(action)
+    records = (forged / "episodes.jsonl").read_text().splitlines()
+    records[0] = record_of(episode, "scripted").to_json()
+    (forged / "episodes.jsonl").write_text("\n".join([*records, ""]))
+    assert main(["replay", str(forged / "episodes.jsonl"), "--verify"]) == 0
+    capfd.readouterr()
+    assert main(["leaderboard", str(waiting), str(short), str(greedy), "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    (board,) = found["boards"]
+    assert [row["path"] for row in board["rows"]] == [str(greedy), str(waiting)]
+    assert [run["path"] for run in found["refused"]] == [str(short)]
+    assert main(["leaderboard", str(forged), str(greedy)]) == 1
+    out, err = capfd.readouterr()
+    assert f"not ranked: {forged}: " in err
+    assert "not what the model's answers come to" in err
+    assert "scripted" in out
+
+
+def test_a_record_that_does_not_replay_or_a_lost_flight_is_found(endpoint: Start) -> None:
+    folder = endpoint(pilot="greedy").infer("--seeds", "14:16").folder
+    episodes, flights = folder / "episodes.jsonl", folder / "flights.jsonl"
+    whole = episodes.read_text()
+    first, second = whole.splitlines()
+    better = EpisodeRecord.model_validate_json(second).model_copy(update={"score": 0.99}).to_json()
+    episodes.write_text(f"{first}\n{better}\n")
+    with pytest.raises(InvalidValueError, match="flight 1: the record does not fit its flight: score"):
+        verified_run(folder)
+    episodes.write_text(f"{first}\n")
+    flights.write_text(flights.read_text().splitlines()[0] + "\n")
+    with pytest.raises(InvalidValueError, match="flight 1 was begun but is not among the results"):
+        verified_run(folder)

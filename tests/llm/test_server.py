@@ -1,0 +1,43 @@
+"""Flying in a server beside the rules here."""
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.api.serving import Server, free_port
+
+from .conftest import Endpoint
+
+
+def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path) -> None:
+    server = Server(["-m", "drone_env.cli", "serve"], tmp_path / "data", free_port(), {})
+    try:
+        done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--server", server.url)
+        assert done.status == 0, done.err
+        assert done.turns == {"ok": 3}
+        (stored,) = httpx.get(f"{server.url}/memory_logs", timeout=30).json()["episodes"]
+        assert (stored["seed"], stored["agent"], stored["score"]) == (14, "scripted", 0.99)
+    finally:
+        server.kill()
+
+
+def test_a_server_that_is_none_is_an_error(endpoint: Callable[..., Endpoint]) -> None:
+    scripted = endpoint(pilot="greedy")
+    done = scripted.infer("--seeds", "14:15", "--server", f"http://127.0.0.1:{free_port()}")
+    assert (done.status, done.out) == (2, "")
+    assert "did not fly" in done.err
+    assert scripted.requests() == []
+
+
+def test_without_docker_the_image_is_refused(
+    endpoint: Callable[..., Endpoint], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert shutil.which("docker", path=os.environ["PATH"]) is None
+    done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--use-image")
+    assert done.status == 2
+    assert "needs Docker" in done.err
