@@ -14,7 +14,7 @@ from drone_env.rl.trainer import Progress, Trainer
 DOCS = Path(__file__).parent
 TASK = "easy"
 EPISODES = 1_500
-"""Enough for both to settle."""
+"""Enough to see which way each goes."""
 REWARDS = ("tiered", "aligned")
 BEGIN, END = "<!-- curves: written by reward_curves.py -->", "<!-- end of curves -->"
 
