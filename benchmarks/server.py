@@ -153,8 +153,8 @@ def both_servers() -> Generator[dict[str, int], None, None]:
         ours = [sys.executable, str(ROOT / "drone_env/server/app.py"), "--port", str(PORTS["drone-env"])]
         servers = [subprocess.Popen(ours, env=environment), subprocess.Popen([sys.executable, "-c", echo])]
         try:
-            for port in PORTS.values():
-                wait_for(port)
+            for server, port in zip(servers, PORTS.values(), strict=True):
+                wait_for(server, port)
             yield {name: server.pid for name, server in zip(PORTS, servers, strict=True)}
         finally:
             for server in servers:
@@ -163,19 +163,22 @@ def both_servers() -> Generator[dict[str, int], None, None]:
                 server.wait()
 
 
-def wait_for(port: int) -> None:
+def wait_for(server: subprocess.Popen[bytes], port: int) -> None:
     """Wait until a server is healthy.
 
     Raises:
-        TimeoutError: if it is not within a minute.
+        RuntimeError: if it has ended, such as when another has its port.
+        TimeoutError: if it is not healthy within a minute.
     """
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
         try:
-            if httpx.get(f"http://127.0.0.1:{port}/health").status_code == 200:
+            if httpx.get(f"http://127.0.0.1:{port}/health").status_code == 200 and server.poll() is None:
                 return
         except httpx.HTTPError:
             time.sleep(0.1)
+        if server.poll() is not None:
+            raise RuntimeError(f"the server for port {port} has ended; is something else listening there?")
     raise TimeoutError(f"no server on port {port}")
 
 

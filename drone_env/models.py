@@ -125,16 +125,36 @@ def observation_fields(episode: Episode) -> dict[str, Any]:
     Raises:
         EpisodeError: before the first reset.
     """
-    x, y = episode.position
-    width, height = episode.task.width, episode.task.height
-    cells = episode.grid().tobytes()
-    lines = [_shown(cells[start : start + width]) for start in range(0, width * height, width)]
-    away = episode.distance_to_target
+    lines = [shown(line) for line in map_lines(episode)]
     return {
         "grid": [emoji for emoji, _ in lines],
         "cell_types": [list(names) for _, names in lines],
-        "grid_width": width,
-        "grid_height": height,
+        **observation_numbers(episode),
+        "legend": LEGEND,
+    }
+
+
+def map_lines(episode: Episode) -> list[bytes]:
+    """The map as the drone sees it: one line of cell ids after another, top first.
+
+    Raises:
+        EpisodeError: before the first reset.
+    """
+    width, cells = episode.task.width, episode.grid().tobytes()
+    return [cells[start : start + width] for start in range(0, len(cells), width)]
+
+
+def observation_numbers(episode: Episode) -> dict[str, Any]:
+    """The fields of `DroneObservation.of(episode)` that are neither map nor legend.
+
+    Raises:
+        EpisodeError: before the first reset.
+    """
+    x, y = episode.position
+    away = episode.distance_to_target
+    return {
+        "grid_width": episode.task.width,
+        "grid_height": episode.task.height,
         "drone_x": x,
         "drone_y": y,
         "battery": episode.battery,
@@ -150,12 +170,11 @@ def observation_fields(episode: Episode) -> dict[str, Any]:
         "score": episode.score,
         "done": episode.ended,
         "message": episode.message,
-        "legend": LEGEND,
     }
 
 
 @lru_cache(maxsize=4096)
-def _shown(line: bytes) -> tuple[str, tuple[str, ...]]:
+def shown(line: bytes) -> tuple[str, tuple[str, ...]]:
     """A line of cell ids as emoji and as names; a step changes one or two lines of a map."""
     return "".join([EMOJI[cell] for cell in line]), tuple([NAMES[cell] for cell in line])
 

@@ -2,14 +2,17 @@
 
 import secrets
 import uuid
+from functools import lru_cache
 from typing import Any, NamedTuple
+
+from pydantic_core import to_json
 
 from drone_env.core.rewards import RewardProfile, get_reward_profile
 from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.models import DroneState, observation_fields
+from drone_env.models import LEGEND, DroneState, map_lines, observation_numbers, shown
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.task_api import find_map
 
@@ -20,6 +23,19 @@ DESCRIPTION = (
 )
 DEFAULT_TASK = "easy_delivery"
 DEFAULT_PROFILE = "tiered"
+
+
+def _json(value: object) -> str:
+    return to_json(value).decode()
+
+
+LEGEND_JSON = _json(LEGEND)
+
+
+@lru_cache(maxsize=1 << 14)  # 256 hard maps have 4,608 lines
+def _line_json(line: bytes) -> tuple[str, str]:
+    emoji, names = shown(line)
+    return _json(emoji), _json(names)
 
 
 class Start(NamedTuple):
@@ -89,13 +105,23 @@ class Flight:
         self.agent = options.agent
         self.stored = False
 
-    def result(self, reward: float | None) -> dict[str, Any]:
-        """The observation now as OpenEnv sends it, with what the last step paid (None after a reset)."""
-        return openenv_result(observation_fields(self.episode), reward)
+    def result(self, reward: float | None) -> str:
+        """The JSON of `openenv_result` now, with what the last step paid (None after a reset).
 
-    def state(self) -> dict[str, Any]:
-        """The full state as OpenEnv sends it."""
-        return {"episode_id": self.episode_id, **DroneState.of(self.episode).model_dump()}
+        Put together from the JSON of the map's lines, of which a step changes one or two: a third of a step's time.
+        """
+        lines = [_line_json(line) for line in map_lines(self.episode)]
+        numbers = observation_numbers(self.episode)
+        done = numbers.pop("done")
+        grid, cell_types = (",".join([line[i] for line in lines]) for i in (0, 1))
+        return (
+            f'{{"observation":{{"grid":[{grid}],"cell_types":[{cell_types}],{_json(numbers)[1:-1]},'
+            f'"legend":{LEGEND_JSON},"metadata":{{}}}},"reward":{_json(reward)},"done":{_json(done)}}}'
+        )
+
+    def state(self) -> str:
+        """The JSON of the full state as OpenEnv sends it."""
+        return _json({"episode_id": self.episode_id, **DroneState.of(self.episode).model_dump()})
 
 
 def openenv_result(fields: dict[str, Any], reward: float | None) -> dict[str, Any]:

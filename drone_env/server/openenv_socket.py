@@ -166,7 +166,7 @@ class OpenEnvSocket:
         if kind == "close":
             return None
         if kind == "mcp":
-            return _frame("mcp", mcp_answer(data))
+            return _frame("mcp", to_json(mcp_answer(data)).decode())
         raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
 
     async def _step(self, flight: Flight, data: dict[str, Any]) -> str:
@@ -216,12 +216,13 @@ def _is_longer(frame: str | bytes, most: int) -> bool:
     return len(frame) > most
 
 
-def _frame(kind: str, data: dict[str, Any]) -> str:
-    return to_json({"type": kind, "data": data}).decode()
+def _frame(kind: str, data: str) -> str:
+    """A frame around the JSON of its data."""
+    return f'{{"type":"{kind}","data":{data}}}'
 
 
 def _error(refusal: RefusedError) -> str:
     data: dict[str, Any] = {"message": printable(str(refusal)), "code": refusal.code}
     if refusal.errors is not None:
         data["errors"] = refusal.errors
-    return _frame("error", data)
+    return _frame("error", to_json(data).decode())

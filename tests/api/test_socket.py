@@ -8,12 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic_core import to_json
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from drone_env.core.tasks import TASKS
+from drone_env.models import observation_fields
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
+from drone_env.server.flight import Flight, openenv_result
 from drone_env.server.openenv_socket import Connection, OpenEnvSocket
+from drone_env.server.schemas import ResetOptions
 from drone_env.server.settings import Settings
 
 
@@ -178,3 +183,15 @@ def test_a_finished_episode_is_kept_before_it_is_answered(client: TestClient) ->
             assert (len(kept), kept[0]["seed"], kept[0]["agent"]) == (seed + 1, seed, "tester")
             ask(socket, {"type": "step", "data": {"direction": "UP"}})
     assert client.get("/analyse/medium").json()["episodes_total"] == 3
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_fast_json_of_an_observation_is_that_of_its_fields(task: str) -> None:
+    flight = Flight(task)
+    for seed in range(3):
+        flight.reset(ResetOptions(seed=seed))
+        for action in (0, 2, 4, 1, 3, 3, 0):
+            reward = flight.episode.step(action)
+            expected = openenv_result(observation_fields(flight.episode), reward)
+            assert flight.result(reward) == to_json(expected).decode()
+    assert json.loads(flight.result(None))["reward"] is None
