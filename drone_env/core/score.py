@@ -31,3 +31,11 @@ def score(rules: Rules, row: Buffer) -> float:
         rules.max_steps,
         rules.efficiency_needs_all,
     )
+
+
+def efficiency(rules: Rules, row: Buffer) -> float:
+    """75 % parcels delivered, 15 % battery left, 10 % steps left, as 0 to 100: for people to look at, paid nowhere."""
+    delivered = row[DELIVERIES] / rules.deliveries
+    battery = row[BATTERY] / rules.capacity
+    left = 1 - row[STEPS] / rules.max_steps
+    return 75 * delivered + 15 * battery + 10 * left

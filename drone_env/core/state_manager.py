@@ -30,7 +30,7 @@ from drone_env.core.rules import (
     row_size,
     view,
 )
-from drone_env.core.score import score
+from drone_env.core.score import efficiency, score
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import EpisodeError, InvalidValueError
@@ -250,6 +250,11 @@ class Episode:
     def score(self) -> float:
         """The graded score as the episode stands, 0.01 to 0.99: provisional until it has ended."""
         return score(self.rules, self._row)
+
+    @property
+    def efficiency(self) -> float:
+        """How sparing the flight was, 0 to 100: 75 % parcels, 15 % battery left, 10 % steps left. Not the score."""
+        return efficiency(self.rules, self._row)
 
     @property
     def reward_last(self) -> float:

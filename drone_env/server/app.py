@@ -11,10 +11,14 @@ import os
 import sys
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
 
 from fastapi import FastAPI
-from fastapi.responses import RedirectResponse
+from fastapi.responses import FileResponse
+from fastapi.staticfiles import StaticFiles
 from starlette.concurrency import run_in_threadpool
+from starlette.responses import Response
 from starlette.routing import WebSocketRoute
 
 from drone_env import __version__
@@ -23,7 +27,7 @@ from drone_env.errors import DroneEnvError, StoreError
 from drone_env.server.openenv_socket import OpenEnvSocket
 from drone_env.server.problems import answers, install
 from drone_env.server.request_log import LogRequests
-from drone_env.server.routes import catalogue, flight, history, openenv
+from drone_env.server.routes import catalogue, flight, history, openenv, replay
 from drone_env.server.security import protect
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import Shared
@@ -38,6 +42,9 @@ A drone delivers parcels on a generated city grid. Version {__version__} of the 
 with what follows. OpenEnv's clients connect to the WebSocket `/ws` instead, which is a session of its own.
 """
 SWEEP_SECONDS = 5.0
+PAGE = Path(__file__).with_name("static")
+REVALIDATED = {"Cache-Control": "no-cache"}
+"""Browsers ask whether a file has changed, so that an update of the package is seen at once."""
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
@@ -79,7 +86,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     install(app)
     protect(app, settings)
     app.add_middleware(LogRequests, log=shared.requests)
-    for routes in (flight, catalogue, history, openenv):
+    for routes in (flight, catalogue, history, replay, openenv):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
     _add_page(app)
@@ -88,8 +95,17 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 def _add_page(app: FastAPI) -> None:
     @app.get("/", include_in_schema=False)
-    async def page() -> RedirectResponse:
-        return RedirectResponse("/docs")
+    async def page() -> FileResponse:
+        return FileResponse(PAGE / "index.html", headers=REVALIDATED)
+
+    app.mount("/static", _Static(directory=PAGE))
+
+
+class _Static(StaticFiles):
+    def file_response(self, *arguments: Any, **options: Any) -> Response:
+        response = super().file_response(*arguments, **options)
+        response.headers.update(REVALIDATED)
+        return response
 
 
 async def _sweep(shared: Shared, socket: OpenEnvSocket) -> None:

@@ -4,6 +4,7 @@ import threading
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.core.actions import Action
@@ -12,7 +13,7 @@ from drone_env.core.rules import BATTERY, CELL, NOWHERE, STEPS, TARGET, interpre
 from drone_env.core.state_manager import Observation
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import InvalidValueError
-from drone_env.models import NAMES, DroneObservation
+from drone_env.models import NAMES, Direction, DroneObservation
 from drone_env.server.problems import RequestError
 from drone_env.server.schemas import ModelInfo, Prediction
 
@@ -32,27 +33,56 @@ class Networks:
             RequestError: if there is no network for the task.
             CheckpointError: if its file holds none that fits.
         """
-        file = f"{task.id}_v{task.version}.npz"
-        with self._lock:
-            agent = self._loaded.get(task)
-            if agent is None:
-                agent = self._loaded[task] = self._load(task, file)
-        values = agent.q_values(observation).tolist()
-        return Prediction(
-            action=Action(int(np.argmax(values))).name,
-            q_values={Action(i).name: value for i, value in enumerate(values)},
-            model=ModelInfo(file=file, digest=str(agent.config["network"])),
-        )
-
-    def _load(self, task: TaskConfig, file: str) -> PathQNetAgent:
-        if not (self.folder / file).is_file():
+        if not self.has(task):
             raise RequestError(
                 503,
                 "no_network",
-                f"there is no network for {task.id!r}: {file} is not in the folder of weights. Train one with "
-                f"drone-env train --task {task.short_name}, and copy data/{task.short_name}.npz there under that name",
+                f"there is no network for {task.id!r}: {self._file(task).name} is not in the folder of weights. Train "
+                f"one with drone-env train --task {task.short_name}, and copy data/{task.short_name}.npz there under "
+                "that name",
             )
-        return PathQNetAgent(task, self.folder / file)
+        agent = self._agent(task)
+        values = agent.q_values(observation)
+        return Prediction(
+            action=Action(int(np.argmax(values))).name,
+            q_values=_by_action(values),
+            model=ModelInfo(file=self._file(task).name, digest=str(agent.config["network"])),
+        )
+
+    def has(self, task: TaskConfig) -> bool:
+        """Whether there is a network for a task."""
+        return self._file(task).is_file()
+
+    def q_values(self, task: TaskConfig, observation: Observation) -> dict[Direction, float] | None:
+        """The network's value of each action, None where there is no network for the task.
+
+        Raises:
+            CheckpointError: if its file holds none that fits.
+        """
+        return _by_action(self._agent(task).q_values(observation)) if self.has(task) else None
+
+    def pilot(self, task: TaskConfig) -> PathQNetAgent:
+        """A new agent that flies by the network of a task.
+
+        Raises:
+            OSError: if there is none.
+            CheckpointError: if its file holds none that fits.
+        """
+        return PathQNetAgent(task, self._file(task))
+
+    def _file(self, task: TaskConfig) -> Path:
+        return self.folder / f"{task.id}_v{task.version}.npz"
+
+    def _agent(self, task: TaskConfig) -> PathQNetAgent:
+        with self._lock:
+            agent = self._loaded.get(task)
+            if agent is None:
+                agent = self._loaded[task] = self.pilot(task)
+            return agent
+
+
+def _by_action(values: npt.NDArray[np.float32]) -> dict[Direction, float]:
+    return {Action(i).name: value for i, value in enumerate(values.tolist())}
 
 
 def arrays_of(observation: DroneObservation) -> tuple[TaskConfig, Observation]:

@@ -224,6 +224,37 @@ class GraderList(Message):
     graders: list[GraderInfo]
 
 
+class KindInfo(Message):
+    """What can stand in a cell."""
+
+    id: Count = Field(description="The number that stands in grids.")
+    name: str
+    emoji: str
+    effect: str
+
+
+class KindList(Message):
+    """All kinds of cells."""
+
+    kinds: list[KindInfo]
+
+
+class PilotInfo(Message):
+    """One who flies on the page."""
+
+    id: str
+    name: str
+    summary: str
+    automatic: bool = Field(description="Whether it flies by itself.")
+    tasks: list[str] = Field(description="Ids of the tasks that it can fly.")
+
+
+class PilotList(Message):
+    """All who fly on the page."""
+
+    pilots: list[PilotInfo]
+
+
 class ModelInfo(Message):
     """The network that was asked."""
 

@@ -16,8 +16,9 @@ from drone_env.server.problems import problem
 from drone_env.server.settings import Settings
 from drone_env.server.strict_json import parse_json
 
-OPEN_PATHS = frozenset({"/health"})
-"""Answered without a token: whoever watches over the process has none."""
+OPEN_PATHS = frozenset({"/health", "/"})
+OPEN_FOLDER = "/static/"
+"""Answered without a token: whoever watches over the process has none, and the page asks for it."""
 SWAGGER = "https://cdn.jsdelivr.net"
 POLICY_VIOLATION = 1008
 
@@ -34,7 +35,7 @@ class SecurityHeaders:
         self.app = app
         framing = " ".join(frame_ancestors) or "'none'"
         common = f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}"
-        self.policy = f"{common}; img-src 'self' data:; connect-src 'self' ws: wss:"
+        self.policy = f"{common}; img-src 'self' data: blob:; connect-src 'self' ws: wss:"
         # Swagger's page is made by FastAPI, with a script in it and the rest from a CDN.
         self.docs_policy = (
             f"{common}; script-src 'self' 'unsafe-inline' {SWAGGER}; style-src 'self' 'unsafe-inline' {SWAGGER}; "
@@ -127,15 +128,17 @@ class BearerToken:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on what carries the token."""
-        asked = self.expected is not None and scope["type"] in ("http", "websocket") and scope["path"] not in OPEN_PATHS
-        if asked:
-            assert self.expected is not None
+        if self.expected is not None and scope["type"] in ("http", "websocket") and not _is_open(scope["path"]):
             given = dict(scope["headers"]).get(b"authorization", b"")
             if not hmac.compare_digest(given, self.expected):
                 detail = "this server asks for a token: send Authorization: Bearer TOKEN"
                 await refuse(scope, receive, send, 401, "token", detail, {"WWW-Authenticate": "Bearer"})
                 return
         await self.app(scope, receive, send)
+
+
+def _is_open(path: str) -> bool:
+    return path in OPEN_PATHS or path.startswith(OPEN_FOLDER)
 
 
 class JsonBodies:

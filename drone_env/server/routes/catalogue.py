@@ -3,9 +3,23 @@
 from fastapi import APIRouter
 
 from drone_env import __version__
+from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
-from drone_env.server.schemas import GraderInfo, GraderList, Health, ProfileInfo, TaskInfo, TaskList
+from drone_env.server.pilots import HUMAN, PILOTS, tasks_of
+from drone_env.server.schemas import (
+    GraderInfo,
+    GraderList,
+    Health,
+    KindInfo,
+    KindList,
+    PilotInfo,
+    PilotList,
+    ProfileInfo,
+    TaskInfo,
+    TaskList,
+)
+from drone_env.server.state import SharedParts
 
 router = APIRouter(tags=["catalogue"])
 PUBLISHED = ("easy_delivery", "medium_delivery", "hard_delivery")
@@ -25,6 +39,33 @@ async def tasks() -> TaskList:
 async def graders() -> GraderList:
     """The graders: functions that can be imported under these names."""
     return GraderList(graders=[GraderInfo(id=task.grader, task=task.id) for task in TASKS.values()])
+
+
+@router.get("/kinds")
+async def kinds() -> KindList:
+    """What can stand in a cell of a map."""
+    return KindList(
+        kinds=[
+            KindInfo(id=cell, name=kind.name, emoji=kind.emoji, effect=kind.effect) for cell, kind in CELL_KINDS.items()
+        ]
+    )
+
+
+@router.get("/pilots")
+async def pilots(shared: SharedParts) -> PilotList:
+    """Who can fly on the page, and which tasks."""
+    return PilotList(
+        pilots=[
+            PilotInfo(
+                id=name,
+                name=pilot.name,
+                summary=pilot.summary,
+                automatic=name != HUMAN,
+                tasks=tasks_of(name, shared.networks),
+            )
+            for name, pilot in PILOTS.items()
+        ]
+    )
 
 
 @router.get("/health")

@@ -6,14 +6,13 @@ from fastapi import APIRouter, Body, Request, Response
 from pydantic_core import to_json
 
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.graders import GRADERS
 from drone_env.models import Direction, DroneObservation, DroneState
-from drone_env.planning.optimal import solve
 from drone_env.server.flight import openenv_result
 from drone_env.server.predict import arrays_of
 from drone_env.server.problems import RequestError, answers
+from drone_env.server.routes.replay import best_flight
 from drone_env.server.schemas import (
     RESETS,
     STEPS,
@@ -116,13 +115,7 @@ def solution(shared: SharedParts, session: SessionId) -> SolutionAnswer:
         task, seed, score, ended = episode.task, episode.seed, episode.score, episode.ended
     if not ended:
         raise RequestError(409, "in_flight", "the best flight is told when the episode has ended")
-    best = solve(task, seed)
-    flight = Episode(task)
-    flight.reset(seed)
-    path = [flight.position]
-    for action in best.actions:
-        flight.step(action)
-        path.append(flight.position)
+    best, path = best_flight(task, seed)
     return SolutionAnswer(
         task=task.id,
         seed=seed,

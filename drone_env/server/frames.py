@@ -1,0 +1,128 @@
+"""A flight as the page shows it: the mission as it stands at the start, then a frame per step."""
+
+from collections.abc import Iterable, Iterator
+from typing import cast
+
+from pydantic import Field
+
+from drone_env.core.actions import Event
+from drone_env.core.state_manager import Episode
+from drone_env.models import Count, Direction, EventName, Message, OutcomeName, Position, Score
+from drone_env.server.predict import Networks
+
+
+class Mission(Message):
+    """What is flown, and where."""
+
+    session: str | None = Field(description="The session that flies it; null for a flight of the past.")
+    pilot: str = Field(description="Who flies.")
+    task: str = Field(description="Id of the task.")
+    task_version: int = Field(ge=1, description="Version of the task.")
+    short_name: str = Field(description="Short name of the task.")
+    seed: Count = Field(description="Number of the map.")
+    reward_profile: str = Field(description="Id of the reward profile.")
+    width: int
+    height: int
+    max_steps: int
+    battery_capacity: int
+    deliveries_total: int
+    cells: list[list[int]] = Field(description="Kinds of the cells at the start, cells[y][x], without the drone.")
+    parcels: list[Position] = Field(description="[x, y] of each parcel.")
+    start: Position = Field(description="[x, y] where the drone starts.")
+
+    @classmethod
+    def of(cls, episode: Episode, pilot: str, session: str | None = None) -> "Mission":
+        """The mission of an episode that has been reset and not stepped."""
+        task = episode.task
+        x, y = episode.position
+        cells = episode.grid().tolist()
+        cells[y][x] = episode.under
+        return cls(
+            session=session,
+            pilot=pilot,
+            task=task.id,
+            task_version=task.version,
+            short_name=task.short_name,
+            seed=episode.seed,
+            reward_profile=episode.reward_profile.id,
+            width=task.width,
+            height=task.height,
+            max_steps=task.max_steps,
+            battery_capacity=task.battery_capacity,
+            deliveries_total=task.deliveries,
+            cells=cells,
+            parcels=[(px, py) for px, py, _ in episode.parcels],
+            start=(x, y),
+        )
+
+
+class Frame(Message):
+    """How a flight stands after a step; frame 0 is the reset."""
+
+    step: Count = Field(description="Steps flown.")
+    action: Direction | None = Field(description="What was flown to come here; null in frame 0.")
+    x: Count
+    y: Count
+    event: EventName | None = Field(description="What the step came to; null in frame 0.")
+    reward: float = Field(description="What the step paid.")
+    reward_total: float
+    battery: float = Field(ge=0, le=1, description="Share of the battery left.")
+    battery_units: Count
+    deliveries_done: Count
+    delivered: list[Position] = Field(description="[x, y] of the parcels delivered so far.")
+    target: Position | None = Field(description="[x, y] of the current target.")
+    distance: int | None = Field(description="Manhattan distance to it in cells.")
+    telemetry: list[float] = Field(description="The numbers that the network is given beside the grid.")
+    score: Score = Field(description="The graded score as the flight stands; provisional until `done`.")
+    efficiency: float = Field(ge=0, le=100, description="75 % parcels, 15 % battery left, 10 % steps left.")
+    message: str = Field(description="What happened, in words.")
+    done: bool
+    outcome: OutcomeName
+    q_values: dict[Direction, float] | None = Field(
+        description="The trained network's value of each action from here; null where none is shipped, or at the end."
+    )
+    value: Score | None = Field(default=None, description="The best score that can still be reached; null if not told.")
+    regret: float | None = Field(default=None, ge=0, description="Optimum of the map - value.")
+
+
+def frame_of(episode: Episode, networks: Networks) -> Frame:
+    """The frame of an episode as it stands.
+
+    Raises:
+        EpisodeError: before the first reset.
+        CheckpointError: if the network of the task cannot be read.
+    """
+    x, y = episode.position
+    last = episode.path[-1] if episode.steps else None
+    observation = episode.observation()
+    q_values = None if episode.ended else networks.q_values(episode.task, observation)
+    return Frame(
+        step=episode.steps,
+        action=None if last is None else cast(Direction, last.action.name),
+        x=x,
+        y=y,
+        event=None if episode.event is Event.NONE else cast(EventName, episode.event.name.lower()),
+        reward=episode.reward_last,
+        reward_total=episode.reward_total,
+        battery=episode.battery,
+        battery_units=episode.battery_units,
+        deliveries_done=episode.deliveries_done,
+        delivered=[(px, py) for px, py, delivered in episode.parcels if delivered],
+        target=episode.target,
+        distance=episode.distance_to_target,
+        telemetry=observation["telemetry"].tolist(),
+        score=episode.score,
+        efficiency=episode.efficiency,
+        message=episode.message,
+        done=episode.ended,
+        outcome=cast(OutcomeName, episode.outcome.name.lower()),
+        q_values=q_values,
+    )
+
+
+def frames_of(episode: Episode, actions: Iterable[int], networks: Networks) -> Iterator[Frame]:
+    """The frames of `actions`, flown from where an episode stands, its own first."""
+    yield frame_of(episode, networks)
+    for action in actions:
+        episode.step(action)
+        yield frame_of(episode, networks)
