@@ -1,0 +1,46 @@
+"""One browser per process, one server per module with a history in it, and tabs whose complaints fail the test."""
+
+from collections.abc import Generator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser
+
+from tests.api.serving import Server, serving
+from tests.browser.flights import fill, flown
+from tests.browser.tabs import Tabs, launched
+
+MARKUP = '<img src=x onerror="document.title=1"><b>bold</b>'
+"""What must never come to be an element."""
+TRAINING = ["episode 1 reward 3.25 success 0", f"episode 2 {MARKUP}", "episode 3 reward 4.75 success 1"]
+
+
+# Of the package, not of the session: while Playwright runs, no other test of this process can run an event loop.
+@pytest.fixture(scope="package")
+def browser() -> Generator[Browser, None, None]:
+    with launched() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data folder of the module's server: a history of easy flights, and a training log."""
+    folder = tmp_path_factory.mktemp("served") / "data"
+    flights = [flown("easy", seed, agent) for seed in range(12) for agent in ("random", "greedy")]
+    fill(folder, [*flights, flown("medium", 3, "greedy"), flown("easy", 12, "random", label=MARKUP)])
+    (folder / "train.log").write_text("\n".join(TRAINING) + "\n", encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def server(data: Path) -> Generator[Server, None, None]:
+    with serving(data) as running:
+        yield running
+
+
+@pytest.fixture
+def tabs(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
+    opened = Tabs(browser, server.url)
+    yield opened
+    opened.close()
+    assert opened.unexpected() == []
