@@ -13,8 +13,8 @@ from tests.tools import missing_tool
 WIDE = {"width": 1440, "height": 900}
 NARROW = {"width": 390, "height": 844}
 PATIENCE_MS = 15_000
-# Software rendering of a canvas is what this costs anyway; the flags only keep chromium from asking for what is not there.
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
+# Containers have little /dev/shm and run as root.
+FLAGS = ["--no-sandbox", "--disable-dev-shm-usage"]
 
 
 @contextmanager
@@ -32,8 +32,8 @@ def launched() -> Generator[Browser, None, None]:
 class Tabs:
     """Opens pages, each in a context of its own as if in another browser, and collects their complaints.
 
-    A complaint is an error or a warning on the console (a violation of the content security policy is one), an error that
-    nobody caught, and an answer of the server of 400 or above.
+    A complaint is an error or a warning on the console (a violation of the content security policy is one), an error
+    that nobody caught, and an answer of the server of 400 or above.
 
     Args:
         browser: Where to open them.
