@@ -1,0 +1,79 @@
+// The server's HTTP calls. All addresses are relative to the page, which may lie under a prefix.
+
+const TOKEN = "drone-env-token";
+
+/** An answer that is not a success; `status` 0 means that the server could not be reached. */
+export class ApiError extends Error {
+  constructor(status, code, detail) {
+    super(detail);
+    this.status = status;
+    this.code = code;
+  }
+}
+
+/** @param {() => Promise<string>} askForToken Called where the server wants one. */
+export function createApi(askForToken) {
+  let token = readToken();
+
+  async function call(method, path, body) {
+    const headers = token ? { Authorization: `Bearer ${token}` } : {};
+    if (body !== undefined) headers["Content-Type"] = "application/json";
+    let response;
+    try {
+      response = await fetch(address(path), {
+        method, headers, body: body === undefined ? undefined : JSON.stringify(body), credentials: "same-origin",
+      });
+    } catch {
+      throw new ApiError(0, "away", "The server cannot be reached.");
+    }
+    if (response.status === 401) {
+      token = await askForToken(token !== null);
+      keepToken(token);
+      return call(method, path, body);
+    }
+    const answer = await response.json().catch(() => null);
+    if (!response.ok) {
+      throw new ApiError(response.status, answer?.code ?? "http", answer?.detail ?? `HTTP ${response.status}`);
+    }
+    return answer;
+  }
+
+  return {
+    get: (path, query = {}) => call("GET", path + search(query)),
+    post: (path, body) => call("POST", path, body),
+    /** What a WebSocket offers so that it is let in. */
+    protocols: () => (token ? ["drone-env", `bearer.${base64url(token)}`] : ["drone-env"]),
+  };
+}
+
+/** An address of the server, whatever prefix the page lies under. */
+export function address(path) {
+  return new URL(path.replace(/^\//, ""), document.baseURI);
+}
+
+function search(query) {
+  const given = Object.entries(query).filter(([, value]) => value !== null && value !== undefined && value !== "");
+  return given.length ? `?${new URLSearchParams(given)}` : "";
+}
+
+function base64url(text) {
+  const bytes = String.fromCharCode(...new TextEncoder().encode(text));
+  return btoa(bytes).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
+}
+
+// Storage can be forbidden, as in a frame of another site: the token is then kept for as long as the page is open.
+function readToken() {
+  try {
+    return sessionStorage.getItem(TOKEN);
+  } catch {
+    return null;
+  }
+}
+
+function keepToken(token) {
+  try {
+    sessionStorage.setItem(TOKEN, token);
+  } catch {
+    return;
+  }
+}

@@ -1,0 +1,35 @@
+// Says how the connection is: a dot in the top bar, and a banner while the server is away.
+import { announce, setText } from "./dom.js";
+
+const WORDS = { connecting: "Connecting", open: "Live", away: "Server away", refused: "Refused" };
+
+/** @param {import("./context.js").Context} context */
+export function mountConnection({ live }) {
+  const dot = document.getElementById("connection");
+  const banner = document.getElementById("banner");
+  const text = document.getElementById("banner-text");
+  let countdown = 0;
+
+  document.getElementById("banner-retry").addEventListener("click", () => live.connect());
+  live.on("state", ({ state, wait, reason }) => {
+    clearInterval(countdown);
+    dot.dataset.state = state === "refused" ? "away" : state;
+    setText(dot.lastElementChild, WORDS[state]);
+    if (state === "open") {
+      if (!banner.hidden) announce("The server is back.");
+      banner.hidden = true;
+      return;
+    }
+    const why = reason ? ` (${reason})` : "";
+    const until = Date.now() + wait;
+    const say = () => {
+      const seconds = Math.ceil((until - Date.now()) / 1000);
+      setText(text, state === "refused"
+        ? `The server refused the connection${why}.`
+        : `The server is away${why}. Your mission is kept. ${seconds > 0 ? `Trying again in ${seconds} s` : "Trying again"} …`);
+    };
+    say();
+    banner.hidden = false;
+    if (state === "away") countdown = setInterval(say, 500);
+  });
+}

@@ -1,0 +1,64 @@
+// Builds elements. Text is always set as text, never as HTML.
+
+/**
+ * @param {string} tag Element name, with optional classes: `div.gauge.wide`; `svg:path` for an SVG element.
+ * @param {Object} [props] `text` sets textContent, `on` adds listeners, `style` sets custom properties and styles,
+ *   `data` sets data attributes, null and undefined are left out, everything else is an attribute or a property.
+ * @param {...(Node|string|null)} children
+ * @returns {HTMLElement}
+ */
+export function el(tag, props = {}, ...children) {
+  const [name, ...classes] = tag.split(".");
+  const node = name.startsWith("svg:")
+    ? document.createElementNS("http://www.w3.org/2000/svg", name.slice(4))
+    : document.createElement(name);
+  if (classes.length) node.setAttribute("class", classes.join(" "));
+  for (const [key, value] of Object.entries(props)) {
+    if (value === null || value === undefined) continue;
+    if (key === "text") node.textContent = value;
+    else if (key === "on") for (const [type, f] of Object.entries(value)) node.addEventListener(type, f);
+    else if (key === "data") Object.assign(node.dataset, value);
+    else if (key === "style") for (const [k, v] of Object.entries(value)) node.style.setProperty(k, v);
+    else if (typeof value === "boolean" || key === "value") node[key] = value;
+    else node.setAttribute(key, value);
+  }
+  node.append(...children.filter((child) => child !== null && child !== undefined));
+  return node;
+}
+
+/** Sets the text of a node if it differs: unchanged nodes cost no layout. */
+export function setText(node, text) {
+  if (node.textContent !== text) node.textContent = text;
+}
+
+/** An icon of one or more strokes on a 24 by 24 field; a path that starts with `!` is filled. */
+export function icon(...paths) {
+  const drawn = paths.map((d) => {
+    const solid = d.startsWith("!");
+    return el(solid ? "svg:path.solid" : "svg:path", { d: solid ? d.slice(1) : d });
+  });
+  return el("svg:svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, ...drawn);
+}
+
+/** Hands the visitor a file. */
+export function download(name, blob) {
+  const url = URL.createObjectURL(blob);
+  const link = el("a", { href: url, download: name });
+  document.body.append(link);
+  link.click();
+  link.remove();
+  setTimeout(() => URL.revokeObjectURL(url), 10_000);
+}
+
+/** A short message at the foot of the page, also for screen readers. */
+export function toast(text) {
+  const node = el("div.toast", { text });
+  document.getElementById("toasts").append(node);
+  announce(text);
+  setTimeout(() => node.remove(), 4000);
+}
+
+/** Says something to screen readers, after what they are saying. */
+export function announce(text) {
+  document.getElementById("announcer").textContent = text;
+}

@@ -1,0 +1,39 @@
+// How numbers and names are written, in one place.
+
+const MINUS = "\u2212";
+
+/** A number with a fixed count of digits; "–" for null. */
+export function fixed(value, digits = 2) {
+  if (value === null || value === undefined) return "–";
+  return value.toFixed(digits).replace("-", MINUS);
+}
+
+/** With its sign. */
+export function signed(value, digits = 2) {
+  if (value === null || value === undefined) return "–";
+  return (value >= 0 ? "+" : "") + fixed(value, digits);
+}
+
+/** A score of 0 to 1 as people see it: times 100. */
+export function points(score, digits = 1) {
+  return score === null || score === undefined ? "–" : fixed(score * 100, digits);
+}
+
+/** A share of 0 to 1 in percent. */
+export function percent(share, digits = 0) {
+  return share === null || share === undefined ? "–" : `${fixed(share * 100, digits)} %`;
+}
+
+/** `skyline_hard` -> `Skyline Hard`. */
+export function title(name) {
+  return name.split("_").map((word) => word.charAt(0).toUpperCase() + word.slice(1)).join(" ");
+}
+
+export const OUTCOMES = {
+  flying: "In flight",
+  delivered: "All parcels delivered",
+  battery_dead: "Battery empty",
+  out_of_steps: "Out of steps",
+};
+
+export const ARROWS = { UP: "↑", DOWN: "↓", LEFT: "←", RIGHT: "→", WAIT: "•" };

@@ -1,0 +1,98 @@
+// The socket to the server: messages both ways, and a connection that comes back by itself.
+import { address } from "./api.js";
+
+const WAITS = [500, 1000, 2000, 4000, 8000];
+const NOT_ALLOWED = 1008;
+
+/**
+ * @typedef {"connecting"|"open"|"away"|"refused"} LinkState
+ *
+ * Events: every message type of the server ("missions", "frames", ...) with the message, and "state" with
+ * {state: LinkState, wait: milliseconds until the next try, reason}.
+ */
+export class Live {
+  /** @param {() => string[]} protocols What the socket offers so that it is let in. */
+  constructor(protocols) {
+    this.protocols = protocols;
+    this.listeners = new Map();
+    this.topics = new Map();
+    this.state = "connecting";
+    this.failures = 0;
+    this.timer = 0;
+    this.socket = null;
+  }
+
+  /** Calls f with every message of this type; returns a function that ends that. */
+  on(type, f) {
+    if (!this.listeners.has(type)) this.listeners.set(type, new Set());
+    this.listeners.get(type).add(f);
+    return () => this.listeners.get(type).delete(f);
+  }
+
+  /** Connects, or connects anew at once. */
+  connect() {
+    clearTimeout(this.timer);
+    if (this.socket) this.socket.onclose = this.socket.onmessage = this.socket.onopen = null;
+    this.socket?.close();
+    const url = address("live");
+    url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+    url.search = url.hash = "";
+    const socket = new WebSocket(url, this.protocols());
+    this.socket = socket;
+    socket.onopen = () => this.opened();
+    socket.onmessage = (event) => this.received(JSON.parse(event.data));
+    socket.onclose = (event) => this.closed(event);
+  }
+
+  /** Sends a message; false where there is no connection. */
+  send(message) {
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(JSON.stringify(message));
+    return true;
+  }
+
+  /** Asks for a topic ("requests", "training", "episodes") until the returned function is called. */
+  subscribe(topic) {
+    this.topics.set(topic, (this.topics.get(topic) ?? 0) + 1);
+    this.sendTopics();
+    let open = true;
+    return () => {
+      if (!open) return;
+      open = false;
+      const left = this.topics.get(topic) - 1;
+      if (left) this.topics.set(topic, left);
+      else this.topics.delete(topic);
+      this.sendTopics();
+    };
+  }
+
+  sendTopics() {
+    this.send({ type: "subscribe", topics: [...this.topics.keys()] });
+  }
+
+  opened() {
+    this.failures = 0;
+    this.change("open", 0, "");
+    if (this.topics.size) this.sendTopics();
+  }
+
+  received(message) {
+    for (const f of this.listeners.get(message.type) ?? []) f(message);
+  }
+
+  closed(event) {
+    if (event.code === NOT_ALLOWED) {
+      this.change("refused", 0, event.reason);
+      return;
+    }
+    const wait = WAITS[Math.min(this.failures, WAITS.length - 1)];
+    this.failures += 1;
+    this.timer = setTimeout(() => this.connect(), wait);
+    this.change("away", wait, event.reason);
+  }
+
+  change(state, wait, reason) {
+    this.state = state;
+    this.received({ type: "state", state, wait, reason });
+  }
+}

@@ -1,0 +1,42 @@
+// Boots the page: asks the server what there is, then mounts the parts.
+import { createApi } from "./api.js";
+import { createContext } from "./context.js";
+import { Live } from "./live.js";
+import { askForToken } from "./token.js";
+import { mountViews } from "./views.js";
+import { mountTheme } from "./theme.js";
+import { mountConnection } from "./connection.js";
+import * as history from "./history.js";
+import * as logs from "./logs.js";
+import * as replay from "./replay.js";
+import * as specs from "./specs.js";
+
+async function boot() {
+  const api = createApi(askForToken);
+  const [{ tasks, reward_profiles }, { pilots }, { kinds }] = await firstAnswers(api);
+  const live = new Live(api.protocols);
+  const context = createContext({ api, live, tasks, rewardProfiles: reward_profiles, pilots, kinds });
+  const part = (id) => document.getElementById(id);
+
+  mountTheme(context);
+  mountConnection(context);
+  for (const [id, view] of Object.entries({ history, logs, replay, specs })) view.mount(part(id), context);
+  mountViews(context);
+  live.connect();
+
+  const link = new URLSearchParams(location.search);
+  if (link.has("episode")) context.emit("replay", link.get("episode"));
+}
+
+/** The tasks are asked for first and alone: it is there that a token may be asked for. */
+async function firstAnswers(api) {
+  const tasks = await api.get("tasks");
+  return Promise.all([tasks, api.get("pilots"), api.get("kinds")]);
+}
+
+boot().catch((error) => {
+  document.getElementById("banner").hidden = false;
+  document.getElementById("banner-text").textContent = `The page could not start: ${error.message}`;
+  document.getElementById("banner-retry").addEventListener("click", () => location.reload());
+  if (!error.status) console.error(error);
+});
