@@ -1,48 +1,34 @@
-/**
- * Charts by uPlot that follow the theme, say in words what they show, and can be saved as a picture.
- *
- * uPlot is loaded with the first chart: most visits never come to one.
- */
+// Charts by uPlot that follow the theme, say in words what they show, and can be saved as a picture.
+//
+// uPlot is loaded with the first chart: most visits never come to one.
+import { download, el } from "./dom.js";
 
 const FILES = new URL("../vendor/uplot/", import.meta.url);
-const HEIGHT = 200;
-const FONT = '12px system-ui, "Segoe UI", sans-serif';
+const HEIGHT = 208;
 
 /** @type {Promise<any>|null} */
 let loading = null;
 
 function loadUPlot() {
-  loading ??= Promise.all([stylesheet("uPlot.min.css"), script("uPlot.iife.min.js")])
-    .then(() => /** @type {any} */ (window).uPlot)
-    .catch((error) => {
-      loading = null;
-      throw error;
-    });
+  loading ??= Promise.all([
+    loaded(el("link", { rel: "stylesheet", href: new URL("uPlot.min.css", FILES) })),
+    loaded(el("script", { src: new URL("uPlot.iife.min.js", FILES) })),
+  ]).then(() => window.uPlot).catch((error) => {
+    loading = null;
+    throw error;
+  });
   return loading;
 }
 
-function added(element) {
+function loaded(element) {
   return new Promise((resolve, reject) => {
     element.addEventListener("load", resolve);
-    element.addEventListener("error", () => reject(new Error("The charts could not be loaded from the server.")));
+    element.addEventListener("error", () => reject(new Error("The charts could not be loaded.")));
     document.head.append(element);
   });
 }
 
-function stylesheet(file) {
-  const link = document.createElement("link");
-  link.rel = "stylesheet";
-  link.href = new URL(file, FILES).href;
-  return added(link);
-}
-
-function script(file) {
-  const element = document.createElement("script");
-  element.src = new URL(file, FILES).href;
-  return added(element);
-}
-
-/** The value of a design token now, such as `--accent`. */
+/** A design token as it is now, such as `--accent`. */
 function token(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 }
@@ -50,138 +36,121 @@ function token(name) {
 /**
  * @typedef {object} ChartOptions
  * @property {string} title
- * @property {string} file Name of the picture, without ending.
+ * @property {string} file Name of the picture, without its ending.
  * @property {"points"|"line"|"bars"} kind
- * @property {string} series Name of what is drawn.
- * @property {string} x Name of the horizontal axis.
- * @property {(value: number) => string} format Of values.
- * @property {[number, number]} [range] Of values; fitted where not given.
+ * @property {string} x What the horizontal axis counts.
+ * @property {string} y What is drawn.
+ * @property {(value: number) => string} format Writes a value.
+ * @property {[number, number]} [range] Of the values; fitted to them where it is not given.
  * @property {(index: number) => void} [pick] A value was clicked.
  */
 
-/** One chart in a figure of its own. `show` draws; nothing is there before. */
+/** One chart in a figure of its own, empty until `show`. */
 export class Chart {
   /**
    * @param {HTMLElement} root
+   * @param {import("./context.js").Context} context
    * @param {ChartOptions} options
    */
-  constructor(root, options) {
+  constructor(root, context, options) {
     this.options = options;
-    this.figure = document.createElement("figure");
-    this.figure.className = "chart";
-    const caption = document.createElement("figcaption");
-    const title = document.createElement("h4");
-    title.textContent = options.title;
-    this.summary = document.createElement("p");
-    this.save = document.createElement("button");
-    this.save.type = "button";
-    this.save.className = "quiet";
-    this.save.textContent = "PNG";
-    this.save.setAttribute("aria-label", `Save the chart ${options.title} as PNG`);
-    this.save.addEventListener("click", () => this.download());
-    caption.append(title, this.save, this.summary);
-    this.frame = document.createElement("div");
-    this.frame.className = "chart-frame";
-    this.figure.append(caption, this.frame);
-    root.append(this.figure);
+    this.names = [];
     this.plot = null;
-    this.names = null;
-    new ResizeObserver(() => this.plot?.setSize(this.size())).observe(this.frame);
-    onTheme(() => this.plot?.redraw(false, true));
+    this.summary = el("p.note");
+    this.frame = el("div.chart-frame");
+    this.save = el("button.button.quiet.small", {
+      type: "button", text: "PNG", "aria-label": `Save the chart "${options.title}" as PNG`, on: { click: () => this.download() },
+    });
+    root.append(el("figure.chart", {},
+      el("figcaption", {}, el("h3", { text: options.title }), this.save, this.summary), this.frame));
+    new ResizeObserver(() => this.plot && this.frame.clientWidth && this.plot.setSize(this.size())).observe(this.frame);
+    context.on("theme", () => this.plot?.redraw(false, true));
   }
 
   /**
-   * Draw values; a value that is null leaves a gap.
-   *
-   * @param {(number|null)[]} values
-   * @param {string} summary What there is to see, for those who do not.
-   * @param {string[]|null} names Of the values, under bars.
+   * @param {(number|null)[]} values Null leaves a gap.
+   * @param {string} summary What there is to see, in words.
+   * @param {string[]} [names] Of the values, below bars.
    */
-  async show(values, summary, names = null) {
+  async show(values, summary, names = []) {
     const uPlot = await loadUPlot();
     this.summary.textContent = summary;
-    this.frame.hidden = this.save.hidden = values.length === 0;
-    const positions = values.map((_, index) => (names ? index : index + 1));
     this.names = names;
-    if (this.plot) {
-      this.plot.setData([positions, values]);
-      return;
+    const data = [values.map((_, i) => (names.length ? i : i + 1)), values];
+    this.frame.hidden = this.save.hidden = values.every((value) => value === null);
+    if (this.plot) this.plot.setData(data);
+    else this.plot = this.create(uPlot, data);
+  }
+
+  create(uPlot, data) {
+    const plot = new uPlot(this.settings(uPlot), data, this.frame);
+    // What it shows is said by the summary.
+    plot.root.setAttribute("aria-hidden", "true");
+    if (this.options.pick) {
+      plot.over.classList.add("can-pick");
+      plot.over.addEventListener("click", () => {
+        if (plot.cursor.idx !== null && plot.cursor.idx !== undefined) this.options.pick(plot.cursor.idx);
+      });
     }
-    this.plot = new uPlot(this.settings(uPlot), [positions, values], this.frame);
-    // What it shows stands in the summary, as text.
-    this.plot.root.setAttribute("aria-hidden", "true");
-    this.plot.over.addEventListener("click", () => {
-      const { idx } = this.plot.cursor;
-      if (idx !== null && idx !== undefined) this.options.pick?.(idx);
-    });
-    this.plot.over.classList.toggle("can-pick", Boolean(this.options.pick));
+    return plot;
   }
 
   size() {
-    return { width: Math.max(this.frame.clientWidth, 160), height: HEIGHT };
+    return { width: Math.max(this.frame.clientWidth, 200), height: HEIGHT };
   }
 
   settings(uPlot) {
-    const { kind, format, range, series, x } = this.options;
+    const { kind, format, range, x, y } = this.options;
     const bars = kind === "bars";
+    const accent = () => token("--accent");
     const axis = {
-      stroke: () => token("--text-2"),
+      stroke: () => token("--ink-2"),
       grid: { stroke: () => token("--line"), width: 1 },
       ticks: { show: false },
-      font: FONT,
-    };
-    const drawn = {
-      label: series,
-      stroke: () => token("--accent"),
-      width: kind === "line" ? 2 : 1,
-      fill: bars ? () => token("--accent") : undefined,
-      paths: bars ? uPlot.paths.bars({ size: [0.6, 64] }) : kind === "points" ? () => null : undefined,
-      points: { show: kind === "points", size: 5, fill: () => token("--accent") },
-      value: (_, value) => (value === null || value === undefined ? "–" : format(value)),
+      font: `12px ${token("--font")}`,
     };
     return {
       ...this.size(),
-      legend: { live: true, markers: { show: false } },
-      cursor: { drag: { x: !bars, y: false }, y: false },
+      padding: [8, 8, 0, 0],
+      legend: { markers: { show: false } },
+      cursor: { y: false, drag: { x: false, y: false }, points: { size: 9, fill: accent } },
       scales: {
-        x: { time: false, range: bars ? (_, low, high) => [low - 0.5, high + 0.5] : undefined },
-        y: range ? { range } : { range: (_, low, high) => uPlot.rangeNum(low ?? 0, high ?? 1, 0.1, true) },
+        x: { time: false, range: (_, low, high) => (bars ? [low - 0.5, high + 0.5] : [low - 1, high + 1]) },
+        y: { range: range ?? ((_, low, high) => uPlot.rangeNum(low ?? 0, high ?? 1, 0.1, true)) },
       },
       axes: [
         {
-          ...axis,
-          grid: { show: false },
-          splits: bars ? () => this.names.map((_, index) => index) : undefined,
-          values: bars ? () => this.names : (_, splits) => splits.map((at) => (Number.isInteger(at) ? String(at) : "")),
+          ...axis, size: 32, grid: { show: false },
+          splits: bars ? () => this.names.map((_, i) => i) : undefined,
+          values: (_, splits) => (bars ? this.names : splits.map((at) => (Number.isInteger(at) ? String(at) : ""))),
         },
         { ...axis, size: 56, values: (_, splits) => splits.map(format) },
       ],
-      series: [{ label: x, value: (_, at) => (at === null ? "–" : bars ? this.names[at] : String(at)) }, drawn],
-      hooks: { drawClear: [(plot) => background(plot.ctx)] },
+      series: [
+        { label: x, value: (_, at) => (at === null ? "–" : bars ? this.names[at] : String(at)) },
+        {
+          label: y,
+          stroke: accent,
+          width: kind === "line" ? 2 : 1,
+          fill: bars ? accent : undefined,
+          paths: bars ? uPlot.paths.bars({ size: [0.6, 56] }) : kind === "points" ? () => null : undefined,
+          points: { show: kind === "points", size: 6, fill: accent },
+          value: (_, value) => (value === null || value === undefined ? "–" : format(value)),
+        },
+      ],
+      // A saved picture is not to be see-through.
+      hooks: { drawClear: [({ ctx }) => fillBehind(ctx)] },
     };
   }
 
   download() {
-    this.plot?.ctx.canvas.toBlob((blob) => {
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(blob);
-      link.download = `${this.options.file}.png`;
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-    });
+    this.plot.ctx.canvas.toBlob((blob) => download(`${this.options.file}.png`, blob));
   }
 }
 
-/** So that a saved picture is not see-through. */
-function background(context) {
-  context.save();
-  context.fillStyle = token("--surface");
-  context.fillRect(0, 0, context.canvas.width, context.canvas.height);
-  context.restore();
-}
-
-/** Call `redraw` whenever the page turns dark or light. */
-function onTheme(redraw) {
-  new MutationObserver(redraw).observe(document.documentElement, { attributeFilter: ["data-theme", "class"] });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+function fillBehind(ctx) {
+  ctx.save();
+  ctx.fillStyle = token("--panel");
+  ctx.fillRect(0, 0, ctx.canvas.width, ctx.canvas.height);
+  ctx.restore();
 }

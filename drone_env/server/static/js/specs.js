@@ -1,134 +1,89 @@
-/**
- * Technical specifications: the numbers of all levels side by side, as `/tasks` tells them, and the legend of the map.
- */
+// Technical specifications: the numbers of all levels side by side, as /tasks tells them, and the legend of the map.
+import { el } from "./dom.js";
+import { fixed, title } from "./format.js";
 
-/** @typedef {(task: object) => string|number} Cell */
+const NONE = "–";
+const drains = (drain) => Object.entries(drain).map(([kind, units]) => `; ${units} above a ${kind}`).join("");
 
-const dash = "–";
-const names = (list) => list.join(", ") || "nothing";
-const drains = (drain) => Object.entries(drain).map(([kind, units]) => `${units} above a ${kind}`).join(", ");
-
-/** What stands in the table, a row each; a row in which every level has a dash is left out. @type {[string, Cell][]} */
-const ROWS = [
+/** A row each: its name, and what stands in it for a task. Rows of nothing but dashes are left out. */
+const WORLD = [
   ["Grid", (t) => `${t.width} × ${t.height}`],
   ["Parcels", (t) => t.deliveries],
   ["Buildings", (t) => t.buildings],
   ["Trees", (t) => t.trees],
   ["Obstacles", (t) => t.obstacles],
-  ["Charging pads", (t) => (t.pads ? `${t.pads}, +${t.charge_rate} a wait` : dash)],
-  ["Cannot be entered", (t) => names(t.impassable)],
+  ["Charging pads", (t) => (t.pads ? `${t.pads}, +${t.charge_rate} units a wait` : NONE)],
+  ["Cannot be entered", (t) => t.impassable.join(", ") || NONE],
   ["Steps at most", (t) => t.max_steps],
   ["Battery", (t) => `${t.battery_capacity} units`],
-  ["A step drains", (t) => (Object.keys(t.drain).length ? `1 unit; ${drains(t.drain)}` : "1 unit")],
+  ["A step drains", (t) => `1 unit${drains(t.drain)}`],
 ];
-
+const reward = (name) => (t) => fixed(t[name]);
 const REWARDS = [
-  ["Delivery", "r_delivery"],
-  ["Step", "r_step"],
-  ["Wait", "r_wait"],
-  ["Above a building", "r_building"],
-  ["Above a tree", "r_tree"],
-  ["Above an obstacle", "r_obstacle"],
-  ["Against the wall", "r_wall"],
-  ["Way blocked", "r_blocked"],
-  ["Battery dead", "r_battery_dead"],
+  ["Delivery", reward("r_delivery")],
+  ["Step", reward("r_step")],
+  ["Wait", reward("r_wait")],
+  ["Above a building", reward("r_building")],
+  ["Above a tree", reward("r_tree")],
+  ["Above an obstacle", reward("r_obstacle")],
+  ["Against the wall", reward("r_wall")],
+  ["Way blocked", reward("r_blocked")],
+  ["Battery empty", reward("r_battery_dead")],
 ];
-
 const IDENTITY = [
   ["Id", (t) => t.id],
   ["Version", (t) => t.version],
   ["Grader", (t) => t.grader],
 ];
 
-/**
- * @param {HTMLElement} root Empty section.
- * @param {object} context Of the page.
- */
+/** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
 export function mount(root, context) {
-  const families = [
-    ["Delivery", context.tasks.filter((task) => task.published)],
-    ["Skyline", context.tasks.filter((task) => !task.published)],
-  ].filter(([, tasks]) => tasks.length);
-  const frame = document.createElement("div");
-  frame.className = "specs-table";
-  const show = ([family, tasks]) => frame.replaceChildren(table(family, tasks));
-  show(families[0]);
-  root.append(familySwitch(families, show), frame, legend(context.kinds));
-}
-
-/** Radio buttons that choose whose numbers are shown. */
-function familySwitch(families, show) {
-  const group = document.createElement("fieldset");
-  group.className = "switch";
-  const caption = document.createElement("legend");
-  caption.textContent = "Levels";
-  group.append(caption);
-  families.forEach((family, index) => {
-    const label = document.createElement("label");
-    const choice = document.createElement("input");
-    choice.type = "radio";
-    choice.name = "specs-family";
-    choice.checked = index === 0;
-    choice.addEventListener("change", () => show(family));
-    label.append(choice, ` ${family[0]}`);
-    group.append(label);
-  });
-  return group;
+  const families = {
+    Delivery: context.tasks.filter((task) => task.published),
+    Skyline: context.tasks.filter((task) => !task.published),
+  };
+  const frame = el("div.scroller", { tabindex: "0", role: "region", "aria-label": "Table of specifications" });
+  const show = (family) => frame.replaceChildren(table(family, families[family]));
+  const choices = Object.keys(families).map((family, i) => el("label.segment", {},
+    el("input", { type: "radio", name: "specs-family", checked: i === 0, on: { change: () => show(family) } }),
+    el("span", { text: family })));
+  root.append(
+    el("div.view-head", {},
+      el("h2", { text: "Technical specifications" }),
+      el("fieldset.segments", {}, el("legend.visually-hidden", { text: "Levels" }), ...choices)),
+    frame,
+    legend(context.kinds),
+  );
+  show("Delivery");
 }
 
 function table(family, tasks) {
-  const made = document.createElement("table");
-  const caption = made.createCaption();
-  caption.className = "visually-hidden";
-  caption.textContent = `Technical specifications of the ${family} levels`;
-  const head = made.createTHead().insertRow();
-  head.append(heading("col", "Level"), ...tasks.map((task) => heading("col", task.short_name)));
-  group(made, "World", ROWS, tasks);
-  group(made, "Rewards (tiered)", REWARDS.map(([name, key]) => [name, (task) => task[key].toFixed(2)]), tasks);
-  group(made, "Identity", IDENTITY, tasks);
-  return made;
+  return el("table.table.specs-table", {},
+    el("caption.visually-hidden", { text: `Technical specifications of the ${family} levels` }),
+    el("thead", {}, el("tr", {},
+      el("th", { scope: "col", text: "Level" }),
+      ...tasks.map((task) => el("th", { scope: "col", text: title(task.short_name) })))),
+    group("World", WORLD, tasks),
+    group("Rewards per step (tiered)", REWARDS, tasks),
+    group("Identity", IDENTITY, tasks));
 }
 
-function group(made, name, rows, tasks) {
-  const body = made.createTBody();
-  const title = heading("rowgroup", name);
-  title.colSpan = tasks.length + 1;
-  body.insertRow().append(title);
-  for (const [label, cell] of rows) {
-    const values = tasks.map((task) => String(cell(task)));
-    if (values.every((value) => value === dash)) continue;
-    const row = body.insertRow();
-    row.append(heading("row", label));
-    for (const value of values) row.insertCell().textContent = value;
-  }
-}
-
-function heading(scope, text) {
-  const cell = document.createElement("th");
-  cell.scope = scope;
-  cell.textContent = text;
-  return cell;
+function group(name, rows, tasks) {
+  const filled = rows
+    .map(([label, cell]) => [label, tasks.map((task) => String(cell(task)))])
+    .filter(([, values]) => values.some((value) => value !== NONE));
+  return el("tbody", {},
+    el("tr.group", {}, el("th", { scope: "rowgroup", colspan: tasks.length + 1, text: name })),
+    ...filled.map(([label, values]) => el("tr", {},
+      el("th", { scope: "row", text: label }),
+      ...values.map((value) => el("td", { text: value })))));
 }
 
 /** What stands on a map, and what it does to the drone. */
 function legend(kinds) {
-  const part = document.createElement("div");
-  part.className = "legend";
-  const title = document.createElement("h3");
-  title.textContent = "Legend";
-  const list = document.createElement("dl");
-  for (const kind of kinds) {
-    const entry = document.createElement("div");
-    const term = document.createElement("dt");
-    const sign = document.createElement("span");
-    sign.setAttribute("aria-hidden", "true");
-    sign.textContent = kind.emoji;
-    term.append(sign, ` ${kind.name}`);
-    const effect = document.createElement("dd");
-    effect.textContent = kind.effect;
-    entry.append(term, effect);
-    list.append(entry);
-  }
-  part.append(title, list);
-  return part;
+  return el("section.legend", { "aria-labelledby": "legend-title" },
+    el("h2", { id: "legend-title", text: "Legend" }),
+    el("dl", {}, ...kinds.map((kind) => el("div", {},
+      el("dt", {}, el("span.emoji", { "aria-hidden": "true", text: kind.emoji }), kind.name),
+      el("dd", { text: kind.effect })))));
 }
