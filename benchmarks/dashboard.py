@@ -15,6 +15,7 @@ import statistics
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,15 @@ from tests.api.serving import serving  # noqa: E402
 from tests.browser.tabs import FLAGS, WIDE  # noqa: E402
 
 RACE = "/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random"
-SCRIPT = {"FireAnimationFrame", "FunctionCall", "EvaluateScript", "RunMicrotasks", "TimerFire", "EventDispatch", "v8.run"}
+SCRIPT = {
+    "FireAnimationFrame",
+    "FunctionCall",
+    "EvaluateScript",
+    "RunMicrotasks",
+    "TimerFire",
+    "EventDispatch",
+    "v8.run",
+}
 CATEGORIES = ["devtools.timeline", "v8.execute", "disabled-by-default-devtools.timeline"]
 KILOBYTE = 1000
 
@@ -73,14 +82,14 @@ def frame_costs(trace: list[dict[str, Any]]) -> tuple[list[float], list[float]]:
     spans = list(script_spans(events))
     costs: list[float] = []
     at = 0
-    for frame, following in zip(frames, frames[1:], strict=False):
+    for frame, following in pairwise(frames):
         cost = 0.0
         while at < len(spans) and spans[at][0] < following:
             if spans[at][0] >= frame:
                 cost += spans[at][1] - spans[at][0]
             at += 1
         costs.append(cost / 1000)
-    return [(b - a) / 1000 for a, b in zip(frames, frames[1:], strict=False)], costs
+    return [(b - a) / 1000 for a, b in pairwise(frames)], costs
 
 
 def start_race(page: Page, speed: float) -> None:

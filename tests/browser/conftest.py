@@ -1,4 +1,4 @@
-"""One browser per process, one server per module with a history in it, and tabs whose complaints fail the test."""
+"""One browser and one server with a history per process, and tabs whose complaints fail the test."""
 
 from collections.abc import Generator
 from pathlib import Path
@@ -12,6 +12,8 @@ from tests.browser.tabs import Tabs, launched
 
 MARKUP = '<img src=x onerror="document.title=1"><b>bold</b>'
 """What must never come to be an element."""
+SEEDS = 27
+"""More than a page of flights by each agent."""
 TRAINING = ["episode 1 reward 3.25 success 0", f"episode 2 {MARKUP}", "episode 3 reward 4.75 success 1"]
 
 
@@ -22,17 +24,17 @@ def browser() -> Generator[Browser, None, None]:
         yield running
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The data folder of the module's server: a history of easy flights, and a training log."""
+    """The data folder of the server: a history of easy flights, and a training log."""
     folder = tmp_path_factory.mktemp("served") / "data"
-    flights = [flown("easy", seed, agent) for seed in range(12) for agent in ("random", "greedy")]
-    fill(folder, [*flights, flown("medium", 3, "greedy"), flown("easy", 12, "random", label=MARKUP)])
+    flights = [flown("easy", seed, agent) for seed in range(SEEDS) for agent in ("random", "greedy")]
+    fill(folder, [*flights, flown("medium", 3, "greedy"), flown("easy", SEEDS, "random", label=MARKUP)])
     (folder / "train.log").write_text("\n".join(TRAINING) + "\n", encoding="utf-8")
     return folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def server(data: Path) -> Generator[Server, None, None]:
     with serving(data) as running:
         yield running
