@@ -10,7 +10,6 @@ card, the rest is drawing by software. First paint is that of visits with an emp
 
 import argparse
 import json
-import shutil
 import statistics
 import sys
 import tempfile
@@ -19,13 +18,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from tests.api.serving import serving  # noqa: E402
-from tests.browser.tabs import FLAGS, WIDE  # noqa: E402
+from tests.browser.tabs import WIDE, find_chromium, launched  # noqa: E402
 
 RACE = "/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random"
 SCRIPT = {
@@ -136,19 +135,17 @@ def main() -> None:
     parser.add_argument("--visits", type=int, default=10, help="with an empty cache")
     parser.add_argument("--json", type=Path, help="also write the figures here")
     given = parser.parse_args()
-    chromium = shutil.which("chromium")
+    chromium = find_chromium()
     if chromium is None:
         raise SystemExit("chromium is not installed: apt-get install chromium")
     with (
         tempfile.TemporaryDirectory() as folder,
         serving(Path(folder) / "data") as server,
-        sync_playwright() as playwright,
+        launched(chromium) as browser,
     ):
-        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         intervals, scripts = race(browser, server.url, given.seconds, given.speed)
         visits = [visit(browser, server.url) for _ in range(given.visits)]
         version = browser.version
-        browser.close()
     report = {
         "chromium": version,
         "frames": len(intervals),

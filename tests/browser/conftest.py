@@ -8,7 +8,8 @@ from playwright.sync_api import Browser
 
 from tests.api.serving import Server, serving
 from tests.browser.flights import fill, flown
-from tests.browser.tabs import Tabs, launched
+from tests.browser.tabs import Tabs, find_chromium, launched
+from tests.tools import missing_tool
 
 MARKUP = '<img src=x onerror="document.title=1"><b>bold</b>'
 """What must never come to be an element."""
@@ -20,7 +21,10 @@ TRAINING = ["episode 1 reward 3.25 success 0", f"episode 2 {MARKUP}", "episode 3
 # Of the package, not of the session: while Playwright runs, no other test of this process can run an event loop.
 @pytest.fixture(scope="package")
 def browser() -> Generator[Browser, None, None]:
-    with launched() as running:
+    path = find_chromium()
+    if path is None:
+        missing_tool("chromium (apt-get install chromium)")
+    with launched(path) as running:
         yield running
 
 

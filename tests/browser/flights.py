@@ -1,6 +1,10 @@
 """Finished flights for a store, flown by the agents themselves."""
 
+import json
 from pathlib import Path
+from typing import Any
+
+import httpx
 
 from drone_env.agents import make_agent
 from drone_env.core.state_manager import Episode
@@ -24,3 +28,10 @@ def fill(folder: Path, flights: list[EpisodeRecord]) -> list[str]:
     """Store flights, oldest first, and return their ids."""
     with Store(folder) as store:
         return [store.add_episode(flight) for flight in flights]
+
+
+def frames(url: str, record: EpisodeRecord) -> list[dict[str, Any]]:
+    """What a server says of a flight, frame by frame."""
+    answer = httpx.post(f"{url}/replay", json=json.loads(record.to_json()), timeout=60)
+    answer.raise_for_status()
+    return answer.json()["frames"]

@@ -8,8 +8,6 @@ from typing import Any
 
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Response, sync_playwright
 
-from tests.tools import missing_tool
-
 WIDE = {"width": 1440, "height": 900}
 NARROW = {"width": 390, "height": 844}
 PATIENCE_MS = 15_000
@@ -17,12 +15,14 @@ PATIENCE_MS = 15_000
 FLAGS = ["--no-sandbox", "--disable-dev-shm-usage"]
 
 
+def find_chromium() -> str | None:
+    """Path of the machine's own chromium. None is ever downloaded."""
+    return shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
 @contextmanager
-def launched() -> Generator[Browser, None, None]:
-    """The machine's own chromium, without a window. None is ever downloaded."""
-    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if path is None:
-        missing_tool("chromium (apt-get install chromium)")
+def launched(path: str) -> Generator[Browser, None, None]:
+    """A browser without a window."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
         yield browser
@@ -47,13 +47,9 @@ class Tabs:
         self._expected: list[re.Pattern[str]] = []
         self._contexts: list[BrowserContext] = []
 
-    def open(self, path: str = "/", go: bool = True, **options: Any) -> Page:
-        """A page in a fresh context, with `path` opened in it unless told not to."""
-        options.setdefault("viewport", WIDE)
-        options.setdefault("color_scheme", "dark")
-        context = self.browser.new_context(base_url=self.url, **options)
-        context.set_default_timeout(PATIENCE_MS)
-        self._contexts.append(context)
+    def open(self, path: str = "/", go: bool = True, beside: Page | None = None, **options: Any) -> Page:
+        """A page in a fresh context, or in that of another page; `path` is opened in it unless told not to."""
+        context = self._new_context(**options) if beside is None else beside.context
         page = context.new_page()
         page.on("console", self._on_console)
         page.on("pageerror", lambda error: self.complaints.append(f"uncaught: {error}"))
@@ -61,6 +57,14 @@ class Tabs:
         if go:
             page.goto(path)
         return page
+
+    def _new_context(self, **options: Any) -> BrowserContext:
+        options.setdefault("viewport", WIDE)
+        options.setdefault("color_scheme", "dark")
+        context = self.browser.new_context(base_url=self.url, **options)
+        context.set_default_timeout(PATIENCE_MS)
+        self._contexts.append(context)
+        return context
 
     def expect(self, pattern: str) -> None:
         """Complaints that match are what the test brings about itself."""

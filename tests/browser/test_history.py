@@ -43,8 +43,8 @@ def drawn(page: Page, chart: str) -> int:
 def test_it_lists_filters_and_pages_what_the_store_has(tabs: Tabs, server: Server) -> None:
     page = tabs.open("/")
     page.get_by_role("link", name="History").click()
-    page.get_by_label("Task").select_option("easy")
-    page.get_by_label("Agent").select_option("greedy")
+    page.get_by_role("combobox", name="Task").select_option("easy")
+    page.get_by_role("combobox", name="Agent").select_option("greedy")
     rows = page.locator("tr[data-episode]")
     known = listed(server, task="easy", agent="greedy", limit=500)
     expect(rows).to_have_count(25)
@@ -64,7 +64,7 @@ def test_it_lists_filters_and_pages_what_the_store_has(tabs: Tabs, server: Serve
 
 def test_the_charts_draw_and_say_what_the_server_counts_in_both_themes(tabs: Tabs, server: Server) -> None:
     page = tabs.open("/#history")
-    page.get_by_label("Task").select_option("easy")
+    page.get_by_role("combobox", name="Task").select_option("easy")
     analysis = httpx.get(f"{server.url}/analyse/easy").json()
     charts = page.get_by_role("region", name="Charts")
     expect(charts).to_contain_text(f"{analysis['average_reward']:.2f} on average over")
@@ -80,7 +80,7 @@ def test_the_charts_draw_and_say_what_the_server_counts_in_both_themes(tabs: Tab
 
 def test_a_chart_can_be_saved_and_a_click_in_it_replays(tabs: Tabs) -> None:
     page = tabs.open("/#history")
-    page.get_by_label("Task").select_option("easy")
+    page.get_by_role("combobox", name="Task").select_option("easy")
     with page.expect_download() as saved:
         page.get_by_role("button", name='Save the chart "Reward" as PNG').click()
     assert saved.value.suggested_filename == "reward.png"
@@ -92,7 +92,7 @@ def test_a_chart_can_be_saved_and_a_click_in_it_replays(tabs: Tabs) -> None:
 
 def test_a_click_on_an_episode_replays_it(tabs: Tabs, server: Server) -> None:
     page = tabs.open("/#history")
-    page.get_by_label("Task").select_option("medium")
+    page.get_by_role("combobox", name="Task").select_option("medium")
     episode = listed(server, task="medium", agent="greedy")[0]
     page.locator(f"tr[data-episode='{episode['id']}']").get_by_role("button", name="Replay").click()
     heading = f"Medium Delivery, map {episode['seed']}, flown by {episode['agent']}"
@@ -103,7 +103,7 @@ def test_a_click_on_an_episode_replays_it(tabs: Tabs, server: Server) -> None:
 
 def test_an_episode_that_ends_elsewhere_appears_by_itself(tabs: Tabs, server: Server) -> None:
     page = tabs.open("/#history")
-    page.get_by_label("Task").select_option("hard")
+    page.get_by_role("combobox", name="Task").select_option("hard")
     expect(page.get_by_text("No episode yet").or_(page.locator("tr[data-episode]").first)).to_be_visible()
     with Store(server.data) as store:
         new = store.add_episode(flown("hard", SEEDS, "greedy", label="elsewhere"))

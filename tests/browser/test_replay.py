@@ -68,7 +68,7 @@ def test_an_episode_replays_from_its_link_with_slider_and_steps(tabs: Tabs, serv
 def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(tabs: Tabs, record: EpisodeRecord) -> None:
     page = tabs.open("/#replay")
     dropped(page, "flight.json", record.to_json(2))
-    page.get_by_label("Speed").select_option("30")
+    page.get_by_role("combobox", name="Speed").select_option("30")
     page.get_by_role("button", name="Play").click()
     expect(slider(page)).to_have_value(re.compile("[1-9]"))
     page.get_by_role("button", name="Pause").click()
@@ -93,15 +93,15 @@ def test_the_moves_are_annotated_and_jump_to_their_step(tabs: Tabs, server: Serv
     assert marked, "a flight at random must have given something away"
     page = tabs.open("/#replay")
     dropped(page, "flight.json", record.to_json())
-    for label in ("blunder", "mistake", "inaccuracy", "good", "best"):
-        expect(page.locator(f".counts [data-label={label}] b")).to_have_text(str(annotation["counts"][label]))
+    moves = page.locator(".replay-moves")
+    expect(moves.get_by_role("button")).to_have_count(len(annotation["moves"]))
+    for label, count in annotation["counts"].items():
+        expect(moves.locator(f"button[data-label={label}]")).to_have_count(count)
     shown = facts(page)
     assert shown["Regret"] == f"{annotation['regret'] * 100:.1f}"
     assert shown["Optimum"] == f"{annotation['optimal_score'] * 100:.1f} in {annotation['optimal_steps']} steps"
     move = marked[0]
-    entry = (
-        page.locator(".replay-moves").get_by_role("button").filter(has_text=re.compile(rf"^\D*{move['step']}\b")).first
-    )
+    entry = moves.get_by_role("button", name=f"Step {move['step']}, {move['action']}, {move['label']}", exact=True)
     expect(entry).to_contain_text(move["mark"])
     entry.click()
     expect(slider(page)).to_have_value(str(move["step"]))
@@ -113,7 +113,7 @@ def test_a_file_with_several_flights_offers_them(tabs: Tabs, tmp_path: Path) -> 
     file.write_text("".join(flight.to_json() + "\n" for flight in flights), encoding="utf-8")
     page = tabs.open("/#replay")
     page.get_by_label("Open a file…").set_input_files(file)
-    choice = page.get_by_label("Flight", exact=True)
+    choice = page.get_by_role("combobox", name="Flight", exact=True)
     expect(choice.locator("option")).to_have_count(3)
     choice.select_option(index=1)
     expect(page.get_by_role("heading", name="Medium Delivery, map 2, flown by greedy")).to_be_visible()

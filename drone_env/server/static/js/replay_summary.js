@@ -1,8 +1,6 @@
 // What a replayed flight came to, beside the optimum of its map.
 import { el } from "./dom.js";
-import { fixed, OUTCOMES, percent, points, title } from "./format.js";
-
-const LABELS = { best: "best", good: "good", inaccuracy: "inaccuracies ?!", mistake: "mistakes ?", blunder: "blunders ??" };
+import { fixed, OUTCOMES, points, title } from "./format.js";
 
 export class ReplaySummary {
   constructor() {
@@ -30,10 +28,7 @@ export class ReplaySummary {
     this.facts.append(
       fact("Optimum", `${points(annotation.optimal_score)} in ${annotation.optimal_steps} steps`),
       fact("Regret", points(annotation.regret)),
-      fact("Accuracy", percent(annotation.accuracy)),
     );
-    this.verdict.replaceChildren(el("ul.counts", {}, ...Object.entries(annotation.counts)
-      .map(([label, count]) => el("li", { data: { label } }, el("b", { text: String(count) }), ` ${LABELS[label] ?? label}`))));
   }
 
   unknown(why) {
