@@ -7,16 +7,13 @@ must be on a local disk. A store must not be carried across a fork: open one in 
 
 import os
 import secrets
-import sqlite3
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
-from datetime import datetime, timezone
 from pathlib import Path
 
 from typing_extensions import Self
 
-from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.analysis import Analysis, FinishedRow, analyse
@@ -24,16 +21,27 @@ from drone_env.episodes.database import Database
 from drone_env.episodes.finished import StoredEpisode, check_agent
 from drone_env.episodes.memory_view import MemoryView
 from drone_env.episodes.optima import Optima
-from drone_env.episodes.record import EpisodeRecord, parse_record, replay
+from drone_env.episodes.record import EpisodeRecord, replay
+from drone_env.episodes.rows import (
+    FINISHED_SECONDS,
+    ListedEpisode,
+    count_sessions,
+    end_finished,
+    end_session,
+    episode_rows,
+    finished_rows,
+    insert_episode,
+    listed_episode,
+    session_row,
+)
 from drone_env.episodes.sessions import SessionRow, known_task, new_episode_id
-from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, SessionGoneError, UnknownNameError
+from drone_env.errors import CapacityError, InvalidValueError, UnknownNameError
 
 FILE_NAME = "drone_env.sqlite3"
 VIEW_NAME = "memory.json"
 GONE_SECONDS = 7 * 24 * 3600.0
 PAGE = 100
 MOST_ROWS = 1 << 31
-DIGITS = {action.name: str(int(action)) for action in Action}
 
 
 def data_folder() -> Path:
@@ -101,7 +109,7 @@ class Store:
             agent, episode = episode.agent, replay(episode)
         stored = StoredEpisode.of(new_episode_id(), episode, str(agent))
         with self._database.writing() as connection:
-            _insert_episode(connection, stored)
+            insert_episode(connection, stored)
         self._view.refresh()
         return stored.id
 
@@ -113,8 +121,8 @@ class Store:
             StoreError: if the store cannot be read.
         """
         if episode_id.isascii():
-            for _, stored in self._read_episodes("WHERE id = ?", (episode_id,)):
-                return stored
+            for row in self._read_episodes("WHERE id = ?", (episode_id,)):
+                return row.episode
         raise UnknownNameError(
             "episode", episode_id, [stored.id for stored in self.latest(3)] or ["none: the store is empty"]
         )
@@ -127,17 +135,50 @@ class Store:
             InvalidValueError: if n is negative.
             StoreError: if the store cannot be read.
         """
-        if n < 0:
-            raise InvalidValueError(f"n must be at least 0, got {n}")
-        n = min(n, MOST_ROWS)
-        if task is None:
-            found = self._read_episodes("ORDER BY number DESC LIMIT ?", (n,))
-        else:
-            known = get_task(task)
-            found = self._read_episodes(
-                "WHERE task = ? AND task_version = ? ORDER BY number DESC LIMIT ?", (known.id, known.version, n)
-            )
-        return [stored for _, stored in found]
+        where, values = _selection(task)
+        return [
+            row.episode for row in self._read_episodes(f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n)))
+        ]
+
+    def listed(
+        self,
+        n: int,
+        task: str | TaskConfig | None = None,
+        agent: str | None = None,
+        before: int | None = None,
+        after: int | None = None,
+        episode_id: str | None = None,
+        patience: float = 0.25,
+    ) -> list[ListedEpisode]:
+        """The last `n` finished episodes with the optima of their maps, newest first.
+
+        Optima that are not known yet are solved as for `analysis`.
+
+        Args:
+            n: How many, 0 or more.
+            task: Of which task; None for all.
+            agent: By whom; None for all.
+            before: Only those that were stored before the one of this number.
+            after: Only those that were stored after the one of this number.
+            episode_id: Only the one of this id.
+            patience: For how many seconds to wait for optima.
+
+        Raises:
+            UnknownNameError: if there is no such task.
+            InvalidValueError: if n is negative.
+            StoreError: if the store cannot be read, or the optima could not be written.
+        """
+        where, values = _selection(task, agent, before, after, episode_id)
+        selection = f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n))
+        found = self._read_episodes(*selection)
+        unsolved: dict[TaskConfig, list[int]] = {}
+        for row in found:
+            if not row.solved:
+                record = row.episode.record
+                unsolved.setdefault(get_task(record.task, record.task_version), []).append(record.seed)
+        for known, seeds in unsolved.items():
+            self._optima.solve(known, list(dict.fromkeys(seeds)), patience / len(unsolved))
+        return self._read_episodes(*selection) if unsolved else found
 
     def episodes(self) -> Iterator[StoredEpisode]:
         """All finished episodes, oldest first, read as they are asked for.
@@ -148,8 +189,8 @@ class Store:
         number = 0
         # In pages, since a reader that stays open keeps the log of the file from being folded back.
         while page := self._read_episodes("WHERE number > ? ORDER BY number LIMIT ?", (number, PAGE)):
-            yield from (stored for _, stored in page)
-            number = page[-1][0]
+            yield from (row.episode for row in page)
+            number = page[-1].number
 
     def analysis(self, task: str | TaskConfig, last: int = 1000, patience: float = 0.25) -> Analysis:
         """What the last episodes of a task come to.
@@ -180,6 +221,9 @@ class Store:
     ) -> str:
         """Open a session on a map and return its id, which cannot be guessed.
 
+        Where there is no room, the session that was finished first gives way, if it has not been used for
+        `FINISHED_SECONDS`.
+
         Raises:
             CapacityError: if `capacity` sessions are open already; expire the idle ones first.
             UnknownNameError: if there is no such task, version or profile.
@@ -191,7 +235,7 @@ class Store:
         now = time.time()
         row = (session_id, task, task_version, seed, reward_profile, check_agent(agent), "", None, now, now)
         with self._database.writing() as connection:
-            if _count_sessions(connection) >= capacity:
+            if count_sessions(connection) >= capacity and not end_finished(connection, now - FINISHED_SECONDS):
                 raise CapacityError(f"all {capacity} sessions are taken: try again later")
             connection.execute("INSERT INTO sessions VALUES (?,?,?,?,?,?,?,?,?,?)", row)
         return session_id
@@ -216,10 +260,10 @@ class Store:
                 same thread.
         """
         with self._database.writing() as connection:
-            row = _session_row(connection, session_id)
+            row = session_row(connection, session_id)
             yield row
             for stored in row.finished:
-                _insert_episode(connection, stored)
+                insert_episode(connection, stored)
             connection.execute(
                 "UPDATE sessions SET task = ?, task_version = ?, seed = ?, reward_profile = ?, agent = ?, actions = ?, "
                 "episode_id = ?, touched_at = ? WHERE id = ?",
@@ -247,7 +291,7 @@ class Store:
             StoreError: if the store cannot be read.
         """
         with self._database.reading() as connection:
-            return _session_row(connection, session_id)
+            return session_row(connection, session_id)
 
     def end_session(self, session_id: str) -> None:
         """End a session: from now on it is gone.
@@ -258,8 +302,20 @@ class Store:
             StoreError: if it could not be written.
         """
         with self._database.writing() as connection:
-            _session_row(connection, session_id)
-            _end_session(connection, session_id)
+            session_row(connection, session_id)
+            end_session(connection, session_id)
+
+    def touch_sessions(self, session_ids: Iterable[str]) -> None:
+        """Count sessions as used just now; those that are gone stay so.
+
+        Raises:
+            StoreError: if it could not be written.
+        """
+        now = time.time()
+        with self._database.writing() as connection:
+            connection.executemany(
+                "UPDATE sessions SET touched_at = ? WHERE id = ?", [(now, id_) for id_ in session_ids]
+            )
 
     def expire_sessions(self, idle_seconds: float) -> list[str]:
         """End the sessions that were not used for so long, and return their ids.
@@ -273,7 +329,7 @@ class Store:
         with self._database.writing() as connection:
             idle = connection.execute("SELECT id FROM sessions WHERE touched_at <= ?", (now - idle_seconds,)).fetchall()
             for (session_id,) in idle:
-                _end_session(connection, session_id)
+                end_session(connection, session_id)
             connection.execute("DELETE FROM gone_sessions WHERE gone_at < ?", (now - GONE_SECONDS,))
         return [session_id for (session_id,) in idle]
 
@@ -284,109 +340,48 @@ class Store:
             StoreError: if the store cannot be read.
         """
         with self._database.reading() as connection:
-            return _count_sessions(connection)
+            return count_sessions(connection)
 
-    def _read_episodes(self, where: str, values: tuple[object, ...]) -> list[tuple[int, StoredEpisode]]:
+    def _read_episodes(self, where: str, values: tuple[object, ...]) -> list[ListedEpisode]:
         with self._database.reading() as connection:
-            rows = connection.execute(
-                "SELECT number, id, finished_at, steps, deliveries_total, reward_total, outcome, record "
-                f"FROM episodes {where}",
-                values,
-            ).fetchall()
-        return [
-            (
-                number,
-                StoredEpisode(
-                    id=episode_id,
-                    finished_at=_utc(finished_at),
-                    steps=steps,
-                    deliveries_total=deliveries_total,
-                    reward_total=reward_total,
-                    outcome=outcome,
-                    record=parse_record(record, f"episode {episode_id} of {self._database.path}"),
-                ),
-            )
-            for number, episode_id, finished_at, steps, deliveries_total, reward_total, outcome, record in rows
-        ]
+            found = episode_rows(connection, where, values)
+        return [listed_episode(row, f"episode {row[1]} of {self._database.path}") for row in found]
 
     def _finished_rows(self, task: TaskConfig, last: int) -> tuple[int, list[FinishedRow]]:
         with self._database.reading() as connection:
-            (total,) = connection.execute(
-                "SELECT count(*) FROM episodes WHERE task = ? AND task_version = ?", (task.id, task.version)
-            ).fetchone()
-            rows = connection.execute(
-                "SELECT e.reward_total, e.score, e.steps, e.deliveries, e.outcome, e.actions, o.task IS NOT NULL, "
-                "o.score, e.seed FROM episodes e LEFT JOIN optima o USING (task, task_version, seed) "
-                "WHERE e.task = ? AND e.task_version = ? ORDER BY e.number DESC LIMIT ?",
-                (task.id, task.version, min(last, MOST_ROWS)),
-            ).fetchall()
-        # Another process may have stored some between the two.
-        return max(total, len(rows)), [FinishedRow(*row) for row in rows]
+            return finished_rows(connection, task, min(last, MOST_ROWS))
 
     def _newer(self, after: int, n: int) -> list[tuple[int, StoredEpisode]]:
-        return self._read_episodes("WHERE number > ? ORDER BY number DESC LIMIT ?", (after, n))[::-1]
+        rows = self._read_episodes("WHERE number > ? ORDER BY number DESC LIMIT ?", (after, n))
+        return [(row.number, row.episode) for row in reversed(rows)]
 
 
-def _insert_episode(connection: sqlite3.Connection, stored: StoredEpisode) -> None:
-    record = stored.record
-    connection.execute(
-        "INSERT INTO episodes (id, finished_at, task, task_version, seed, reward_profile, agent, actions, deliveries, "
-        "deliveries_total, steps, reward_total, score, outcome, record) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)",
-        (
-            stored.id,
-            stored.finished_at.timestamp(),
-            record.task,
-            record.task_version,
-            record.seed,
-            record.reward_profile,
-            record.agent,
-            "".join([DIGITS[name] for name in record.actions]),
-            record.deliveries,
-            stored.deliveries_total,
-            stored.steps,
-            stored.reward_total,
-            record.score,
-            stored.outcome,
-            record.to_json(),
-        ),
-    )
+def _at_most(n: int) -> int:
+    if n < 0:
+        raise InvalidValueError(f"n must be at least 0, got {n}")
+    return min(n, MOST_ROWS)
 
 
-def _session_row(connection: sqlite3.Connection, session_id: str) -> SessionRow:
-    # What is not ASCII cannot be an id, and may be no text for SQLite either.
-    known = session_id if session_id.isascii() else ""
-    found = connection.execute(
-        "SELECT task, task_version, seed, reward_profile, agent, actions, episode_id, opened_at, touched_at "
-        "FROM sessions WHERE id = ?",
-        (known,),
-    ).fetchone()
-    if found is None:
-        if connection.execute("SELECT 1 FROM gone_sessions WHERE id = ?", (known,)).fetchone():
-            raise SessionGoneError("this session has ended or was idle for too long: open a new one")
-        raise NoSessionError("there is no such session: open one first")
-    task, task_version, seed, reward_profile, agent, actions, episode_id, opened_at, touched_at = found
-    return SessionRow(
-        id=session_id,
-        task=task,
-        task_version=task_version,
-        seed=seed,
-        reward_profile=reward_profile,
-        agent=agent,
-        actions=tuple(map(int, actions)),
-        episode_id=episode_id,
-        opened_at=_utc(opened_at),
-        touched_at=_utc(touched_at),
-    )
-
-
-def _end_session(connection: sqlite3.Connection, session_id: str) -> None:
-    connection.execute("DELETE FROM sessions WHERE id = ?", (session_id,))
-    connection.execute("INSERT OR REPLACE INTO gone_sessions VALUES (?, ?)", (session_id, time.time()))
-
-
-def _count_sessions(connection: sqlite3.Connection) -> int:
-    return connection.execute("SELECT count(*) FROM sessions").fetchone()[0]
-
-
-def _utc(seconds: float) -> datetime:
-    return datetime.fromtimestamp(seconds, timezone.utc)
+def _selection(
+    task: str | TaskConfig | None,
+    agent: str | None = None,
+    before: int | None = None,
+    after: int | None = None,
+    episode_id: str | None = None,
+) -> tuple[str, tuple[object, ...]]:
+    """The WHERE of a query for episodes, and its values."""
+    known = None if task is None else get_task(task)
+    conditions = [
+        (value, condition)
+        for value, condition in (
+            (None if known is None else known.id, "task = ?"),
+            (None if known is None else known.version, "task_version = ?"),
+            (agent, "agent = ?"),
+            (before, "number < ?"),
+            (after, "number > ?"),
+            (episode_id, "id = ?"),
+        )
+        if value is not None
+    ]
+    where = " AND ".join(condition for _, condition in conditions)
+    return f"WHERE {where}" if where else "", tuple(value for value, _ in conditions)

@@ -161,6 +161,11 @@ class ExactSolver:
         )
         self._rules = graph.rules
 
+    @property
+    def nbytes(self) -> int:
+        """Memory that the values take."""
+        return self._values.nbytes
+
     def q_values(self, episode: Episode) -> npt.NDArray[np.float64]:
         """Q*, float64[5]: the highest score that can still be reached after each action.
 

@@ -24,6 +24,7 @@ from starlette.routing import WebSocketRoute
 from drone_env import __version__
 from drone_env.episodes.store import Store
 from drone_env.errors import DroneEnvError, StoreError
+from drone_env.server.live.socket import LiveSocket
 from drone_env.server.openenv_socket import OpenEnvSocket
 from drone_env.server.problems import answers, install
 from drone_env.server.request_log import LogRequests
@@ -58,12 +59,13 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     """
     shared = Shared(settings or load_settings())
     settings = shared.settings
+    live = LiveSocket(shared)
     socket = OpenEnvSocket(lambda: shared.store, settings.capacity, settings.idle_seconds, settings.max_bytes)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None, None]:
         await run_in_threadpool(shared.open)
-        sweeper = asyncio.create_task(_sweep(shared, socket))
+        sweeper = asyncio.create_task(_sweep(shared, socket, live))
         try:
             yield
         finally:
@@ -71,6 +73,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             with suppress(asyncio.CancelledError):
                 await sweeper
             await run_in_threadpool(socket.close)
+            await run_in_threadpool(live.close)
             await run_in_threadpool(shared.close)
 
     app = FastAPI(
@@ -89,6 +92,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     for routes in (flight, catalogue, history, replay, openenv):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
+    app.router.routes.append(WebSocketRoute("/live", live))
     _add_page(app)
     return app
 
@@ -108,13 +112,14 @@ class _Static(StaticFiles):
         return response
 
 
-async def _sweep(shared: Shared, socket: OpenEnvSocket) -> None:
+async def _sweep(shared: Shared, socket: OpenEnvSocket, live: LiveSocket) -> None:
     """End what is idle, for ever."""
     interval = min(SWEEP_SECONDS, shared.settings.idle_seconds / 4)
     while True:
         await asyncio.sleep(interval)
         try:
             await socket.close_idle()
+            await run_in_threadpool(live.keep_sessions)
             await run_in_threadpool(shared.sessions.expire)
         except DroneEnvError:
             log.exception("idle sessions could not be ended; trying again in %g s", interval)

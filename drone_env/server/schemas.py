@@ -10,6 +10,7 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.finished import check_agent
+from drone_env.episodes.rows import ListedEpisode
 from drone_env.models import (
     Count,
     Direction,
@@ -295,12 +296,51 @@ class EpisodeSummary(Message):
     score: Score
     success: bool
     outcome: str
+    optimal_score: Score | None = Field(description="The optimum of its map; null while it is not known.")
+    regret: float | None = Field(ge=0, description="optimal_score - score.")
+
+    @classmethod
+    def of(cls, listed: ListedEpisode) -> Self:
+        """The summary of a finished episode."""
+        stored, optimum = listed.episode, listed.optimum
+        record = stored.record
+        return cls(
+            id=stored.id,
+            finished_at=stored.finished_at.isoformat(),
+            task=record.task,
+            task_version=record.task_version,
+            seed=record.seed,
+            agent=record.agent,
+            reward_profile=record.reward_profile,
+            steps=stored.steps,
+            deliveries=record.deliveries,
+            deliveries_total=stored.deliveries_total,
+            reward_total=stored.reward_total,
+            score=record.score,
+            success=record.success,
+            outcome=stored.outcome,
+            optimal_score=optimum,
+            regret=None if optimum is None else optimum - record.score,
+        )
 
 
 class EpisodeSummaries(Message):
-    """The last finished episodes, newest first."""
+    """Finished episodes, newest first."""
 
     episodes: list[EpisodeSummary]
+
+
+class EpisodePage(EpisodeSummaries):
+    """A page of finished episodes, newest first."""
+
+    next: int | None = Field(description="Send it as `before` for the page that follows; null on the last.")
+
+
+class History(EpisodeSummaries):
+    """The last finished episodes of a task, oldest first."""
+
+    task: str = Field(description="Id of the task.")
+    rolling_success: list[float] = Field(description="For each episode, the success rate of the last 20 up to it.")
 
 
 class LogLines(Message):

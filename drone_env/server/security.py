@@ -3,6 +3,8 @@
 From the outside in: `SecurityHeaders`, `AllowedHosts`, `AllowedOrigins`, `BearerToken`, `JsonBodies`.
 """
 
+import base64
+import binascii
 import hmac
 from collections.abc import Callable, Collection
 from urllib.parse import urlsplit
@@ -21,6 +23,7 @@ OPEN_FOLDER = "/static/"
 """Answered without a token: whoever watches over the process has none, and the page asks for it."""
 SWAGGER = "https://cdn.jsdelivr.net"
 POLICY_VIOLATION = 1008
+OFFER = "bearer."
 
 
 class SecurityHeaders:
@@ -129,12 +132,24 @@ class BearerToken:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on what carries the token."""
         if self.expected is not None and scope["type"] in ("http", "websocket") and not _is_open(scope["path"]):
-            given = dict(scope["headers"]).get(b"authorization", b"")
+            given = dict(scope["headers"]).get(b"authorization", b"") or _offered_token(scope)
             if not hmac.compare_digest(given, self.expected):
                 detail = "this server asks for a token: send Authorization: Bearer TOKEN"
                 await refuse(scope, receive, send, 401, "token", detail, {"WWW-Authenticate": "Bearer"})
                 return
         await self.app(scope, receive, send)
+
+
+def _offered_token(scope: Scope) -> bytes:
+    """`Bearer TOKEN` from the subprotocol `bearer.` + URL-safe base64: browsers send no headers with a WebSocket."""
+    for protocol in scope.get("subprotocols", []):
+        if protocol.startswith(OFFER):
+            text = protocol.removeprefix(OFFER)
+            try:
+                return b"Bearer " + base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
+            except binascii.Error:
+                return b""
+    return b""
 
 
 def _is_open(path: str) -> bool:

@@ -53,6 +53,17 @@ def _is_before(episode: Episode, row: SessionRow) -> bool:
     return mine == (row.task, row.task_version, row.seed, row.reward_profile) and row.actions[: len(flown)] == flown
 
 
+def fly(row: SessionRow, episode: Episode, action: int) -> float:
+    """Fly one action in a session and note it; after the end nothing changes. Return its reward."""
+    over = episode.ended
+    reward = episode.step(action)
+    if not over:
+        row.append(action)
+        if episode.ended:
+            row.finish(episode)
+    return reward
+
+
 class Sessions:
     """The HTTP sessions of a store; safe to share between threads.
 
@@ -112,15 +123,22 @@ class Sessions:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        with self._writing(session) as (live, row):
-            episode = live.caught_up(row)
-            over = episode.ended
-            reward = episode.step(action.action)
-            if not over:
-                row.append(action.action)
-                if episode.ended:
-                    row.finish(episode)
+        with self.stepping(session) as (row, episode):
+            reward = fly(row, episode, action.action)
             return Stepped(observation_fields(episode), reward)
+
+    @contextmanager
+    def stepping(self, session: str) -> Generator[tuple[SessionRow, Episode], None, None]:
+        """The row and the episode of a session, to be flown by `fly` inside the block; kept when it ends.
+
+        Nobody else writes to the store meanwhile: keep the block short.
+
+        Raises:
+            NoSessionError: if there never was such a session.
+            SessionGoneError: if it has ended or expired.
+        """
+        with self._writing(session) as (live, row):
+            yield row, live.caught_up(row)
 
     @contextmanager
     def reading(self, session: str) -> Generator[Episode, None, None]:
@@ -133,6 +151,16 @@ class Sessions:
         live = self._entry(session)
         with self._dropping(session), live.lock:
             yield live.caught_up(self.store.read_session(session))
+
+    def end(self, session: str) -> None:
+        """End a session: it is gone, and its place free.
+
+        Raises:
+            NoSessionError: if there never was such a session.
+            SessionGoneError: if it has ended or expired already.
+        """
+        self._forget(session)
+        self.store.end_session(session)
 
     def expire(self) -> list[str]:
         """End the sessions that were idle for too long, and return their ids."""

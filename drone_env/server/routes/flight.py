@@ -82,6 +82,12 @@ def step(
     return _json(stepped.fields if body.action is None else openenv_result(stepped.fields, stepped.reward))
 
 
+@router.delete("/session", status_code=204, responses=SESSION_ERRORS)
+def end_session(shared: SharedParts, session: SessionId) -> None:
+    """End the session, so that its place is free for others. An episode that has not ended is dropped."""
+    shared.sessions.end(session)
+
+
 @router.get("/state", responses=SESSION_ERRORS)
 def state(shared: SharedParts, session: SessionId) -> DroneState:
     """The full state of the session's episode."""

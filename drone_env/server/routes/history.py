@@ -1,29 +1,28 @@
 """The routes that look back: finished episodes, what they come to, and the logs."""
 
 import asyncio
-from collections import deque
 from collections.abc import AsyncGenerator
-from pathlib import Path
 from typing import Annotated
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import Field
 from sse_starlette import EventSourceResponse
 
+from drone_env.core.tasks import get_task
 from drone_env.episodes.analysis import Analysis
-from drone_env.episodes.store import StoredEpisode
+from drone_env.episodes.record import EpisodeRecord
 from drone_env.models import Message
 from drone_env.server.problems import answers
 from drone_env.server.request_log import LoggedRequest, RequestLog
-from drone_env.server.schemas import EpisodeSummaries, EpisodeSummary, LogLines
+from drone_env.server.schemas import MAX_SEED, EpisodePage, EpisodeSummaries, EpisodeSummary, History, LogLines
 from drone_env.server.state import SharedParts
+from drone_env.server.train_log import FILE_NAME, TrainLog
 
 router = APIRouter(tags=["history"])
 SUMMARIES = 5
+ROLLING = 20
 LINES = 50
-TAIL_BYTES = 256 * 1024
-TRAIN_LOG = "train.log"
 POLL_SECONDS = 0.25
 
 
@@ -42,13 +41,47 @@ def analyse(shared: SharedParts, task_name: str) -> Analysis:
 @router.get("/memory_logs", responses=answers(503))
 def memory_logs(shared: SharedParts) -> EpisodeSummaries:
     """The last 5 finished episodes, newest first."""
-    return EpisodeSummaries(episodes=[_summary(episode) for episode in shared.store.latest(SUMMARIES)])
+    return EpisodeSummaries(episodes=[EpisodeSummary.of(listed) for listed in shared.store.listed(SUMMARIES)])
+
+
+@router.get("/episodes", responses=answers(404, 422, 503))
+def episodes(
+    shared: SharedParts,
+    task: Annotated[str | None, Query(max_length=100, description="Of this task only.")] = None,
+    agent: Annotated[str | None, Query(max_length=200, description="By this agent only.")] = None,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    before: Annotated[int | None, Query(ge=1, le=MAX_SEED, description="`next` of the page before.")] = None,
+) -> EpisodePage:
+    """Finished episodes, newest first."""
+    found = shared.store.listed(limit + 1, task, agent, before)
+    page = found[:limit]
+    return EpisodePage(
+        episodes=[EpisodeSummary.of(listed) for listed in page], next=page[-1].number if len(found) > limit else None
+    )
+
+
+@router.get("/episodes/{episode_id}", responses=answers(404, 503))
+def episode(shared: SharedParts, episode_id: str) -> EpisodeRecord:
+    """The record of a finished episode: a file for `drone-env replay`."""
+    return shared.store.episode(episode_id).record
+
+
+@router.get("/history/{task_name}", responses=answers(404, 422, 503))
+def history(shared: SharedParts, task_name: str, last: Annotated[int, Query(ge=1, le=1000)] = 200) -> History:
+    """The last finished episodes of a task, for charts."""
+    found = shared.store.listed(last, task_name)[::-1]
+    wins = [listed.episode.record.success for listed in found]
+    return History(
+        task=get_task(task_name).id,
+        episodes=[EpisodeSummary.of(listed) for listed in found],
+        rolling_success=[sum(wins[max(0, end - ROLLING) : end]) / min(ROLLING, end) for end in range(1, len(wins) + 1)],
+    )
 
 
 @router.get("/logs")
 def logs(shared: SharedParts) -> LogLines:
     """The last 50 lines of the training log, `train.log` in the data folder."""
-    return LogLines(file=TRAIN_LOG, lines=tail(shared.settings.data / TRAIN_LOG, LINES))
+    return LogLines(file=FILE_NAME, lines=TrainLog(shared.settings.data).tail(LINES))
 
 
 @router.get(
@@ -70,37 +103,3 @@ async def _live(log: RequestLog) -> AsyncGenerator[dict[str, str], None]:
             seen = entry.number
             yield {"id": str(entry.number), "data": entry.model_dump_json()}
         await asyncio.sleep(POLL_SECONDS)
-
-
-def tail(path: Path, lines: int) -> list[str]:
-    """The last lines of a text file, oldest first; none where there is no file. Reads at most its last 256 KiB."""
-    try:
-        with path.open("rb") as file:
-            size = file.seek(0, 2)
-            start = max(size - TAIL_BYTES, 0)
-            file.seek(start)
-            text = file.read(TAIL_BYTES).decode("utf-8", "replace")
-    except FileNotFoundError:
-        return []
-    found = text.splitlines()
-    return list(deque(found[1:] if start else found, lines))
-
-
-def _summary(stored: StoredEpisode) -> EpisodeSummary:
-    record = stored.record
-    return EpisodeSummary(
-        id=stored.id,
-        finished_at=stored.finished_at.isoformat(),
-        task=record.task,
-        task_version=record.task_version,
-        seed=record.seed,
-        agent=record.agent,
-        reward_profile=record.reward_profile,
-        steps=stored.steps,
-        deliveries=record.deliveries,
-        deliveries_total=stored.deliveries_total,
-        reward_total=stored.reward_total,
-        score=record.score,
-        success=record.success,
-        outcome=stored.outcome,
-    )

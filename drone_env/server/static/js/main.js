@@ -2,6 +2,7 @@
 import { createApi } from "./api.js";
 import { createContext } from "./context.js";
 import { Live } from "./live.js";
+import { mountStage } from "./stage.js";
 import { askForToken } from "./token.js";
 import { mountViews } from "./views.js";
 import { mountTheme } from "./theme.js";
@@ -20,6 +21,7 @@ async function boot() {
 
   mountTheme(context);
   mountConnection(context);
+  mountStage(context);
   for (const [id, view] of Object.entries({ history, logs, replay, specs })) view.mount(part(id), context);
   mountViews(context);
   live.connect();

@@ -1,27 +1,154 @@
-// Draws one flight on a canvas. Shared by Watch, Race and Replay.
+// Draws one flight on two canvases, the city and what moves in it. Shared by Watch, Race and Replay.
+import { el } from "./dom.js";
+import { title } from "./format.js";
+import { lessMotion, nextFrame, noFrame } from "./loop.js";
+import { drawFlight } from "./map_flight.js";
+import { drawTerrain } from "./map_terrain.js";
+import { palette } from "./palette.js";
+
+const LABEL_ROOM = 22;
+const LABELS_FROM = 20;
+const SPIN = 0.03;
 
 export class CityMap {
   /**
-   * @param {HTMLElement} root Filled with the canvases; its size is the map's size, kept square cells.
+   * @param {HTMLElement} root Filled with the canvases, which take its size; the grid is centred, its cells are square.
    * @param {import("./player.js").Player} player What is drawn: the map redraws by itself whenever the player changes.
    * @param {import("./context.js").Context} context For the kinds of cells and the theme.
    */
   constructor(root, player, context) {
     this.root = root;
     this.player = player;
-    this.context = context;
-    /** Shows the network's values of the actions as arrows. */
-    this.showValues = true;
-    /** [x, y] of a best flight, drawn as a ghost; null for none. */
-    this.ghost = null;
+    this.names = [];
+    for (const kind of context.kinds) this.names[kind.id] = kind.name;
+    this._showValues = true;
+    this._ghost = null;
+    this.terrain = el("canvas.map-terrain", { "aria-hidden": "true" });
+    this.flight = el("canvas.map-flight", { role: "img", "aria-label": "No mission" });
+    root.classList.add("map");
+    root.replaceChildren(this.terrain, this.flight);
+    this.layout = null;
+    this.stale = true;
+    this.before = 0;
+    this.spin = 0;
+    this.draw = this.draw.bind(this);
+    const redraw = () => this.refresh();
+    const reload = () => this.reload();
+    player.addEventListener("load", reload);
+    player.addEventListener("change", redraw);
+    const resized = new ResizeObserver(reload);
+    resized.observe(root);
+    const offTheme = context.on("theme", reload);
+    const fonts = () => this.reload();
+    document.fonts.ready.then(fonts);
+    this.destroy = () => {
+      player.removeEventListener("load", reload);
+      player.removeEventListener("change", redraw);
+      resized.disconnect();
+      offTheme();
+      noFrame(this.draw);
+      root.replaceChildren();
+    };
+    this.reload();
   }
 
-  /** Draws again, after `showValues` or `ghost` were set. */
-  refresh() {}
+  /** Whether the network's values of the actions are shown as arrows. */
+  get showValues() { return this._showValues; }
+  set showValues(shown) { this._showValues = shown; this.refresh(); }
 
-  /** Ends the drawing and the listening. */
-  destroy() {}
+  /** [x, y] of a best flight, drawn as a ghost; null for none. */
+  get ghost() { return this._ghost; }
+  set ghost(path) { this._ghost = path; this.refresh(); }
 
-  /** The map as it stands, as a PNG. @returns {Promise<Blob>} */
-  async png() { return new Blob(); }
+  /** Draws again in the next animation frame. */
+  refresh() {
+    nextFrame(this.draw);
+  }
+
+  /** Draws the city anew, too: another mission, size or theme. */
+  reload() {
+    this.stale = true;
+    const { mission } = this.player;
+    this.flight.setAttribute("aria-label", mission ? describe(mission) : "No mission");
+    this.refresh();
+  }
+
+  draw(now) {
+    const { player } = this;
+    if (!this.root.clientWidth || !this.root.clientHeight) return;
+    const colours = palette();
+    if (this.stale) this.drawCity(colours);
+    const ctx = this.flight.getContext("2d");
+    ctx.clearRect(0, 0, this.flight.width, this.flight.height);
+    if (player.empty || !player.frames.length) return;
+    const passed = Math.min(now - this.before, 100);
+    this.before = now;
+    const still = lessMotion();
+    const moving = player.advance(still ? Infinity : passed) || player.playing || player.flying;
+    if (moving && !still) this.spin += passed * SPIN;
+    const shown = {
+      showValues: this._showValues,
+      ghost: this._ghost,
+      spin: this.spin,
+      breath: moving && !still ? 0.5 - 0.5 * Math.cos(now / 260) : 0,
+      lift: player.frames[Math.round(player.position)].done ? 0.15 : 1,
+    };
+    drawFlight(ctx, player, this.layout, shown, colours);
+    if (moving && !still) this.refresh();
+  }
+
+  drawCity(colours) {
+    this.stale = false;
+    const scale = window.devicePixelRatio || 1;
+    const width = Math.round(this.root.clientWidth * scale);
+    const height = Math.round(this.root.clientHeight * scale);
+    for (const canvas of [this.terrain, this.flight]) {
+      if (canvas.width !== width) canvas.width = width;
+      if (canvas.height !== height) canvas.height = height;
+    }
+    const ctx = this.terrain.getContext("2d");
+    ctx.clearRect(0, 0, width, height);
+    const { mission } = this.player;
+    if (!mission) return;
+    this.layout = fit(mission, width, height, scale);
+    drawTerrain(ctx, mission, this.layout, this.names, colours);
+  }
+
+  /** The map as it stands, as an image of its own. @returns {HTMLCanvasElement} */
+  image() {
+    const canvas = el("canvas", { width: this.terrain.width, height: this.terrain.height });
+    const ctx = canvas.getContext("2d");
+    ctx.fillStyle = palette().ground;
+    ctx.fillRect(0, 0, canvas.width, canvas.height);
+    ctx.drawImage(this.terrain, 0, 0);
+    ctx.drawImage(this.flight, 0, 0);
+    return canvas;
+  }
+
+  /** The same as a PNG. @returns {Promise<Blob>} */
+  png() {
+    return new Promise((resolve) => this.image().toBlob(resolve, "image/png"));
+  }
+}
+
+/** Where the grid lies: whole device pixels per cell, so that lines are sharp. */
+function fit(mission, width, height, scale) {
+  const place = (room) => Math.floor(Math.min((width - room) / mission.width, (height - room) / mission.height));
+  const room = LABEL_ROOM * scale;
+  const labels = place(room + 2) >= LABELS_FROM * scale;
+  const cell = Math.max(1, place(labels ? room + 2 : 2));
+  const before = labels ? room : 0;
+  return {
+    cell,
+    scale,
+    labels,
+    left: Math.floor((width - mission.width * cell - before) / 2 + before),
+    top: Math.floor((height - mission.height * cell - before) / 2 + before),
+  };
+}
+
+function describe(mission) {
+  const parcels = `${mission.parcels.length} ${mission.parcels.length === 1 ? "parcel" : "parcels"}`;
+  return `City map of ${title(mission.short_name)}, ${mission.width} by ${mission.height} cells, map ${mission.seed}, ` +
+    `${parcels}. The events are told below.`;
 }

@@ -4,6 +4,8 @@
  * `cursor` is the frame that is shown; `position` follows it smoothly and is what the map draws between two frames.
  * A live flight pushes frames and follows its end; a replay plays by itself.
  *
+ * `playing` says that a replay runs, `flying` that a live mission does.
+ *
  * Events ("change" with the player): "load" a new mission, "frames" more frames or values, "cursor" another frame is
  * shown, "play" the replay was started or stopped.
  */
@@ -16,6 +18,7 @@ export class Player extends EventTarget {
     this.position = 0;
     this.following = true;
     this.playing = false;
+    this.flying = false;
     this.speed = 6;
     this.timer = 0;
     this.annotation = null;

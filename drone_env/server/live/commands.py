@@ -1,0 +1,90 @@
+"""What the page may send: one JSON object with a `type`."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from drone_env.errors import InvalidValueError
+from drone_env.models import Direction, Message
+from drone_env.server.problems import where
+from drone_env.server.schemas import Seed
+from drone_env.server.state import LONGEST_ID
+from drone_env.server.strict_json import parse_json
+
+MOST_MISSIONS = 4
+Topic = Literal["requests", "training", "episodes"]
+
+
+class Start(Message):
+    """Fly one map with one to four pilots; the missions before are given up."""
+
+    type: Literal["start"]
+    task: str = Field(max_length=100)
+    pilots: list[str] = Field(min_length=1, max_length=MOST_MISSIONS)
+    seed: Seed | None = None
+    reward_profile: str | None = Field(default=None, max_length=100)
+
+
+class Attach(Message):
+    """Go on with missions, after the connection was lost."""
+
+    type: Literal["attach"]
+    sessions: list[Annotated[str, Field(max_length=LONGEST_ID)]] = Field(min_length=1, max_length=MOST_MISSIONS)
+
+
+class Play(Message):
+    """Let the pilots fly by themselves."""
+
+    type: Literal["play"]
+    speed: float | None = Field(default=None, ge=0.5, le=60, description="Steps per second.")
+
+
+class Pause(Message):
+    """Stop them."""
+
+    type: Literal["pause"]
+
+
+class Step(Message):
+    """One step of every pilot that flies by itself."""
+
+    type: Literal["step"]
+
+
+class Fly(Message):
+    """One step of a mission that a person flies."""
+
+    type: Literal["fly"]
+    direction: Direction
+    mission: int = Field(default=0, ge=0, lt=MOST_MISSIONS)
+
+
+class End(Message):
+    """Give the missions up."""
+
+    type: Literal["end"]
+
+
+class Subscribe(Message):
+    """What to be told beside the missions; replaces what was asked before."""
+
+    type: Literal["subscribe"]
+    topics: list[Topic] = Field(max_length=3)
+
+
+Command = Start | Attach | Play | Pause | Step | Fly | End | Subscribe
+_COMMAND: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discriminator="type")])
+
+
+def parse_command(text: str) -> Command:
+    """The command in a frame.
+
+    Raises:
+        InvalidValueError: if it is none; the message says what is allowed.
+    """
+    value: Any = parse_json(text)
+    try:
+        return _COMMAND.validate_python(value)
+    except ValidationError as error:
+        told = "; ".join(f"{where(e['loc']) or 'frame'}: {e['msg']}" for e in error.errors()[:5])
+        raise InvalidValueError(told) from None

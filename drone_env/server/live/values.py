@@ -1,0 +1,64 @@
+"""What can still be reached on the maps that are being flown: exact solvers, made in the background."""
+
+import threading
+from collections import OrderedDict
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TaskConfig
+from drone_env.errors import TooLargeError
+from drone_env.planning.exact import ExactSolver
+
+MAX_BYTES = 256 << 20
+"""Memory that the solvers may take together; a map of skyline_hard takes up to 70 MB, one of hard 4 MB."""
+Map = tuple[TaskConfig, int]
+
+
+class ExactValues:
+    """The solvers of the maps that were asked for last; safe to share between threads."""
+
+    def __init__(self) -> None:
+        self._solvers: OrderedDict[Map, ExactSolver] = OrderedDict()
+        self._pending: dict[Map, Future[None]] = {}
+        self._lock = threading.Lock()
+        # One thread: whoever flies goes before whoever looks on.
+        self._thread = ThreadPoolExecutor(1, "drone_env-values")
+
+    def request(self, task: TaskConfig, seed: int) -> Future[None]:
+        """Have a map solved; `get` has its solver when that is done, unless the map is too large."""
+        key = (task, seed)
+        with self._lock:
+            if key in self._solvers:
+                done: Future[None] = Future()
+                done.set_result(None)
+                return done
+            if key not in self._pending:
+                self._pending[key] = self._thread.submit(self._solve, key)
+            return self._pending[key]
+
+    def get(self, task: TaskConfig, seed: int) -> ExactSolver | None:
+        """The solver of a map from its start, None while there is none."""
+        with self._lock:
+            solver = self._solvers.get((task, seed))
+            if solver is not None:
+                self._solvers.move_to_end((task, seed))
+            return solver
+
+    def close(self) -> None:
+        """Stop; waits for the map that is being solved just now."""
+        self._thread.shutdown(cancel_futures=True)
+
+    def _solve(self, key: Map) -> None:
+        episode = Episode(key[0], "score")
+        episode.reset(key[1])
+        try:
+            solver = ExactSolver(episode)
+        except TooLargeError:
+            solver = None
+        with self._lock:
+            del self._pending[key]
+            if solver is None:
+                return
+            self._solvers[key] = solver
+            while len(self._solvers) > 1 and sum(kept.nbytes for kept in self._solvers.values()) > MAX_BYTES:
+                self._solvers.popitem(last=False)

@@ -1,0 +1,189 @@
+// The live missions of this page: what is asked of the server, and what it tells.
+import { toast } from "./dom.js";
+
+export const SPEEDS = [0.5, 1, 2, 4, 6, 10, 15, 30, 60];
+const DEFAULT_SPEED = 6;
+const HUMAN_SPEED = 8;
+export const FIRST_TASK = "easy";
+export const DEFAULT_PROFILE = "tiered";
+
+/**
+ * @typedef {Object} Setup What is flown.
+ * @property {string} task Short name. @property {number|null} seed null for any map. @property {string} profile
+ * @property {string[]} pilots One to four ids.
+ *
+ * Events: "setup" other missions were chosen, "playing" started, paused or another speed, "refused" (detail: text).
+ */
+export class Fleet extends EventTarget {
+  /** @param {import("./context.js").Context} context @param {Setup} setup What to begin with. */
+  constructor(context, setup) {
+    super();
+    this.context = context;
+    this.setup = setup;
+    this.playing = false;
+    this.speed = DEFAULT_SPEED;
+    this.asked = null;
+    this.playAfterStart = false;
+    const { live } = context;
+    live.on("state", ({ state }) => (state === "open" ? this.resume() : this.lost()));
+    live.on("missions", (message) => this.begin(message));
+    live.on("frames", ({ frames }) => this.move(frames));
+    live.on("values", ({ mission, values }) => this.active[mission]?.setValues(values));
+    live.on("playing", ({ playing, speed }) => this.setPlaying(playing, speed));
+    live.on("ended", ({ mission, episode }) => this.ended(mission, episode));
+    live.on("error", (message) => this.refused(message));
+  }
+
+  /** The players that have a mission. */
+  get active() {
+    return this.context.players.filter((player) => !player.empty);
+  }
+
+  /** Whether all missions have ended. */
+  get over() {
+    return this.active.length > 0 && this.active.every((player) => player.last.done);
+  }
+
+  /** The index of the mission that the visitor flies; -1 for none. */
+  get human() {
+    return this.setup.pilots.findIndex((id) => !this.pilot(id).automatic);
+  }
+
+  /** Whether there is somebody to start. */
+  get automatic() {
+    return this.setup.pilots.some((id) => this.pilot(id).automatic);
+  }
+
+  /** @returns {Object} What the server tells of a pilot; a stand-in where it does not know it. */
+  pilot(id) {
+    return this.context.pilots.find((pilot) => pilot.id === id) ?? { id, name: id, summary: "", automatic: true, tasks: [] };
+  }
+
+  task(name = this.setup.task) {
+    return this.context.tasks.find((task) => task.short_name === name || task.id === name || task.grader === name);
+  }
+
+  /** Whether a pilot can fly a task. */
+  flies(id, task = this.task()) {
+    return !task || this.pilot(id).tasks.includes(task.id);
+  }
+
+  /** Starts other missions: what is named in `change` is new, the rest as it was. */
+  start(change = {}, { play = false } = {}) {
+    this.setup = { ...this.setup, ...change };
+    this.playAfterStart = play;
+    this.tell("setup");
+    this.asked = "start";
+    const { task, seed, profile, pilots } = this.setup;
+    this.context.live.send({ type: "start", task, seed, reward_profile: profile, pilots });
+  }
+
+  play(speed = this.speed) {
+    this.speed = speed;
+    if (!this.over && this.automatic) this.context.live.send({ type: "play", speed });
+  }
+
+  pause() {
+    this.context.live.send({ type: "pause" });
+  }
+
+  toggle() {
+    if (this.playing) this.pause();
+    else this.play();
+  }
+
+  step() {
+    if (!this.playing && !this.over) this.context.live.send({ type: "step" });
+  }
+
+  /** Another speed, at once where something flies. */
+  setSpeed(speed) {
+    this.speed = speed;
+    if (this.playing) this.play(speed);
+    else this.tell("playing");
+  }
+
+  /** One move of the visitor. The others move along unless they fly by themselves. */
+  fly(direction) {
+    const mission = this.human;
+    const player = this.context.players[mission];
+    if (mission < 0 || !player.last || player.last.done) return;
+    player.seek(player.frames.length - 1);
+    this.context.live.send({ type: "fly", mission, direction });
+    if (this.automatic && !this.playing) this.context.live.send({ type: "step" });
+  }
+
+  resume() {
+    const sessions = this.active.map((player) => player.mission.session);
+    if (!sessions.length) {
+      this.start({}, { play: this.playAfterStart });
+      return;
+    }
+    this.asked = "attach";
+    this.context.live.send({ type: "attach", sessions });
+  }
+
+  lost() {
+    if (this.playing) this.playAfterStart = true;
+    this.setPlaying(false, this.speed);
+  }
+
+  begin({ missions, playing, speed }) {
+    const again = this.asked === "attach";
+    this.asked = null;
+    const { players } = this.context;
+    players.forEach((player, i) => {
+      const flight = missions[i];
+      if (!flight) player.clear();
+      else player.load(flight.mission, flight.frames, { atEnd: true });
+      player.episode = null;
+    });
+    const { seed, short_name } = missions[0].mission;
+    this.setup = { ...this.setup, seed, task: short_name, pilots: missions.map(({ mission }) => mission.pilot) };
+    this.speed = playing ? speed : this.speed;
+    this.setPlaying(playing, this.speed);
+    this.tell("setup");
+    this.context.emit("missions", this.active, again);
+    if (this.playAfterStart && !playing) this.play();
+    this.playAfterStart = false;
+  }
+
+  move(frames) {
+    for (const { mission, frame } of frames) this.context.players[mission]?.push(frame);
+  }
+
+  setPlaying(playing, speed) {
+    this.playing = playing;
+    if (playing) this.speed = speed;
+    for (const player of this.context.players) {
+      player.flying = playing && Boolean(player.last) && !player.last.done;
+      player.speed = this.setup.pilots.length === 1 && !this.automatic ? HUMAN_SPEED : this.speed;
+      player.tell("change");
+    }
+    this.tell("playing");
+  }
+
+  ended(mission, episode) {
+    const player = this.context.players[mission];
+    if (!player) return;
+    player.episode = episode;
+    player.flying = false;
+    player.tell("frames");
+    this.context.emit("ended", mission, episode);
+  }
+
+  refused({ code, detail }) {
+    const asked = this.asked;
+    this.asked = null;
+    if (asked === "attach" && code === "gone") {
+      toast("That mission had ended while the server was away: it starts anew.");
+      this.start({}, { play: this.playAfterStart });
+      return;
+    }
+    this.dispatchEvent(new CustomEvent("refused", { detail }));
+  }
+
+  tell(type) {
+    this.dispatchEvent(new Event(type));
+  }
+}

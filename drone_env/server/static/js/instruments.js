@@ -1,0 +1,79 @@
+// The instruments of one flight: score beside what is still possible, battery, steps, parcels, reward.
+import { el, setText } from "./dom.js";
+import { OUTCOMES, fixed, percent, points, signed } from "./format.js";
+import { nextFrame } from "./loop.js";
+
+/** @param {HTMLElement} root @param {import("./context.js").Context} context */
+export function mountInstruments(root, context) {
+  const { player } = context;
+  const score = el("strong.hero-number", { id: "score" });
+  const scoreNote = el("span.hero-note", { id: "score-note" });
+  const possible = row("Still possible", "possible");
+  const lost = row("Given away", "given-away");
+  const reach = el("div.reach", { "aria-hidden": "true" }, el("i.reach-value"), el("i.reach-lost"));
+  const head = el("div.score", {},
+    el("div.score-main", {}, el("span.eyebrow", { text: "Score" }), score, scoreNote),
+    el("dl.score-side", {}, ...possible.nodes, ...lost.nodes), reach);
+
+  const battery = gauge("Battery", "battery");
+  const steps = gauge("Steps", "steps");
+  const parcels = el("div.gauge", { id: "parcels" }, el("span.gauge-name", { text: "Parcels" }), el("div.pips"), el("span.gauge-text"));
+  const reward = row("Reward", "reward");
+  const total = row("In all", "reward-total");
+  const efficiency = row("Efficiency", "efficiency");
+  const target = row("Target", "target");
+  root.append(head, battery, steps, parcels,
+    el("dl.numbers", {}, ...[reward, total, efficiency, target].map(({ nodes }) => el("div", {}, ...nodes))));
+
+  function draw() {
+    const { frame, mission } = player;
+    if (!frame) return;
+    setText(score, points(frame.score));
+    setText(scoreNote, frame.done ? OUTCOMES[frame.outcome] ?? frame.outcome : frame.step ? "if it ended now" : "before the start");
+    scoreNote.dataset.outcome = frame.outcome;
+    setText(possible.value, points(frame.value));
+    setText(lost.value, points(frame.regret));
+    lost.value.dataset.some = String(frame.regret > 0.0005);
+    // Both are the server's: the share still reachable, and what has been lost of the optimum.
+    reach.style.setProperty("--value", String(frame.value ?? 0));
+    reach.style.setProperty("--lost", String(frame.regret ?? 0));
+    reach.hidden = frame.value === null;
+    fill(battery, frame.battery, `${frame.battery_units} of ${mission.battery_capacity}`, percent(frame.battery));
+    battery.dataset.low = String(frame.battery < 0.2);
+    fill(steps, frame.step / mission.max_steps, `${frame.step} of ${mission.max_steps}`, `step ${frame.step}`);
+    drawPips(parcels, frame.deliveries_done, mission.deliveries_total);
+    setText(reward.value, frame.step ? signed(frame.reward, 3) : "–");
+    setText(total.value, fixed(frame.reward_total, 2));
+    setText(efficiency.value, fixed(frame.efficiency, 1));
+    setText(target.value, frame.target ? `[${frame.target.join(", ")}], ${frame.distance} away` : "–");
+  }
+
+  const redraw = () => nextFrame(draw);
+  player.addEventListener("change", redraw);
+  redraw();
+}
+
+function row(name, id) {
+  const value = el("dd", { id, text: "–" });
+  return { value, nodes: [el("dt", { text: name }), value] };
+}
+
+function gauge(name, id) {
+  return el("div.gauge", { id, role: "meter", "aria-label": name, "aria-valuemin": "0", "aria-valuemax": "1", "aria-valuenow": "0" },
+    el("span.gauge-name", { text: name }), el("div.gauge-bar", {}, el("i")), el("span.gauge-text"));
+}
+
+function fill(node, share, text, spoken) {
+  node.style.setProperty("--share", String(share));
+  node.setAttribute("aria-valuenow", share.toFixed(3));
+  node.setAttribute("aria-valuetext", spoken);
+  setText(node.lastElementChild, text);
+}
+
+function drawPips(node, done, total) {
+  const pips = node.querySelector(".pips");
+  while (pips.childElementCount < total) pips.append(el("i"));
+  while (pips.childElementCount > total) pips.lastElementChild.remove();
+  [...pips.children].forEach((pip, i) => pip.classList.toggle("done", i < done));
+  setText(node.lastElementChild, `${done} of ${total}`);
+}

@@ -1,0 +1,34 @@
+// The colours of canvases: the custom properties of the style sheet, read once per theme.
+
+const NAMES = [
+  "ground", "panel", "raised", "line", "line-strong", "ink", "ink-2", "ink-3", "accent", "good", "warn", "bad", "font",
+  "map-ground", "map-grid", "map-edge", "map-roof", "map-roof-2", "map-wall", "map-shade", "map-leaf", "map-leaf-2",
+  "map-barrier", "map-barrier-2", "map-pad", "map-pad-ink", "map-box", "map-box-2", "map-box-ink", "map-done",
+  "map-hull", "map-hull-ink", "map-ghost", "map-label",
+];
+const camel = (name) => name.replace(/^map-/, "").replace(/-(\w)/g, (_, letter) => letter.toUpperCase());
+const page = new Set(NAMES.slice(0, 13));
+
+let read = null;
+let theme = "";
+
+/** `{ink, accent, ..., map: {ground, roof, ...}}` of the theme that is shown. */
+export function palette() {
+  const shown = document.documentElement.dataset.theme ?? "";
+  if (read && shown === theme) return read;
+  const style = getComputedStyle(document.documentElement);
+  read = { map: {} };
+  theme = shown;
+  for (const name of NAMES) {
+    const value = style.getPropertyValue(`--${name}`).trim();
+    if (page.has(name)) read[camel(name)] = value;
+    else read.map[camel(name)] = value;
+  }
+  return read;
+}
+
+/** The colour of a move's label, such as "blunder". */
+export function labelColour(label) {
+  const p = palette();
+  return { best: p.good, good: p.ink3, inaccuracy: p.warn, mistake: p.accent, blunder: p.bad }[label] ?? p.ink3;
+}

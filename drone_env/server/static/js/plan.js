@@ -1,0 +1,144 @@
+// The flight plan on the left: which task, which map, who flies.
+import { el, icon, setText, toast } from "./dom.js";
+import { title } from "./format.js";
+import { linkOf } from "./link.js";
+
+const LARGEST = Number.MAX_SAFE_INTEGER;
+export const RACERS = ["pathqnet", "greedy", "optimal", "random"];
+const MOST = 4;
+
+/** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
+export function mountPlan(root, context, fleet) {
+  const tasks = el("fieldset.choice", {}, el("legend", { text: "Task" }));
+  const pilots = el("fieldset.choice", {}, el("legend", { text: "Pilot" }));
+  const problem = el("p.problem", { role: "alert", hidden: true });
+  const { form, seed } = mapForm(fleet);
+  const profile = profileChoice(context, fleet);
+  root.append(tasks, pilots, form, profile, problem);
+
+  drawTasks();
+  drawPilots();
+  update();
+
+  fleet.addEventListener("setup", update);
+  fleet.addEventListener("refused", ({ detail }) => {
+    setText(problem, detail);
+    problem.hidden = false;
+  });
+  context.on("missions", () => { problem.hidden = true; });
+  context.on("view", () => { drawPilots(); update(); });
+
+  function drawTasks() {
+    const groups = [["City", context.tasks.filter((task) => task.published)], ["Skyline", context.tasks.filter((task) => !task.published)]];
+    for (const [name, members] of groups) {
+      if (!members.length) continue;
+      tasks.append(el("div.task-row", { role: "group", "aria-label": name },
+        el("span.task-group", { text: name, "aria-hidden": "true" }), ...members.map(taskOption)));
+    }
+    tasks.append(el("p.note.task-note", { id: "task-note" }));
+  }
+
+  function taskOption(task) {
+    const label = title(task.short_name).replace(/^Skyline /, "");
+    const input = el("input", {
+      type: "radio", name: "task", value: task.short_name, "aria-label": title(task.short_name), "aria-describedby": "task-note",
+      on: { change: () => chooseTask(task) },
+    });
+    return el("label.segment", {}, input, el("span", { text: label }));
+  }
+
+  /** Pilots that cannot fly the task give way, and the page says so. */
+  function chooseTask(task) {
+    const able = fleet.setup.pilots.filter((id) => fleet.flies(id, task));
+    const wanted = context.view === "race" ? 2 : 1;
+    for (const { id, automatic } of context.pilots) {
+      if (able.length < wanted && automatic && !able.includes(id) && fleet.flies(id, task)) able.push(id);
+    }
+    const left = fleet.setup.pilots.filter((id) => !able.includes(id)).map((id) => fleet.pilot(id).name);
+    if (left.length) toast(`${left.join(" and ")} cannot fly ${title(task.short_name)}.`);
+    fleet.start({ task: task.short_name, seed: null, pilots: able });
+  }
+
+  function drawPilots() {
+    const race = context.view === "race";
+    pilots.querySelectorAll(".pilot").forEach((node) => node.remove());
+    setText(pilots.querySelector("legend"), race ? "Pilots, up to four" : "Pilot");
+    for (const pilot of context.pilots) {
+      const input = el("input", {
+        type: race ? "checkbox" : "radio", name: "pilot", value: pilot.id, "aria-label": pilot.name, "aria-describedby": `about-${pilot.id}`,
+        on: { change: () => choosePilot(pilot.id, race) },
+      });
+      pilots.append(el("label.pilot", {}, input, el("span.pilot-name", { text: pilot.name }), el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary })));
+    }
+  }
+
+  function choosePilot(id, race) {
+    const { setup } = fleet;
+    if (!race) {
+      fleet.start({ pilots: [id] });
+      return;
+    }
+    const chosen = setup.pilots.includes(id) ? setup.pilots.filter((other) => other !== id) : [...setup.pilots, id];
+    fleet.start({ pilots: chosen });
+  }
+
+  function update() {
+    const { setup } = fleet;
+    const task = fleet.task();
+    for (const input of tasks.querySelectorAll("input")) input.checked = input.value === task?.short_name;
+    setText(tasks.querySelector(".task-note"), task ? taskNote(task) : "");
+    for (const input of pilots.querySelectorAll("input")) {
+      input.checked = setup.pilots.includes(input.value);
+      const able = fleet.flies(input.value);
+      const last = context.view === "race" && input.checked && setup.pilots.length <= 2;
+      const full = context.view === "race" && !input.checked && setup.pilots.length >= MOST;
+      input.disabled = !able || last || full;
+      input.closest(".pilot").classList.toggle("unable", !able);
+      setText(input.closest(".pilot").querySelector(".pilot-note"),
+        able ? fleet.pilot(input.value).summary : "Has no network for this task");
+    }
+    if (document.activeElement !== seed) seed.value = setup.seed ?? "";
+    profile.querySelector("select").value = setup.profile;
+  }
+}
+
+function taskNote(task) {
+  const parcels = task.deliveries === 1 ? "one parcel" : `${task.deliveries} parcels`;
+  const time = `${task.max_steps} steps`;
+  const charge = task.pads ? `, a battery of ${task.battery_capacity} that pads recharge` : "";
+  return `Deliver ${parcels} on ${task.width} × ${task.height} cells in ${time}${charge}.`;
+}
+
+function mapForm(fleet) {
+  const seed = el("input.input", { id: "seed", type: "number", min: "0", max: String(LARGEST), step: "1", inputmode: "numeric", autocomplete: "off" });
+  const open = () => {
+    if (seed.value !== "" && seed.reportValidity()) fleet.start({ seed: Number(seed.value) });
+  };
+  seed.addEventListener("change", open);
+  const fresh = el("button.button", { type: "button", id: "new-map", on: { click: () => fleet.start({ seed: null }) }, title: "Another map (N)", text: "New map" });
+  const copy = el("button.button.quiet.small", { type: "button", id: "copy-link", on: { click: () => copyLink(fleet) } },
+    icon("M10 14a4 4 0 0 0 6 .4l2.6-2.6a4 4 0 0 0-5.7-5.7L11.500 7.500M14 10a4 4 0 0 0-6-.4l-2.600 2.600a4 4 0 0 0 5.700 5.700l1.400-1.400"),
+    el("span", { text: "Copy link to this mission" }));
+  const form = el("form.map-form", { on: { submit: (event) => { event.preventDefault(); open(); } } },
+    el("label.eyebrow", { for: "seed", text: "Map" }),
+    el("div.row", {}, seed, fresh), copy);
+  return { form, seed };
+}
+
+/** Copies the address of exactly these missions. */
+export async function copyLink(fleet) {
+  const url = String(linkOf(fleet.setup));
+  try {
+    await navigator.clipboard.writeText(url);
+    toast("Link copied.");
+  } catch {
+    // Without leave to write the clipboard, as in a frame of another site, the visitor copies it by hand.
+    window.prompt("The link to this mission:", url);
+  }
+}
+
+function profileChoice(context, fleet) {
+  const select = el("select", { id: "profile", on: { change: () => fleet.start({ profile: select.value }) } });
+  for (const profile of context.rewardProfiles) select.append(el("option", { value: profile.id, text: title(profile.id), title: profile.summary }));
+  return el("div.field", {}, el("label.eyebrow", { for: "profile", text: "Rewards" }), select);
+}

@@ -1,0 +1,88 @@
+// Watch and Race: puts plan, maps, controls and instruments together.
+import { annotate } from "./annotate.js";
+import { mountControls } from "./controls.js";
+import { mountDeck } from "./deck.js";
+import { el, toast } from "./dom.js";
+import { mountEvents } from "./events.js";
+import { Fleet } from "./fleet.js";
+import { mountHelp } from "./help.js";
+import { mountHuman } from "./human.js";
+import { mountInstruments } from "./instruments.js";
+import { mountKeys } from "./keys.js";
+import { setupFromLink, showLink } from "./link.js";
+import { mountPlan, RACERS } from "./plan.js";
+import { mountResults } from "./results.js";
+import { mountStandings } from "./standings.js";
+import { mountTelemetry } from "./telemetry.js";
+import { mountThinking } from "./thinking.js";
+
+/** @param {import("./context.js").Context} context @returns {Fleet} */
+export function mountStage(context) {
+  const part = (id) => document.getElementById(id);
+  const fleet = new Fleet(context, setupFromLink());
+  context.view = fleet.setup.pilots.length > 1 ? "race" : "watch";
+  const side = part("side");
+  const panel = (name, mount, ...more) => {
+    const node = el(`section.panel.${name}`);
+    side.append(node);
+    return mount(node, context, ...more);
+  };
+
+  mountPlan(part("plan"), context, fleet);
+  const deck = mountDeck(part("deck"), context, fleet);
+  const controls = el("div.controls-panel");
+  part("deck").append(controls);
+  const timeline = mountControls(controls, context, fleet);
+  mountHuman(controls, context, fleet);
+  panel("standings-panel", mountStandings, fleet);
+  panel("instruments", mountInstruments);
+  panel("thinking", mountThinking);
+  panel("messages", mountEvents);
+  panel("telemetry-panel", mountTelemetry, fleet, { maps: () => deck.maps, timeline });
+  const help = mountHelp();
+  mountKeys(context, fleet, { help });
+  mountGhost(side, context, deck);
+  mountResults(context, fleet, (player) => explain(context, player));
+
+  context.on("select", (i) => deck.select(i));
+  context.on("arrows", (shown) => deck.maps.forEach((map) => { map.showValues = shown; }));
+  context.on("maps", (maps) => maps.forEach((map) => { map.showValues = part("show-arrows").checked; }));
+  context.on("missions", () => showLink(fleet.setup));
+  context.on("ended", (i) => { if (context.players.filter((player) => !player.empty).length > 1) explain(context, context.players[i]); });
+  context.on("view", (view) => follow(context, fleet, view));
+  return fleet;
+}
+
+/** Watch flies one pilot, Race at least two, on the same map; elsewhere the mission rests. */
+function follow(context, fleet, view) {
+  if (view === "watch" || view === "race") {
+    const { pilots } = fleet.setup;
+    if (view === "watch" && pilots.length > 1) fleet.start({ pilots: pilots.slice(0, 1) });
+    if (view === "race" && pilots.length === 1) {
+      const able = RACERS.filter((id) => fleet.flies(id));
+      fleet.start({ pilots: [...new Set([...pilots, ...able])].slice(0, RACERS.length) });
+    }
+  } else if (fleet.playing) fleet.pause();
+}
+
+/** Annotates a flight that has ended; says so where that cannot be. */
+async function explain(context, player) {
+  const why = await annotate(context, player);
+  if (why) toast(why);
+}
+
+/** The switch of the ghost on the best flight: there is one as soon as a flight is annotated. */
+function mountGhost(side, context, deck) {
+  const box = el("input", { type: "checkbox", id: "show-ghost", checked: true });
+  const label = el("label.switch.ghost-switch", { hidden: true }, box, el("span", { text: "Ghost on the best flight" }));
+  side.prepend(label);
+  const update = () => {
+    const players = context.players.filter((player) => !player.empty);
+    const path = players.find((player) => player.annotation)?.annotation.optimal_path ?? null;
+    label.hidden = path === null;
+    deck.maps.forEach((map, i) => { map.ghost = box.checked && players[i]?.annotation ? path : null; });
+  };
+  box.addEventListener("change", update);
+  for (const player of context.players) player.addEventListener("frames", update);
+  context.on("maps", update);
+}

@@ -1,0 +1,76 @@
+// Race: who leads, live; after the end the flight that is selected, move by move, and the best flight as a ghost.
+import { el, setText } from "./dom.js";
+import { OUTCOMES, points } from "./format.js";
+import { nextFrame } from "./loop.js";
+import { mountMoves } from "./moves.js";
+
+/** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
+export function mountStandings(root, context, fleet) {
+  const body = el("tbody");
+  const table = el("table.table.standings", { id: "standings" },
+    el("caption.visually-hidden", { text: "Standings" }),
+    el("thead", {}, el("tr", {}, ...["Pilot", "Steps", "Parcels", "Score", "Given away"].map((name, i) =>
+      el(i ? "th.num" : "th", { scope: "col", text: name })))),
+    body);
+  const note = el("p.note", { id: "race-note" });
+  const moves = el("div.race-moves");
+  root.append(el("div.panel-head", {}, el("h2.eyebrow", { text: "Standings" })), table, note, moves);
+  const lists = context.players.map((player) => {
+    const list = el("div.race-list", { hidden: true });
+    mountMoves(list, player);
+    moves.append(list);
+    return list;
+  });
+  let rows = [];
+  let selected = 0;
+
+  function build(players) {
+    rows = players.map((player, i) => {
+      const cells = Array.from({ length: 4 }, () => el("td.num"));
+      const name = el("button.standing-name", { type: "button", on: { click: () => context.emit("select", i) } }, el("span", { text: fleet.pilot(player.mission.pilot).name }));
+      return { player, cells, node: el("tr", {}, el("th", { scope: "row" }, name), ...cells), i };
+    });
+    body.replaceChildren(...rows.map(({ node }) => node));
+    draw();
+  }
+
+  function draw() {
+    for (const { player, cells, node, i } of rows) {
+      if (player.empty || !player.frame) continue;
+      const { frame, mission } = player;
+      setText(cells[0], String(frame.step));
+      setText(cells[1], `${frame.deliveries_done}/${mission.deliveries_total}`);
+      setText(cells[2], frame.done ? points(frame.score) : "–");
+      setText(cells[3], points(frame.regret));
+      node.dataset.outcome = frame.outcome;
+      node.classList.toggle("selected", i === selected);
+    }
+    lists.forEach((list, i) => { list.hidden = i !== selected || !context.players[i].annotation; });
+    setText(note, words());
+  }
+
+  function words() {
+    if (!fleet.active.length) return "";
+    const { optimum } = optimumOf(fleet.active);
+    const best = optimum === null ? "" : ` The optimum of this map is ${points(optimum)}.`;
+    if (!fleet.over) return `Same map, same moment.${best}`;
+    const scores = fleet.active.map((player) => player.last.score);
+    const top = Math.max(...scores);
+    const winners = fleet.active.filter((player) => player.last.score === top).map((player) => fleet.pilot(player.mission.pilot).name);
+    const outcome = OUTCOMES[fleet.active.find((player) => player.last.score === top).last.outcome];
+    return `${winners.join(" and ")} ${winners.length > 1 ? "tie" : "wins"} with ${points(top)}: ${outcome.toLowerCase()}.${best}`;
+  }
+
+  context.on("missions", build);
+  context.on("selected", (i) => { selected = i; draw(); });
+  for (const player of context.players) player.addEventListener("change", () => nextFrame(draw));
+}
+
+/** The value of the start is the optimum of the map; null while the server has not told it. */
+function optimumOf(players) {
+  for (const player of players) {
+    const value = player.frames[0]?.value;
+    if (value !== null && value !== undefined) return { optimum: value };
+  }
+  return { optimum: null };
+}
