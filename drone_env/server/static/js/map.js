@@ -9,6 +9,8 @@ import { lanePalette, palette } from "./palette.js";
 const LABEL_ROOM = 22;
 const LABELS_FROM = 20;
 const SPIN = 0.03;
+/** Cells left free around the grid: the rotors reach over it. */
+const EDGE = 0.32;
 
 export class CityMap {
   /**
@@ -135,7 +137,7 @@ export class CityMap {
 
 /** Where the grid lies: whole device pixels per cell, so that lines are sharp. */
 function fit(mission, width, height, scale) {
-  const place = (room) => Math.floor(Math.min((width - room) / mission.width, (height - room) / mission.height));
+  const place = (room) => Math.floor(Math.min((width - room) / (mission.width + EDGE), (height - room) / (mission.height + EDGE)));
   const room = LABEL_ROOM * scale;
   const labels = place(room + 2) >= LABELS_FROM * scale;
   const cell = Math.max(1, place(labels ? room + 2 : 2));

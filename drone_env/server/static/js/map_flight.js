@@ -6,6 +6,7 @@ const STEP = { UP: [0, -1], DOWN: [0, 1], LEFT: [-1, 0], RIGHT: [1, 0] };
 const DOT = { inaccuracy: 0.09, mistake: 0.13, blunder: 0.16 };
 const RECENT = [9, 5, 2];
 const SMALLEST_DRONE = 22;
+const LARGE_DRONE = 56;
 
 /**
  * @param {CanvasRenderingContext2D} ctx @param {import("./player.js").Player} player
@@ -19,7 +20,7 @@ export function drawFlight(ctx, player, layout, shown, colours) {
   const frame = frames[Math.round(position)] ?? frames[0];
   const here = between(frames, position);
   const [x, y] = centre(here);
-  const size = Math.max(cell * 1.2, SMALLEST_DRONE * layout.scale);
+  const size = droneSize(cell, layout.scale);
 
   drawTrail(ctx, player, centre, here, cell, colours);
   if (shown.ghost) drawGhostPath(ctx, shown.ghost, centre, cell, layout, colours);
@@ -38,6 +39,11 @@ export function drawFlight(ctx, player, layout, shown, colours) {
   if (player.annotation) drawBetterMoves(ctx, player, x, y, cell, size, colours);
   drawDrone(ctx, x, y, size, heading(frames, position), shown.spin, shown.lift, colours);
   if (player.annotation) drawMarkHere(ctx, player, x, y, size, layout, colours);
+}
+
+/** A little larger than its cell, but neither lost on a small map nor a monster on a large one. */
+function droneSize(cell, scale) {
+  return Math.max(Math.min(cell * 1.2, Math.max(LARGE_DRONE * scale, cell * 0.8)), SMALLEST_DRONE * scale);
 }
 
 /** [x, y] at a position between two frames. */

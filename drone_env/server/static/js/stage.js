@@ -43,7 +43,7 @@ export function mountStage(context) {
   panel("telemetry-panel", mountTelemetry, fleet, { maps: () => deck.maps, timeline });
   const help = mountHelp();
   mountKeys(context, fleet, { help });
-  mountGhost(side, context, deck);
+  mountGhost(context, deck);
   mountResults(context, fleet, (player) => explain(context, player));
 
   context.on("select", (i) => deck.select(i));
@@ -78,17 +78,14 @@ async function explain(context, player) {
 }
 
 /** The switch of the ghost on the best flight: there is one as soon as a flight is annotated. */
-function mountGhost(side, context, deck) {
-  const box = el("input", { type: "checkbox", id: "show-ghost", checked: true });
-  const label = el("label.switch", {}, box, el("span", { text: "Ghost on the best flight" }));
-  const head = el("div.ghost-switch", { hidden: true }, label);
-  side.prepend(head);
+function mountGhost(context, deck) {
+  const label = document.getElementById("ghost-switch");
+  const box = document.getElementById("show-ghost");
   const update = () => {
-    const players = context.players.filter((player) => !player.empty);
-    const path = players.find((player) => player.annotation)?.annotation.optimal_path ?? null;
-    head.hidden = path === null;
+    const path = context.players.find((player) => player.annotation)?.annotation.optimal_path ?? null;
+    label.hidden = path === null;
     document.body.classList.toggle("explained", path !== null);
-    deck.maps.forEach((map, i) => { map.ghost = box.checked && players[i]?.annotation ? path : null; });
+    deck.maps.forEach((map) => { map.ghost = box.checked && map.player.annotation ? path : null; });
   };
   box.addEventListener("change", update);
   for (const player of context.players) player.addEventListener("frames", update);
