@@ -7,7 +7,10 @@ import { palette } from "./palette.js";
 const TICKS = [0, 1, 5, 20, 50, 100];
 const ROOM = { left: 28, right: 8, top: 8, bottom: 20 };
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
+/**
+ * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
+ * @returns {HTMLCanvasElement}
+ */
 export function mountRaceChart(root, context, fleet) {
   const canvas = el("canvas", { role: "img", "aria-label": "What each pilot has given away, by step. The standings have the numbers." });
   const field = el("div.race-chart-field", {}, canvas);
@@ -35,6 +38,7 @@ export function mountRaceChart(root, context, fleet) {
   context.on("missions", redraw);
   document.fonts.ready.then(redraw);
   for (const player of context.players) player.addEventListener("frames", redraw);
+  return canvas;
 }
 
 function drawAxes(ctx, x, y, top, flown, width, height, colours) {
