@@ -31,7 +31,7 @@ class Settings(BaseSettings):
     idle_seconds: float = Field(default=900, gt=0, description="A session that is not used for so long ends.")
     token: SecretStr | None = Field(
         default=None,
-        description="Where set, every call but `/health` and the page's files must carry `Authorization: Bearer TOKEN`.",
+        description="Where set, all but `/health` and the page's files must carry `Authorization: Bearer TOKEN`.",
     )
     allowed_origins: Listed = Field(
         default=(), description="Origins of web pages that may call, beside the server's own; comma-separated."
