@@ -36,6 +36,7 @@ class Server:
         self.url = f"http://127.0.0.1:{port}"
         variables = {f"DRONE_ENV_{name}": value for name, value in settings.items()}
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "DRONE_ENV_DATA": str(data), **variables}
+        self.data = data
         self.log = data.parent / f"server-{port}.log"
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(

@@ -1,4 +1,89 @@
-// The specs view.
+// Technical specifications: the numbers of all levels side by side, as /tasks tells them, and the legend of the map.
+import { el } from "./dom.js";
+import { fixed, title } from "./format.js";
+
+const NONE = "–";
+const drains = (drain) => Object.entries(drain).map(([kind, units]) => `; ${units} above a ${kind}`).join("");
+
+/** A row each: its name, and what stands in it for a task. Rows of nothing but dashes are left out. */
+const WORLD = [
+  ["Grid", (t) => `${t.width} × ${t.height}`],
+  ["Parcels", (t) => t.deliveries],
+  ["Buildings", (t) => t.buildings],
+  ["Trees", (t) => t.trees],
+  ["Obstacles", (t) => t.obstacles],
+  ["Charging pads", (t) => (t.pads ? `${t.pads}, +${t.charge_rate} units a wait` : NONE)],
+  ["Cannot be entered", (t) => t.impassable.join(", ") || NONE],
+  ["Steps at most", (t) => t.max_steps],
+  ["Battery", (t) => `${t.battery_capacity} units`],
+  ["A step drains", (t) => `1 unit${drains(t.drain)}`],
+];
+const reward = (name) => (t) => fixed(t[name]);
+const REWARDS = [
+  ["Delivery", reward("r_delivery")],
+  ["Step", reward("r_step")],
+  ["Wait", reward("r_wait")],
+  ["Above a building", reward("r_building")],
+  ["Above a tree", reward("r_tree")],
+  ["Above an obstacle", reward("r_obstacle")],
+  ["Against the wall", reward("r_wall")],
+  ["Way blocked", reward("r_blocked")],
+  ["Battery empty", reward("r_battery_dead")],
+];
+const IDENTITY = [
+  ["Id", (t) => t.id],
+  ["Version", (t) => t.version],
+  ["Grader", (t) => t.grader],
+];
 
 /** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
-export function mount(root, context) {}
+export function mount(root, context) {
+  const families = {
+    Delivery: context.tasks.filter((task) => task.published),
+    Skyline: context.tasks.filter((task) => !task.published),
+  };
+  const frame = el("div.scroller", { tabindex: "0", role: "region", "aria-label": "Table of specifications" });
+  const show = (family) => frame.replaceChildren(table(family, families[family]));
+  const choices = Object.keys(families).map((family, i) => el("label.segment", {},
+    el("input", { type: "radio", name: "specs-family", checked: i === 0, on: { change: () => show(family) } }),
+    el("span", { text: family })));
+  root.append(
+    el("div.view-head", {},
+      el("h2", { text: "Technical specifications" }),
+      el("fieldset.segments", {}, el("legend.visually-hidden", { text: "Levels" }), ...choices)),
+    frame,
+    legend(context.kinds),
+  );
+  show("Delivery");
+}
+
+function table(family, tasks) {
+  return el("table.table.specs-table", {},
+    el("caption.visually-hidden", { text: `Technical specifications of the ${family} levels` }),
+    el("thead", {}, el("tr", {},
+      el("th", { scope: "col", text: "Level" }),
+      ...tasks.map((task) => el("th", { scope: "col", text: title(task.short_name) })))),
+    group("World", WORLD, tasks),
+    group("Rewards per step (tiered)", REWARDS, tasks),
+    group("Identity", IDENTITY, tasks));
+}
+
+function group(name, rows, tasks) {
+  const filled = rows
+    .map(([label, cell]) => [label, tasks.map((task) => String(cell(task)))])
+    .filter(([, values]) => values.some((value) => value !== NONE));
+  return el("tbody", {},
+    el("tr.group", {}, el("th", { scope: "rowgroup", colspan: tasks.length + 1, text: name })),
+    ...filled.map(([label, values]) => el("tr", {},
+      el("th", { scope: "row", text: label }),
+      ...values.map((value) => el("td", { text: value })))));
+}
+
+/** What stands on a map, and what it does to the drone. */
+function legend(kinds) {
+  return el("section.legend", { "aria-labelledby": "legend-title" },
+    el("h2", { id: "legend-title", text: "Legend" }),
+    el("dl", {}, ...kinds.map((kind) => el("div", {},
+      el("dt", {}, el("span.emoji", { "aria-hidden": "true", text: kind.emoji }), kind.name),
+      el("dd", { text: kind.effect })))));
+}

@@ -1,0 +1,165 @@
+"""What the dashboard costs: frames while four pilots race on hard, first paint, weight of the page.
+
+    python benchmarks/dashboard.py [--seconds 15] [--speed 6] [--visits 10] [--json FILE]
+
+The server and the machine's own chromium, without a window, run here. Frames come from the browser's own trace: the
+time between two animation frames, and the script part of each, which is the time that its main thread spent in
+JavaScript (animation callbacks, messages of the socket, timers) since the frame before. Where there is no graphics
+card, the rest is drawing by software. First paint is that of visits with an empty cache.
+"""
+
+import argparse
+import json
+import statistics
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import Browser, Page
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from tests.api.serving import serving  # noqa: E402
+from tests.browser.tabs import WIDE, find_chromium, launched  # noqa: E402
+
+RACE = "/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random"
+SCRIPT = {
+    "FireAnimationFrame",
+    "FunctionCall",
+    "EvaluateScript",
+    "RunMicrotasks",
+    "TimerFire",
+    "EventDispatch",
+    "v8.run",
+}
+CATEGORIES = ["devtools.timeline", "v8.execute", "disabled-by-default-devtools.timeline"]
+KILOBYTE = 1000
+
+
+def percentiles(values: Sequence[float]) -> dict[str, float]:
+    """p50, p95, p99 and maximum, in the unit of the values."""
+    cuts = statistics.quantiles(values, n=100, method="inclusive")
+    return {"p50": cuts[49], "p95": cuts[94], "p99": cuts[98], "max": max(values)}
+
+
+def main_thread(trace: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The complete events of the thread that fires animation frames, by their start."""
+    frames = [event for event in trace if event.get("name") == "FireAnimationFrame"]
+    if not frames:
+        raise SystemExit("the page drew no frame")
+    key = (frames[0]["pid"], frames[0]["tid"])
+    own = [event for event in trace if (event.get("pid"), event.get("tid")) == key and event.get("ph") == "X"]
+    return sorted(own, key=lambda event: event["ts"])
+
+
+def script_spans(events: list[dict[str, Any]]) -> Iterator[tuple[float, float]]:
+    """(start, end) in microseconds of the time in script, nested calls counted once."""
+    start = end = -1.0
+    for event in events:
+        if event["name"] not in SCRIPT:
+            continue
+        if event["ts"] > end:
+            if end > start:
+                yield start, end
+            start, end = event["ts"], event["ts"] + event["dur"]
+        else:
+            end = max(end, event["ts"] + event["dur"])
+    if end > start:
+        yield start, end
+
+
+def frame_costs(trace: list[dict[str, Any]]) -> tuple[list[float], list[float]]:
+    """Milliseconds from frame to frame, and of script in each."""
+    events = main_thread(trace)
+    # Several callbacks of one frame start within a fraction of a millisecond of each other, back to back.
+    starts = [event["ts"] for event in events if event["name"] == "FireAnimationFrame"]
+    frames = [start for before, start in zip([float("-inf"), *starts], starts, strict=False) if start - before > 4000]
+    spans = list(script_spans(events))
+    costs: list[float] = []
+    at = 0
+    for frame, following in pairwise(frames):
+        cost = 0.0
+        while at < len(spans) and spans[at][0] < following:
+            if spans[at][0] >= frame:
+                cost += spans[at][1] - spans[at][0]
+            at += 1
+        costs.append(cost / 1000)
+    return [(b - a) / 1000 for a, b in pairwise(frames)], costs
+
+
+def start_race(page: Page, speed: float) -> None:
+    """Open the race, set the speed, press Start and wait until the pilots fly."""
+    page.goto(RACE)
+    page.get_by_role("button", name="Start", exact=True).click()
+    page.wait_for_timeout(500)
+
+
+def race(browser: Browser, url: str, seconds: float, speed: float) -> tuple[list[float], list[float]]:
+    """Frames of a race of four."""
+    context = browser.new_context(base_url=url, viewport=WIDE)  # type: ignore[arg-type]
+    page = context.new_page()
+    start_race(page, speed)
+    browser.start_tracing(page=page, categories=CATEGORIES)
+    page.wait_for_timeout(seconds * 1000)
+    trace = json.loads(browser.stop_tracing())["traceEvents"]
+    context.close()
+    return frame_costs(trace)
+
+
+def visit(browser: Browser, url: str) -> tuple[float, float, int, int]:
+    """First paint and first contentful paint in ms, files and bytes of one visit with an empty cache."""
+    context = browser.new_context(base_url=url, viewport=WIDE)  # type: ignore[arg-type]
+    page = context.new_page()
+    sizes: list[int] = []
+    page.on("requestfinished", lambda request: sizes.append(_bytes(request.response())))
+    page.goto("/", wait_until="networkidle")
+    paints = page.evaluate("Object.fromEntries(performance.getEntriesByType('paint').map(e => [e.name, e.startTime]))")
+    context.close()
+    return paints["first-paint"], paints["first-contentful-paint"], len(sizes), sum(sizes)
+
+
+def _bytes(response: Any) -> int:
+    is_file = response is not None and ("/static/" in response.url or response.url.endswith("/"))
+    return len(response.body()) if is_file else 0
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=15, help="of racing")
+    parser.add_argument("--speed", type=float, default=6, help="steps per second")
+    parser.add_argument("--visits", type=int, default=10, help="with an empty cache")
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    given = parser.parse_args()
+    chromium = find_chromium()
+    if chromium is None:
+        raise SystemExit("chromium is not installed: apt-get install chromium")
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        serving(Path(folder) / "data") as server,
+        launched(chromium) as browser,
+    ):
+        intervals, scripts = race(browser, server.url, given.seconds, given.speed)
+        visits = [visit(browser, server.url) for _ in range(given.visits)]
+        version = browser.version
+    report = {
+        "chromium": version,
+        "frames": len(intervals),
+        "frame_ms": percentiles(intervals),
+        "script_ms": percentiles(scripts),
+        "first_paint_ms": percentiles([paint for paint, _, _, _ in visits]),
+        "first_contentful_paint_ms": percentiles([paint for _, paint, _, _ in visits]),
+        "files": visits[0][2],
+        "kilobytes": visits[0][3] / KILOBYTE,
+    }
+    print(json.dumps(report, indent=2))
+    if given.json:
+        given.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

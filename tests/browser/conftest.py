@@ -1,0 +1,52 @@
+"""One browser and one server with a history per process, and tabs whose complaints fail the test."""
+
+from collections.abc import Generator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser
+
+from tests.api.serving import Server, serving
+from tests.browser.flights import fill, flown
+from tests.browser.tabs import Tabs, find_chromium, launched
+from tests.tools import missing_tool
+
+MARKUP = '<img src=x onerror="document.title=1"><b>bold</b>'
+"""What must never come to be an element."""
+SEEDS = 27
+"""More than a page of flights by each agent."""
+TRAINING = ["episode 1 reward 3.25 success 0", f"episode 2 {MARKUP}", "episode 3 reward 4.75 success 1"]
+
+
+# Of the package, not of the session: while Playwright runs, no other test of this process can run an event loop.
+@pytest.fixture(scope="package")
+def browser() -> Generator[Browser, None, None]:
+    path = find_chromium()
+    if path is None:
+        missing_tool("chromium (apt-get install chromium)")
+    with launched(path) as running:
+        yield running
+
+
+@pytest.fixture(scope="package")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data folder of the server: a history of easy flights, and a training log."""
+    folder = tmp_path_factory.mktemp("served") / "data"
+    flights = [flown("easy", seed, agent) for seed in range(SEEDS) for agent in ("random", "greedy")]
+    fill(folder, [*flights, flown("medium", 3, "greedy"), flown("easy", SEEDS, "random", label=MARKUP)])
+    (folder / "train.log").write_text("\n".join(TRAINING) + "\n", encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="package")
+def server(data: Path) -> Generator[Server, None, None]:
+    with serving(data) as running:
+        yield running
+
+
+@pytest.fixture
+def tabs(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
+    opened = Tabs(browser, server.url)
+    yield opened
+    opened.close()
+    assert opened.unexpected() == []

@@ -1,0 +1,37 @@
+"""Finished flights for a store, flown by the agents themselves."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from drone_env.agents import make_agent
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import get_task
+from drone_env.episodes.record import EpisodeRecord, record_of
+from drone_env.episodes.store import Store
+
+
+def flown(task: str, seed: int, agent: str, label: str | None = None) -> EpisodeRecord:
+    """The record of a whole flight, under the agent's own name or another."""
+    pilot = make_agent(agent, get_task(task))
+    episode = Episode(task, "tiered")
+    episode.reset(seed)
+    pilot.reset(seed)
+    while not episode.ended:
+        episode.step(pilot.act(episode.observation()))
+    return record_of(episode, label or agent)
+
+
+def fill(folder: Path, flights: list[EpisodeRecord]) -> list[str]:
+    """Store flights, oldest first, and return their ids."""
+    with Store(folder) as store:
+        return [store.add_episode(flight) for flight in flights]
+
+
+def frames(url: str, record: EpisodeRecord) -> list[dict[str, Any]]:
+    """What a server says of a flight, frame by frame."""
+    answer = httpx.post(f"{url}/replay", json=json.loads(record.to_json()), timeout=60)
+    answer.raise_for_status()
+    return answer.json()["frames"]

@@ -1,0 +1,61 @@
+"""What a person does on the stage of the page, and what stands there."""
+
+import re
+from typing import Any
+
+from playwright.sync_api import Locator, Page, expect
+
+FASTEST = "8"
+"""The last notch of the slider: 60 steps per second."""
+
+
+def fastest(page: Page) -> None:
+    page.get_by_role("slider", name="Speed").fill(FASTEST)
+
+
+def fly(page: Page) -> None:
+    """Start, as fast as it goes."""
+    fastest(page)
+    page.get_by_role("button", name="Start", exact=True).click()
+
+
+def results(page: Page) -> Locator:
+    """The results, once they are there."""
+    dialog = page.locator("dialog#results")
+    expect(dialog).to_be_visible(timeout=20_000)
+    return dialog
+
+
+def counter(page: Page) -> int:
+    """The step that is shown."""
+    text = page.locator("#step-counter").inner_text()
+    found = re.match(r"Step (\d+) of \d+", text)
+    assert found, f"no step in {text!r}"
+    return int(found[1])
+
+
+def points(score: float) -> str:
+    """A score as the page writes it."""
+    return f"{score * 100:.1f}".replace("-", "\u2212")
+
+
+def signed(value: float, digits: int) -> str:
+    return f"{value:+.{digits}f}".replace("-", "\u2212")
+
+
+def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
+    """The instruments show this frame."""
+    expect(page.locator("#step-counter")).to_have_text(re.compile(rf"^Step {frame['step']} of "))
+    expect(page.locator("#score")).to_have_text(points(frame["score"]))
+    expect(page.locator("#battery")).to_contain_text(f"{frame['battery_units']} of {capacity}")
+    expect(page.locator("#reward-total")).to_have_text(f"{frame['reward_total']:.2f}")
+    expect(page.locator("#efficiency")).to_have_text(f"{frame['efficiency']:.1f}")
+    if frame["step"]:
+        expect(page.locator("#reward")).to_have_text(signed(frame["reward"], 3))
+    if frame["target"]:
+        expect(page.locator("#target")).to_contain_text(f"[{frame['target'][0]}, {frame['target'][1]}]")
+
+
+def pixels(canvas: Locator) -> str:
+    """The picture on a canvas, as a data URL."""
+    return canvas.evaluate("canvas => canvas.toDataURL()")

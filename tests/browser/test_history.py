@@ -1,0 +1,112 @@
+"""The history of episodes: table, filters, pages, charts."""
+
+import re
+from typing import Any
+
+import httpx
+from playwright.sync_api import Page, expect
+
+from drone_env.episodes.store import Store
+from tests.api.serving import Server
+from tests.browser.conftest import SEEDS
+from tests.browser.flights import flown
+from tests.browser.tabs import Tabs
+
+CHARTS = ("Reward", "Success, last 20 episodes", "Actions", "Regret")
+
+
+def shown_ids(page: Page) -> list[str]:
+    return page.locator("tr[data-episode]").evaluate_all("rows => rows.map(row => row.dataset.episode)")
+
+
+def listed(server: Server, **query: Any) -> list[dict[str, Any]]:
+    return httpx.get(f"{server.url}/episodes", params=query).json()["episodes"]
+
+
+def drawn(page: Page, chart: str) -> int:
+    """How many pixels of a chart have the colour that values are drawn in."""
+    figure = page.get_by_role("figure").filter(has=page.get_by_role("heading", name=chart, exact=True))
+    return figure.locator("canvas").evaluate(
+        """canvas => {
+            const probe = document.createElement("canvas").getContext("2d");
+            probe.fillStyle = getComputedStyle(document.documentElement).getPropertyValue("--accent");
+            probe.fillRect(0, 0, 1, 1);
+            const [r, g, b] = probe.getImageData(0, 0, 1, 1).data;
+            const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+            let found = 0;
+            for (let i = 0; i < data.length; i += 4) found += data[i] === r && data[i + 1] === g && data[i + 2] === b;
+            return found;
+        }"""
+    )
+
+
+def test_it_lists_filters_and_pages_what_the_store_has(tabs: Tabs, server: Server) -> None:
+    page = tabs.open("/")
+    page.get_by_role("link", name="History").click()
+    page.get_by_role("combobox", name="Task").select_option("easy")
+    page.get_by_role("combobox", name="Agent").select_option("greedy")
+    rows = page.locator("tr[data-episode]")
+    known = listed(server, task="easy", agent="greedy", limit=500)
+    expect(rows).to_have_count(25)
+    assert shown_ids(page) == [episode["id"] for episode in known[:25]]
+    first = known[0]
+    expect(rows.first).to_contain_text(f"{first['deliveries']} / {first['deliveries_total']}")
+    expect(rows.first).to_contain_text(f"{first['reward_total']:.2f}")
+    expect(rows.first).to_contain_text(f"{first['score'] * 100:.1f}")
+    page.get_by_role("button", name="Older").click()
+    expect(rows).to_have_count(len(known) - 25)
+    assert shown_ids(page) == [episode["id"] for episode in known[25:]]
+    expect(page.get_by_role("button", name="Older")).to_be_disabled()
+    page.get_by_role("button", name="Newer").click()
+    expect(rows).to_have_count(25)
+    expect(page.get_by_role("button", name="Newer")).to_be_disabled()
+
+
+def test_the_charts_draw_and_say_what_the_server_counts_in_both_themes(tabs: Tabs, server: Server) -> None:
+    page = tabs.open("/#history")
+    page.get_by_role("combobox", name="Task").select_option("easy")
+    analysis = httpx.get(f"{server.url}/analyse/easy").json()
+    charts = page.get_by_role("region", name="Charts")
+    expect(charts).to_contain_text(f"{analysis['average_reward']:.2f} on average over")
+    expect(charts).to_contain_text(f"{analysis['success_rate'] * 100:.0f} % delivered everything")
+    for action, share in analysis["action_distribution"].items():
+        expect(charts).to_contain_text(f"{action} {share * 100:.0f} %")
+    dark = {chart: drawn(page, chart) for chart in CHARTS}
+    assert min(dark.values()) > 50, dark
+    page.get_by_role("button", name=re.compile("light colours")).click()
+    light = {chart: drawn(page, chart) for chart in CHARTS}
+    assert min(light.values()) > 50, light
+
+
+def test_a_chart_can_be_saved_and_a_click_in_it_replays(tabs: Tabs) -> None:
+    page = tabs.open("/#history")
+    page.get_by_role("combobox", name="Task").select_option("easy")
+    with page.expect_download() as saved:
+        page.get_by_role("button", name='Save the chart "Reward" as PNG').click()
+    assert saved.value.suggested_filename == "reward.png"
+    assert saved.value.path().read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    page.locator(".u-over").first.click(position={"x": 60, "y": 60})
+    expect(page.get_by_role("slider", name="Step of the flight")).to_be_visible()
+    expect(page.get_by_role("heading", name=re.compile(r"Easy Delivery, map \d+, flown by"))).to_be_visible()
+
+
+def test_a_click_on_an_episode_replays_it(tabs: Tabs, server: Server) -> None:
+    page = tabs.open("/#history")
+    page.get_by_role("combobox", name="Task").select_option("medium")
+    episode = listed(server, task="medium", agent="greedy")[0]
+    page.locator(f"tr[data-episode='{episode['id']}']").get_by_role("button", name="Replay").click()
+    heading = f"Medium Delivery, map {episode['seed']}, flown by {episode['agent']}"
+    expect(page.get_by_role("heading", name=heading)).to_be_visible()
+    assert f"episode={episode['id']}" in page.url
+    expect(page.get_by_role("slider", name="Step of the flight")).to_have_attribute("max", str(episode["steps"]))
+
+
+def test_an_episode_that_ends_elsewhere_appears_by_itself(tabs: Tabs, server: Server) -> None:
+    page = tabs.open("/#history")
+    page.get_by_role("combobox", name="Task").select_option("hard")
+    expect(page.get_by_text("No episode yet").or_(page.locator("tr[data-episode]").first)).to_be_visible()
+    with Store(server.data) as store:
+        new = store.add_episode(flown("hard", SEEDS, "greedy", label="elsewhere"))
+    row = page.locator(f"tr[data-episode='{new}']")
+    expect(row).to_be_visible()
+    expect(row).to_contain_text("elsewhere")

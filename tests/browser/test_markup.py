@@ -1,0 +1,91 @@
+"""Whatever has HTML in it is shown as text."""
+
+import json
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, Route, WebSocketRoute, expect
+
+from tests.api.serving import Server
+from tests.browser.conftest import MARKUP, SEEDS
+from tests.browser.flights import flown
+from tests.browser.tabs import Tabs
+
+
+@pytest.fixture
+def hostile(tabs: Tabs, server: Server) -> Page:
+    """A page before a server that puts HTML into whatever it says in words."""
+
+    def tasks(route: Route) -> None:
+        answer = route.fetch()
+        known = answer.json()
+        for task in known["tasks"]:
+            task["grader"] = MARKUP
+        known["tasks"][2]["short_name"] = MARKUP
+        for profile in known["reward_profiles"]:
+            profile["summary"] = profile["id"] = MARKUP
+        route.fulfill(response=answer, json=known)
+
+    def words(route: Route) -> None:
+        answer = route.fetch()
+        text = answer.text().replace('"name":"', f'"name":{json.dumps(MARKUP)[:-1]}')
+        route.fulfill(response=answer, body=text.replace('"summary":"', f'"summary":{json.dumps(MARKUP)[:-1]}'))
+
+    def socket(route: WebSocketRoute) -> None:
+        upstream = route.connect_to_server()
+
+        def rewritten(message: str | bytes) -> None:
+            route.send(str(message).replace('"message":"', f'"message":{json.dumps(MARKUP)[:-1]}'))
+
+        upstream.on_message(rewritten)
+
+    page = tabs.open(go=False)
+    page.route("**/tasks", tasks)
+    page.route("**/pilots", words)
+    page.route("**/kinds", words)
+    page.route_web_socket("**/live", socket)
+    page.goto("/?task=easy&seed=7&pilot=greedy")
+    return page
+
+
+def expect_only_text(page: Page) -> None:
+    """The markup is on the page, and nothing has come of it."""
+    expect(page.get_by_text(MARKUP).first).to_be_attached()
+    assert page.locator("img[src=x]").count() == 0
+    assert page.locator("main b").filter(has_text="bold").count() == 0
+    assert page.title() != "1"
+
+
+def test_in_tasks_pilots_and_messages(hostile: Page) -> None:
+    for _ in range(2):
+        hostile.get_by_role("button", name="Step", exact=True).click()
+    expect(hostile.locator("#events li").first).to_contain_text(MARKUP)
+    expect_only_text(hostile)
+    hostile.get_by_role("link", name="Specifications").click()
+    expect(hostile.get_by_role("table").first).to_contain_text(MARKUP)
+    expect_only_text(hostile)
+
+
+def test_in_agents_logs_and_records(tabs: Tabs, tmp_path: Path) -> None:
+    page = tabs.open("/#history")
+    page.get_by_role("combobox", name="Agent").select_option(MARKUP)
+    row = page.locator("tr[data-episode]")
+    expect(row).to_have_count(1)
+    expect(row).to_contain_text(MARKUP)
+    expect_only_text(page)
+    page.get_by_role("link", name="Logs").click()
+    expect(page.get_by_role("log", name="Training")).to_contain_text(MARKUP)
+    expect_only_text(page)
+    file = tmp_path / "flight.json"
+    file.write_text(flown("easy", SEEDS + 1, "greedy", label=MARKUP).to_json(), encoding="utf-8")
+    page.get_by_role("link", name="Replay", exact=True).click()
+    page.get_by_label("Open a file…").set_input_files(file)
+    expect(page.get_by_role("heading", name=MARKUP)).to_be_visible()
+    expect_only_text(page)
+
+
+def test_in_a_race_of_a_hostile_server(hostile: Page) -> None:
+    hostile.get_by_role("link", name="Race", exact=True).click()
+    expect(hostile.locator("#maps figure")).to_have_count(4)
+    expect(hostile.locator("#standings")).to_contain_text(MARKUP)
+    expect_only_text(hostile)

@@ -1,0 +1,47 @@
+"""The technical specifications: what the page shows is what `/tasks` and `/kinds` say."""
+
+import httpx
+from playwright.sync_api import Page, expect
+
+from tests.api.serving import Server
+from tests.browser.tabs import Tabs
+
+
+def table(page: Page, name: str) -> dict[str, list[str]]:
+    """The cells of each row, by the row's heading."""
+    rows = page.get_by_role("table", name=name).evaluate(
+        "table => [...table.rows].map(row => [...row.cells].map(cell => cell.textContent))"
+    )
+    return {row[0]: row[1:] for row in rows}
+
+
+def test_the_levels_stand_side_by_side_as_the_server_tells_them(tabs: Tabs, server: Server) -> None:
+    tasks = httpx.get(f"{server.url}/tasks").json()["tasks"]
+    page = tabs.open("/")
+    page.get_by_role("link", name="Specifications").click()
+    for family, published in (("Delivery", True), ("Skyline", False)):
+        page.get_by_role("radio", name=family).check()
+        shown = table(page, f"Technical specifications of the {family} levels")
+        levels = [task for task in tasks if task["published"] == published]
+        assert len(levels) == 3
+        assert shown["Id"] == [task["id"] for task in levels]
+        assert shown["Grid"] == [f"{task['width']} × {task['height']}" for task in levels]
+        numbers = {
+            "Parcels": "deliveries",
+            "Buildings": "buildings",
+            "Obstacles": "obstacles",
+            "Steps at most": "max_steps",
+        }
+        for row, name in numbers.items():
+            assert shown[row] == [str(task[name]) for task in levels]
+        for row, name in (("Delivery", "r_delivery"), ("Step", "r_step"), ("Battery empty", "r_battery_dead")):
+            assert shown[row] == [f"{task[name]:.2f}" for task in levels]
+        assert shown["Battery"] == [f"{task['battery_capacity']} units" for task in levels]
+    assert "Charging pads" in shown
+
+
+def test_the_legend_tells_what_each_kind_of_cell_does(tabs: Tabs, server: Server) -> None:
+    kinds = httpx.get(f"{server.url}/kinds").json()["kinds"]
+    legend = tabs.open("/#specs").get_by_role("region", name="Legend")
+    expect(legend.locator("dt")).to_have_text([f"{kind['emoji']}{kind['name']}" for kind in kinds])
+    expect(legend.locator("dd")).to_have_text([kind["effect"] for kind in kinds])
