@@ -3,6 +3,9 @@ import { el, setText } from "./dom.js";
 import { OUTCOMES, points } from "./format.js";
 import { CityMap } from "./map.js";
 
+/** What is less is not worth a word: it would be written as 0.0. */
+const LEAST_REGRET = 0.0005;
+
 /**
  * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
  * @returns {{maps: CityMap[], select: (index: number) => void, selected: () => number}} The maps that are shown.
@@ -17,7 +20,7 @@ export function mountDeck(root, context, fleet) {
     grid.replaceChildren();
     grid.dataset.count = players.length;
     deck.cards = players.map((player, i) => card(player, i, players.length > 1));
-    deck.maps = deck.cards.map(({ field }, i) => new CityMap(field, players[i], context));
+    deck.maps = deck.cards.map(({ field }, i) => new CityMap(field, players[i], context, i));
     choose(0);
     context.emit("maps", deck.maps);
   }
@@ -29,7 +32,7 @@ export function mountDeck(root, context, fleet) {
     const head = race
       ? el("button.card-head", { type: "button", "aria-pressed": "false", on: { click: () => choose(i) } }, name, state)
       : null;
-    const node = el("figure.card", { data: { pilot: player.mission.pilot } }, head, field);
+    const node = el("figure.card", { data: { pilot: player.mission.pilot }, style: { "--lane": `var(--lane-${i + 1})` } }, head, field);
     grid.append(node);
     const made = { node, head, field, name, state, player };
     update(made);
@@ -40,7 +43,7 @@ export function mountDeck(root, context, fleet) {
     if (!head || player.empty) return;
     const { frame, mission } = player;
     setText(name, fleet.pilot(mission.pilot).name);
-    const lost = frame.regret === null ? "" : ` · −${points(frame.regret)}`;
+    const lost = frame.regret > LEAST_REGRET ? ` · −${points(frame.regret)}` : "";
     setText(state, frame.done
       ? `${points(frame.score)} · ${OUTCOMES[frame.outcome] ?? frame.outcome}`
       : `step ${frame.step} · ${frame.deliveries_done}/${mission.deliveries_total}${lost}`);

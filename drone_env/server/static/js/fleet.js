@@ -24,11 +24,13 @@ export class Fleet extends EventTarget {
     this.speed = DEFAULT_SPEED;
     this.asked = null;
     this.playAfterStart = false;
+    this.wanted = false;
+    this.waiting = false;
     const { live } = context;
     live.on("state", ({ state }) => (state === "open" ? this.resume() : this.lost()));
     live.on("missions", (message) => this.begin(message));
     live.on("frames", ({ frames }) => this.move(frames));
-    live.on("values", ({ mission, values }) => this.active[mission]?.setValues(values));
+    live.on("values", ({ mission, values, regrets }) => context.players[mission].setValues(values, regrets));
     live.on("playing", ({ playing, speed }) => this.setPlaying(playing, speed));
     live.on("ended", ({ mission, episode }) => this.ended(mission, episode));
     live.on("error", (message) => this.refused(message));
@@ -75,7 +77,15 @@ export class Fleet extends EventTarget {
     this.tell("setup");
     this.asked = "start";
     const { task, seed, profile, pilots } = this.setup;
-    this.context.live.send({ type: "start", task, seed, reward_profile: profile, pilots });
+    // Without a connection it is started as soon as there is one.
+    this.waiting = !this.context.live.send({ type: "start", task, seed, reward_profile: profile, pilots });
+  }
+
+  /** Called when missions are to be seen for the first time: until then none is flown. */
+  want() {
+    if (this.wanted) return;
+    this.wanted = true;
+    if (this.context.live.state === "open") this.start();
   }
 
   play(speed = this.speed) {
@@ -115,7 +125,8 @@ export class Fleet extends EventTarget {
 
   resume() {
     const sessions = this.active.map((player) => player.mission.session);
-    if (!sessions.length) {
+    if (!this.wanted) return;
+    if (this.waiting || !sessions.length) {
       this.start({}, { play: this.playAfterStart });
       return;
     }
@@ -175,7 +186,7 @@ export class Fleet extends EventTarget {
   refused({ code, detail }) {
     const asked = this.asked;
     this.asked = null;
-    if (asked === "attach" && code === "gone") {
+    if (asked === "attach" && code === "session_gone") {
       toast("That mission had ended while the server was away: it starts anew.");
       this.start({}, { play: this.playAfterStart });
       return;

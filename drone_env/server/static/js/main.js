@@ -13,6 +13,8 @@ import * as replay from "./replay.js";
 import * as specs from "./specs.js";
 
 async function boot() {
+  // Read before the views show their own links.
+  const link = new URLSearchParams(location.search);
   const api = createApi(askForToken);
   const [{ tasks, reward_profiles }, { pilots }, { kinds }] = await firstAnswers(api);
   const live = new Live(api.protocols);
@@ -22,11 +24,11 @@ async function boot() {
   mountTheme(context);
   mountConnection(context);
   mountStage(context);
+  if (link.has("episode")) context.view = "replay";
   for (const [id, view] of Object.entries({ history, logs, replay, specs })) view.mount(part(id), context);
   mountViews(context);
   live.connect();
 
-  const link = new URLSearchParams(location.search);
   if (link.has("episode")) context.emit("replay", link.get("episode"));
 }
 

@@ -4,21 +4,25 @@ import { title } from "./format.js";
 import { lessMotion, nextFrame, noFrame } from "./loop.js";
 import { drawFlight } from "./map_flight.js";
 import { drawTerrain } from "./map_terrain.js";
-import { palette } from "./palette.js";
+import { lanePalette, palette } from "./palette.js";
 
 const LABEL_ROOM = 22;
 const LABELS_FROM = 20;
 const SPIN = 0.03;
+/** Cells left free around the grid: the rotors reach over it. */
+const EDGE = 0.32;
 
 export class CityMap {
   /**
    * @param {HTMLElement} root Filled with the canvases, which take its size; the grid is centred, its cells are square.
    * @param {import("./player.js").Player} player What is drawn: the map redraws by itself whenever the player changes.
    * @param {import("./context.js").Context} context For the kinds of cells and the theme.
+   * @param {number} [lane] Which of the racers' colours it has.
    */
-  constructor(root, player, context) {
+  constructor(root, player, context, lane = 0) {
     this.root = root;
     this.player = player;
+    this.lane = lane;
     this.names = [];
     for (const kind of context.kinds) this.names[kind.id] = kind.name;
     this._showValues = true;
@@ -76,7 +80,7 @@ export class CityMap {
   draw(now) {
     const { player } = this;
     if (!this.root.clientWidth || !this.root.clientHeight) return;
-    const colours = palette();
+    const colours = lanePalette(this.lane);
     if (this.stale) this.drawCity(colours);
     const ctx = this.flight.getContext("2d");
     ctx.clearRect(0, 0, this.flight.width, this.flight.height);
@@ -133,7 +137,7 @@ export class CityMap {
 
 /** Where the grid lies: whole device pixels per cell, so that lines are sharp. */
 function fit(mission, width, height, scale) {
-  const place = (room) => Math.floor(Math.min((width - room) / mission.width, (height - room) / mission.height));
+  const place = (room) => Math.floor(Math.min((width - room) / (mission.width + EDGE), (height - room) / (mission.height + EDGE)));
   const room = LABEL_ROOM * scale;
   const labels = place(room + 2) >= LABELS_FROM * scale;
   const cell = Math.max(1, place(labels ? room + 2 : 2));

@@ -3,8 +3,10 @@ import { labelColour } from "./palette.js";
 import { drawArrow, drawDelivered, drawDrone, drawGhost, drawMark, drawParcel, drawTarget } from "./map_sprites.js";
 
 const STEP = { UP: [0, -1], DOWN: [0, 1], LEFT: [-1, 0], RIGHT: [1, 0] };
-const RECENT = 10;
-const SMALLEST_DRONE = 26;
+const DOT = { inaccuracy: 0.09, mistake: 0.13, blunder: 0.16 };
+const RECENT = [9, 5, 2];
+const SMALLEST_DRONE = 22;
+const LARGE_DRONE = 56;
 
 /**
  * @param {CanvasRenderingContext2D} ctx @param {import("./player.js").Player} player
@@ -18,7 +20,7 @@ export function drawFlight(ctx, player, layout, shown, colours) {
   const frame = frames[Math.round(position)] ?? frames[0];
   const here = between(frames, position);
   const [x, y] = centre(here);
-  const size = Math.max(cell * 1.06, SMALLEST_DRONE * layout.scale);
+  const size = droneSize(cell, layout.scale);
 
   drawTrail(ctx, player, centre, here, cell, colours);
   if (shown.ghost) drawGhostPath(ctx, shown.ghost, centre, cell, layout, colours);
@@ -37,6 +39,11 @@ export function drawFlight(ctx, player, layout, shown, colours) {
   if (player.annotation) drawBetterMoves(ctx, player, x, y, cell, size, colours);
   drawDrone(ctx, x, y, size, heading(frames, position), shown.spin, shown.lift, colours);
   if (player.annotation) drawMarkHere(ctx, player, x, y, size, layout, colours);
+}
+
+/** A little larger than its cell, but neither lost on a small map nor a monster on a large one. */
+function droneSize(cell, scale) {
+  return Math.max(Math.min(cell * 1.2, Math.max(LARGE_DRONE * scale, cell * 0.8)), SMALLEST_DRONE * scale);
 }
 
 /** [x, y] at a position between two frames. */
@@ -61,7 +68,6 @@ function heading(frames, position) {
 function drawTrail(ctx, player, centre, here, cell, colours) {
   const { frames, position } = player;
   const end = Math.floor(position);
-  const recent = Math.max(0, end - RECENT);
   ctx.strokeStyle = colours.accent;
   ctx.lineCap = ctx.lineJoin = "round";
   ctx.lineWidth = Math.max(1.5, cell * 0.09);
@@ -70,12 +76,12 @@ function drawTrail(ctx, player, centre, here, cell, colours) {
   for (let k = 0; k <= end; k++) ctx.lineTo(...centre([frames[k].x, frames[k].y]));
   ctx.lineTo(...centre(here));
   ctx.stroke();
+  // The last steps, the newest the strongest: strokes of several lengths over one another, without seams.
   ctx.lineWidth = Math.max(2, cell * 0.13);
-  for (let k = recent; k <= end; k++) {
-    ctx.globalAlpha = 0.15 + (0.75 * (k - recent + 1)) / (end - recent + 1);
+  for (const steps of RECENT) {
     ctx.beginPath();
-    ctx.moveTo(...centre([frames[k].x, frames[k].y]));
-    ctx.lineTo(...centre(k === end ? here : [frames[k + 1].x, frames[k + 1].y]));
+    for (let k = Math.max(0, end - steps); k <= end; k++) ctx.lineTo(...centre([frames[k].x, frames[k].y]));
+    ctx.lineTo(...centre(here));
     ctx.stroke();
   }
   ctx.globalAlpha = 1;
@@ -125,11 +131,12 @@ function drawValues(ctx, values, x, y, cell, size, colours) {
 /** Small dots along the flight where something was given away. */
 function drawMistakes(ctx, player, centre, cell, { scale }) {
   for (const move of player.annotation.moves) {
-    if (move.label === "best" || move.label === "good") continue;
+    const size = DOT[move.label];
+    if (!size) continue;
     const frame = player.frames[move.step - 1];
     ctx.fillStyle = labelColour(move.label);
     ctx.beginPath();
-    ctx.arc(...centre([frame.x, frame.y]), Math.max(3 * scale, cell * 0.12), 0, 2 * Math.PI);
+    ctx.arc(...centre([frame.x, frame.y]), Math.max(2 * scale, cell * size), 0, 2 * Math.PI);
     ctx.fill();
   }
 }

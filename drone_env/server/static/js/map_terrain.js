@@ -18,15 +18,21 @@ export function drawTerrain(ctx, mission, layout, names, colours) {
   drawGrid(ctx, mission, layout, colours);
   if (layout.labels) drawLabels(ctx, mission, layout, colours);
   // Shadows first, so that none falls on a neighbour's roof.
-  const painters = { building: drawBuilding, tree: drawTree, obstacle: drawBarrier, pad: drawPad };
   for (const shadow of [true, false]) {
     for (let y = 0; y < mission.height; y++) {
       for (let x = 0; x < mission.width; x++) {
-        const paint = painters[names[mission.cells[y][x]]];
+        const paint = PAINTERS[names[mission.cells[y][x]]];
         if (paint) paint(ctx, left + x * cell, top + y * cell, cell, noise(x, y, mission.seed), colours.map, shadow);
       }
     }
   }
+}
+
+const PAINTERS = { building: drawBuilding, tree: drawTree, obstacle: drawBarrier, pad: drawPad };
+
+/** One cell of terrain with its shadow; nothing where the kind has no sign. */
+export function drawKind(ctx, name, x, y, cell, noise, colours) {
+  for (const shadow of [true, false]) PAINTERS[name]?.(ctx, x, y, cell, noise, colours, shadow);
 }
 
 /** Three numbers in [0, 1) that belong to a cell: the same city always looks the same. */
@@ -70,46 +76,50 @@ function drawLabels(ctx, mission, { cell, left, top, scale }, colours) {
 }
 
 function drawBuilding(ctx, x, y, cell, [tall, shape, detail], colours, shadow) {
-  const inset = Math.round(cell * 0.09);
-  const rise = Math.round(cell * (0.1 + 0.14 * tall));
+  const inset = Math.round(cell * 0.06);
   const w = cell - 2 * inset;
-  const radius = cell * 0.06;
-  const depth = cell - inset - Math.round(cell * 0.07);
-  const roof = depth - rise;
+  const h = cell - 2 * inset;
+  const rise = Math.round(cell * (0.16 + 0.16 * tall));
+  const radius = cell * 0.05;
   if (shadow) {
-    const cast = cell * (0.08 + 0.12 * tall);
+    const cast = cell * (0.08 + 0.1 * tall);
     ctx.fillStyle = colours.shade;
-    box(ctx, x + inset + cast, y + inset + cast * 0.7, w, depth - inset + cell * 0.02, radius);
+    box(ctx, x + inset + cast, y + inset + cast * 0.7, w, h, radius);
     return;
   }
+  // The front below, the roof above it: one sees the city a little from the south.
+  const roof = h - rise;
   ctx.fillStyle = colours.wall;
-  box(ctx, x + inset, y + inset, w, depth - inset + cell * 0.05, radius);
-  if (cell > 24) windows(ctx, x + inset, y + roof, w, rise, cell, colours);
+  box(ctx, x + inset, y + inset, w, h, radius);
+  if (cell > 16) windows(ctx, x + inset, y + inset + roof, w, rise, cell, detail, colours);
   ctx.fillStyle = colours.roof;
-  box(ctx, x + inset, y + inset, w, roof - inset, radius);
-  // The lit edge of the roof, and what stands on it.
-  const rim = Math.max(1, Math.round(cell * 0.05));
+  box(ctx, x + inset, y + inset, w, roof, radius);
   ctx.fillStyle = colours.roof2;
-  ctx.fillRect(x + inset + radius, y + inset, w - 2 * radius, rim);
-  const roofH = roof - inset;
+  ctx.fillRect(x + inset + radius, y + inset, w - 2 * radius, Math.max(1, Math.round(cell * 0.045)));
   if (shape < 0.4) {
-    box(ctx, x + inset + w * (0.16 + 0.3 * detail), y + inset + roofH * 0.34, w * 0.34, roofH * 0.36, radius / 2);
+    box(ctx, x + inset + w * (0.16 + 0.3 * detail), y + inset + roof * 0.32, w * 0.36, roof * 0.4, radius / 2);
   } else if (shape < 0.7) {
-    box(ctx, x + inset + w * 0.16, y + inset + roofH * 0.32, w * 0.2, roofH * 0.22, radius / 2);
-    box(ctx, x + inset + w * 0.48, y + inset + roofH * 0.52, w * 0.32, roofH * 0.22, radius / 2);
+    box(ctx, x + inset + w * 0.14, y + inset + roof * 0.3, w * 0.22, roof * 0.24, radius / 2);
+    box(ctx, x + inset + w * 0.48, y + inset + roof * 0.5, w * 0.34, roof * 0.24, radius / 2);
   } else if (cell > 20) {
     ctx.strokeStyle = colours.roof2;
     ctx.lineWidth = Math.max(1, cell * 0.04);
-    ctx.strokeRect(x + inset + w * 0.18, y + inset + roofH * 0.28, w * 0.64, roofH * 0.48);
+    ctx.strokeRect(x + inset + w * 0.16, y + inset + roof * 0.26, w * 0.68, roof * 0.5);
   }
 }
 
-function windows(ctx, x, y, w, rise, cell, colours) {
-  ctx.fillStyle = colours.roof2;
-  ctx.globalAlpha = 0.45;
-  const size = Math.max(1, Math.round(cell * 0.06));
-  const gap = w / 5;
-  for (let i = 0; i < 4; i++) ctx.fillRect(Math.round(x + gap * (i + 1) - size / 2), Math.round(y + rise * 0.45), size, size);
+/** A row of windows, some of them lit. */
+function windows(ctx, x, y, w, rise, cell, detail, colours) {
+  const size = Math.max(1, Math.round(cell * 0.07));
+  const count = 5;
+  const gap = w / count;
+  const top = Math.round(y + (rise - size * 1.3) / 2);
+  for (let i = 0; i < count; i++) {
+    const lit = Math.floor(detail * 32) & (1 << i);
+    ctx.fillStyle = lit ? colours.window : colours.roof;
+    ctx.globalAlpha = lit ? 0.85 : 0.6;
+    ctx.fillRect(Math.round(x + gap * (i + 0.5) - size / 2), top, size, Math.round(size * 1.3));
+  }
   ctx.globalAlpha = 1;
 }
 

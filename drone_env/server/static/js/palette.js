@@ -2,12 +2,12 @@
 
 const NAMES = [
   "ground", "panel", "raised", "line", "line-strong", "ink", "ink-2", "ink-3", "accent", "good", "warn", "bad", "font",
-  "map-ground", "map-grid", "map-edge", "map-roof", "map-roof-2", "map-wall", "map-shade", "map-leaf", "map-leaf-2",
-  "map-barrier", "map-barrier-2", "map-pad", "map-pad-ink", "map-box", "map-box-2", "map-box-ink", "map-done",
+  "lane-1", "lane-2", "lane-3", "lane-4",
+  "map-ground", "map-grid", "map-edge", "map-roof", "map-roof-2", "map-wall", "map-window", "map-shade", "map-leaf",
+  "map-leaf-2", "map-barrier", "map-barrier-2", "map-pad", "map-pad-ink", "map-box", "map-box-2", "map-box-ink", "map-done",
   "map-hull", "map-hull-ink", "map-ghost", "map-label",
 ];
 const camel = (name) => name.replace(/^map-/, "").replace(/-(\w)/g, (_, letter) => letter.toUpperCase());
-const page = new Set(NAMES.slice(0, 13));
 
 let read = null;
 let theme = "";
@@ -21,11 +21,15 @@ export function palette() {
   theme = shown;
   for (const name of NAMES) {
     const value = style.getPropertyValue(`--${name}`).trim();
-    if (page.has(name)) read[camel(name)] = value;
-    else read.map[camel(name)] = value;
+    if (name.startsWith("map-")) read.map[camel(name)] = value;
+    else read[camel(name)] = value;
   }
+  read.lanes = [1, 2, 3, 4].map((lane) => ({ ...read, accent: read[`lane${lane}`] }));
   return read;
 }
+
+/** The colours with another accent: that of one of the racers. @param {number} lane 0 to 3 */
+export const lanePalette = (lane) => palette().lanes[lane];
 
 /** The colour of a move's label, such as "blunder". */
 export function labelColour(label) {

@@ -44,7 +44,7 @@ export function mountPlan(root, context, fleet) {
       type: "radio", name: "task", value: task.short_name, "aria-label": title(task.short_name), "aria-describedby": "task-note",
       on: { change: () => chooseTask(task) },
     });
-    return el("label.segment", {}, input, el("span", { text: label }));
+    return el("label.task-option", {}, input, el("span", { text: label }));
   }
 
   /** Pilots that cannot fly the task give way, and the page says so. */
@@ -115,13 +115,13 @@ function mapForm(fleet) {
     if (seed.value !== "" && seed.reportValidity()) fleet.start({ seed: Number(seed.value) });
   };
   seed.addEventListener("change", open);
-  const fresh = el("button.button", { type: "button", id: "new-map", on: { click: () => fleet.start({ seed: null }) }, title: "Another map (N)", text: "New map" });
-  const copy = el("button.button.quiet.small", { type: "button", id: "copy-link", on: { click: () => copyLink(fleet) } },
+  const fresh = el("button.button.small", { type: "button", id: "new-map", on: { click: () => fleet.start({ seed: null }) }, title: "Another map (N)", text: "New map" });
+  const copy = el("button.button.small", { type: "button", id: "copy-link", "aria-label": "Copy link to this mission", title: "Copy link to this mission", on: { click: () => copyLink(fleet) } },
     icon("M10 14a4 4 0 0 0 6 .4l2.6-2.6a4 4 0 0 0-5.7-5.7L11.500 7.500M14 10a4 4 0 0 0-6-.4l-2.600 2.600a4 4 0 0 0 5.700 5.700l1.400-1.400"),
-    el("span", { text: "Copy link to this mission" }));
+    el("span", { text: "Copy link" }));
   const form = el("form.map-form", { on: { submit: (event) => { event.preventDefault(); open(); } } },
     el("label.eyebrow", { for: "seed", text: "Map" }),
-    el("div.row", {}, seed, fresh), copy);
+    seed, el("div.row", {}, fresh, copy));
   return { form, seed };
 }
 

@@ -69,10 +69,10 @@ export class Player extends EventTarget {
     }
   }
 
-  /** Values that came after their frames: the best score that could still be reached from each. */
-  setValues(values) {
+  /** Values that came after their frames: the best score that could still be reached from each, and what had been given away. */
+  setValues(values, regrets) {
     values.forEach((value, i) => {
-      if (this.frames[i]) Object.assign(this.frames[i], { value, regret: values[0] - value });
+      if (this.frames[i]) Object.assign(this.frames[i], { value, regret: regrets[i] });
     });
     this.tell("frames");
   }

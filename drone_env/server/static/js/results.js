@@ -4,6 +4,7 @@ import { announce, el, setText } from "./dom.js";
 import { OUTCOMES, fixed, percent, points, title } from "./format.js";
 
 const COUNTDOWN_SECONDS = 8;
+const LANDING_MILLISECONDS = 600;
 const CYCLE = "drone-env-cycle";
 /** The weights of the efficiency, as the server's schema has them: only how wide the parts of the bar are. */
 const PARTS = [["Parcels", 75], ["Battery left", 15], ["Steps left", 10]];
@@ -12,12 +13,18 @@ const PARTS = [["Parcels", 75], ["Battery left", 15], ["Steps left", 10]];
 export function mountResults(context, fleet, look) {
   const dialog = document.getElementById("results");
   let timer = 0;
+  let landing = 0;
   let next = null;
   let nextButton = null;
   let countdown = null;
 
   context.on("ended", (index, episode) => {
-    if (context.view === "watch" && index === 0) open(context.player, episode);
+    const { player } = context;
+    clearTimeout(landing);
+    // The drone lands first.
+    landing = setTimeout(() => {
+      if (context.view === "watch" && index === 0 && player.episode === episode) open(player, episode);
+    }, LANDING_MILLISECONDS);
   });
   context.on("missions", close);
   context.on("view", close);
@@ -82,7 +89,8 @@ function nextTask(tasks, task) {
 
 function scoreRow(episode, last) {
   const number = (name, text, id, note) => el("div.result-number", {}, el("dt", { text: name }), el("dd", { id, text }), note ? el("dd.result-note", { text: note }) : null);
-  const optimum = episode.optimal_score;
+  // The server may have told the optimum with the episode, or after it with the values.
+  const optimum = episode.optimal_score ?? null;
   return el("dl.result-numbers", {},
     number("Efficiency", fixed(last.efficiency, 1), "result-efficiency", "of 100"),
     number("Score", points(episode.score), "result-score", optimum === null ? "optimum not known" : `optimum ${points(optimum)}`),

@@ -9,6 +9,7 @@ import { mountHelp } from "./help.js";
 import { mountHuman } from "./human.js";
 import { mountInstruments } from "./instruments.js";
 import { mountKeys } from "./keys.js";
+import { mountLegend } from "./legend.js";
 import { setupFromLink, showLink } from "./link.js";
 import { mountPlan, RACERS } from "./plan.js";
 import { mountResults } from "./results.js";
@@ -29,6 +30,7 @@ export function mountStage(context) {
   };
 
   mountPlan(part("plan"), context, fleet);
+  mountLegend(part("plan"), context);
   const deck = mountDeck(part("deck"), context, fleet);
   const controls = el("div.controls-panel");
   part("deck").append(controls);
@@ -41,22 +43,26 @@ export function mountStage(context) {
   panel("telemetry-panel", mountTelemetry, fleet, { maps: () => deck.maps, timeline });
   const help = mountHelp();
   mountKeys(context, fleet, { help });
-  mountGhost(side, context, deck);
+  mountGhost(context, deck);
   mountResults(context, fleet, (player) => explain(context, player));
 
   context.on("select", (i) => deck.select(i));
   context.on("arrows", (shown) => deck.maps.forEach((map) => { map.showValues = shown; }));
   context.on("maps", (maps) => maps.forEach((map) => { map.showValues = part("show-arrows").checked; }));
-  context.on("missions", () => showLink(fleet.setup));
+  context.on("missions", () => { if (onStage(context.view)) showLink(fleet.setup); });
   context.on("ended", (i) => { if (context.players.filter((player) => !player.empty).length > 1) explain(context, context.players[i]); });
   context.on("view", (view) => follow(context, fleet, view));
   return fleet;
 }
 
+const onStage = (view) => view === "watch" || view === "race";
+
 /** Watch flies one pilot, Race at least two, on the same map; elsewhere the mission rests. */
 function follow(context, fleet, view) {
-  if (view === "watch" || view === "race") {
+  if (onStage(view)) {
     const { pilots } = fleet.setup;
+    fleet.want();
+    showLink(fleet.setup);
     if (view === "watch" && pilots.length > 1) fleet.start({ pilots: pilots.slice(0, 1) });
     if (view === "race" && pilots.length === 1) {
       const able = RACERS.filter((id) => fleet.flies(id));
@@ -72,15 +78,14 @@ async function explain(context, player) {
 }
 
 /** The switch of the ghost on the best flight: there is one as soon as a flight is annotated. */
-function mountGhost(side, context, deck) {
-  const box = el("input", { type: "checkbox", id: "show-ghost", checked: true });
-  const label = el("label.switch.ghost-switch", { hidden: true }, box, el("span", { text: "Ghost on the best flight" }));
-  side.prepend(label);
+function mountGhost(context, deck) {
+  const label = document.getElementById("ghost-switch");
+  const box = document.getElementById("show-ghost");
   const update = () => {
-    const players = context.players.filter((player) => !player.empty);
-    const path = players.find((player) => player.annotation)?.annotation.optimal_path ?? null;
+    const path = context.players.find((player) => player.annotation)?.annotation.optimal_path ?? null;
     label.hidden = path === null;
-    deck.maps.forEach((map, i) => { map.ghost = box.checked && players[i]?.annotation ? path : null; });
+    document.body.classList.toggle("explained", path !== null);
+    deck.maps.forEach((map) => { map.ghost = box.checked && map.player.annotation ? path : null; });
   };
   box.addEventListener("change", update);
   for (const player of context.players) player.addEventListener("frames", update);

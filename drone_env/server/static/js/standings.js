@@ -3,6 +3,7 @@ import { el, setText } from "./dom.js";
 import { OUTCOMES, points } from "./format.js";
 import { nextFrame } from "./loop.js";
 import { mountMoves } from "./moves.js";
+import { mountRaceChart } from "./race_chart.js";
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
 export function mountStandings(root, context, fleet) {
@@ -14,7 +15,9 @@ export function mountStandings(root, context, fleet) {
     body);
   const note = el("p.note", { id: "race-note" });
   const moves = el("div.race-moves");
-  root.append(el("div.panel-head", {}, el("h2.eyebrow", { text: "Standings" })), table, note, moves);
+  const chart = el("figure.race-chart");
+  root.append(el("div.panel-head", {}, el("h2.eyebrow", { text: "Standings" })), table, note, chart, moves);
+  mountRaceChart(chart, context, fleet);
   const lists = context.players.map((player) => {
     const list = el("div.race-list", { hidden: true });
     mountMoves(list, player);
@@ -28,7 +31,7 @@ export function mountStandings(root, context, fleet) {
     rows = players.map((player, i) => {
       const cells = Array.from({ length: 4 }, () => el("td.num"));
       const name = el("button.standing-name", { type: "button", on: { click: () => context.emit("select", i) } }, el("span", { text: fleet.pilot(player.mission.pilot).name }));
-      return { player, cells, node: el("tr", {}, el("th", { scope: "row" }, name), ...cells), i };
+      return { player, cells, node: el("tr", { style: { "--lane": `var(--lane-${i + 1})` } }, el("th", { scope: "row" }, name), ...cells), i };
     });
     body.replaceChildren(...rows.map(({ node }) => node));
     draw();

@@ -32,8 +32,7 @@ export function mountThinking(root, context) {
     if (!frame) return;
     const values = frame.q_values;
     none.hidden = values !== null || frame.done;
-    list.classList.toggle("off", values === null);
-    confidence.classList.toggle("off", values === null);
+    list.hidden = confidence.hidden = !none.hidden;
     if (!values) {
       for (const bar of bars) {
         setText(bar.value, "–");

@@ -1,7 +1,7 @@
 // The flight as a strip: a bar per step as high as its reward, parcels as marks; a slider lies over it.
 import { el } from "./dom.js";
 import { nextFrame } from "./loop.js";
-import { labelColour, palette } from "./palette.js";
+import { labelColour, lanePalette } from "./palette.js";
 
 /**
  * @param {HTMLElement} root @param {import("./context.js").Context} context
@@ -28,7 +28,7 @@ export function mountTimeline(root, context, { label, seek }) {
     ctx.clearRect(0, 0, width, height);
     if (!players.length) return;
     const lane = height / players.length;
-    players.forEach((player, i) => drawLane(ctx, player, i * lane, width, lane - (players.length > 1 ? 2 : 0)));
+    players.forEach((player, i) => drawLane(ctx, player, i, i * lane, width, lane - (players.length > 1 ? 2 : 0)));
   }
 
   function refresh() {
@@ -56,9 +56,9 @@ export function mountTimeline(root, context, { label, seek }) {
   };
 }
 
-function drawLane(ctx, player, top, width, height) {
+function drawLane(ctx, player, index, top, width, height) {
   const { mission, frames, cursor } = player;
-  const colours = palette();
+  const colours = lanePalette(index);
   const step = width / mission.max_steps;
   const bar = Math.max(1, step - (step > 4 ? 1 : 0.25));
   ctx.fillStyle = colours.panel;

@@ -1,0 +1,35 @@
+// What the signs on the map are: drawn by the painters of the map itself, named by the server.
+import { el } from "./dom.js";
+import { title } from "./format.js";
+import { drawDelivered, drawDrone, drawParcel } from "./map_sprites.js";
+import { drawKind } from "./map_terrain.js";
+import { palette } from "./palette.js";
+
+const SIDE = 24;
+const LEFT_OUT = new Set(["road", "unknown"]);
+
+/** @param {HTMLElement} root @param {import("./context.js").Context} context */
+export function mountLegend(root, context) {
+  const signs = context.kinds.filter((kind) => !LEFT_OUT.has(kind.name)).map((kind) => ({ kind, canvas: el("canvas", { "aria-hidden": "true" }) }));
+  root.append(el("ul.legend", { "aria-label": "Legend" }, ...signs.map(({ kind, canvas }) =>
+    el("li", { title: kind.effect }, canvas, el("span", { text: title(kind.name) })))));
+
+  function draw() {
+    for (const { kind, canvas } of signs) drawSign(canvas, kind.name);
+  }
+  context.on("theme", draw);
+  draw();
+}
+
+/** Draws the sign of a kind of cell on a canvas of 24 by 24. */
+export function drawSign(canvas, name) {
+  const scale = window.devicePixelRatio || 1;
+  const side = SIDE * scale;
+  canvas.width = canvas.height = side;
+  const ctx = canvas.getContext("2d");
+  const colours = palette();
+  if (name === "delivery") drawParcel(ctx, side / 2, side / 2, side, colours);
+  else if (name === "delivered") drawDelivered(ctx, side / 2, side / 2, side, colours);
+  else if (name === "drone") drawDrone(ctx, side / 2, side / 2, side * 0.92, 0, 0.4, 0, colours);
+  else drawKind(ctx, name, 0, 0, side, [0.5, 0.1, 0.4], colours.map);
+}
