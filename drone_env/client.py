@@ -14,6 +14,7 @@ import os
 import random
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import httpx
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["DroneDeliveryClient", "DroneEnvClient", "ServerError"]
 
 DEFAULT_URL = "http://localhost:8000"
+NO_CONTENT = 204
 
 
 class ServerError(DroneEnvError):
@@ -71,7 +73,11 @@ class DroneEnvClient:
         self.close()
 
     def close(self) -> None:
-        """Close the connection. The session stays on the server until it has been idle for too long."""
+        """End the session, if there is one, and close the connection."""
+        if self.session_id is not None:
+            # A server that cannot be reached ends it by itself, when it has been idle for too long.
+            with suppress(ServerError):
+                self.end_session()
         if self._owns:
             self._http.close()
 
@@ -106,6 +112,11 @@ class DroneEnvClient:
     def step(self, direction: str) -> dict[str, Any]:
         """Fly one action, `UP`, `DOWN`, `LEFT`, `RIGHT` or `WAIT`, and return the observation."""
         return self._call("POST", "/step", {"direction": direction})
+
+    def end_session(self) -> None:
+        """End the session, so that its place on the server is free. An episode that has not ended is dropped."""
+        self._call("DELETE", "/session")
+        self.session_id = None
 
     def state(self) -> dict[str, Any]:
         """The full state of the episode."""
@@ -159,12 +170,13 @@ class DroneEnvClient:
             ServerError: if there is no answer, one that tells a problem, or one that is not a JSON object.
         """
         headers = {} if self.session_id is None else {"X-Session-Id": self.session_id}
+        answer: Any
         try:
             response = self._http.request(method, path, json=body, headers=headers)
         except httpx.HTTPError as error:
             raise ServerError(0, "no_answer", f"{method} {path}: {error or type(error).__name__}") from error
         try:
-            answer = response.json()
+            answer = {} if response.status_code == NO_CONTENT else response.json()
         except ValueError:
             answer = None
         if response.is_success and isinstance(answer, dict):

@@ -1,8 +1,11 @@
 """`drone-env serve`: the server."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 from drone_env.errors import MissingPackageError
+
+NEEDED = ("fastapi", "uvicorn", "websockets", "pydantic_settings", "sse_starlette")
 
 
 def serve(
@@ -20,13 +23,12 @@ def serve(
         workers: Processes that serve.
         data: Folder of what is kept: episodes, sessions, logs.
     """
-    try:
-        from drone_env.server.app import run
-        from drone_env.server.settings import load_settings
-    except ModuleNotFoundError as error:
-        if error.name not in ("fastapi", "pydantic_settings", "sse_starlette", "starlette"):
-            raise
-        raise MissingPackageError(error.name, "server") from None
+    missing = [name for name in NEEDED if find_spec(name) is None]
+    if missing:
+        raise MissingPackageError(" and ".join(missing), "server")
+    from drone_env.server.app import run
+    from drone_env.server.settings import load_settings
+
     defaults = load_settings()
     run(
         defaults.host if host is None else host,

@@ -30,7 +30,7 @@ from drone_env.server.problems import answers, install
 from drone_env.server.request_log import LogRequests
 from drone_env.server.routes import catalogue, flight, history, openenv, replay
 from drone_env.server.security import protect
-from drone_env.server.settings import Settings, load_settings
+from drone_env.server.settings import Settings, load_settings, misspelt_variables
 from drone_env.server.state import Shared
 
 log = logging.getLogger(__name__)
@@ -174,6 +174,8 @@ def run(host: str, port: int, workers: int, data: str) -> None:
 
     import uvicorn
 
+    for name, meant in misspelt_variables().items():
+        print(f"drone-env: {name} is not a setting and is ignored; is {meant} meant?", file=sys.stderr)
     url = f"http://{settings.host}:{settings.port}"
     print(f"drone-env {__version__}: {url}, docs at {url}/docs, data in {settings.data}", file=sys.stderr, flush=True)
     uvicorn.run(

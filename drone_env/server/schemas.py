@@ -264,6 +264,12 @@ class ModelInfo(Message):
     digest: str = Field(description="First 16 digits of the SHA-256 of that file.")
 
 
+class PredictRequest(DroneObservation):
+    """An observation, as `/step` or `/reset` answered it."""
+
+    session_id: str | None = Field(default=None, max_length=255, description="Of a reset's answer; ignored.")
+
+
 class Prediction(Message):
     """What the trained network would do."""
 

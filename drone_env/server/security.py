@@ -127,12 +127,12 @@ class BearerToken:
 
     def __init__(self, app: ASGIApp, token: str | None) -> None:
         self.app = app
-        self.expected = None if token is None else f"Bearer {token}".encode()
+        self.expected = None if token is None else token.encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on what carries the token."""
         if self.expected is not None and scope["type"] in ("http", "websocket") and not _is_open(scope["path"]):
-            given = dict(scope["headers"]).get(b"authorization", b"") or _offered_token(scope)
+            given = _sent_token(scope) or _offered_token(scope)
             if not hmac.compare_digest(given, self.expected):
                 detail = "this server asks for a token: send Authorization: Bearer TOKEN"
                 await refuse(scope, receive, send, 401, "token", detail, {"WWW-Authenticate": "Bearer"})
@@ -140,13 +140,19 @@ class BearerToken:
         await self.app(scope, receive, send)
 
 
+def _sent_token(scope: Scope) -> bytes:
+    """The token of `Authorization: Bearer TOKEN`; the scheme may be written in any case (RFC 9110, 11.1)."""
+    scheme, _, token = dict(scope["headers"]).get(b"authorization", b"").partition(b" ")
+    return token.strip() if scheme.lower() == b"bearer" else b""
+
+
 def _offered_token(scope: Scope) -> bytes:
-    """`Bearer TOKEN` from the subprotocol `bearer.` + URL-safe base64: browsers send no headers with a WebSocket."""
+    """The token from the subprotocol `bearer.` + URL-safe base64: browsers send no headers with a WebSocket."""
     for protocol in scope.get("subprotocols", []):
         if protocol.startswith(OFFER):
             text = protocol.removeprefix(OFFER)
             try:
-                return b"Bearer " + base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
+                return base64.urlsafe_b64decode(text + "=" * (-len(text) % 4))
             except binascii.Error:
                 return b""
     return b""

@@ -1,5 +1,7 @@
 """The configuration of the server, from the environment. `docs/server.md` shows it as a table."""
 
+import os
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +30,8 @@ class Settings(BaseSettings):
     )
     idle_seconds: float = Field(default=900, gt=0, description="A session that is not used for so long ends.")
     token: SecretStr | None = Field(
-        default=None, description="Where set, every call but `/health` must carry `Authorization: Bearer TOKEN`."
+        default=None,
+        description="Where set, all but `/health` and the page's files must carry `Authorization: Bearer TOKEN`.",
     )
     allowed_origins: Listed = Field(
         default=(), description="Origins of web pages that may call, beside the server's own; comma-separated."
@@ -62,13 +65,25 @@ def load_settings() -> Settings:
     """The settings from the environment.
 
     Raises:
-        InvalidValueError: if a variable has a value that it cannot have; the message names it and what is allowed.
+        InvalidValueError: if a variable has a value that it cannot have, or `DRONE_ENV_TOKEN` is empty; the message
+            names it and what is allowed.
     """
+    if os.environ.get("DRONE_ENV_TOKEN") == "":
+        # Whoever sets it wants a closed server, and would not notice an open one.
+        raise InvalidValueError("DRONE_ENV_TOKEN: is empty; give it a value, or unset it for a server without a token")
     try:
         return Settings()
     except ValidationError as error:
         wrong = "; ".join(f"DRONE_ENV_{str(e['loc'][0]).upper()}: {e['msg']}" for e in error.errors())
         raise InvalidValueError(wrong) from None
+
+
+def misspelt_variables() -> dict[str, str]:
+    """Variables of the environment that look like one of ours and are none, and which one each looks like."""
+    known = {f"DRONE_ENV_{name.upper()}" for name in Settings.model_fields}
+    found = [name for name in os.environ if name.startswith("DRONE_ENV_") and name not in known]
+    close = {name: get_close_matches(name, known, 1, 0.9) for name in found}
+    return {name: matches[0] for name, matches in close.items() if matches}
 
 
 def settings_table() -> str:

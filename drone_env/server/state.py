@@ -1,10 +1,13 @@
 """What the routes share: one `Shared` per application, found at `app.state.shared`."""
 
+import threading
 from typing import Annotated
 
 from fastapi import Cookie, Depends, Header, Request
 
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.store import Store
+from drone_env.planning.optimal import best_of
 from drone_env.server.predict import Networks
 from drone_env.server.problems import WHAT_TO_DO, RequestError
 from drone_env.server.request_log import RequestLog
@@ -28,6 +31,17 @@ class Shared:
         self.requests = RequestLog()
         self.networks = Networks(settings.weights)
         self._sessions: Sessions | None = None
+        self._warm: set[TaskConfig] = set()
+
+    def warm_up(self, task: str | TaskConfig) -> None:
+        """Have what solves a task compiled in the background, once: nobody should wait for that at the end.
+
+        Only tasks where terrain costs or blocks need that.
+        """
+        known = get_task(task)
+        if not known.uniform and known not in self._warm:
+            self._warm.add(known)
+            threading.Thread(target=best_of, args=(known, 0), name="drone_env-warm-up", daemon=True).start()
 
     @property
     def sessions(self) -> Sessions:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from drone_env.client import DroneEnvClient
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.episodes.finished import check_agent
@@ -309,3 +310,46 @@ class TestAfterTheEnd:
         answer = client.get("/grade/hard", headers=session)
         assert (answer.status_code, answer.json()["code"]) == (409, "other_task")
         assert client.get("/grade/none", headers=session).status_code == 404
+
+
+class TestEndOfSession:
+    def test_a_session_that_is_ended_is_gone_and_its_place_free(self, tmp_path: Path) -> None:
+        with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
+            header = {"X-Session-Id": client.post("/reset").json()["session_id"]}
+            client.cookies.clear()
+            assert client.post("/reset").status_code == 503
+            assert client.delete("/session", headers=header).status_code == 204
+            assert client.delete("/session", headers=header).status_code == 410
+            assert client.get("/state", headers=header).status_code == 410
+            assert client.post("/reset").status_code == 200
+
+    def test_the_client_ends_its_session(self, tmp_path: Path) -> None:
+        with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
+            for seed in range(3):
+                with DroneEnvClient(http=client) as drone:
+                    drone.reset(seed=seed)
+                    assert drone.session_id is not None
+                client.cookies.clear()
+
+    def test_finished_sessions_give_way_when_nobody_has_used_them_for_a_while(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with TestClient(create_app(Settings(data=tmp_path, capacity=2))) as client:
+            sessions: list[dict[str, str]] = []
+            for _ in range(2):
+                client.cookies.clear()
+                sessions.append({"X-Session-Id": client.post("/reset", json={"seed": 7}).json()["session_id"]})
+            while not client.post("/step", headers=sessions[0], json={"direction": "WAIT"}).json()["done"]:
+                pass
+            client.cookies.clear()
+            assert client.post("/reset").status_code == 503  # its owner may still ask for the score
+            monkeypatch.setattr("drone_env.episodes.store.FINISHED_SECONDS", 0.0)
+            assert client.post("/reset").status_code == 200
+            assert client.get("/state", headers=sessions[0]).status_code == 410
+            assert client.get("/state", headers=sessions[1]).status_code == 200
+
+
+def test_what_a_reset_answers_can_be_asked_about(client: TestClient) -> None:
+    observation = client.post("/reset", json={"seed": 7}).json()
+    own = client.post("/predict", headers={"X-Session-Id": observation["session_id"]}).json()
+    assert client.post("/predict", json=observation).json() == own

@@ -9,7 +9,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from drone_env.errors import InvalidValueError
 from drone_env.server.app import create_app
-from drone_env.server.settings import Settings, load_settings, settings_table
+from drone_env.server.settings import Settings, load_settings, misspelt_variables, settings_table
 from drone_env.server.strict_json import MAX_DEPTH, parse_json
 
 JSON = {"Content-Type": "application/json"}
@@ -122,13 +122,14 @@ class TestHosts:
 
 
 class TestToken:
-    def test_all_but_the_health_asks_for_it(self, tmp_path: Path) -> None:
+    def test_all_but_the_health_and_the_page_asks_for_it(self, tmp_path: Path) -> None:
         with app_with(tmp_path, token="secret") as client:
             assert client.get("/health").status_code == 200
-            for path in ("/", "/docs", "/openapi.json", "/tasks", "/terminal_logs", "/nowhere"):
+            for path in ("/docs", "/openapi.json", "/tasks", "/terminal_logs", "/nowhere"):
                 for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": "secret"}):
                     answer = client.get(path, headers=headers)
                     assert (answer.status_code, answer.headers["WWW-Authenticate"]) == (401, "Bearer")
+            assert client.get("/tasks", headers={"Authorization": "bearer secret"}).status_code == 200
             right = {"Authorization": "Bearer secret"}
             assert client.post("/reset", headers=right).status_code == 200
             with pytest.raises(WebSocketDisconnect), client.websocket_connect("/ws"):
@@ -171,13 +172,19 @@ class TestSettings:
     def test_they_come_from_the_environment(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("DRONE_ENV_PORT", "9000")
         monkeypatch.setenv("DRONE_ENV_ALLOWED_ORIGINS", "https://a.example, https://b.example")
-        monkeypatch.setenv("DRONE_ENV_TOKEN", "")
+        monkeypatch.setenv("DRONE_ENV_HOST", "")
         settings = load_settings()
         assert (settings.port, settings.token, settings.host) == (9000, None, "127.0.0.1")
         assert settings.allowed_origins == ("https://a.example", "https://b.example")
 
+    def test_a_misspelt_one_is_noticed(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("DRONE_ENV_TOKN", "secret")
+        monkeypatch.setenv("DRONE_ENV_EXAMPLES", "9")
+        assert misspelt_variables() == {"DRONE_ENV_TOKN": "DRONE_ENV_TOKEN"}
+
     @pytest.mark.parametrize(
-        ("name", "value"), [("PORT", "many"), ("CAPACITY", "0"), ("IDLE_SECONDS", "-1"), ("TOKEN", "a\u00e9")]
+        ("name", "value"),
+        [("PORT", "many"), ("CAPACITY", "0"), ("IDLE_SECONDS", "-1"), ("TOKEN", "a\u00e9"), ("TOKEN", "")],
     )
     def test_a_wrong_value_is_named(self, monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
         monkeypatch.setenv(f"DRONE_ENV_{name}", value)

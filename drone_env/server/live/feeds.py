@@ -23,7 +23,7 @@ class Feed:
     def __init__(self, shared: Shared, topics: list[Topic]) -> None:
         self.topics = topics
         self._shared = shared
-        self._request = 0
+        self._request: int | None = None
         self._episode: int | None = None
         self._log = TrainLog(shared.settings.data)
 
@@ -34,9 +34,9 @@ class Feed:
             StoreError: if the store cannot be read.
         """
         if "requests" in self.topics:
-            entries = self._shared.requests.since(self._request)
-            if entries:
-                self._request = entries[-1].number
+            entries = self._shared.requests.since(self._request or 0)
+            if entries or self._request is None:
+                self._request = entries[-1].number if entries else 0
                 yield {"type": "requests", "requests": [entry.model_dump() for entry in entries]}
         if "training" in self.topics and self._log.has_changed():
             yield {"type": "training", "lines": self._log.tail(LINES), "fresh": True}

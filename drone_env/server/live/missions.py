@@ -117,8 +117,8 @@ class LiveMission:
 
     def _fly(self, action: int) -> list[Frame]:
         with self._sessions.stepping(self.session) as (row, episode):
-            # Another page may have gone on with the same session: then this one only catches up.
-            if row.actions == tuple(self.episode.actions):
+            # Another page may have gone on with the same session: then this one catches up, or is told that it is gone.
+            if _map_of(row) == self._map and row.actions == tuple(self.episode.actions):
                 fly(row, episode, action)
         self.episode_id = row.episode_id
         return self._follow(row)

@@ -68,6 +68,7 @@ async def pilots(shared: SharedParts) -> PilotList:
     )
 
 
+@router.head("/health", include_in_schema=False)
 @router.get("/health")
 async def health() -> Health:
     """Whether the server is well; answered without a token."""

@@ -20,6 +20,7 @@ from drone_env.server.schemas import (
     Grade,
     PathHistory,
     Prediction,
+    PredictRequest,
     ResetOptions,
     ResetResult,
     SolutionAnswer,
@@ -60,6 +61,9 @@ def reset(
     """
     options = options or ResetOptions()
     session, stepped = shared.sessions.reset(named, options)
+    flown = options.task_name or (options.split or "").partition("/")[0]
+    if flown:
+        shared.warm_up(flown)
     content = stepped.fields if options.episode_id is None else openenv_result(stepped.fields, None)
     response = _json(content | {"session_id": session})
     response.headers[HEADER] = session
@@ -136,7 +140,7 @@ def solution(shared: SharedParts, session: SessionId) -> SolutionAnswer:
 
 
 @router.post("/predict", responses=SESSION_ERRORS | answers(400, 413, 415))
-def predict(shared: SharedParts, named: NamedSession, body: DroneObservation | None = None) -> Prediction:
+def predict(shared: SharedParts, named: NamedSession, body: PredictRequest | None = None) -> Prediction:
     """What the trained network would do: about the observation in the body, or, without one, about the session's."""
     if body is not None:
         if body.done:

@@ -60,7 +60,7 @@ def episodes(
     )
 
 
-@router.get("/episodes/{episode_id}", responses=answers(404, 503))
+@router.get("/episodes/{episode_id}", responses=answers(404, 422, 503))
 def episode(shared: SharedParts, episode_id: str) -> EpisodeRecord:
     """The record of a finished episode: a file for `drone-env replay`."""
     return shared.store.episode(episode_id).record

@@ -1,0 +1,400 @@
+"""The WebSocket of the page: missions that fly by themselves or by hand, and come back after a loss."""
+
+import base64
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from starlette.testclient import TestClient, WebSocketTestSession
+from starlette.websockets import WebSocketDisconnect
+
+from drone_env.agents import make_agent
+from drone_env.analysis import analyse_actions
+from drone_env.core.actions import Action
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import get_task
+from drone_env.models import DroneObservation
+from drone_env.planning.exact import ExactSolver
+from drone_env.server.app import create_app
+from drone_env.server.live.commands import MOST_MISSIONS
+from drone_env.server.settings import Settings
+from tests.api.serving import free_port, serving
+
+Message = dict[str, Any]
+
+
+class Page:
+    """A page that has opened `/live`."""
+
+    def __init__(self, socket: WebSocketTestSession) -> None:
+        self.socket = socket
+
+    def send(self, kind: str, **fields: Any) -> None:
+        self.socket.send_text(json.dumps({"type": kind, **fields}))
+
+    def until(self, kind: str) -> Message:
+        """The next message of a kind; others are read over, but for errors."""
+        while True:
+            message = json.loads(self.socket.receive_text())
+            if message["type"] == kind:
+                return message
+            assert message["type"] != "error", message
+
+    def start(self, *pilots: str, task: str = "easy", seed: int | None = 7, **fields: Any) -> list[Message]:
+        self.send("start", task=task, seed=seed, pilots=pilots, **fields)
+        return self.until("missions")["missions"]
+
+    def flight(self) -> dict[int, list[Message]]:
+        """The frames of each mission until all have ended."""
+        frames: dict[int, list[Message]] = {}
+        while True:
+            message = json.loads(self.socket.receive_text())
+            for moved in message["frames"] if message["type"] == "frames" else ():
+                frames.setdefault(moved["mission"], []).append(moved["frame"])
+            if message["type"] == "playing" and not message["playing"]:
+                return frames
+
+
+def flown(task: str, seed: int, agent: str, profile: str = "tiered") -> Episode:
+    episode = Episode(task, profile)
+    episode.reset(seed)
+    pilot = make_agent(agent, task)
+    pilot.reset(seed)
+    while not episode.ended:
+        episode.step(pilot.act(episode.observation()))
+    return episode
+
+
+def names(frames: list[Message]) -> list[str]:
+    return [frame["action"] for frame in frames]
+
+
+@pytest.mark.parametrize("task", ["easy", "hard"])
+def test_a_race_is_what_the_agents_fly(client: TestClient, task: str) -> None:
+    pilots = ["pathqnet", "greedy", "optimal", "random"]
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        missions = page.start(*pilots, task=task, reward_profile="composite")
+        assert [mission["mission"]["pilot"] for mission in missions] == pilots
+        page.send("play", speed=60)
+        assert page.until("playing")["playing"]
+        frames = page.flight()
+    for number, pilot in enumerate(pilots):
+        episode = flown(task, 7, pilot, "composite")
+        assert names(frames[number]) == [Action(action).name for action in episode.actions]
+        last = frames[number][-1]
+        assert [frame["reward"] for frame in frames[number]] == episode.rewards
+        assert (last["score"], last["done"], last["efficiency"]) == (episode.score, True, episode.efficiency)
+    stored = {row["agent"]: row for row in client.get("/episodes").json()["episodes"]}
+    assert {agent: row["score"] for agent, row in stored.items()} == {
+        pilot: frames[number][-1]["score"] for number, pilot in enumerate(pilots)
+    }
+    assert stored["optimal"]["regret"] == 0
+
+
+def test_a_frame_shows_what_the_observation_says(client: TestClient) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        (shown,) = page.start("human", task="medium")
+        mission, frame = shown["mission"], shown["frames"][0]
+        header = {"X-Session-Id": mission["session"]}
+        grid = client.get("/state", headers=header).json()["grid"]
+        x, y = mission["start"]
+        assert grid[y][x] == 6
+        grid[y][x] = mission["cells"][y][x]
+        assert grid == mission["cells"]
+        for direction in ("UP", "DOWN", "LEFT", "RIGHT", "WAIT", "UP"):
+            page.send("fly", direction=direction)
+            frame = page.until("frames")["frames"][0]["frame"]
+        state = client.get("/state", headers=header).json()
+        for name in ("battery", "deliveries_done", "reward_total", "score", "done", "outcome"):
+            assert frame[name] == state[name]
+        assert (frame["x"], frame["y"], frame["step"]) == (state["drone_x"], state["drone_y"], state["step_count"])
+        assert frame["target"] == state["current_target"]
+        assert frame["q_values"] == client.post("/predict", headers=header).json()["q_values"]
+        assert frame["event"] == state["path_history"][-1]["event"]
+
+
+def test_an_agent_is_told_its_regret_in_flight_and_a_person_after_the_end(client: TestClient) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start("random", "human")
+        known = page.until("values")
+        assert known["mission"] == 0
+        page.send("step")
+        frame = page.until("frames")["frames"][0]["frame"]
+        episode = Episode("easy")
+        episode.reset(7)
+        solver = ExactSolver(episode)
+        optimum = solver.value(episode)
+        episode.step(Action[frame["action"]])
+        assert frame["value"] == solver.value(episode)
+        assert frame["regret"] == optimum - frame["value"]
+        while not frame["done"]:
+            page.send("fly", mission=1, direction="WAIT")
+            frame = page.until("frames")["frames"][0]["frame"]
+            assert frame["done"] or (frame["value"], frame["regret"]) == (None, None)
+        values = page.until("values")
+        start = Episode("easy")
+        start.reset(7)
+        analysis = analyse_actions(start, [Action.WAIT] * frame["step"], "human")
+        assert values["mission"] == 1
+        assert values["values"] == list(analysis.values)
+        assert values["regrets"] == [analysis.values[0] - value for value in analysis.values]
+
+
+def test_pause_speed_and_single_steps(client: TestClient) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start("greedy", task="hard")
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
+        page.send("play", speed=2)
+        started = time.perf_counter()
+        steps = [page.until("frames")["frames"][0]["frame"]["step"] for _ in range(3)]
+        assert steps == [2, 3, 4]
+        assert 0.9 < time.perf_counter() - started
+        page.send("pause")
+        assert page.until("playing")["playing"] is False
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 5
+
+
+def test_a_page_that_comes_back_goes_on_where_it_was(client: TestClient) -> None:
+    pilots = ["random", "optimal", "human"]
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        sessions = [shown["mission"]["session"] for shown in page.start(*pilots)]
+        for _ in range(3):
+            page.send("step")
+            page.until("frames")
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.send("attach", sessions=sessions)
+        missions = page.until("missions")["missions"]
+        assert [mission["mission"]["pilot"] for mission in missions] == pilots
+        assert [len(mission["frames"]) for mission in missions] == [4, 4, 1]
+        page.send("play", speed=60)
+        assert page.until("playing")["playing"]
+        frames = page.flight()
+    for number in (0, 1):
+        whole = names(missions[number]["frames"][1:] + frames[number])
+        assert whole == [Action(action).name for action in flown("easy", 7, pilots[number]).actions]
+
+
+def test_two_pages_on_one_session_never_fly_it_astray(client: TestClient) -> None:
+    with client.websocket_connect("/live") as one, client.websocket_connect("/live") as other:
+        first, second = Page(one), Page(other)
+        session = first.start("random", task="medium")[0]["mission"]["session"]
+        second.send("attach", sessions=[session])
+        second.until("missions")
+        flights: list[list[Message]] = [[], []]
+        for turn in range(12):
+            for page, seen in ((first, flights[0]), (second, flights[1]))[:: 1 if turn % 3 else -1]:
+                page.send("step")
+                seen.extend(moved["frame"] for moved in page.until("frames")["frames"])
+    actions = [Action(action).name for action in flown("medium", 7, "random").actions]
+    for seen in flights:
+        assert [frame["step"] for frame in seen] == list(range(1, len(seen) + 1))
+        assert names(seen) == actions[: len(seen)]
+
+
+def test_a_killed_server_gives_the_mission_back(tmp_path: Path) -> None:
+    websockets = pytest.importorskip("websockets.sync.client")
+    port = free_port()
+    url = f"ws://127.0.0.1:{port}/live"
+
+    def ask(socket: Any, kind: str, answer: str, **fields: Any) -> Message:
+        socket.send(json.dumps({"type": kind, **fields}))
+        while True:
+            message = json.loads(socket.recv(timeout=30))
+            if message["type"] == answer:
+                return message
+
+    with serving(tmp_path / "data", port=port) as server, websockets.connect(url) as socket:
+        shown = ask(socket, "start", "missions", task="hard", seed=7, pilots=["greedy"])
+        for _ in range(5):
+            ask(socket, "step", "frames")
+        server.kill()
+    with serving(tmp_path / "data", port=port) as server, websockets.connect(url) as socket:
+        session = shown["missions"][0]["mission"]["session"]
+        back = ask(socket, "attach", "missions", sessions=[session])
+        assert len(back["missions"][0]["frames"]) == 6
+        state = httpx.get(f"{server.url}/state", headers={"X-Session-Id": session}).json()
+        assert state["step_count"] == 5
+
+
+def test_missions_that_are_given_up_free_their_places(client: TestClient) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        first = page.start("greedy", "random")
+        second = page.start("optimal")
+        for shown in first:
+            assert client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).status_code == 410
+        header = {"X-Session-Id": second[0]["mission"]["session"]}
+        assert client.get("/state", headers=header).status_code == 200
+        page.send("end")
+        assert page.until("missions")["missions"] == []
+        assert client.get("/state", headers=header).status_code == 410
+
+
+def test_without_a_seed_the_next_map_follows(client: TestClient) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        first = page.start("greedy", "random", seed=None)
+        assert len({shown["mission"]["seed"] for shown in first}) == 1
+        episode = Episode("easy")
+        episode.reset(first[0]["mission"]["seed"])
+        assert page.start("greedy", seed=None)[0]["mission"]["seed"] == episode.reset()
+
+
+@pytest.mark.parametrize("settings", [{"idle_seconds": 0.4}])
+def test_an_open_page_keeps_its_paused_mission(settings: dict[str, Any], tmp_path: Path) -> None:
+    with TestClient(create_app(Settings(data=tmp_path, **settings))) as client:
+        with client.websocket_connect("/live") as socket:
+            page = Page(socket)
+            header = {"X-Session-Id": page.start("human")[0]["mission"]["session"]}
+            time.sleep(1.2)
+            assert client.get("/state", headers=header).status_code == 200
+        deadline = time.monotonic() + 30
+        while client.get("/state", headers=header).status_code == 200:
+            assert time.monotonic() < deadline, "the session of a page that has gone is not ended"
+            time.sleep(0.1)
+
+
+@pytest.mark.parametrize(
+    ("frame", "code"),
+    [
+        ("", "invalid_request"),
+        ("[]", "invalid_request"),
+        ("NaN", "invalid_request"),
+        ({"type": "land"}, "invalid_request"),
+        ({"type": "start", "task": "easy", "pilots": []}, "invalid_request"),
+        ({"type": "start", "task": "easy", "pilots": ["greedy"] * (MOST_MISSIONS + 1)}, "invalid_request"),
+        ({"type": "start", "task": "easy", "pilots": ["greedy"], "seed": -1}, "invalid_request"),
+        ({"type": "start", "task": "easy", "pilots": ["ghost"]}, "unknown_name"),
+        ({"type": "start", "task": "nowhere", "pilots": ["greedy"]}, "unknown_name"),
+        ({"type": "start", "task": "easy", "pilots": ["greedy"], "reward_profile": "gold"}, "unknown_name"),
+        ({"type": "start", "task": "skyline_easy", "pilots": ["greedy", "pathqnet"]}, "unsupported"),
+        ({"type": "attach", "sessions": ["nobody"]}, "session_gone"),
+        ({"type": "fly", "direction": "UP"}, "wrong_moment"),
+        ({"type": "fly", "direction": "UP", "mission": 3}, "unknown_name"),
+        ({"type": "fly", "direction": "up"}, "invalid_request"),
+        ({"type": "play", "speed": 1e9}, "invalid_request"),
+        ({"type": "subscribe", "topics": ["passwords"]}, "invalid_request"),
+    ],
+)
+def test_what_cannot_be_obeyed_is_told_and_changes_nothing(client: TestClient, frame: Any, code: str) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        (shown,) = page.start("greedy")
+        page.until("values")
+        socket.send_text(frame if isinstance(frame, str) else json.dumps(frame))
+        message = json.loads(socket.receive_text())
+        assert (message["type"], message["code"]) == ("error", code)
+        assert message["detail"]
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
+        state = client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()
+        assert state["step_count"] == 1
+
+
+def test_a_session_that_is_not_the_page_s_is_refused(client: TestClient, session: dict[str, str]) -> None:
+    with client.websocket_connect("/live") as socket:
+        socket.send_text(json.dumps({"type": "attach", "sessions": [session["X-Session-Id"]]}))
+        assert json.loads(socket.receive_text())["code"] == "wrong_moment"
+
+
+def test_a_session_that_was_taken_elsewhere_is_not_flown(client: TestClient) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        header = {"X-Session-Id": page.start("greedy")[0]["mission"]["session"]}
+        page.until("values")
+        client.post("/reset", headers=header, json={"seed": 8, "agent": "greedy"})
+        page.send("step")
+        message = json.loads(socket.receive_text())
+        assert (message["type"], message["code"]) == ("error", "session_gone")
+        assert client.get("/state", headers=header).json()["step_count"] == 0
+
+
+def test_news_of_the_server(
+    client: TestClient, settings: dict[str, Any], eventually: Callable[[Callable[[], bool]], None]
+) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        client.get("/health")
+        page.send("subscribe", topics=["requests", "training", "episodes"])
+        assert [request["path"] for request in page.until("requests")["requests"]] == ["/health"]
+        assert page.until("training")["lines"] == []
+        assert page.until("episodes")["episodes"] == []
+        (settings["data"] / "train.log").write_text("<b>episode 1</b>\n")
+        assert page.until("training")["lines"] == ["<b>episode 1</b>"]
+        header = {"X-Session-Id": client.post("/reset", json={"seed": 7, "agent": "<i>me</i>"}).json()["session_id"]}
+        observation = {"done": False}
+        while not observation["done"]:
+            observation = client.post("/step", headers=header, json={"direction": "WAIT"}).json()
+        (episode,) = page.until("episodes")["episodes"]
+        assert (episode["agent"], episode["steps"], episode["success"]) == ("<i>me</i>", 60, False)
+        assert episode["regret"] == episode["optimal_score"] - episode["score"]
+        page.send("subscribe", topics=[])
+        client.get("/health")
+        page.send("start", task="easy", pilots=["greedy"])
+        page.until("missions")
+
+
+class TestToken:
+    @pytest.fixture
+    def settings(self, tmp_path: Path) -> dict[str, Any]:
+        return {"data": tmp_path, "token": "s3cret/+?"}
+
+    def test_a_page_offers_the_token_as_a_subprotocol(self, client: TestClient) -> None:
+        offered = base64.urlsafe_b64encode(b"s3cret/+?").decode().rstrip("=")
+        with client.websocket_connect("/live", subprotocols=["drone-env", f"bearer.{offered}"]) as socket:
+            assert socket.accepted_subprotocol == "drone-env"
+            assert Page(socket).start("greedy")
+
+    @pytest.mark.parametrize("offered", [[], ["drone-env"], ["drone-env", "bearer.wrong"], ["bearer.!"]])
+    def test_without_it_nothing_is_opened(self, client: TestClient, offered: list[str]) -> None:
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect("/live", subprotocols=offered):
+            raise AssertionError("opened")
+
+    def test_the_page_itself_is_open_and_nothing_behind_it(self, client: TestClient) -> None:
+        assert client.get("/").status_code == 200
+        assert client.get("/static/js/main.js").status_code == 200
+        for path in ("/tasks", "/static/../tasks", "/episodes", "/staticx"):
+            assert client.get(path).status_code == 401
+
+
+def test_a_full_house_of_pages_is_told_so(tmp_path: Path) -> None:
+    with (
+        TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client,
+        client.websocket_connect("/live") as socket,
+    ):
+        Page(socket).start("greedy")
+        with client.websocket_connect("/live") as late, pytest.raises(WebSocketDisconnect) as closed:
+            late.receive_text()
+        assert closed.value.code == 1013
+        page = Page(socket)
+        page.send("start", task="easy", pilots=["greedy", "random"], seed=7)
+        message = json.loads(socket.receive_text())
+        while message["type"] != "error":
+            message = json.loads(socket.receive_text())
+        assert message["code"] == "no_room"
+
+
+def test_the_observation_model_still_fits(client: TestClient) -> None:
+    """The page reads frames; whoever reads observations beside it sees the same flight."""
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        (shown,) = page.start("human", task=get_task("skyline_easy").id)
+        page.send("fly", direction="WAIT")
+        page.until("frames")
+        header = {"X-Session-Id": shown["mission"]["session"]}
+        observation = client.post("/step", headers=header, json={"direction": "WAIT"}).json()
+        assert DroneObservation.model_validate_json(json.dumps(observation)).step_count == 2
+        page.send("fly", direction="WAIT")
+        assert [moved["frame"]["step"] for moved in page.until("frames")["frames"]] == [2]

@@ -1,0 +1,154 @@
+"""Flights of the past: frame by frame, annotated, listed with the optima of their maps."""
+
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from drone_env.agents import make_agent
+from drone_env.analysis import analyse_flight
+from drone_env.core.actions import Action
+from drone_env.core.cells import CELL_KINDS
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS
+from drone_env.episodes.record import EpisodeRecord, record_of
+from drone_env.planning.optimal import solve
+
+JSON = {"Content-Type": "application/json"}
+
+
+def record(task: str = "hard", seed: int = 7, agent: str = "greedy", steps: int | None = None) -> EpisodeRecord:
+    episode = Episode(task)
+    episode.reset(seed)
+    pilot = make_agent(agent, task)
+    pilot.reset(seed)
+    while not episode.ended and (steps is None or episode.steps < steps):
+        episode.step(pilot.act(episode.observation()))
+    return record_of(episode, agent)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_record_is_shown_frame_by_frame(client: TestClient, task: str) -> None:
+    flown = record(task)
+    shown = client.post("/replay", content=flown.to_json(), headers=JSON).json()
+    frames = shown["frames"]
+    assert [frame["action"] for frame in frames] == [None, *flown.actions]
+    assert [frame["reward"] for frame in frames[1:]] == flown.rewards
+    assert [frame["step"] for frame in frames] == list(range(len(frames)))
+    assert (frames[-1]["score"], frames[-1]["done"]) == (flown.score, True)
+    assert frames[-1]["deliveries_done"] == len(frames[-1]["delivered"]) == flown.deliveries
+    assert all((frame["q_values"] is None) == (task.startswith("skyline") or frame["done"]) for frame in frames)
+    mission = shown["mission"]
+    assert (mission["pilot"], mission["session"], mission["seed"]) == ("greedy", None, 7)
+    parcels = {tuple(parcel) for parcel in mission["parcels"]}
+    assert {(x, y) for y, line in enumerate(mission["cells"]) for x, cell in enumerate(line) if cell == 4} == parcels
+
+
+def test_a_flight_that_has_not_ended_is_shown_but_not_annotated(client: TestClient) -> None:
+    flown = record(steps=5)
+    assert len(client.post("/replay", content=flown.to_json(), headers=JSON).json()["frames"]) == 6
+    refused = client.post("/annotate", content=flown.to_json(), headers=JSON)
+    assert (refused.status_code, refused.json()["code"]) == (409, "in_flight")
+
+
+@pytest.mark.parametrize(
+    "change", [{"score": 0.5}, {"seed": 8}, {"task": "nowhere"}, {"actions": ["UP"]}, {"agent": "a\nb"}, {"more": 1}]
+)
+@pytest.mark.parametrize("path", ["/replay", "/annotate"])
+def test_a_record_that_does_not_fit_its_flight_is_refused(
+    client: TestClient, path: str, change: dict[str, Any]
+) -> None:
+    answer = client.post(path, json=record().model_dump() | change)
+    assert answer.status_code == 422
+    assert answer.json()["detail"]
+
+
+@pytest.mark.parametrize(("task", "agent"), [("hard", "random"), ("medium", "pathqnet"), ("skyline_easy", "greedy")])
+def test_an_annotation_is_the_analysis_beside_a_best_flight(client: TestClient, task: str, agent: str) -> None:
+    flown = record(task, agent=agent)
+    told = client.post("/annotate", content=flown.to_json(), headers=JSON).json()
+    analysis = analyse_flight(flown)
+    assert [move["regret"] for move in told["moves"]] == [move.regret for move in analysis.moves]
+    assert [move["mark"] for move in told["moves"]] == [move.mark for move in analysis.moves]
+    assert told["counts"] == analysis.counts
+    assert (told["score"], told["optimal_score"], told["regret"]) == (flown.score, analysis.optimum, analysis.regret)
+    best = Episode(task)
+    best.reset(7)
+    path = [list(best.position)]
+    for action in told["optimal_actions"]:
+        best.step(Action[action])
+        path.append(list(best.position))
+    assert path == told["optimal_path"]
+    assert (best.steps, best.score if best.ended else best.counted_score()) == (
+        told["optimal_steps"],
+        solve(best.task, 7).score,
+    )
+
+
+def fly(client: TestClient, agent: str, seeds: range, task: str = "easy") -> None:
+    for seed in seeds:
+        header = {
+            "X-Session-Id": client.post("/reset", json={"seed": seed, "agent": agent, "task_name": task}).json()[
+                "session_id"
+            ]
+        }
+        for action in record(task, seed, agent).actions:
+            client.post("/step", headers=header, json={"direction": action})
+        client.delete("/session", headers=header)
+
+
+def test_episodes_are_listed_in_pages_with_the_optima_of_their_maps(client: TestClient) -> None:
+    fly(client, "greedy", range(3))
+    fly(client, "random", range(2))
+    rows = client.get("/episodes").json()
+    assert [(row["agent"], row["seed"]) for row in rows["episodes"]] == [
+        ("random", 1),
+        ("random", 0),
+        ("greedy", 2),
+        ("greedy", 1),
+        ("greedy", 0),
+    ]
+    assert rows["next"] is None
+    for row in rows["episodes"]:
+        assert row["optimal_score"] == solve(TASKS["easy_delivery"], row["seed"]).score
+        assert row["regret"] == row["optimal_score"] - row["score"]
+    first = client.get("/episodes?limit=2").json()
+    second = client.get(f"/episodes?limit=2&before={first['next']}").json()
+    third = client.get(f"/episodes?limit=2&before={second['next']}").json()
+    assert first["episodes"] + second["episodes"] + third["episodes"] == rows["episodes"]
+    assert third["next"] is None
+    assert client.get("/episodes?agent=random").json()["episodes"] == rows["episodes"][:2]
+    assert client.get("/episodes?task=hard").json()["episodes"] == []
+    assert client.get("/episodes?task=nowhere").status_code == 404
+    assert client.get("/episodes?limit=0").status_code == 422
+
+
+def test_a_stored_episode_can_be_replayed(client: TestClient) -> None:
+    fly(client, "greedy", range(1))
+    (row,) = client.get("/episodes").json()["episodes"]
+    stored = client.get(f"/episodes/{row['id']}").json()
+    assert EpisodeRecord.model_validate(stored) == record("easy", 0)
+    assert len(client.post("/replay", json=stored).json()["frames"]) == row["steps"] + 1
+    assert client.get("/episodes/none").status_code == 404
+
+
+def test_the_history_of_a_task_for_charts(client: TestClient) -> None:
+    fly(client, "greedy", range(2))
+    fly(client, "random", range(23))
+    history = client.get("/history/easy").json()
+    wins = [row["success"] for row in history["episodes"]]
+    assert [row["seed"] for row in history["episodes"]] == [*range(2), *range(23)]
+    assert wins[:2] == [True, True]
+    windows = [wins[max(0, end - 20) : end] for end in range(1, 26)]
+    assert history["rolling_success"] == [sum(window) / len(window) for window in windows]
+    assert client.get("/history/easy?last=3").json()["episodes"] == history["episodes"][-3:]
+    assert client.get("/history/nowhere").status_code == 404
+
+
+def test_who_can_fly_and_what_can_stand_in_a_cell(client: TestClient) -> None:
+    pilots = {pilot["id"]: pilot for pilot in client.get("/pilots").json()["pilots"]}
+    assert [name for name, pilot in pilots.items() if not pilot["automatic"]] == ["human"]
+    assert pilots["pathqnet"]["tasks"] == ["easy_delivery", "medium_delivery", "hard_delivery"]
+    assert pilots["greedy"]["tasks"] == list(TASKS)
+    kinds = client.get("/kinds").json()["kinds"]
+    assert [(kind["id"], kind["name"]) for kind in kinds] == [(cell, kind.name) for cell, kind in CELL_KINDS.items()]
