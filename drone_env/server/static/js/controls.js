@@ -20,7 +20,7 @@ export function mountControls(root, context, fleet) {
     el("div.speed", {}, el("label", { for: "speed", text: "Speed" }), speed, speedText));
   const strip = el("div");
   const counter = el("span.counter", { id: "step-counter" });
-  const ghost = el("input", { type: "checkbox", id: "show-ghost", checked: true });
+  const ghost = el("input", { type: "checkbox", id: "show-ghost", checked: true, "aria-label": "Ghost on the best flight" });
   const ghostSwitch = el("label.switch", { id: "ghost-switch", title: "The best flight as a ghost (G)", hidden: true }, ghost, el("span", { text: "Best flight" }));
   root.append(strip, el("div.controls-row", {}, bar, el("div.where", {}, ghostSwitch, counter)));
   const timeline = mountTimeline(strip, context, {

@@ -56,6 +56,7 @@ export function mountKeys(context, fleet, { help }) {
 function taken({ target, key }) {
   if (target.matches("textarea, select, input:not([type=radio], [type=checkbox], [type=range])")) return true;
   const arrow = key.startsWith("Arrow") || key === "Home" || key === "End";
-  if (target.matches("input[type=radio], input[type=range], .events, pre")) return arrow || key === " ";
+  if (target.matches("input[type=range], .events, .moves, pre")) return arrow;
+  if (target.matches("input[type=radio]")) return arrow || key === " ";
   return target.matches("button, a, summary, input[type=checkbox]") && (key === " " || key === "Enter");
 }

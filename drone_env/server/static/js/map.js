@@ -1,6 +1,7 @@
 // Draws one flight on two canvases, the city and what moves in it. Shared by Watch, Race and Replay.
 import { el } from "./dom.js";
 import { title } from "./format.js";
+import { fit } from "./fitted.js";
 import { lessMotion, nextFrame, noFrame } from "./loop.js";
 import { drawFlight } from "./map_flight.js";
 import { drawTerrain } from "./map_terrain.js";
@@ -40,15 +41,15 @@ export class CityMap {
     const reload = () => this.reload();
     player.addEventListener("load", reload);
     player.addEventListener("change", redraw);
-    const resized = new ResizeObserver(reload);
-    resized.observe(root);
+    // A canvas that has another size is empty: it is drawn at once, before the browser shows it.
+    this.size = fit(root, [this.terrain, this.flight], () => { this.stale = true; this.draw(performance.now()); });
     const offTheme = context.on("theme", reload);
     const fonts = () => this.reload();
     document.fonts.ready.then(fonts);
     this.destroy = () => {
       player.removeEventListener("load", reload);
       player.removeEventListener("change", redraw);
-      resized.disconnect();
+      this.size.stop();
       offTheme();
       noFrame(this.draw);
       root.replaceChildren();
@@ -79,7 +80,7 @@ export class CityMap {
 
   draw(now) {
     const { player } = this;
-    if (!this.root.clientWidth || !this.root.clientHeight) return;
+    if (!this.size.width || !this.size.height) return;
     const colours = lanePalette(this.lane);
     if (this.stale) this.drawCity(colours);
     const ctx = this.flight.getContext("2d");
@@ -103,18 +104,12 @@ export class CityMap {
 
   drawCity(colours) {
     this.stale = false;
-    const scale = window.devicePixelRatio || 1;
-    const width = Math.round(this.root.clientWidth * scale);
-    const height = Math.round(this.root.clientHeight * scale);
-    for (const canvas of [this.terrain, this.flight]) {
-      if (canvas.width !== width) canvas.width = width;
-      if (canvas.height !== height) canvas.height = height;
-    }
+    const { width, height } = this.terrain;
     const ctx = this.terrain.getContext("2d");
     ctx.clearRect(0, 0, width, height);
     const { mission } = this.player;
     if (!mission) return;
-    this.layout = fit(mission, width, height, scale);
+    this.layout = layOut(mission, width, height, this.size.scale);
     drawTerrain(ctx, mission, this.layout, this.names, colours);
   }
 
@@ -136,7 +131,7 @@ export class CityMap {
 }
 
 /** Where the grid lies: whole device pixels per cell, so that lines are sharp. */
-function fit(mission, width, height, scale) {
+function layOut(mission, width, height, scale) {
   const place = (room) => Math.floor(Math.min((width - room) / (mission.width + EDGE), (height - room) / (mission.height + EDGE)));
   const room = LABEL_ROOM * scale;
   const labels = place(room + 2) >= LABELS_FROM * scale;

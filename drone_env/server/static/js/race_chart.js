@@ -1,5 +1,6 @@
 // Race: what each pilot has given away so far, step by step, while it happens.
 import { el } from "./dom.js";
+import { cleared, fit } from "./fitted.js";
 import { nextFrame } from "./loop.js";
 import { palette } from "./palette.js";
 
@@ -13,16 +14,10 @@ export function mountRaceChart(root, context, fleet) {
   root.append(el("figcaption", { text: "Given away of the score, by step" }), field);
 
   function draw() {
-    const width = field.clientWidth;
-    const height = field.clientHeight;
     const players = fleet.active;
-    if (!width || !height || !players.length) return;
-    const scale = window.devicePixelRatio || 1;
-    if (canvas.width !== Math.round(width * scale)) canvas.width = Math.round(width * scale);
-    if (canvas.height !== Math.round(height * scale)) canvas.height = Math.round(height * scale);
-    const ctx = canvas.getContext("2d");
-    ctx.setTransform(scale, 0, 0, scale, 0, 0);
-    ctx.clearRect(0, 0, width, height);
+    const ctx = cleared(canvas, size);
+    if (!ctx || !players.length) return;
+    const { width, height } = size;
     const colours = palette();
     const flown = Math.max(10, ...players.map((player) => player.frames.length - 1));
     const lost = Math.max(...players.map((player) => (player.last.regret ?? 0) * 100));
@@ -35,7 +30,7 @@ export function mountRaceChart(root, context, fleet) {
   }
 
   const redraw = () => nextFrame(draw);
-  new ResizeObserver(redraw).observe(field);
+  const size = fit(field, [canvas], draw);
   context.on("theme", redraw);
   context.on("missions", redraw);
   document.fonts.ready.then(redraw);

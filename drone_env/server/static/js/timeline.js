@@ -1,5 +1,6 @@
 // The flight as a strip: a bar per step as high as its reward, parcels as marks; a slider lies over it.
 import { el } from "./dom.js";
+import { cleared, fit } from "./fitted.js";
 import { nextFrame } from "./loop.js";
 import { labelColour, lanePalette } from "./palette.js";
 
@@ -17,16 +18,9 @@ export function mountTimeline(root, context, { label, seek }) {
   let players = [];
 
   function draw() {
-    const width = root.clientWidth;
-    const height = root.clientHeight;
-    if (!width || !height) return;
-    const scale = window.devicePixelRatio || 1;
-    if (canvas.width !== Math.round(width * scale)) canvas.width = Math.round(width * scale);
-    if (canvas.height !== Math.round(height * scale)) canvas.height = Math.round(height * scale);
-    const ctx = canvas.getContext("2d");
-    ctx.setTransform(scale, 0, 0, scale, 0, 0);
-    ctx.clearRect(0, 0, width, height);
-    if (!players.length) return;
+    const ctx = cleared(canvas, size);
+    if (!ctx || !players.length) return;
+    const { width, height } = size;
     const lane = height / players.length;
     players.forEach((player, i) => drawLane(ctx, player, i, i * lane, width, lane - (players.length > 1 ? 2 : 0)));
   }
@@ -44,7 +38,7 @@ export function mountTimeline(root, context, { label, seek }) {
     nextFrame(draw);
   }
 
-  new ResizeObserver(() => nextFrame(draw)).observe(root);
+  const size = fit(root, [canvas], draw);
   context.on("theme", () => nextFrame(draw));
   return {
     canvas,
