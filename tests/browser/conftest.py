@@ -4,13 +4,14 @@ from collections.abc import Generator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser
+from playwright.sync_api import Browser, expect
 
 from tests.api.serving import Server, serving
 from tests.browser.flights import fill, flown
-from tests.browser.tabs import Tabs, find_chromium, launched
+from tests.browser.tabs import PATIENCE_MS, Tabs, find_chromium, launched
 from tests.tools import missing_tool
 
+expect.set_options(timeout=PATIENCE_MS)
 MARKUP = '<img src=x onerror="document.title=1"><b>bold</b>'
 """What must never come to be an element."""
 SEEDS = 27

@@ -1,6 +1,7 @@
 """What a person does on the stage of the page, and what stands there."""
 
 import re
+from decimal import ROUND_HALF_UP, Decimal
 from typing import Any
 
 from playwright.sync_api import Locator, Page, expect
@@ -34,13 +35,15 @@ def counter(page: Page) -> int:
     return int(found[1])
 
 
+def fixed(value: float, digits: int = 2) -> str:
+    """A number as the page writes it: a half is rounded up, as browsers do, and minus is a sign of its own."""
+    rounded = Decimal(value).quantize(Decimal(1).scaleb(-digits), ROUND_HALF_UP)
+    return str(rounded).replace("-", "\u2212")
+
+
 def points(score: float) -> str:
-    """A score as the page writes it."""
-    return f"{score * 100:.1f}".replace("-", "\u2212")
-
-
-def signed(value: float, digits: int) -> str:
-    return f"{value:+.{digits}f}".replace("-", "\u2212")
+    """A score as the page writes it, times 100."""
+    return fixed(score * 100, 1)
 
 
 def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
@@ -48,10 +51,10 @@ def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
     expect(page.locator("#step-counter")).to_have_text(re.compile(rf"^Step {frame['step']} of "))
     expect(page.locator("#score")).to_have_text(points(frame["score"]))
     expect(page.locator("#battery")).to_contain_text(f"{frame['battery_units']} of {capacity}")
-    expect(page.locator("#reward-total")).to_have_text(f"{frame['reward_total']:.2f}")
-    expect(page.locator("#efficiency")).to_have_text(f"{frame['efficiency']:.1f}")
+    expect(page.locator("#reward-total")).to_have_text(fixed(frame["reward_total"]))
+    expect(page.locator("#efficiency")).to_have_text(fixed(frame["efficiency"], 1))
     if frame["step"]:
-        expect(page.locator("#reward")).to_have_text(signed(frame["reward"], 3))
+        expect(page.locator("#reward")).to_have_text(f"+{fixed(frame['reward'], 3)}")
     if frame["target"]:
         expect(page.locator("#target")).to_contain_text(f"[{frame['target'][0]}, {frame['target'][1]}]")
 
@@ -59,3 +62,8 @@ def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
 def pixels(canvas: Locator) -> str:
     """The picture on a canvas, as a data URL."""
     return canvas.evaluate("canvas => canvas.toDataURL()")
+
+
+def percent(share: float) -> str:
+    """A share as the page writes it."""
+    return f"{fixed(share * 100, 0)} %"

@@ -12,6 +12,7 @@ from playwright.sync_api import Locator, Page, expect
 from drone_env.episodes.record import EpisodeRecord, parse_record
 from tests.api.serving import Server
 from tests.browser.flights import flown
+from tests.browser.stage import fixed, points
 from tests.browser.tabs import Tabs
 
 
@@ -56,13 +57,13 @@ def test_an_episode_replays_from_its_link_with_slider_and_steps(tabs: Tabs, serv
     page.get_by_role("button", name="Step forward").click()
     expect(where).to_contain_text(f"Step 1 of {episode['steps']} · {frames[1]['action']}")
     page.get_by_role("button", name="Last step").click()
-    expect(where).to_contain_text(f"total {frames[-1]['reward_total']:.2f}")
+    expect(where).to_contain_text(f"total {fixed(frames[-1]['reward_total'])}")
     expect(slider(page)).to_have_value(str(episode["steps"]))
     page.get_by_role("button", name="Step back").click()
     expect(slider(page)).to_have_value(str(episode["steps"] - 1))
     slider(page).fill("3")
     expect(where).to_contain_text(f"Step 3 of {episode['steps']} · {frames[3]['action']}")
-    assert facts(page)["Score"] == f"{episode['score'] * 100:.1f}"
+    assert facts(page)["Score"] == points(episode["score"])
 
 
 def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(tabs: Tabs, record: EpisodeRecord) -> None:
@@ -98,8 +99,8 @@ def test_the_moves_are_annotated_and_jump_to_their_step(tabs: Tabs, server: Serv
     for label, count in annotation["counts"].items():
         expect(moves.locator(f"button[data-label={label}]")).to_have_count(count)
     shown = facts(page)
-    assert shown["Regret"] == f"{annotation['regret'] * 100:.1f}"
-    assert shown["Optimum"] == f"{annotation['optimal_score'] * 100:.1f} in {annotation['optimal_steps']} steps"
+    assert shown["Regret"] == points(annotation["regret"])
+    assert shown["Optimum"] == f"{points(annotation['optimal_score'])} in {annotation['optimal_steps']} steps"
     move = marked[0]
     entry = moves.get_by_role("button", name=f"Step {move['step']}, {move['action']}, {move['label']}", exact=True)
     expect(entry).to_contain_text(move["mark"])

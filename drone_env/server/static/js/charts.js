@@ -116,7 +116,8 @@ export class Chart {
       cursor: { y: false, drag: { x: false, y: false }, points: { size: 9, fill: accent } },
       scales: {
         x: { time: false, range: (_, low, high) => (bars ? [low - 0.5, high + 0.5] : [low - 1, high + 1]) },
-        y: { range: range ?? ((_, low, high) => uPlot.rangeNum(low ?? 0, high ?? 1, 0.1, true)) },
+        // Bars stand on zero.
+        y: { range: range ?? ((_, low, high) => uPlot.rangeNum(bars ? 0 : (low ?? 0), high ?? 1, 0.1, true)) },
       },
       axes: [
         {

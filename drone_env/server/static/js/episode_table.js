@@ -15,7 +15,6 @@ const COLUMNS = [
   ["Score", (e) => points(e.score), true],
   ["Optimum", (e) => points(e.optimal_score), true],
   ["Regret", (e) => points(e.regret), true],
-  ["Efficiency", (e) => fixed(e.efficiency, 1), true],
 ];
 
 /** When it was, in the visitor's own time. */
