@@ -35,7 +35,7 @@ export function mountControls(root, context, fleet) {
     start.title = over ? "Same map again (Space)" : `${words} (Space)`;
     start.hidden = !fleet.automatic && !over;
     step.hidden = !fleet.automatic;
-    const away = context.live.state !== "open";
+    const away = context.live.state !== "open" || !fleet.active.length;
     start.disabled = away;
     step.disabled = away || playing || over;
     speed.value = String(Math.max(0, SPEEDS.indexOf(fleet.speed)));

@@ -5,6 +5,7 @@ import { nextFrame } from "./loop.js";
 import { palette } from "./palette.js";
 
 const TICKS = [0, 1, 5, 20, 50, 100];
+const LINE = 14;
 const ROOM = { left: 28, right: 8, top: 8, bottom: 20 };
 
 /**
@@ -48,8 +49,11 @@ function drawAxes(ctx, x, y, top, flown, width, height, colours) {
   ctx.lineWidth = 1;
   ctx.textAlign = "right";
   ctx.textBaseline = "middle";
+  let before = -LINE;
   for (const tick of TICKS.filter((t) => t <= top)) {
     const at = Math.round(y(tick)) + 0.5;
+    if (at - before < LINE) continue;
+    before = at;
     ctx.beginPath();
     ctx.moveTo(ROOM.left, at);
     ctx.lineTo(width - ROOM.right, at);

@@ -63,7 +63,7 @@ function sheet(maps, charts, captions) {
   const rows = Math.ceil(images.length / columns);
   const scale = window.devicePixelRatio || 1;
   const head = 28 * scale;
-  const width = images[0].width * columns;
+  const width = Math.max(images[0].width * columns, ...charts.map((chart) => chart.width));
   const height = rows * (images[0].height + head);
   const gap = 8 * scale;
   const canvas = el("canvas", { width, height: charts.reduce((sum, chart) => sum + chart.height + gap, height + gap) });
@@ -74,14 +74,14 @@ function sheet(maps, charts, captions) {
   ctx.textBaseline = "middle";
   ctx.font = `500 ${13 * scale}px ${colours.font}`;
   images.forEach((image, i) => {
-    const x = (i % columns) * image.width;
+    const x = (i % columns) * image.width + Math.round((width - columns * image.width) / 2);
     const y = Math.floor(i / columns) * (image.height + head);
     ctx.fillText(captions[i], x + 12 * scale, y + head / 2, image.width - 24 * scale);
     ctx.drawImage(image, x, y + head);
   });
   let y = height + gap;
   for (const chart of charts) {
-    ctx.drawImage(chart, 0, y, width, chart.height);
+    ctx.drawImage(chart, Math.round((width - chart.width) / 2), y);
     y += chart.height + gap;
   }
   return canvas;
