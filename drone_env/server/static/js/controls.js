@@ -50,7 +50,9 @@ export function mountControls(root, context, fleet) {
     const shown = Math.max(0, ...fleet.active.map((player) => player.cursor));
     const most = context.player.mission?.max_steps ?? 0;
     const behind = fleet.active.some((player) => !player.following);
-    setText(counter, most ? `Step ${shown} of ${most}${behind ? " · looking back" : ""}` : "");
+    setText(counter, most ? `Step ${shown} of ${most}` : "");
+    counter.classList.toggle("behind", behind);
+    counter.title = behind ? "Looking back: End follows the flight again" : "";
     const state = `${fleet.over}${context.player.frames.length > 1}`;
     if (state !== words) update();
     words = state;

@@ -3,7 +3,8 @@ import { el, setText } from "./dom.js";
 import { ARROWS, percent, points } from "./format.js";
 import { nextFrame } from "./loop.js";
 
-export const LABELS = ["best", "good", "inaccuracy", "mistake", "blunder"];
+/** From best to worst, with what several of them are called. */
+const LABELS = { best: "best", good: "good", inaccuracy: "inaccuracies", mistake: "mistakes", blunder: "blunders" };
 
 /**
  * @param {HTMLElement} root Filled with the list.
@@ -51,8 +52,10 @@ export function mountMoves(root, player) {
 }
 
 function counts(annotation) {
-  const chips = LABELS.filter((label) => annotation.counts[label]).map((label) =>
-    el("span.move-count", { data: { label } }, el("i", { "aria-hidden": "true" }), el("span", { text: `${annotation.counts[label]} ${label}` })));
+  const chips = Object.keys(LABELS).filter((label) => annotation.counts[label]).map((label) => {
+    const count = annotation.counts[label];
+    return el("span.move-count", { data: { label } }, el("i", { "aria-hidden": "true" }), el("span", { text: `${count} ${count > 1 ? LABELS[label] : label}` }));
+  });
   const accuracy = annotation.accuracy === null ? "–" : percent(annotation.accuracy);
   return [el("p.accuracy-head", {}, el("strong", { text: accuracy }), el("span", { text: " accuracy" })), el("div.move-counts", {}, ...chips)];
 }
