@@ -65,6 +65,7 @@ class DroneEnvClient:
         self._owns = http is None
         self._http = http or httpx.Client(base_url=base_url, timeout=timeout, headers=headers)
         self.session_id: str | None = None
+        """The session; set it to go on with another client's."""
 
     def __enter__(self) -> Self:
         return self
@@ -72,9 +73,13 @@ class DroneEnvClient:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def close(self) -> None:
-        """End the session, if there is one, and close the connection."""
-        if self.session_id is not None:
+    def close(self, keep_session: bool = False) -> None:
+        """Close the connection, and end the session.
+
+        Args:
+            keep_session: Leave the session on the server, for a client that is given its `session_id`.
+        """
+        if self.session_id is not None and not keep_session:
             # A server that cannot be reached ends it by itself, when it has been idle for too long.
             with suppress(ServerError):
                 self.end_session()

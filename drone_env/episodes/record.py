@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, WithJsonSchema, field_validator, model_validator
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
@@ -27,6 +27,8 @@ AgentLabel = Annotated[
     Field(
         min_length=1, max_length=200, pattern=r"^[^\p{C}\p{Zl}\p{Zp}]+$", description="Who flew: one printable line."
     ),
+    # The pattern has classes that most readers of JSON Schema do not know.
+    WithJsonSchema({"type": "string", "minLength": 1, "maxLength": 200}),
 ]
 
 

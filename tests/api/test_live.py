@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
@@ -22,7 +21,6 @@ from drone_env.planning.exact import ExactSolver
 from drone_env.server.app import create_app
 from drone_env.server.live.commands import MOST_MISSIONS
 from drone_env.server.settings import Settings
-from tests.api.serving import free_port, serving
 
 Message = dict[str, Any]
 
@@ -201,31 +199,6 @@ def test_two_pages_on_one_session_never_fly_it_astray(client: TestClient) -> Non
     for seen in flights:
         assert [frame["step"] for frame in seen] == list(range(1, len(seen) + 1))
         assert names(seen) == actions[: len(seen)]
-
-
-def test_a_killed_server_gives_the_mission_back(tmp_path: Path) -> None:
-    websockets = pytest.importorskip("websockets.sync.client")
-    port = free_port()
-    url = f"ws://127.0.0.1:{port}/live"
-
-    def ask(socket: Any, kind: str, answer: str, **fields: Any) -> Message:
-        socket.send(json.dumps({"type": kind, **fields}))
-        while True:
-            message = json.loads(socket.recv(timeout=30))
-            if message["type"] == answer:
-                return message
-
-    with serving(tmp_path / "data", port=port) as server, websockets.connect(url) as socket:
-        shown = ask(socket, "start", "missions", task="hard", seed=7, pilots=["greedy"])
-        for _ in range(5):
-            ask(socket, "step", "frames")
-        server.kill()
-    with serving(tmp_path / "data", port=port) as server, websockets.connect(url) as socket:
-        session = shown["missions"][0]["mission"]["session"]
-        back = ask(socket, "attach", "missions", sessions=[session])
-        assert len(back["missions"][0]["frames"]) == 6
-        state = httpx.get(f"{server.url}/state", headers={"X-Session-Id": session}).json()
-        assert state["step_count"] == 5
 
 
 def test_missions_that_are_given_up_free_their_places(client: TestClient) -> None:

@@ -176,7 +176,7 @@ def test_nothing_acknowledged_is_lost_when_the_server_is_killed(tmp_path: Path) 
             successors = []
             for pilot in carried:
                 pilot.check()
-                pilot.client.close()
+                pilot.client.close(keep_session=True)
                 finished += pilot.finished
                 successor = Pilot(server.url, pilot.number)
                 successor.client.session_id = pilot.client.session_id
@@ -186,7 +186,7 @@ def test_nothing_acknowledged_is_lost_when_the_server_is_killed(tmp_path: Path) 
     finally:
         server.kill()
         for pilot in carried:
-            pilot.client.close()
+            pilot.client.close(keep_session=True)
     assert finished
     with Store(data) as store:
         kept = {(stored.record.seed, stored.record.score): stored.record for stored in store.episodes()}
@@ -198,13 +198,15 @@ def test_several_workers_serve_one_session(tmp_path: Path) -> None:
     with serving(tmp_path / "data", ("drone_env/server/app.py", "--workers", "2")) as server:
         expected = Episode("hard")
         expected.reset(7)
-        with DroneEnvClient(server.url) as opener:
-            opener.reset("hard", seed=7)
+        opener = DroneEnvClient(server.url)
+        opener.reset("hard", seed=7)
+        opener.close(keep_session=True)
         for action in solve("hard", 7).actions:
             # A connection for each step, so that both workers get some.
-            with DroneEnvClient(server.url) as client:
-                client.session_id = opener.session_id
-                observation = client.step(action.name)
+            client = DroneEnvClient(server.url)
+            client.session_id = opener.session_id
+            observation = client.step(action.name)
+            client.close(keep_session=True)
             expected.step(action)
             assert (observation["step_count"], observation["reward_total"]) == (expected.steps, expected.reward_total)
         assert observation["done"]
@@ -227,14 +229,16 @@ def test_a_worker_that_is_slow_for_a_while_is_not_replaced(tmp_path: Path) -> No
 
 def test_concurrent_steps_of_one_session_are_flown_one_after_another(tmp_path: Path) -> None:
     with serving(tmp_path / "data", ("drone_env/server/app.py", "--workers", "2")) as server:
-        with DroneEnvClient(server.url) as opener:
-            opener.reset("hard", seed=7)
+        opener = DroneEnvClient(server.url)
+        opener.reset("hard", seed=7)
+        opener.close(keep_session=True)
         seen: list[int] = []
 
         def wait_ten_times() -> None:
-            with DroneEnvClient(server.url) as client:
-                client.session_id = opener.session_id
-                seen.extend(client.step("WAIT")["step_count"] for _ in range(10))
+            client = DroneEnvClient(server.url)
+            client.session_id = opener.session_id
+            seen.extend(client.step("WAIT")["step_count"] for _ in range(10))
+            client.close(keep_session=True)
 
         threads = [threading.Thread(target=wait_ten_times) for _ in range(8)]
         for thread in threads:

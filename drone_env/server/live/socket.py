@@ -14,7 +14,7 @@ from anyio.abc import TaskGroup
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, UnknownNameError, UnsupportedTaskError
@@ -291,10 +291,12 @@ class Cockpit:
             await self._send(message)
 
     async def _send(self, message: dict[str, Any]) -> None:
+        if self._socket.application_state is not WebSocketState.CONNECTED:
+            return  # the page has gone
         try:
             await self._socket.send_text(to_json(message).decode())
         except (WebSocketDisconnect, OSError):
-            self._tasks.cancel_scope.cancel()  # the page has gone
+            self._tasks.cancel_scope.cancel()
 
 
 def _shown(mission: LiveMission) -> dict[str, Any]:
