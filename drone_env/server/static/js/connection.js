@@ -8,6 +8,7 @@ export function mountConnection({ live }) {
   const dot = document.getElementById("connection");
   const banner = document.getElementById("banner");
   const text = document.getElementById("banner-text");
+  const again = document.getElementById("banner-countdown");
   let countdown = 0;
 
   document.getElementById("banner-retry").addEventListener("click", () => live.connect());
@@ -22,11 +23,11 @@ export function mountConnection({ live }) {
     }
     const why = reason ? ` (${reason})` : "";
     const until = Date.now() + wait;
+    setText(text, state === "refused" ? `The server refused the connection${why}.` : `The server is away${why}. Your mission is kept.`);
+    // Counted down for the eye alone: a screen reader would say every second of it.
     const say = () => {
       const seconds = Math.ceil((until - Date.now()) / 1000);
-      setText(text, state === "refused"
-        ? `The server refused the connection${why}.`
-        : `The server is away${why}. Your mission is kept. ${seconds > 0 ? `Trying again in ${seconds} s` : "Trying again"} …`);
+      setText(again, state === "refused" ? "" : seconds > 0 ? `Trying again in ${seconds} s …` : "Trying again …");
     };
     say();
     banner.hidden = false;

@@ -35,7 +35,9 @@ export function mountControls(root, context, fleet) {
     start.title = over ? "Same map again (Space)" : `${words} (Space)`;
     start.hidden = !fleet.automatic && !over;
     step.hidden = !fleet.automatic;
-    step.disabled = playing || over;
+    const away = context.live.state !== "open" || !fleet.active.length;
+    start.disabled = away;
+    step.disabled = away || playing || over;
     speed.value = String(Math.max(0, SPEEDS.indexOf(fleet.speed)));
     speed.setAttribute("aria-valuetext", `${fleet.speed} steps per second`);
     setText(speedText, `${fleet.speed}/s`);
@@ -56,6 +58,7 @@ export function mountControls(root, context, fleet) {
 
   for (const player of context.players) player.addEventListener("change", () => nextFrame(progress));
   fleet.addEventListener("playing", update);
+  context.live.on("state", update);
   fleet.addEventListener("setup", update);
   context.on("missions", (players) => { timeline.show(players); update(); progress(); });
   update();

@@ -17,7 +17,7 @@ const KEYS = [
 /** @returns {() => void} Opens it. */
 export function mountHelp() {
   const dialog = document.getElementById("help");
-  const close = el("button.button", { type: "button", text: "Close", on: { click: () => dialog.close() } });
+  const close = el("button.button", { type: "button", text: "Close", autofocus: "", on: { click: () => dialog.close() } });
   dialog.append(
     el("h2", { id: "help-title", text: "Mission control" }),
     el("p", { text: "A drone delivers parcels on a city grid before its battery is empty. Buildings, trees and barriers cost reward; skyline cities also cost battery, and their barriers block the way. The score counts parcels first, then battery and steps left. Every flight stands beside the exact optimum of its map: what a pilot gives away can never be won back." }),

@@ -18,6 +18,7 @@ export function mountHuman(root, context, fleet) {
     const over = fleet.human >= 0 && (context.players[fleet.human].last?.done ?? true);
     for (const button of buttons) button.disabled = over;
     root.classList.toggle("human", fleet.human >= 0);
+    document.body.classList.toggle("human-flies", !over && fleet.human >= 0);
   }
 
   fleet.addEventListener("setup", update);

@@ -8,8 +8,8 @@ export function mountInstruments(root, context) {
   const { player } = context;
   const score = el("strong.hero-number", { id: "score" });
   const scoreNote = el("span.hero-note", { id: "score-note" });
-  const possible = row("Still possible", "possible");
-  const lost = row("Given away", "given-away");
+  const possible = row("Still possible", "possible", "The best score that can still be reached from here");
+  const lost = row("Given away", "given-away", "What the optimum of this map had more: it cannot be won back");
   const reach = el("div.reach", { "aria-hidden": "true" }, el("i.reach-value"), el("i.reach-lost"));
   const head = el("div.score", {},
     el("div.score-main", {}, el("span.eyebrow", { text: "Score" }), score, scoreNote),
@@ -19,8 +19,8 @@ export function mountInstruments(root, context) {
   const steps = gauge("Steps", "steps");
   const parcels = el("div.gauge", { id: "parcels" }, el("span.gauge-name", { text: "Parcels" }), el("div.pips"), el("span.gauge-text"));
   const reward = row("Reward", "reward");
-  const total = row("In all", "reward-total");
-  const efficiency = row("Efficiency", "efficiency");
+  const total = row("In all", "reward-total", "The rewards so far");
+  const efficiency = row("Efficiency", "efficiency", "75 % parcels, 15 % battery left, 10 % steps left");
   const target = row("Target", "target");
   root.append(head, battery, steps, parcels,
     el("dl.numbers", {}, ...[reward, total, efficiency, target].map(({ nodes }) => el("div", {}, ...nodes))));
@@ -53,9 +53,9 @@ export function mountInstruments(root, context) {
   redraw();
 }
 
-function row(name, id) {
+function row(name, id, hint = null) {
   const value = el("dd", { id, text: "–" });
-  return { value, nodes: [el("dt", { text: name }), value] };
+  return { value, nodes: [el("dt", { text: name, title: hint }), value] };
 }
 
 function gauge(name, id) {

@@ -1,12 +1,12 @@
 // What the signs on the map are: drawn by the painters of the map itself, named by the server.
 import { el } from "./dom.js";
 import { title } from "./format.js";
-import { drawDelivered, drawDrone, drawParcel } from "./map_sprites.js";
+import { drawDelivered, drawParcel } from "./map_sprites.js";
 import { drawKind } from "./map_terrain.js";
 import { palette } from "./palette.js";
 
 const SIDE = 24;
-const LEFT_OUT = new Set(["road", "unknown"]);
+const LEFT_OUT = new Set(["road", "unknown", "drone"]);
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context */
 export function mountLegend(root, context) {
@@ -30,6 +30,5 @@ export function drawSign(canvas, name) {
   const colours = palette();
   if (name === "delivery") drawParcel(ctx, side / 2, side / 2, side, colours);
   else if (name === "delivered") drawDelivered(ctx, side / 2, side / 2, side, colours);
-  else if (name === "drone") drawDrone(ctx, side / 2, side / 2, side * 0.92, 0, 0.4, 0, colours);
   else drawKind(ctx, name, 0, 0, side, [0.5, 0.1, 0.4], colours.map);
 }

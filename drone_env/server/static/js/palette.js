@@ -10,15 +10,12 @@ const NAMES = [
 const camel = (name) => name.replace(/^map-/, "").replace(/-(\w)/g, (_, letter) => letter.toUpperCase());
 
 let read = null;
-let theme = "";
 
 /** `{ink, accent, ..., map: {ground, roof, ...}}` of the theme that is shown. */
 export function palette() {
-  const shown = document.documentElement.dataset.theme ?? "";
-  if (read && shown === theme) return read;
+  if (read) return read;
   const style = getComputedStyle(document.documentElement);
   read = { map: {} };
-  theme = shown;
   for (const name of NAMES) {
     const value = style.getPropertyValue(`--${name}`).trim();
     if (name.startsWith("map-")) read.map[camel(name)] = value;
@@ -26,6 +23,11 @@ export function palette() {
   }
   read.lanes = [1, 2, 3, 4].map((lane) => ({ ...read, accent: read[`lane${lane}`] }));
   return read;
+}
+
+/** Another theme is shown: the colours are read again. */
+export function forgetPalette() {
+  read = null;
 }
 
 /** The colours with another accent: that of one of the racers. @param {number} lane 0 to 3 */

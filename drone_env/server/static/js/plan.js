@@ -95,7 +95,7 @@ export function mountPlan(root, context, fleet) {
       input.disabled = !able || last || full;
       input.closest(".pilot").classList.toggle("unable", !able);
       setText(input.closest(".pilot").querySelector(".pilot-note"),
-        able ? fleet.pilot(input.value).summary : "Has no network for this task");
+        able ? fleet.pilot(input.value).summary : "has no network here");
     }
     if (document.activeElement !== seed) seed.value = setup.seed ?? "";
     profile.querySelector("select").value = setup.profile;

@@ -5,9 +5,13 @@ import { nextFrame } from "./loop.js";
 import { palette } from "./palette.js";
 
 const TICKS = [0, 1, 5, 20, 50, 100];
+const LINE = 14;
 const ROOM = { left: 28, right: 8, top: 8, bottom: 20 };
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
+/**
+ * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
+ * @returns {HTMLCanvasElement}
+ */
 export function mountRaceChart(root, context, fleet) {
   const canvas = el("canvas", { role: "img", "aria-label": "What each pilot has given away, by step. The standings have the numbers." });
   const field = el("div.race-chart-field", {}, canvas);
@@ -35,6 +39,7 @@ export function mountRaceChart(root, context, fleet) {
   context.on("missions", redraw);
   document.fonts.ready.then(redraw);
   for (const player of context.players) player.addEventListener("frames", redraw);
+  return canvas;
 }
 
 function drawAxes(ctx, x, y, top, flown, width, height, colours) {
@@ -44,8 +49,11 @@ function drawAxes(ctx, x, y, top, flown, width, height, colours) {
   ctx.lineWidth = 1;
   ctx.textAlign = "right";
   ctx.textBaseline = "middle";
+  let before = -LINE;
   for (const tick of TICKS.filter((t) => t <= top)) {
     const at = Math.round(y(tick)) + 0.5;
+    if (at - before < LINE) continue;
+    before = at;
     ctx.beginPath();
     ctx.moveTo(ROOM.left, at);
     ctx.lineTo(width - ROOM.right, at);

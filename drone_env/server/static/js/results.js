@@ -132,7 +132,7 @@ function trend(value) {
 function actionBar(distribution) {
   const parts = Object.entries(distribution);
   return el("div.actions-bar", {}, ...parts.map(([action, share]) => el("div.action-part", { style: { "--share": String(share) } },
-    el("i", { "aria-hidden": "true" }), el("span", { text: `${action} ${percent(share)}` }))));
+    el("i", { "aria-hidden": "true" }), el("span", { text: action }), el("span", { text: percent(share) }))));
 }
 
 function cycles() {

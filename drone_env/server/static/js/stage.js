@@ -36,11 +36,14 @@ export function mountStage(context) {
   part("deck").append(controls);
   const timeline = mountControls(controls, context, fleet);
   mountHuman(controls, context, fleet);
-  panel("standings-panel", mountStandings, fleet);
+  const chart = panel("standings-panel", mountStandings, fleet);
   panel("instruments", mountInstruments);
   panel("thinking", mountThinking);
   panel("messages", mountEvents);
-  panel("telemetry-panel", mountTelemetry, fleet, { maps: () => deck.maps, timeline });
+  panel("telemetry-panel", mountTelemetry, fleet, {
+    maps: () => deck.maps,
+    charts: () => (deck.maps.length > 1 ? [timeline.canvas, chart] : [timeline.canvas]),
+  });
   const help = mountHelp();
   mountKeys(context, fleet, { help });
   mountGhost(context, deck);

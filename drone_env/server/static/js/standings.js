@@ -5,7 +5,10 @@ import { nextFrame } from "./loop.js";
 import { mountMoves } from "./moves.js";
 import { mountRaceChart } from "./race_chart.js";
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
+/**
+ * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
+ * @returns {HTMLCanvasElement} The chart of what has been given away.
+ */
 export function mountStandings(root, context, fleet) {
   const body = el("tbody");
   const table = el("table.table.standings", { id: "standings" },
@@ -17,7 +20,7 @@ export function mountStandings(root, context, fleet) {
   const moves = el("div.race-moves");
   const chart = el("figure.race-chart");
   root.append(el("div.panel-head", {}, el("h2.eyebrow", { text: "Standings" })), table, note, chart, moves);
-  mountRaceChart(chart, context, fleet);
+  const canvas = mountRaceChart(chart, context, fleet);
   const lists = context.players.map((player) => {
     const list = el("div.race-list", { hidden: true });
     mountMoves(list, player);
@@ -67,6 +70,7 @@ export function mountStandings(root, context, fleet) {
   context.on("missions", build);
   context.on("selected", (i) => { selected = i; draw(); });
   for (const player of context.players) player.addEventListener("change", () => nextFrame(draw));
+  return canvas;
 }
 
 /** The value of the start is the optimum of the map; null while the server has not told it. */

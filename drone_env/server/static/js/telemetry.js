@@ -10,7 +10,7 @@ const COLUMNS = [
 ];
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
-export function mountTelemetry(root, context, fleet, { maps, timeline }) {
+export function mountTelemetry(root, context, fleet, { maps, charts }) {
   const { player } = context;
   const vector = el("p.telemetry-vector", { id: "telemetry" });
   const raw = el("pre.raw", { id: "raw-frame", tabindex: "0", "aria-label": "Frame as the server sent it" });
@@ -36,7 +36,7 @@ export function mountTelemetry(root, context, fleet, { maps, timeline }) {
 
   function savePng() {
     if (!fleet.active.length) return;
-    sheet(maps(), timeline.canvas, caption()).toBlob((blob) => {
+    sheet(maps(), charts(), caption()).toBlob((blob) => {
       if (blob) download(`${name()}.png`, blob);
       else toast("The picture could not be made.");
     }, "image/png");
@@ -55,17 +55,18 @@ function cell(value) {
   return /[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
 }
 
-/** All maps, the strip of the flights below them, and what they are. */
-function sheet(maps, strip, captions) {
+/** All maps with what they are, and the charts below them. */
+function sheet(maps, charts, captions) {
   const colours = palette();
   const images = maps.map((map) => map.image());
   const columns = images.length > 1 ? 2 : 1;
   const rows = Math.ceil(images.length / columns);
   const scale = window.devicePixelRatio || 1;
   const head = 28 * scale;
-  const width = images[0].width * columns;
+  const width = Math.max(images[0].width * columns, ...charts.map((chart) => chart.width));
   const height = rows * (images[0].height + head);
-  const canvas = el("canvas", { width, height: height + strip.height + 16 * scale });
+  const gap = 8 * scale;
+  const canvas = el("canvas", { width, height: charts.reduce((sum, chart) => sum + chart.height + gap, height + gap) });
   const ctx = canvas.getContext("2d");
   ctx.fillStyle = colours.ground;
   ctx.fillRect(0, 0, canvas.width, canvas.height);
@@ -73,11 +74,15 @@ function sheet(maps, strip, captions) {
   ctx.textBaseline = "middle";
   ctx.font = `500 ${13 * scale}px ${colours.font}`;
   images.forEach((image, i) => {
-    const x = (i % columns) * image.width;
+    const x = (i % columns) * image.width + Math.round((width - columns * image.width) / 2);
     const y = Math.floor(i / columns) * (image.height + head);
     ctx.fillText(captions[i], x + 12 * scale, y + head / 2, image.width - 24 * scale);
     ctx.drawImage(image, x, y + head);
   });
-  ctx.drawImage(strip, 0, height + 8 * scale, width, strip.height);
+  let y = height + gap;
+  for (const chart of charts) {
+    ctx.drawImage(chart, Math.round((width - chart.width) / 2), y);
+    y += chart.height + gap;
+  }
   return canvas;
 }

@@ -1,4 +1,5 @@
 // Dark and light: the system's choice until the visitor makes one, which is remembered.
+import { forgetPalette } from "./palette.js";
 
 const KEY = "drone-env-theme";
 
@@ -10,6 +11,7 @@ export function mountTheme(context) {
   function apply(theme) {
     document.documentElement.dataset.theme = theme;
     button.setAttribute("aria-label", `Switch to ${other(theme)} colours`);
+    forgetPalette();
     context.emit("theme", theme);
   }
 

@@ -19,12 +19,12 @@ export function mountThinking(root, context) {
   const meter = el("div.confidence-bar", { "aria-hidden": "true" }, el("i"));
   const confidence = el("div.confidence", {}, el("span.gauge-name", { text: "Confidence" }), meter, lead);
   const none = el("p.note", { text: "No network is shipped for this task.", hidden: true });
-  const arrows = el("input", { type: "checkbox", id: "show-arrows", checked: true });
+  const arrows = el("input", { type: "checkbox", id: "show-arrows", checked: true, "aria-label": "Arrows on the map" });
   arrows.addEventListener("change", () => context.emit("arrows", arrows.checked));
   const list = el("ol.q-list", { id: "q-values", "aria-label": "Value of each action" }, ...bars.map(({ node }) => node));
   root.append(
-    el("div.panel-head", {}, el("h2.eyebrow", { text: "What PathQNet thinks here" }),
-      el("label.switch", {}, arrows, el("span", { text: "Arrows on the map" }))),
+    el("div.panel-head", {}, el("h2.eyebrow", { text: "What PathQNet thinks" }),
+      el("label.switch", {}, arrows, el("span", { text: "Arrows" }))),
     list, confidence, none);
 
   function draw() {
