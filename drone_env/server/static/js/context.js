@@ -18,7 +18,10 @@ const RACERS = 4;
  * @property {(event: string, ...args: any[]) => void} emit
  *
  * Events: "view" (name) another view is shown; "theme" (name) the colours have changed; "missions" (players) missions
- * have been started; "ended" (index, EpisodeSummary); "replay" (episode id) asks for the replay of a stored episode.
+ * have been started; "maps" (CityMaps) they are drawn; "ended" (index, EpisodeSummary) one has ended and is stored;
+ * "selected" (index) one of the maps was chosen.
+ * Wishes: "open" (view) another view; "replay" (episode id) the replay of a stored episode; "select" (index) a map;
+ * "explain" (player) what each move of an ended flight gave away; "arrows" (shown) the values of the actions on the maps.
  */
 
 /** @returns {Context} */

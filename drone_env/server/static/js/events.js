@@ -12,7 +12,8 @@ export function mountEvents(root, context) {
   const list = el("ol.events", { id: "events", tabindex: "0", "aria-label": "Messages" });
   const moves = el("div", { hidden: true });
   const heading = el("h2.eyebrow", { text: "Messages" });
-  root.append(el("div.panel-head", {}, heading), list, moves);
+  const explain = el("button.button.small", { type: "button", id: "explain", text: "Annotate the moves", hidden: true, on: { click: () => context.emit("explain", player) } });
+  root.append(el("div.panel-head", {}, heading, explain), list, moves);
   mountMoves(moves, player);
   let written = 0;
 
@@ -26,6 +27,7 @@ export function mountEvents(root, context) {
     const annotated = player.annotation !== null;
     list.hidden = annotated;
     moves.hidden = !annotated;
+    explain.hidden = annotated || !player.episode;
     setText(heading, annotated ? "Moves" : "Messages");
     const { frames } = player;
     const fresh = frames.slice(written);

@@ -9,11 +9,15 @@
 export function fit(root, canvases, resized) {
   const size = { width: 0, height: 0, scale: 1, stop: () => observer.disconnect() };
   const observer = new ResizeObserver(([entry]) => {
-    const { width, height } = entry.contentRect;
+    // Whole pixels: a canvas that were stretched by a fraction would be blurred.
+    const width = Math.floor(entry.contentRect.width);
+    const height = Math.floor(entry.contentRect.height);
     Object.assign(size, { width, height, scale: window.devicePixelRatio || 1 });
     for (const canvas of canvases) {
       canvas.width = Math.round(width * size.scale);
       canvas.height = Math.round(height * size.scale);
+      canvas.style.width = `${width}px`;
+      canvas.style.height = `${height}px`;
     }
     resized();
   });

@@ -130,6 +130,8 @@ export class Fleet extends EventTarget {
       this.start({}, { play: this.playAfterStart });
       return;
     }
+    // What has ended needs no session: it stays as it is.
+    if (this.over) return;
     this.asked = "attach";
     this.context.live.send({ type: "attach", sessions });
   }
@@ -187,7 +189,7 @@ export class Fleet extends EventTarget {
     const asked = this.asked;
     this.asked = null;
     if (asked === "attach" && code === "session_gone") {
-      toast("That mission had ended while the server was away: it starts anew.");
+      toast("The server has ended that mission meanwhile: it starts anew.");
       this.start({}, { play: this.playAfterStart });
       return;
     }

@@ -29,7 +29,7 @@ export function mountInstruments(root, context) {
     const { frame, mission } = player;
     if (!frame) return;
     setText(score, points(frame.score));
-    setText(scoreNote, frame.done ? OUTCOMES[frame.outcome] ?? frame.outcome : "provisional until the end");
+    setText(scoreNote, frame.done ? OUTCOMES[frame.outcome] ?? frame.outcome : "provisional");
     scoreNote.dataset.outcome = frame.outcome;
     setText(possible.value, points(frame.value));
     setText(lost.value, points(frame.regret));

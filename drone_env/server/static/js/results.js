@@ -9,8 +9,8 @@ const CYCLE = "drone-env-cycle";
 /** The weights of the efficiency, as the server's schema has them: only how wide the parts of the bar are. */
 const PARTS = [["Parcels", 75], ["Battery left", 15], ["Steps left", 10]];
 
-/** @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet @param {(player) => void} look */
-export function mountResults(context, fleet, look) {
+/** @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
+export function mountResults(context, fleet) {
   const dialog = document.getElementById("results");
   let timer = 0;
   let landing = 0;
@@ -52,7 +52,7 @@ export function mountResults(context, fleet, look) {
       el("label.switch", {}, cycle, el("span", { text: "Go on to the next level by itself" })),
       el("div.dialog-actions", {}, nextButton,
         el("button.button", { type: "button", text: "Fly again", on: { click: () => fleet.start({}, { play: true }) } }),
-        el("button.button", { type: "button", text: "Look at the flight", on: { click: () => { dialog.close(); look(player); } } }),
+        el("button.button", { type: "button", text: "Look at the flight", on: { click: () => { dialog.close(); context.emit("explain", player); } } }),
         el("button.button.quiet", { type: "button", text: "Close", on: { click: () => dialog.close() } })),
       countdown);
     if (!dialog.open) dialog.showModal();
@@ -132,7 +132,7 @@ function trend(value) {
 function actionBar(distribution) {
   const parts = Object.entries(distribution);
   return el("div.actions-bar", {}, ...parts.map(([action, share]) => el("div.action-part", { style: { "--share": String(share) } },
-    el("i", { "aria-hidden": "true" }), el("span", { text: action }), el("span", { text: percent(share) }))));
+    el("i", { "aria-hidden": "true" }), el("span", { text: `${action} ` }), el("span", { text: percent(share) }))));
 }
 
 function cycles() {

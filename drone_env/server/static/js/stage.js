@@ -47,8 +47,9 @@ export function mountStage(context) {
   const help = mountHelp();
   mountKeys(context, fleet, { help });
   mountGhost(context, deck);
-  mountResults(context, fleet, (player) => explain(context, player));
+  mountResults(context, fleet);
 
+  context.on("explain", (player) => explain(context, player));
   context.on("select", (i) => deck.select(i));
   context.on("arrows", (shown) => deck.maps.forEach((map) => { map.showValues = shown; }));
   context.on("maps", (maps) => maps.forEach((map) => { map.showValues = part("show-arrows").checked; }));
