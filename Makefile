@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check verify bench bench-training evidence docs-data format clean
+.PHONY: demo test check verify bench bench-training bench-dashboard evidence docs-data screenshots format clean
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -50,6 +50,10 @@ bench: .venv/.base
 bench-training: .venv/.dev
 	$(BIN)/python benchmarks/training.py $(ARGS)
 
+# Frames, first paint and weight of the dashboard, in the system's chromium.
+bench-dashboard: .venv/.dev
+	$(BIN)/python benchmarks/dashboard.py $(ARGS)
+
 # Train all standard tasks with three seeds each and fly the test maps; takes an hour, and goes on where it was stopped.
 evidence: .venv/.dev
 	$(BIN)/python benchmarks/training_runs.py $(ARGS)
@@ -57,6 +61,10 @@ evidence: .venv/.dev
 # The generated pages, tables and pictures of docs/; takes minutes.
 docs-data: .venv/.base
 	$(BIN)/python docs/generate.py
+
+# The pictures of the dashboard in docs/images, taken in the system's chromium.
+screenshots: .venv/.dev
+	$(BIN)/python docs/screenshots.py
 
 format: .venv/.dev
 	$(BIN)/ruff check --fix .

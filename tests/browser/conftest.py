@@ -4,7 +4,7 @@ from collections.abc import Generator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, Page, expect
 
 from tests.api.serving import Server, serving
 from tests.browser.flights import fill, flown
@@ -43,6 +43,34 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def server(data: Path) -> Generator[Server, None, None]:
     with serving(data) as running:
         yield running
+
+
+@pytest.fixture(scope="package")
+def shared(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
+    """The tabs of `page`; a test names the complaints there that it brings about itself."""
+    opened = Tabs(browser, server.url)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture(scope="package")
+def loaded(shared: Tabs) -> Page:
+    return shared.open("/#specs")
+
+
+@pytest.fixture
+def page(loaded: Page, shared: Tabs) -> Generator[Page, None, None]:
+    """A page that other tests have used: loading one takes longer than most of what is done in it.
+
+    It does not go on to the next level by itself.
+    """
+    shared.forget()
+    loaded.evaluate(
+        "localStorage.clear(); localStorage.setItem('drone-env-cycle', 'off');"
+        "document.querySelectorAll('dialog[open]').forEach(one => one.close())"
+    )
+    yield loaded
+    assert shared.unexpected() == []
 
 
 @pytest.fixture

@@ -10,6 +10,11 @@ FASTEST = "8"
 """The last notch of the slider: 60 steps per second."""
 
 
+def view(page: Page, name: str) -> None:
+    """Go to a view by its link above."""
+    page.get_by_role("navigation", name="Views").get_by_role("link", name=name, exact=True).click()
+
+
 def fastest(page: Page) -> None:
     page.get_by_role("slider", name="Speed").fill(FASTEST)
 

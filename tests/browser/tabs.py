@@ -61,6 +61,7 @@ class Tabs:
     def _new_context(self, **options: Any) -> BrowserContext:
         options.setdefault("viewport", WIDE)
         options.setdefault("color_scheme", "dark")
+        options.setdefault("reduced_motion", "no-preference")
         context = self.browser.new_context(base_url=self.url, **options)
         context.set_default_timeout(PATIENCE_MS)
         self._contexts.append(context)
@@ -69,6 +70,11 @@ class Tabs:
     def expect(self, pattern: str) -> None:
         """Complaints that match are what the test brings about itself."""
         self._expected.append(re.compile(pattern))
+
+    def forget(self) -> None:
+        """Begin anew, for another test."""
+        self.complaints.clear()
+        self._expected.clear()
 
     def unexpected(self) -> list[str]:
         """What the pages complained of, less what was to be expected."""

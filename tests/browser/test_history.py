@@ -10,8 +10,7 @@ from drone_env.episodes.store import Store
 from tests.api.serving import Server
 from tests.browser.conftest import SEEDS
 from tests.browser.flights import flown
-from tests.browser.stage import fixed, percent, points
-from tests.browser.tabs import Tabs
+from tests.browser.stage import fixed, percent, points, view
 
 CHARTS = ("Reward", "Success, last 20 episodes", "Actions", "Regret")
 
@@ -45,9 +44,8 @@ def drawn(page: Page, chart: str) -> int:
     )
 
 
-def test_it_lists_filters_and_pages_what_the_store_has(tabs: Tabs, server: Server) -> None:
-    page = tabs.open("/")
-    page.get_by_role("link", name="History").click()
+def test_it_lists_filters_and_pages_what_the_store_has(page: Page, server: Server) -> None:
+    view(page, "History")
     page.get_by_role("combobox", name="Task").select_option("easy")
     page.get_by_role("combobox", name="Agent").select_option("greedy")
     rows = page.locator("tr[data-episode]")
@@ -67,8 +65,8 @@ def test_it_lists_filters_and_pages_what_the_store_has(tabs: Tabs, server: Serve
     expect(page.get_by_role("button", name="Newer")).to_be_disabled()
 
 
-def test_the_charts_draw_and_say_what_the_server_counts_in_both_themes(tabs: Tabs, server: Server) -> None:
-    page = tabs.open("/#history")
+def test_the_charts_draw_and_say_what_the_server_counts_in_both_themes(page: Page, server: Server) -> None:
+    view(page, "History")
     page.get_by_role("combobox", name="Task").select_option("easy")
     analysis = httpx.get(f"{server.url}/analyse/easy").json()
     charts = page.get_by_role("region", name="Charts")
@@ -80,11 +78,12 @@ def test_the_charts_draw_and_say_what_the_server_counts_in_both_themes(tabs: Tab
     assert min(dark.values()) > 50, dark
     page.get_by_role("button", name=re.compile("light colours")).click()
     light = {chart: drawn(page, chart) for chart in CHARTS}
+    page.get_by_role("button", name=re.compile("dark colours")).click()
     assert min(light.values()) > 50, light
 
 
-def test_a_chart_can_be_saved_and_a_click_in_it_replays(tabs: Tabs) -> None:
-    page = tabs.open("/#history")
+def test_a_chart_can_be_saved_and_a_click_in_it_replays(page: Page) -> None:
+    view(page, "History")
     page.get_by_role("combobox", name="Task").select_option("easy")
     with page.expect_download() as saved:
         page.get_by_role("button", name='Save the chart "Reward" as PNG').click()
@@ -95,9 +94,10 @@ def test_a_chart_can_be_saved_and_a_click_in_it_replays(tabs: Tabs) -> None:
     expect(page.get_by_role("heading", name=re.compile(r"Easy Delivery, map \d+, flown by"))).to_be_visible()
 
 
-def test_a_click_on_an_episode_replays_it(tabs: Tabs, server: Server) -> None:
-    page = tabs.open("/#history")
+def test_a_click_on_an_episode_replays_it(page: Page, server: Server) -> None:
+    view(page, "History")
     page.get_by_role("combobox", name="Task").select_option("medium")
+    page.get_by_role("combobox", name="Agent").select_option("greedy")
     episode = listed(server, task="medium", agent="greedy")[0]
     page.locator(f"tr[data-episode='{episode['id']}']").get_by_role("button", name="Replay").click()
     heading = f"Medium Delivery, map {episode['seed']}, flown by {episode['agent']}"
@@ -106,9 +106,10 @@ def test_a_click_on_an_episode_replays_it(tabs: Tabs, server: Server) -> None:
     expect(page.get_by_role("slider", name="Step of the flight")).to_have_attribute("max", str(episode["steps"]))
 
 
-def test_an_episode_that_ends_elsewhere_appears_by_itself(tabs: Tabs, server: Server) -> None:
-    page = tabs.open("/#history")
+def test_an_episode_that_ends_elsewhere_appears_by_itself(page: Page, server: Server) -> None:
+    view(page, "History")
     page.get_by_role("combobox", name="Task").select_option("hard")
+    page.get_by_role("combobox", name="Agent").select_option("")
     expect(page.get_by_text("No episode yet").or_(page.locator("tr[data-episode]").first)).to_be_visible()
     with Store(server.data) as store:
         new = store.add_episode(flown("hard", SEEDS, "greedy", label="elsewhere"))

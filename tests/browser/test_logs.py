@@ -3,25 +3,24 @@
 from pathlib import Path
 
 import httpx
-from playwright.sync_api import expect
+from playwright.sync_api import Page, expect
 
 from drone_env.client import DroneEnvClient
 from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, TRAINING
-from tests.browser.tabs import Tabs
+from tests.browser.stage import view
 
 
-def test_requests_appear_as_they_are_answered(tabs: Tabs, server: Server) -> None:
-    page = tabs.open("/")
-    page.get_by_role("link", name="Logs").click()
+def test_requests_appear_as_they_are_answered(page: Page, server: Server) -> None:
+    view(page, "Logs")
     log = page.get_by_role("log", name="Requests")
     expect(log).to_contain_text("GET /tasks 200")
     httpx.get(f"{server.url}/grade/nowhere")
     expect(log.get_by_text("/grade/nowhere")).to_have_count(1)
 
 
-def test_training_lines_appear_as_they_are_written(tabs: Tabs, data: Path) -> None:
-    page = tabs.open("/#logs")
+def test_training_lines_appear_as_they_are_written(page: Page, data: Path) -> None:
+    view(page, "Logs")
     log = page.get_by_role("log", name="Training")
     for line in TRAINING:
         expect(log.get_by_text(line, exact=True)).to_be_visible()
@@ -31,8 +30,8 @@ def test_training_lines_appear_as_they_are_written(tabs: Tabs, data: Path) -> No
     assert MARKUP in log.inner_text()
 
 
-def test_missions_that_end_appear_and_can_be_replayed(tabs: Tabs, server: Server) -> None:
-    page = tabs.open("/#logs")
+def test_missions_that_end_appear_and_can_be_replayed(page: Page, server: Server) -> None:
+    view(page, "Logs")
     log = page.get_by_role("log", name="Missions")
     expect(log.get_by_role("listitem").first).to_be_visible()
     with DroneEnvClient(server.url) as client:

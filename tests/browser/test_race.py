@@ -1,19 +1,18 @@
 """Races: several pilots on the same map, live and annotated."""
 
 import httpx
-from playwright.sync_api import expect
+from playwright.sync_api import Page, expect
 
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames
 from tests.browser.stage import fly, points
-from tests.browser.tabs import Tabs
 
 NAMES = {"pathqnet": "PathQNet", "greedy": "Greedy", "optimal": "Optimal", "random": "Random"}
 
 
-def test_four_race_on_one_map_and_stand_as_their_agents_fly(tabs: Tabs, server: Server) -> None:
+def test_four_race_on_one_map_and_stand_as_their_agents_fly(page: Page, server: Server) -> None:
     flights = {agent: frames(server.url, flown("medium", 7, agent)) for agent in NAMES}
-    page = tabs.open(f"/?task=medium&seed=7&pilots={','.join(NAMES)}")
+    page.goto(f"/?task=medium&seed=7&pilots={','.join(NAMES)}")
     expect(page.locator("#maps figure")).to_have_count(4)
     fly(page)
     rows = page.locator("#standings tbody tr")
@@ -28,8 +27,8 @@ def test_four_race_on_one_map_and_stand_as_their_agents_fly(tabs: Tabs, server: 
     expect(page.locator("#race-note")).to_contain_text(f"The optimum of this map is {points(optimum)}")
 
 
-def test_afterwards_each_flight_is_annotated_beside_the_ghost_of_a_best_one(tabs: Tabs, server: Server) -> None:
-    page = tabs.open("/?task=easy&seed=40&pilots=random,greedy")
+def test_afterwards_each_flight_is_annotated_beside_the_ghost_of_a_best_one(page: Page, server: Server) -> None:
+    page.goto("/?task=easy&seed=40&pilots=random,greedy")
     fly(page)
     episode = {}
     expect(page.get_by_role("button", name="Fly again")).to_be_visible(timeout=20_000)
@@ -53,8 +52,8 @@ def test_afterwards_each_flight_is_annotated_beside_the_ghost_of_a_best_one(tabs
     assert flight.evaluate("canvas => canvas.toDataURL()") != with_ghost
 
 
-def test_who_races_is_chosen_with_two_to_four_boxes(tabs: Tabs) -> None:
-    page = tabs.open("/?task=easy&seed=5&pilot=greedy")
+def test_who_races_is_chosen_with_two_to_four_boxes(page: Page) -> None:
+    page.goto("/?task=easy&seed=5&pilot=greedy")
     page.get_by_role("link", name="Race", exact=True).click()
     expect(page.locator("#maps figure")).to_have_count(4)
     expect(page.get_by_role("checkbox", name="You")).to_be_disabled()

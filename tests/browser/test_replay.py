@@ -12,7 +12,7 @@ from playwright.sync_api import Locator, Page, expect
 from drone_env.episodes.record import EpisodeRecord, parse_record
 from tests.api.serving import Server
 from tests.browser.flights import flown
-from tests.browser.stage import fixed, points
+from tests.browser.stage import fixed, points, view
 from tests.browser.tabs import Tabs
 
 
@@ -47,11 +47,11 @@ def dropped(page: Page, name: str, text: str) -> None:
         page.dispatch_event("main", event, {"dataTransfer": transfer})
 
 
-def test_an_episode_replays_from_its_link_with_slider_and_steps(tabs: Tabs, server: Server) -> None:
+def test_an_episode_replays_from_its_link_with_slider_and_steps(page: Page, server: Server) -> None:
     episode = httpx.get(f"{server.url}/episodes", params={"task": "medium", "agent": "greedy"}).json()["episodes"][0]
     record = parse_record(httpx.get(f"{server.url}/episodes/{episode['id']}").content, "it")
     frames = posted(server, "replay", record)["frames"]
-    page = tabs.open(f"/?episode={episode['id']}")
+    page.goto(f"/?episode={episode['id']}")
     where = page.locator("#replay-step")
     expect(where).to_contain_text(f"Step 0 of {episode['steps']}")
     page.get_by_role("button", name="Step forward").click()
@@ -66,8 +66,8 @@ def test_an_episode_replays_from_its_link_with_slider_and_steps(tabs: Tabs, serv
     assert facts(page)["Score"] == points(episode["score"])
 
 
-def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(tabs: Tabs, record: EpisodeRecord) -> None:
-    page = tabs.open("/#replay")
+def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(page: Page, record: EpisodeRecord) -> None:
+    view(page, "Replay")
     dropped(page, "flight.json", record.to_json(2))
     page.get_by_role("combobox", name="Speed").select_option("30")
     page.get_by_role("button", name="Play").click()
@@ -88,11 +88,11 @@ def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(tabs: Tabs, record: 
         expect(slider(page)).to_have_value(str(step))
 
 
-def test_the_moves_are_annotated_and_jump_to_their_step(tabs: Tabs, server: Server, record: EpisodeRecord) -> None:
+def test_the_moves_are_annotated_and_jump_to_their_step(page: Page, server: Server, record: EpisodeRecord) -> None:
     annotation = posted(server, "annotate", record)
     marked = [move for move in annotation["moves"] if move["mark"]]
     assert marked, "a flight at random must have given something away"
-    page = tabs.open("/#replay")
+    view(page, "Replay")
     dropped(page, "flight.json", record.to_json())
     moves = page.locator(".replay-moves")
     expect(moves.get_by_role("button")).to_have_count(len(annotation["moves"]))
@@ -108,11 +108,11 @@ def test_the_moves_are_annotated_and_jump_to_their_step(tabs: Tabs, server: Serv
     expect(slider(page)).to_have_value(str(move["step"]))
 
 
-def test_a_file_with_several_flights_offers_them(tabs: Tabs, tmp_path: Path) -> None:
+def test_a_file_with_several_flights_offers_them(page: Page, tmp_path: Path) -> None:
     flights = [flown("easy", 1, "greedy"), flown("medium", 2, "greedy"), flown("easy", 3, "optimal")]
     file = tmp_path / "flights.jsonl"
     file.write_text("".join(flight.to_json() + "\n" for flight in flights), encoding="utf-8")
-    page = tabs.open("/#replay")
+    view(page, "Replay")
     page.get_by_label("Open a file…").set_input_files(file)
     choice = page.get_by_role("combobox", name="Flight", exact=True)
     expect(choice.locator("option")).to_have_count(3)
@@ -121,16 +121,17 @@ def test_a_file_with_several_flights_offers_them(tabs: Tabs, tmp_path: Path) -> 
     expect(slider(page)).to_have_attribute("max", str(len(flights[1].actions)))
 
 
-def test_the_record_that_is_downloaded_is_the_record(tabs: Tabs, record: EpisodeRecord) -> None:
-    page = tabs.open("/#replay")
+def test_the_record_that_is_downloaded_is_the_record(page: Page, record: EpisodeRecord) -> None:
+    view(page, "Replay")
     dropped(page, "flight.json", record.to_json())
+    expect(page.get_by_role("heading", name="Easy Delivery, map 21, flown by me")).to_be_visible()
     with page.expect_download() as saved:
         page.get_by_role("button", name="Download record").click()
     assert saved.value.suggested_filename == "easy_delivery-21-me.json"
     assert parse_record(saved.value.path().read_bytes(), "it") == record
 
 
-def test_an_unfinished_flight_replays_without_annotation(tabs: Tabs, record: EpisodeRecord) -> None:
+def test_an_unfinished_flight_replays_without_annotation(page: Page, record: EpisodeRecord) -> None:
     from drone_env.core.actions import Action
     from drone_env.core.state_manager import Episode
     from drone_env.episodes.record import record_of
@@ -138,15 +139,15 @@ def test_an_unfinished_flight_replays_without_annotation(tabs: Tabs, record: Epi
     episode = Episode("easy", "tiered")
     episode.reset(5)
     episode.step(Action.UP)
-    page = tabs.open("/#replay")
+    view(page, "Replay")
     dropped(page, "flight.json", record_of(episode, "me").to_json())
     expect(page.get_by_text("This flight did not end")).to_be_visible()
     assert facts(page)["Outcome"] == "In flight"
 
 
-def test_bad_files_are_refused_in_words(tabs: Tabs, record: EpisodeRecord) -> None:
-    tabs.expect("422")
-    page = tabs.open("/#replay")
+def test_bad_files_are_refused_in_words(page: Page, shared: Tabs, record: EpisodeRecord) -> None:
+    shared.expect("422")
+    view(page, "Replay")
     problem = page.locator("#replay").get_by_role("alert")
     forged = json.loads(record.to_json()) | {"score": 0.99}
     for name, text, says in (
@@ -164,7 +165,7 @@ def test_bad_files_are_refused_in_words(tabs: Tabs, record: EpisodeRecord) -> No
     expect(problem).to_be_hidden()
 
 
-def test_a_link_to_no_episode_says_so(tabs: Tabs) -> None:
-    tabs.expect("404")
-    page = tabs.open("/?episode=nothing")
+def test_a_link_to_no_episode_says_so(page: Page, shared: Tabs) -> None:
+    shared.expect("404")
+    page.goto("/?episode=nothing")
     expect(page.locator("#replay").get_by_role("alert")).to_contain_text("nothing")

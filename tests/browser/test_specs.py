@@ -4,7 +4,7 @@ import httpx
 from playwright.sync_api import Page, expect
 
 from tests.api.serving import Server
-from tests.browser.tabs import Tabs
+from tests.browser.stage import view
 
 
 def table(page: Page, name: str) -> dict[str, list[str]]:
@@ -15,10 +15,9 @@ def table(page: Page, name: str) -> dict[str, list[str]]:
     return {row[0]: row[1:] for row in rows}
 
 
-def test_the_levels_stand_side_by_side_as_the_server_tells_them(tabs: Tabs, server: Server) -> None:
+def test_the_levels_stand_side_by_side_as_the_server_tells_them(page: Page, server: Server) -> None:
     tasks = httpx.get(f"{server.url}/tasks").json()["tasks"]
-    page = tabs.open("/")
-    page.get_by_role("link", name="Specifications").click()
+    view(page, "Specifications")
     for family, published in (("Delivery", True), ("Skyline", False)):
         page.get_by_role("radio", name=family).check()
         shown = table(page, f"Technical specifications of the {family} levels")
@@ -40,8 +39,9 @@ def test_the_levels_stand_side_by_side_as_the_server_tells_them(tabs: Tabs, serv
     assert "Charging pads" in shown
 
 
-def test_the_legend_tells_what_each_kind_of_cell_does(tabs: Tabs, server: Server) -> None:
+def test_the_legend_tells_what_each_kind_of_cell_does(page: Page, server: Server) -> None:
     kinds = httpx.get(f"{server.url}/kinds").json()["kinds"]
-    legend = tabs.open("/#specs").get_by_role("region", name="Legend")
+    view(page, "Specifications")
+    legend = page.get_by_role("region", name="Legend")
     expect(legend.locator("dt")).to_have_text([f"{kind['emoji']}{kind['name']}" for kind in kinds])
     expect(legend.locator("dd")).to_have_text([kind["effect"] for kind in kinds])
