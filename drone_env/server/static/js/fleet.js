@@ -142,7 +142,6 @@ export class Fleet extends EventTarget {
   }
 
   begin({ missions, playing, speed }) {
-    const again = this.asked === "attach";
     this.asked = null;
     const { players } = this.context;
     players.forEach((player, i) => {
@@ -156,7 +155,7 @@ export class Fleet extends EventTarget {
     this.speed = playing ? speed : this.speed;
     this.setPlaying(playing, this.speed);
     this.tell("setup");
-    this.context.emit("missions", this.active, again);
+    this.context.emit("missions", this.active);
     if (this.playAfterStart && !playing) this.play();
     this.playAfterStart = false;
   }

@@ -1,4 +1,4 @@
-// Dark and light: the system's choice until the visitor makes one, which is remembered.
+// Dark and light: the system's choice until the visitor makes one, which is remembered. first_theme.js has set it.
 import { forgetPalette } from "./palette.js";
 
 const KEY = "drone-env-theme";
@@ -21,7 +21,7 @@ export function mountTheme(context) {
     apply(theme);
   });
   system.addEventListener("change", () => kept() ?? apply(system.matches ? "light" : "dark"));
-  apply(kept() ?? (system.matches ? "light" : "dark"));
+  apply(document.documentElement.dataset.theme);
 }
 
 const other = (theme) => (theme === "dark" ? "light" : "dark");

@@ -13,9 +13,18 @@ export function mountTimeline(root, context, { label, seek }) {
   const canvas = el("canvas.timeline-strip", { "aria-hidden": "true" });
   const slider = el("input.timeline-slider", { type: "range", min: "0", max: "0", step: "1", value: "0", "aria-label": label });
   slider.addEventListener("input", () => seek(Number(slider.value)));
+  slider.addEventListener("pointermove", (event) => {
+    slider.title = tip(Math.round((event.offsetX / slider.clientWidth) * Number(slider.max)));
+  });
   root.classList.add("timeline");
   root.append(canvas, slider);
   let players = [];
+
+  /** What happened in a step: that of the first flight that has it. */
+  function tip(step) {
+    const frame = players.find((player) => player.frames[step])?.frames[step];
+    return frame ? `Step ${step}: ${frame.message}` : "";
+  }
 
   function draw() {
     const ctx = cleared(canvas, size);
