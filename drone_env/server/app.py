@@ -190,6 +190,8 @@ def run(host: str, port: int, workers: int, data: str) -> None:
         ws_max_size=settings.max_bytes,
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=5,
+        # A caller that thinks for longer than the usual 5 s would find its connection closed under its next request.
+        timeout_keep_alive=75,
         # After 5 s uvicorn would kill a worker that is merely slow, with its sockets, and without a word at this level.
         timeout_worker_healthcheck=60,
     )
