@@ -112,7 +112,7 @@ async function analyse({ api }, mission, root) {
   try {
     const a = await api.get(`analyse/${encodeURIComponent(mission.task)}`);
     root.replaceChildren(
-      el("h3", { text: `All ${a.episodes} flights of ${title(mission.short_name)} here` }),
+      el("h3", { text: `${a.episodes === 1 ? "The only flight" : `All ${a.episodes} flights`} of ${title(mission.short_name)} here` }),
       el("dl.numbers", {}, ...[
         ["Success rate", percent(a.success_rate)], ["Success trend", trend(a.success_trend)], ["Mean score", points(a.average_score)],
         ["Mean reward", fixed(a.average_reward, 2)], ["Mean steps", fixed(a.average_steps, 1)], ["Mean given away", points(a.mean_regret)],
