@@ -78,6 +78,8 @@ def race(tabs: Tabs) -> None:
     expect(page.get_by_role("button", name="Fly again")).to_be_visible(timeout=60_000)
     page.locator("#standings").get_by_role("button", name="Greedy").click()
     expect(page.get_by_role("button", name="Step 1, ")).to_be_visible(timeout=60_000)
+    # The other flights are annotated meanwhile.
+    page.wait_for_timeout(2000)
     save(page, "race")
 
 

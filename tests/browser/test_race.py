@@ -42,7 +42,7 @@ def test_afterwards_each_flight_is_annotated_beside_the_ghost_of_a_best_one(page
         expect(moves.get_by_role("button")).to_have_count(len(annotation["moves"]))
         for label, count in annotation["counts"].items():
             expect(moves.locator(f"button[data-label={label}]")).to_have_count(count)
-    ghost = page.get_by_role("checkbox", name="Ghost on the best flight")
+    ghost = page.get_by_role("checkbox", name="Best flight")
     expect(ghost).to_be_checked()
     flight = page.locator("#maps figure").first.locator("canvas").last
     page.wait_for_timeout(200)

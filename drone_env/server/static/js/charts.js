@@ -123,7 +123,7 @@ export class Chart {
         {
           ...axis, size: 32, grid: { show: false },
           splits: bars ? () => this.names.map((_, i) => i) : undefined,
-          values: (_, splits) => (bars ? this.names : splits.map((at) => (Number.isInteger(at) ? String(at) : ""))),
+          values: (_, splits) => (bars ? this.names : splits.map((at) => (Number.isInteger(at) && at > 0 ? String(at) : ""))),
         },
         { ...axis, size: 56, values: (_, splits) => splits.map(format) },
       ],
