@@ -9,6 +9,7 @@ const LABELS = { best: "best", good: "good", inaccuracy: "inaccuracies", mistake
 /**
  * @param {HTMLElement} root Filled with the list.
  * @param {import("./player.js").Player} player Its `annotation` is listed; a click on a move seeks there.
+ * @returns {() => void} Draws it anew, with the move that is shown in sight: for a list that was hidden.
  */
 export function mountMoves(root, player) {
   const summary = el("div.accuracy");
@@ -59,6 +60,7 @@ export function mountMoves(root, player) {
 
   player.addEventListener("change", () => nextFrame(draw));
   draw();
+  return draw;
 }
 
 function counts(annotation) {

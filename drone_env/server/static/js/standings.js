@@ -5,6 +5,8 @@ import { nextFrame } from "./loop.js";
 import { mountMoves } from "./moves.js";
 import { mountRaceChart } from "./race_chart.js";
 
+const NAMES = new Intl.ListFormat("en");
+
 /**
  * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
  * @returns {HTMLCanvasElement} The chart of what has been given away.
@@ -33,16 +35,21 @@ export function mountStandings(root, context, fleet) {
   const chart = el("figure.race-chart");
   root.append(el("div.panel-head", {}, el("h2.eyebrow", { text: "Standings" })), table, note, chart, moves);
   const canvas = mountRaceChart(chart, context, fleet);
-  const lists = context.players.map((player) => {
-    const list = el("div.race-list", { hidden: true });
-    mountMoves(list, player);
-    moves.append(list);
-    return list;
-  });
+  let lists = [];
   let rows = [];
   let selected = 0;
 
+  /** Not before the first race: who only watches needs none of them. */
+  function mountLists() {
+    lists = context.players.map((player) => {
+      const node = el("div.race-list", { hidden: true });
+      moves.append(node);
+      return { node, drawMoves: mountMoves(node, player) };
+    });
+  }
+
   function build(players) {
+    if (players.length > 1 && !lists.length) mountLists();
     rows = players.map((player, i) => {
       const cells = Array.from({ length: 4 }, () => el("td.num"));
       const name = el(
@@ -72,8 +79,11 @@ export function mountStandings(root, context, fleet) {
       node.dataset.outcome = frame.outcome;
       node.classList.toggle("selected", i === selected);
     }
-    lists.forEach((list, i) => {
-      list.hidden = i !== selected || !context.players[i].annotation;
+    lists.forEach(({ node, drawMoves }, i) => {
+      const hidden = i !== selected || !context.players[i].annotation;
+      if (hidden === node.hidden) return;
+      node.hidden = hidden;
+      if (!hidden) drawMoves();
     });
     setText(note, words());
   }
@@ -89,7 +99,7 @@ export function mountStandings(root, context, fleet) {
       .filter((player) => player.last.score === top)
       .map((player) => fleet.pilot(player.mission.pilot).name);
     const outcome = OUTCOMES[fleet.active.find((player) => player.last.score === top).last.outcome];
-    return `${winners.join(" and ")} ${winners.length > 1 ? "tie" : "wins"} with ${points(top)}: ${outcome.toLowerCase()}.${best}`;
+    return `${NAMES.format(winners)} ${winners.length > 1 ? "tie" : "wins"} with ${points(top)}: ${outcome.toLowerCase()}.${best}`;
   }
 
   context.on("missions", build);
