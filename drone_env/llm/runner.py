@@ -19,7 +19,7 @@ from drone_env.llm.config import RunConfig
 from drone_env.llm.endpoint import Endpoint
 from drone_env.llm.image import ServerFlight
 from drone_env.llm.limits import Limits, Prices, Spending
-from drone_env.llm.pilot import Flight, fly
+from drone_env.llm.pilot import Flight, fly, mission_of
 from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
 from drone_env.llm.transcript import Transcript
 
@@ -133,7 +133,7 @@ async def run(
             """Whether to go on with the next one."""
             server = None if options.server is None else ServerFlight(options.server)
             try:
-                flight = await fly(config, prompt, index, caller.ask, server)
+                flight = await fly(mission_of(config, index), prompt, caller.ask, server)
             except StoppedError:
                 return False
             finally:

@@ -24,7 +24,12 @@ class InferenceSettings(BaseSettings):
     """What can be configured. Each field is read from the variable of its name in capitals."""
 
     model_config = SettingsConfigDict(
-        env_file=".env", env_file_encoding="utf-8", env_ignore_empty=True, frozen=True, extra="ignore"
+        env_file=".env",
+        env_file_encoding="utf-8",
+        env_ignore_empty=True,
+        frozen=True,
+        extra="ignore",
+        protected_namespaces=(),
     )
 
     hf_token: SecretStr | None = Field(default=None, description="Token for Hugging Face; sent to its hosts alone.")

@@ -9,7 +9,7 @@ from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig
 from drone_env.llm.limits import LimitReachedError
-from drone_env.llm.pilot import CallFailedError, Flight, fly
+from drone_env.llm.pilot import CallFailedError, Flight, fly, mission_of
 from drone_env.llm.prompt import ChatMessage
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
 from drone_env.llm.transcript import Call, CallKey, read_calls
@@ -93,4 +93,4 @@ async def _flown_again(
             raise LimitReachedError(result.error or "")
         raise InvalidValueError(f"call {key} has no answer, but the flight is said to be finished")
 
-    return await fly(config, config.load_prompt(), result.flight, ask)
+    return await fly(mission_of(config, result.flight), config.load_prompt(), ask)
