@@ -24,9 +24,9 @@ from drone_env.planning.optimal import best_of
 
 try:
     import anyio
-    from inspect_ai import Task, task
-    from inspect_ai.dataset import MemoryDataset, Sample
-    from inspect_ai.model import (
+    from inspect_ai import Task, task  # pyright: ignore[reportMissingImports]
+    from inspect_ai.dataset import MemoryDataset, Sample  # pyright: ignore[reportMissingImports]
+    from inspect_ai.model import (  # pyright: ignore[reportMissingImports]
         ChatMessageAssistant,
         ChatMessageSystem,
         ChatMessageUser,
@@ -34,9 +34,9 @@ try:
         ModelOutput,
         get_model,
     )
-    from inspect_ai.scorer import Score, Scorer, Target, mean, scorer, stderr
-    from inspect_ai.solver import Generate, Solver, TaskState, solver
-    from inspect_ai.util import LimitExceededError
+    from inspect_ai.scorer import Score, Scorer, Target, mean, scorer, stderr  # pyright: ignore[reportMissingImports]
+    from inspect_ai.solver import Generate, Solver, TaskState, solver  # pyright: ignore[reportMissingImports]
+    from inspect_ai.util import LimitExceededError  # pyright: ignore[reportMissingImports]
 except ModuleNotFoundError as error:
     if error.name not in ("anyio", "inspect_ai"):
         raise
@@ -169,7 +169,9 @@ def _inspects(message: ChatMessage) -> ChatMessageSystem | ChatMessageUser | Cha
 
 def _answer(output: ModelOutput) -> Answer:
     content = output.message.content if output.choices else ""
-    thoughts = [part.text for part in content if isinstance(part, ContentReasoning)] if isinstance(content, list) else []
+    thoughts = (
+        [part.text for part in content if isinstance(part, ContentReasoning)] if isinstance(content, list) else []
+    )
     return Answer(
         text=output.completion,
         reasoning="\n".join(thoughts) or None,

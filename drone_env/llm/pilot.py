@@ -2,7 +2,7 @@
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
@@ -20,7 +20,8 @@ Ask = Callable[[CallKey, list[ChatMessage]], Awaitable[Answer]]
 Status = Literal["finished", "errored", "budget_stop"]
 
 
-class Mission(NamedTuple):
+@dataclass(frozen=True)
+class Mission:
     """What is to be flown.
 
     Attributes:

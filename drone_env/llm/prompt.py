@@ -66,6 +66,11 @@ class Prompt:
     repair: str
     digest: str
 
+    @property
+    def tells_history(self) -> bool:
+        """Whether it has a place for the last steps."""
+        return "{history}" in self.user
+
 
 @dataclass(frozen=True)
 class Flown:

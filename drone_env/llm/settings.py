@@ -48,10 +48,12 @@ def load_settings() -> InferenceSettings:
     """The settings from the environment and `.env` of the working folder.
 
     Raises:
-        InvalidValueError: if a variable has a value that it cannot have; the message names it.
+        InvalidValueError: if a variable has a value that it cannot have, or `.env` is no text; the message says which.
     """
     try:
         return InferenceSettings()
+    except UnicodeDecodeError as error:
+        raise InvalidValueError(f".env is not UTF-8 text: {error.reason} at byte {error.start}") from None
     except ValidationError as error:
         wrong = "; ".join(f"{str(e['loc'][0]).upper()}: {e['msg']}" for e in error.errors())
         raise InvalidValueError(wrong) from None

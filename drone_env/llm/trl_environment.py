@@ -1,14 +1,14 @@
 """The drone as an environment of TRL's GRPOTrainer: the model flies by calling the tool `fly`.
 
-    from trl import GRPOConfig, GRPOTrainer
-    from drone_env.llm.trl_environment import DroneEnvironment, training_maps
+from trl import GRPOConfig, GRPOTrainer
+from drone_env.llm.trl_environment import DroneEnvironment, training_maps
 
-    trainer = GRPOTrainer(
-        model="Qwen/Qwen3-0.6B",
-        train_dataset=training_maps("easy", maps=1000),
-        environment_factory=DroneEnvironment,
-        args=GRPOConfig(max_completion_length=4096, num_generations=8),
-    )
+trainer = GRPOTrainer(
+    model="Qwen/Qwen3-0.6B",
+    train_dataset=training_maps("easy", maps=1000),
+    environment_factory=DroneEnvironment,
+    args=GRPOConfig(max_completion_length=4096, num_generations=8),
+)
 """
 
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ from drone_env.llm.prompt import FOLDER, first_messages, read_prompt, repair_tex
 from drone_env.models import Direction, DroneObservation
 
 if TYPE_CHECKING:
-    from datasets import Dataset
+    from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
 
 PROMPT = read_prompt(FOLDER / "tools" / "fly-1.toml")
 STEP = "Position: ({x}, {y}). Battery: {battery} units. Nearest parcel: {target}. Delivered: {done} of {total}."
@@ -119,7 +119,7 @@ def training_maps(task: str = "easy", maps: int = 1000, split: str = "train") ->
         MissingPackageError: if `datasets`, which comes with TRL, is not installed.
     """
     try:
-        from datasets import Dataset
+        from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
     except ModuleNotFoundError:
         raise MissingPackageError("datasets", "trl") from None
     config = get_task(task)

@@ -1,6 +1,7 @@
 """Whether a run folder is what it says: every flight is flown again, from the model's own answers."""
 
 import asyncio
+from dataclasses import dataclass
 from pathlib import Path
 
 from drone_env.episodes.jsonl import read_records
@@ -15,6 +16,7 @@ from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_co
 from drone_env.llm.transcript import Call, CallKey, read_calls
 
 
+@dataclass(frozen=True)
 class VerifiedRun:
     """A run that has been checked.
 
@@ -26,19 +28,11 @@ class VerifiedRun:
         calls: All of the transcript.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        config: RunConfig,
-        results: list[FlightResult],
-        records: list[EpisodeRecord],
-        calls: list[Call],
-    ) -> None:
-        self.path = path
-        self.config = config
-        self.results = results
-        self.records = records
-        self.calls = calls
+    path: Path
+    config: RunConfig
+    results: list[FlightResult]
+    records: list[EpisodeRecord]
+    calls: list[Call]
 
 
 def verified_run(path: Path) -> VerifiedRun:

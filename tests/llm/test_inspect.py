@@ -30,9 +30,7 @@ def evaluated(endpoint: Endpoint, folder: Path, arguments: dict[str, Any], **opt
     from drone_env.llm.inspect_task import drone_delivery
 
     model = get_model("openai-api/scripted/pilot", base_url=endpoint.url, api_key="sk-scripted", memoize=False)
-    (log,) = evaluate(
-        drone_delivery(**arguments), model=model, log_dir=str(folder / "logs"), display="none", **options
-    )
+    (log,) = evaluate(drone_delivery(**arguments), model=model, log_dir=str(folder / "logs"), display="none", **options)
     return log
 
 

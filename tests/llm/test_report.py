@@ -47,7 +47,7 @@ def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
     assert json.loads((done.folder / "report.json").read_text()) == figures
     assert f"| score (95 %) | {figures['score']:.4f} ± " in (done.folder / "report.md").read_text()
     page = (done.folder / "report.html").read_text()
-    assert "<svg" in page
+    assert page.count("<svg") == 4
     assert not re.search(r"<script|<link|<img|src=|href=\"(?!#)", page)
 
 
@@ -59,6 +59,33 @@ def test_errored_flights_are_kept_out_and_shown(endpoint: Start) -> None:
     assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
     assert [of_map["seed"] for of_map in figures["maps"]] == [14]
     assert figures["turns"]["api_error"] == 1
+    (errored,) = figures["not_finished"]
+    assert (errored["seed"], errored["status"], errored["error"]) == (15, "errored", "500: scripted 500")
+
+
+def test_a_map_counts_once_however_many_of_its_flights_errored(endpoint: Start) -> None:
+    # Map 14 takes 3 steps: the second flight over it fails at its first call.
+    first = endpoint(pilot="greedy").infer("--seeds", "14:16", "--concurrency", "1")
+    calls = len(first.calls)
+    scripted = endpoint(pilot="greedy", faults=[[calls, calls, {"status": 400}]])
+    done = scripted.infer("--seeds", "14:16", "--repeats", "2", "--concurrency", "1")
+    figures = report(verified_run(done.folder), moves=False)
+    assert figures["flights"]["errored"] == 1
+    assert figures["score"] == pytest.approx(figures["baselines"]["greedy"], abs=1e-12)
+    assert figures["pass_hat_k"] == {"1": 1.0}
+    assert f"mean score {figures['score']:.4f} over 3 flights" in done.err
+
+
+def test_names_and_errors_from_elsewhere_stay_text(endpoint: Start) -> None:
+    hostile = "<script>alert(1)</script>|x"
+    scripted = endpoint(pilot="greedy", faults=[[3, 10**9, {"status": 500, "message": hostile}]])
+    done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--tries", "1", "--model", hostile)
+    run = verified_run(done.folder)
+    write_report(run, report(run))
+    page, text = (done.folder / "report.html").read_text(), (done.folder / "report.md").read_text()
+    assert "<script" not in page + text
+    assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;|x") >= 3
+    assert "| 15 | 1 | errored | 500: &lt;script>alert(1)&lt;/script>&#124;x |" in text
 
 
 def test_the_leaderboard_ranks_whole_runs_and_refuses_forged_ones(

@@ -61,7 +61,7 @@ def test_bad_rows_and_directions_are_told() -> None:
         drone.reset(prompt=[])
     drone.reset(task="easy", seed=1)
     for wrong in ("NORTH", "up", None, ["UP"]):
-        with pytest.raises(InvalidValueError, match="is no direction. Directions are UP"):
+        with pytest.raises(InvalidValueError, match=r"is no direction\. Directions are UP"):
             drone.fly(wrong)  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError, match="allowed"):
         DroneEnvironment("generous")
