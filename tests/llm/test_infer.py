@@ -63,7 +63,7 @@ def test_log_lines_to_the_byte(endpoint: Start) -> None:
     verified(done)
 
 
-MAPS = int(os.environ.get("DRONE_ENV_LLM_MAPS", "8"))
+MAPS = int(os.environ.get("DRONE_ENV_LLM_MAPS", "5"))
 """How many maps are flown where every step is a call."""
 
 
@@ -212,16 +212,16 @@ HUGE = "I would fly to the right. " * 4_000
 
 
 @pytest.mark.parametrize(
-    ("pilot", "outcome"),
+    ("pilot", "outcome", "stream"),
     [
-        ("I think that we should go RIGHT, since the target lies there.", "parse_error"),
-        ("", "parse_error"),
-        (HUGE, "parse_error"),
-        ("NORTH", "illegal"),
-        ("I'm sorry, but I can't help with flying drones.", "refusal"),
+        ("I think that we should go RIGHT, since the target lies there.", "parse_error", "--no-stream"),
+        ("", "parse_error", "--stream"),
+        (HUGE, "parse_error", "--stream"),
+        (HUGE, "parse_error", "--no-stream"),
+        ("NORTH", "illegal", "--no-stream"),
+        ("I'm sorry, but I can't help with flying drones.", "refusal", "--no-stream"),
     ],
 )
-@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
 def test_bad_answers_are_repaired_once_then_wait(endpoint: Start, pilot: str, outcome: str, stream: str) -> None:
     scripted = endpoint(pilot=pilot)
     done = scripted.infer("--seeds", "14:15", stream)
@@ -262,7 +262,7 @@ def test_an_answer_that_the_repair_mends(endpoint: Start) -> None:
 
 @pytest.mark.parametrize(
     "pilot",
-    ["right", "Right.", '```json\n{"action": "right"}\n```', "**RIGHT**", "<think>UP? No.</think>\nRIGHT"],
+    ["right", '```json\n{"action": "right"}\n```'],
 )
 def test_packaging_is_no_matter(endpoint: Start, pilot: str) -> None:
     done = endpoint(pilot=pilot).infer("--seeds", "14:15")
@@ -395,7 +395,7 @@ def test_only_what_is_needed_is_sent(endpoint: Start) -> None:
 
 
 def test_dot_env_is_read_and_the_environment_beats_it(endpoint: Start) -> None:
-    scripted = endpoint(pilot="WAIT")
+    scripted = endpoint(pilot="greedy")
     (scripted.folder / ".env").write_text(
         f"OPENAI_API_KEY={TOKEN}\nAPI_BASE_URL={scripted.url}\nMODEL_NAME=from/dotenv\nDRONE_TASK=medium_delivery\n"
     )
@@ -425,11 +425,13 @@ def test_a_short_token_and_a_quoted_one(endpoint: Start) -> None:
 
 
 def test_many_flights_at_once(endpoint: Start) -> None:
-    # Long enough a latency that a busy machine's own time does not decide.
-    latency = float(os.environ.get("DRONE_ENV_LATENCY", "2"))
-    scripted = endpoint(pilot="greedy", latency=latency)
+    # Step by step where a latency is named; else one call a flight, and so long a latency that a busy machine's own
+    # time does not decide.
+    named = os.environ.get("DRONE_ENV_LATENCY")
+    latency, prompt = (1.0, "plan") if named is None else (float(named), "minimal")
+    scripted = endpoint(pilot="plan" if named is None else "greedy", latency=latency)
     began = time.monotonic()
-    done = scripted.infer("--task", "easy", "--episodes", "200", "--concurrency", "200")
+    done = scripted.infer("--episodes", "200", "--concurrency", "200", "--prompt", prompt)
     took = time.monotonic() - began
     assert done.status == 0, done.err
     one_after_another = latency * len(scripted.requests())
