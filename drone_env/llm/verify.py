@@ -46,6 +46,7 @@ def verified_run(path: Path) -> VerifiedRun:
     results, records = load_results(path), list(read_records(path / EPISODES))
     calls = [call for _, call in read_calls(path / TRANSCRIPT)]
     answers = {call.key: call for call in calls if call.answer is not None}
+    failed = {call.key for call in calls if call.answer is None}
     if len(results) != len(records):
         raise InvalidValueError(f"{path} holds {len(records)} records for {len(results)} flights")
     numbers = [result.flight for result in results]
@@ -60,7 +61,7 @@ def verified_run(path: Path) -> VerifiedRun:
     for result, record in zip(results, records, strict=True):
         try:
             replay(record)
-            flight = asyncio.run(_flown_again(config, result, answers, used))
+            flight = asyncio.run(_flown_again(config, result, answers, failed, used))
         except DroneEnvError as error:
             raise InvalidValueError(f"{path}: flight {result.flight}: {error}") from None
         if FlightResult.of(flight) != result or record_of(flight.episode, config.model) != record:
@@ -71,7 +72,7 @@ def verified_run(path: Path) -> VerifiedRun:
 
 
 async def _flown_again(
-    config: RunConfig, result: FlightResult, answers: dict[CallKey, Call], used: set[CallKey]
+    config: RunConfig, result: FlightResult, answers: dict[CallKey, Call], failed: set[CallKey], used: set[CallKey]
 ) -> Flight:
     async def ask(key: CallKey, messages: list[ChatMessage]) -> Answer:
         call = answers.get(key)
@@ -81,10 +82,12 @@ async def _flown_again(
             used.add(key)
             return call.answer
         # Where the answers end, the flight ended as its result says, which is compared with the rest of it.
-        if result.status == "errored":
+        if result.status == "errored" and key in failed:
             raise CallFailedError(result.error or "")
         if result.status == "budget_stop":
             raise LimitReachedError(result.error or "")
-        raise InvalidValueError(f"call {key} has no answer, but the flight is said to be finished")
+        # An errored flight counts for nothing, so nobody may call one so whose calls did not fail.
+        missing = "has neither an answer nor a failure" if result.status == "errored" else "has no answer"
+        raise InvalidValueError(f"call {key} {missing}, but the flight is said to be {result.status}")
 
     return await fly(mission_of(config, result.flight), config.load_prompt(), ask)

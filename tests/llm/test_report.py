@@ -51,6 +51,29 @@ def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
     assert not re.search(r"<script|<link|<img|src=|href=\"(?!#)", page)
 
 
+def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None:
+    folder = endpoint(pilot="WAIT").infer("--seeds", "14:15").folder
+    calls, flights = folder / "calls.jsonl", folder / "flights.jsonl"
+    whole, result = calls.read_text(), flights.read_text()
+    lines = whole.splitlines()
+    calls.write_text("\n".join([lines[0].replace('"text":"WAIT"', '"text":"LEFT"'), *lines[1:], ""]))
+    with pytest.raises(InvalidValueError, match="asked something else than this prompt does"):
+        verified_run(folder)
+    calls.write_text("\n".join([*lines[:-1], lines[-1].replace('"text":"WAIT"', '"text":"LEFT"'), ""]))
+    with pytest.raises(InvalidValueError, match="not what the model's answers come to"):
+        verified_run(folder)
+    calls.write_text("\n".join([*lines[:-1], ""]))
+    with pytest.raises(InvalidValueError, match="call 0-60-1 has no answer, but the flight is said to be finished"):
+        verified_run(folder)
+    # A bad flight cannot be taken out of the mean by calling it errored.
+    flights.write_text(result.replace('"status":"finished","error":null', '"status":"errored","error":"500"'))
+    with pytest.raises(InvalidValueError, match="call 0-60-1 has neither an answer nor a failure"):
+        verified_run(folder)
+    flights.write_text(result)
+    calls.write_text(whole)
+    assert verified_run(folder).results[0].score == 0.01
+
+
 def test_errored_flights_are_kept_out_and_shown(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy", faults=[[3, 10**9, {"status": 500}]])
     done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--tries", "1")
