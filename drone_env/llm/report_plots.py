@@ -25,10 +25,12 @@ MOVE_COLOURS = {"best": GOOD, "good": "#74b816", "inaccuracy": "#f59f00", "mista
 
 def plots(figures: dict[str, Any]) -> list[tuple[str, str]]:
     """(title, SVG) of each plot that there is something to show for."""
-    found = [("Mean score, same maps", _agents), ("How requests for actions came out", _answers)]
+    found: list[tuple[str, Any]] = []
     if figures["maps"]:
+        found.append(("Mean score, same maps", _agents))
         found.append(("Score of each map, beside its optimum", _maps))
-    if figures["moves"] is not None:
+    found.append(("How requests for actions came out", _answers))
+    if figures["moves"] is not None and figures["moves"]["labels"]:
         found.append(("Moves, by what they gave away", _moves))
     return [(title, _svg(draw, figures)) for title, draw in found]
 

@@ -93,6 +93,8 @@ def _result(figures: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _agents(figures: dict[str, Any]) -> list[tuple[str, str]]:
+    if figures["score"] is None:
+        return []
     return [("this model", with_interval(figures)), *((name, shown(s)) for name, s in figures["baselines"].items())]
 
 

@@ -86,6 +86,16 @@ def test_errored_flights_are_kept_out_and_shown(endpoint: Start) -> None:
     assert (errored["seed"], errored["status"], errored["error"]) == (15, "errored", "500: scripted 500")
 
 
+def test_a_run_without_a_score_has_a_report(endpoint: Start) -> None:
+    done = endpoint(pilot="greedy", faults=[[0, 10**9, {"status": 500}]]).infer("--seeds", "14:16", "--tries", "1")
+    run = verified_run(done.folder)
+    figures = report(run)
+    write_report(run, figures)
+    assert (figures["verdict"], figures["score"], figures["regret"], figures["normalised"]) == ("invalid", *3 * [None])
+    assert "**INVALID**: 2 of 2 flights errored, more than 5%" in (done.folder / "report.md").read_text()
+    assert (done.folder / "report.html").read_text().count("<svg") == 1
+
+
 def test_a_map_counts_once_however_many_of_its_flights_errored(endpoint: Start) -> None:
     # Map 14 takes 3 steps: the second flight over it fails at its first call.
     first = endpoint(pilot="greedy").infer("--seeds", "14:16", "--concurrency", "1")
