@@ -217,7 +217,6 @@ HUGE = "I would fly to the right. " * 4_000
         ("I think that we should go RIGHT, since the target lies there.", "parse_error", "--no-stream"),
         ("", "parse_error", "--stream"),
         (HUGE, "parse_error", "--stream"),
-        (HUGE, "parse_error", "--no-stream"),
         ("NORTH", "illegal", "--no-stream"),
         ("I'm sorry, but I can't help with flying drones.", "refusal", "--no-stream"),
     ],

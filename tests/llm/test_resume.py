@@ -17,7 +17,7 @@ from drone_env.llm.transcript import Transcript, read_calls
 
 from .conftest import ROOT, TOKEN, Endpoint, environment
 
-KILLS = int(os.environ.get("DRONE_ENV_KILLS", "3"))
+KILLS = int(os.environ.get("DRONE_ENV_KILLS", "2"))
 
 
 @pytest.mark.timeout(300 + 60 * KILLS)
