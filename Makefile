@@ -36,7 +36,7 @@ check: .venv/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-# What needs TRL and Inspect, in an environment of its own; a minute or two the first time.
+# What needs TRL and Inspect, in an environment of its own.
 .venv-adapters/.made: pyproject.toml
 	test -x .venv-adapters/bin/python || $(PYTHON) -m venv .venv-adapters
 	.venv-adapters/bin/python -m pip install --quiet $(TORCH)
