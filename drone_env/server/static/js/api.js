@@ -1,5 +1,7 @@
 // The server's HTTP calls. All addresses are relative to the page, which may lie under a prefix.
 
+import { recall, remember } from "./storage.js";
+
 const TOKEN = "drone-env-token";
 
 /** An answer that is not a success; `status` 0 means that the server could not be reached. */
@@ -13,7 +15,7 @@ export class ApiError extends Error {
 
 /** @param {() => Promise<string>} askForToken Called where the server wants one. */
 export function createApi(askForToken) {
-  let token = readToken();
+  let token = recall(TOKEN, "sessionStorage");
 
   async function call(method, path, body) {
     const headers = token ? { Authorization: `Bearer ${token}` } : {};
@@ -21,14 +23,17 @@ export function createApi(askForToken) {
     let response;
     try {
       response = await fetch(address(path), {
-        method, headers, body: body === undefined ? undefined : JSON.stringify(body), credentials: "same-origin",
+        method,
+        headers,
+        body: body === undefined ? undefined : JSON.stringify(body),
+        credentials: "same-origin",
       });
     } catch {
       throw new ApiError(0, "away", "The server cannot be reached.");
     }
     if (response.status === 401) {
       token = await askForToken(token !== null);
-      keepToken(token);
+      remember(TOKEN, token, "sessionStorage");
       return call(method, path, body);
     }
     const answer = await response.json().catch(() => null);
@@ -59,21 +64,4 @@ function search(query) {
 function base64url(text) {
   const bytes = String.fromCharCode(...new TextEncoder().encode(text));
   return btoa(bytes).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
-}
-
-// Storage can be forbidden, as in a frame of another site: the token is then kept for as long as the page is open.
-function readToken() {
-  try {
-    return sessionStorage.getItem(TOKEN);
-  } catch {
-    return null;
-  }
-}
-
-function keepToken(token) {
-  try {
-    sessionStorage.setItem(TOKEN, token);
-  } catch {
-    return;
-  }
 }

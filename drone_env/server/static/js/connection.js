@@ -23,7 +23,12 @@ export function mountConnection({ live }) {
     }
     const why = reason ? ` (${reason})` : "";
     const until = Date.now() + wait;
-    setText(text, state === "refused" ? `The server refused the connection${why}.` : `The server is away${why}. Your mission is kept.`);
+    setText(
+      text,
+      state === "refused"
+        ? `The server refused the connection${why}.`
+        : `The server is away${why}. Your mission is kept.`,
+    );
     // Counted down for the eye alone: a screen reader would say every second of it.
     const say = () => {
       const seconds = Math.ceil((until - Date.now()) / 1000);

@@ -9,19 +9,59 @@ const PAUSE = "!M7 5h3.500v14H7zM13.500 5H17v14h-3.500z";
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
 export function mountControls(root, context, fleet) {
-  const start = el("button.button.primary", { type: "button", id: "start", on: { click: () => fleet.over ? fleet.start({}, { play: true }) : fleet.toggle() } });
-  const step = el("button.button", { type: "button", id: "step", title: "One step (.)", on: { click: () => fleet.step() } },
-    icon("!M5 5v14l9-7z", "M18 5v14"), el("span", { text: "Step" }));
-  const again = el("button.icon-button", { type: "button", id: "restart", title: "Same map again (R)", "aria-label": "Fly the same map again", on: { click: () => fleet.start() } },
-    icon("M5 12a7 7 0 1 0 2.200-5.100M5 4v4h4"));
-  const speed = el("input", { type: "range", id: "speed", min: "0", max: String(SPEEDS.length - 1), step: "1", on: { input: () => fleet.setSpeed(SPEEDS[Number(speed.value)]) } });
+  const start = el("button.button.primary", {
+    type: "button",
+    id: "start",
+    on: { click: () => (fleet.over ? fleet.start({}, { play: true }) : fleet.toggle()) },
+  });
+  const step = el(
+    "button.button",
+    { type: "button", id: "step", title: "One step (.)", on: { click: () => fleet.step() } },
+    icon("!M5 5v14l9-7z", "M18 5v14"),
+    el("span", { text: "Step" }),
+  );
+  const again = el(
+    "button.icon-button",
+    {
+      type: "button",
+      id: "restart",
+      title: "Same map again (R)",
+      "aria-label": "Fly the same map again",
+      on: { click: () => fleet.start() },
+    },
+    icon("M5 12a7 7 0 1 0 2.200-5.100M5 4v4h4"),
+  );
+  const speed = el("input", {
+    type: "range",
+    id: "speed",
+    min: "0",
+    max: String(SPEEDS.length - 1),
+    step: "1",
+    on: { input: () => fleet.setSpeed(SPEEDS[Number(speed.value)]) },
+  });
   const speedText = el("output", { for: "speed" });
-  const bar = el("div.controls", {}, start, step, again,
-    el("div.speed", {}, el("label", { for: "speed", text: "Speed" }), speed, speedText));
+  const bar = el(
+    "div.controls",
+    {},
+    start,
+    step,
+    again,
+    el("div.speed", {}, el("label", { for: "speed", text: "Speed" }), speed, speedText),
+  );
   const strip = el("div");
   const counter = el("span.counter", { id: "step-counter" });
-  const ghost = el("input", { type: "checkbox", id: "show-ghost", checked: true, "aria-label": "Ghost on the best flight" });
-  const ghostSwitch = el("label.switch", { id: "ghost-switch", title: "The best flight as a ghost (G)", hidden: true }, ghost, el("span", { text: "Best flight" }));
+  const ghost = el("input", {
+    type: "checkbox",
+    id: "show-ghost",
+    checked: true,
+    "aria-label": "Ghost on the best flight",
+  });
+  const ghostSwitch = el(
+    "label.switch",
+    { id: "ghost-switch", title: "The best flight as a ghost (G)", hidden: true },
+    ghost,
+    el("span", { text: "Best flight" }),
+  );
   root.append(strip, el("div.controls-row", {}, bar, el("div.where", {}, ghostSwitch, counter)));
   const timeline = mountTimeline(strip, context, {
     label: "Step of the flight that is shown",
@@ -62,7 +102,11 @@ export function mountControls(root, context, fleet) {
   fleet.addEventListener("playing", update);
   context.live.on("state", update);
   fleet.addEventListener("setup", update);
-  context.on("missions", (players) => { timeline.show(players); update(); progress(); });
+  context.on("missions", (players) => {
+    timeline.show(players);
+    update();
+    progress();
+  });
   update();
   return timeline;
 }

@@ -32,7 +32,12 @@ export function mountDeck(root, context, fleet) {
     const head = race
       ? el("button.card-head", { type: "button", "aria-pressed": "false", on: { click: () => choose(i) } }, name, state)
       : null;
-    const node = el("figure.card", { data: { pilot: player.mission.pilot }, style: { "--lane": `var(--lane-${i + 1})` } }, head, field);
+    const node = el(
+      "figure.card",
+      { data: { pilot: player.mission.pilot }, style: { "--lane": `var(--lane-${i + 1})` } },
+      head,
+      field,
+    );
     grid.append(node);
     const made = { node, head, field, name, state, player };
     update(made);
@@ -44,9 +49,12 @@ export function mountDeck(root, context, fleet) {
     const { frame, mission } = player;
     setText(name, fleet.pilot(mission.pilot).name);
     const lost = frame.regret > LEAST_REGRET ? ` · −${points(frame.regret)}` : "";
-    setText(state, frame.done
-      ? `${points(frame.score)} · ${OUTCOMES[frame.outcome] ?? frame.outcome}`
-      : `step ${frame.step} · ${frame.deliveries_done}/${mission.deliveries_total}${lost}`);
+    setText(
+      state,
+      frame.done
+        ? `${points(frame.score)} · ${OUTCOMES[frame.outcome] ?? frame.outcome}`
+        : `step ${frame.step} · ${frame.deliveries_done}/${mission.deliveries_total}${lost}`,
+    );
   }
 
   function choose(i) {
@@ -62,5 +70,11 @@ export function mountDeck(root, context, fleet) {
     player.addEventListener("change", () => deck.cards.filter((c) => c.player === player).forEach(update));
   }
   context.on("missions", build);
-  return { get maps() { return deck.maps; }, select: choose, selected: () => deck.index };
+  return {
+    get maps() {
+      return deck.maps;
+    },
+    select: choose,
+    selected: () => deck.index,
+  };
 }

@@ -12,7 +12,13 @@ export function mountEvents(root, context) {
   const list = el("ol.events", { id: "events", tabindex: "0", "aria-label": "Messages" });
   const moves = el("div", { hidden: true });
   const heading = el("h2.eyebrow", { text: "Messages" });
-  const explain = el("button.button.small", { type: "button", id: "explain", text: "Annotate the moves", hidden: true, on: { click: () => context.emit("explain", player) } });
+  const explain = el("button.button.small", {
+    type: "button",
+    id: "explain",
+    text: "Annotate the moves",
+    hidden: true,
+    on: { click: () => context.emit("explain", player) },
+  });
   root.append(el("div.panel-head", {}, heading, explain), list, moves);
   mountMoves(moves, player);
   let written = 0;
@@ -33,10 +39,15 @@ export function mountEvents(root, context) {
     const fresh = frames.slice(written);
     if (!fresh.length) return;
     written = frames.length;
-    const nodes = fresh.map((frame) => el("li", { data: { event: frame.event ?? "reset" } },
-      el("span.event-step", { text: String(frame.step) }),
-      el("span.event-text", { text: frame.message }),
-      el("span.event-reward", { text: frame.step ? signed(frame.reward, 2) : "" })));
+    const nodes = fresh.map((frame) =>
+      el(
+        "li",
+        { data: { event: frame.event ?? "reset" } },
+        el("span.event-step", { text: String(frame.step) }),
+        el("span.event-text", { text: frame.message }),
+        el("span.event-reward", { text: frame.step ? signed(frame.reward, 2) : "" }),
+      ),
+    );
     list.prepend(...nodes.reverse());
     const { last } = player;
     if (!QUIET.has(last.event) || last.done) announce(last.message);

@@ -58,7 +58,9 @@ export class Fleet extends EventTarget {
 
   /** @returns {Object} What the server tells of a pilot; a stand-in where it does not know it. */
   pilot(id) {
-    return this.context.pilots.find((pilot) => pilot.id === id) ?? { id, name: id, summary: "", automatic: true, tasks: [] };
+    return (
+      this.context.pilots.find((pilot) => pilot.id === id) ?? { id, name: id, summary: "", automatic: true, tasks: [] }
+    );
   }
 
   task(name = this.setup.task) {

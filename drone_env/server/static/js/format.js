@@ -26,7 +26,10 @@ export function percent(share, digits = 0) {
 
 /** `skyline_hard` -> `Skyline Hard`. */
 export function title(name) {
-  return name.split("_").map((word) => word.charAt(0).toUpperCase() + word.slice(1)).join(" ");
+  return name
+    .split("_")
+    .map((word) => word.charAt(0).toUpperCase() + word.slice(1))
+    .join(" ");
 }
 
 export const OUTCOMES = {

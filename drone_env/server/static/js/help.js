@@ -1,6 +1,12 @@
 // The help dialog: what this is, and the keys.
 import { el } from "./dom.js";
 
+const ABOUT =
+  "A drone delivers parcels on a city grid before its battery is empty. Buildings, trees and barriers cost reward; " +
+  "skyline cities also cost battery, and their barriers block the way. The score counts parcels first, then battery " +
+  "and steps left. Every flight stands beside the exact optimum of its map: what a pilot gives away can never be won " +
+  "back.";
+
 const KEYS = [
   ["Space", "Start or pause; wait, when you fly"],
   [".", "One step"],
@@ -17,14 +23,28 @@ const KEYS = [
 /** @returns {() => void} Opens it. */
 export function mountHelp() {
   const dialog = document.getElementById("help");
-  const close = el("button.button", { type: "button", text: "Close", autofocus: "", on: { click: () => dialog.close() } });
+  const close = el("button.button", {
+    type: "button",
+    text: "Close",
+    autofocus: "",
+    on: { click: () => dialog.close() },
+  });
   dialog.append(
     el("h2", { id: "help-title", text: "Mission control" }),
-    el("p", { text: "A drone delivers parcels on a city grid before its battery is empty. Buildings, trees and barriers cost reward; skyline cities also cost battery, and their barriers block the way. The score counts parcels first, then battery and steps left. Every flight stands beside the exact optimum of its map: what a pilot gives away can never be won back." }),
-    el("dl.keys", {}, ...KEYS.flatMap(([key, what]) => [el("dt", {}, el("kbd", { text: key })), el("dd", { text: what })])),
+    el("p", {
+      text: ABOUT,
+    }),
+    el(
+      "dl.keys",
+      {},
+      ...KEYS.flatMap(([key, what]) => [el("dt", {}, el("kbd", { text: key })), el("dd", { text: what })]),
+    ),
     el("p.note", {}, "For programs: ", el("a", { href: "docs", text: "the API and its documentation" }), "."),
-    el("div.dialog-actions", {}, close));
-  dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
+    el("div.dialog-actions", {}, close),
+  );
+  dialog.addEventListener("click", (event) => {
+    if (event.target === dialog) dialog.close();
+  });
   const open = () => dialog.showModal();
   document.getElementById("help-button").addEventListener("click", open);
   return open;

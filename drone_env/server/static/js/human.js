@@ -1,15 +1,30 @@
 // The visitor flies: a pad of buttons for touch and mouse, swipes on the map. Keys are in keys.js.
 import { el, icon } from "./dom.js";
 
-const ARROW = { UP: "M12 19V6M6 11l6-6 6 6", DOWN: "M12 5v13M6 13l6 6 6-6", LEFT: "M19 12H6M11 6l-6 6 6 6", RIGHT: "M5 12h13M13 6l6 6-6 6", WAIT: "!M9 9h6v6H9z" };
+const ARROW = {
+  UP: "M12 19V6M6 11l6-6 6 6",
+  DOWN: "M12 5v13M6 13l6 6 6-6",
+  LEFT: "M19 12H6M11 6l-6 6 6 6",
+  RIGHT: "M5 12h13M13 6l6 6-6 6",
+  WAIT: "!M9 9h6v6H9z",
+};
 const WORDS = { UP: "Up", DOWN: "Down", LEFT: "Left", RIGHT: "Right", WAIT: "Wait" };
 const SWIPE = 24;
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
 export function mountHuman(root, context, fleet) {
-  const buttons = Object.keys(ARROW).map((direction) => el("button.pad-button", {
-    type: "button", data: { direction }, "aria-label": WORDS[direction], on: { click: () => fleet.fly(direction) },
-  }, icon(ARROW[direction])));
+  const buttons = Object.keys(ARROW).map((direction) =>
+    el(
+      "button.pad-button",
+      {
+        type: "button",
+        data: { direction },
+        "aria-label": WORDS[direction],
+        on: { click: () => fleet.fly(direction) },
+      },
+      icon(ARROW[direction]),
+    ),
+  );
   const pad = el("div.pad", { role: "group", "aria-label": "Fly", hidden: true }, ...buttons);
   root.append(pad);
 

@@ -11,25 +11,40 @@ export function mountInstruments(root, context) {
   const possible = row("Still possible", "possible", "The best score that can still be reached from here");
   const lost = row("Given away", "given-away", "What the optimum of this map had more: it cannot be won back");
   const reach = el("div.reach", { "aria-hidden": "true" }, el("i.reach-value"), el("i.reach-lost"));
-  const head = el("div.score", {},
+  const head = el(
+    "div.score",
+    {},
     el("div.score-main", {}, el("span.eyebrow", { text: "Score" }), score, scoreNote),
-    el("dl.score-side", {}, ...possible.nodes, ...lost.nodes), reach);
+    el("dl.score-side", {}, ...possible.nodes, ...lost.nodes),
+    reach,
+  );
 
   const battery = gauge("Battery", "battery");
   const steps = gauge("Steps", "steps");
-  const parcels = el("div.gauge", { id: "parcels" }, el("span.gauge-name", { text: "Parcels" }), el("div.pips"), el("span.gauge-text"));
+  const parcels = el(
+    "div.gauge",
+    { id: "parcels" },
+    el("span.gauge-name", { text: "Parcels" }),
+    el("div.pips"),
+    el("span.gauge-text"),
+  );
   const reward = row("Reward", "reward");
   const total = row("In all", "reward-total", "The rewards so far");
   const efficiency = row("Efficiency", "efficiency", "75 % parcels, 15 % battery left, 10 % steps left");
   const target = row("Target", "target");
-  root.append(head, battery, steps, parcels,
-    el("dl.numbers", {}, ...[reward, total, efficiency, target].map(({ nodes }) => el("div", {}, ...nodes))));
+  root.append(
+    head,
+    battery,
+    steps,
+    parcels,
+    el("dl.numbers", {}, ...[reward, total, efficiency, target].map(({ nodes }) => el("div", {}, ...nodes))),
+  );
 
   function draw() {
     const { frame, mission } = player;
     if (!frame) return;
     setText(score, points(frame.score));
-    setText(scoreNote, frame.done ? OUTCOMES[frame.outcome] ?? frame.outcome : "provisional");
+    setText(scoreNote, frame.done ? (OUTCOMES[frame.outcome] ?? frame.outcome) : "provisional");
     scoreNote.dataset.outcome = frame.outcome;
     setText(possible.value, points(frame.value));
     setText(lost.value, points(frame.regret));
@@ -59,8 +74,13 @@ function row(name, id, hint = null) {
 }
 
 function gauge(name, id) {
-  return el("div.gauge", { id, role: "meter", "aria-label": name, "aria-valuemin": "0", "aria-valuemax": "1", "aria-valuenow": "0" },
-    el("span.gauge-name", { text: name }), el("div.gauge-bar", {}, el("i")), el("span.gauge-text"));
+  return el(
+    "div.gauge",
+    { id, role: "meter", "aria-label": name, "aria-valuemin": "0", "aria-valuemax": "1", "aria-valuenow": "0" },
+    el("span.gauge-name", { text: name }),
+    el("div.gauge-bar", {}, el("i")),
+    el("span.gauge-text"),
+  );
 }
 
 function fill(node, share, text, spoken) {

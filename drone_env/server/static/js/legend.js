@@ -10,9 +10,18 @@ const LEFT_OUT = new Set(["road", "unknown", "drone"]);
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context */
 export function mountLegend(root, context) {
-  const signs = context.kinds.filter((kind) => !LEFT_OUT.has(kind.name)).map((kind) => ({ kind, canvas: el("canvas", { "aria-hidden": "true" }) }));
-  root.append(el("ul.legend", { "aria-label": "Legend" }, ...signs.map(({ kind, canvas }) =>
-    el("li", { title: kind.effect }, canvas, el("span", { text: title(kind.name) })))));
+  const signs = context.kinds
+    .filter((kind) => !LEFT_OUT.has(kind.name))
+    .map((kind) => ({ kind, canvas: el("canvas", { "aria-hidden": "true" }) }));
+  root.append(
+    el(
+      "ul.legend",
+      { "aria-label": "Legend" },
+      ...signs.map(({ kind, canvas }) =>
+        el("li", { title: kind.effect }, canvas, el("span", { text: title(kind.name) })),
+      ),
+    ),
+  );
 
   function draw() {
     for (const { kind, canvas } of signs) drawSign(canvas, kind.name);

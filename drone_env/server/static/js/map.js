@@ -42,7 +42,10 @@ export class CityMap {
     player.addEventListener("load", reload);
     player.addEventListener("change", redraw);
     // A canvas that has another size is empty: it is drawn at once, before the browser shows it.
-    this.size = fit(root, [this.terrain, this.flight], () => { this.stale = true; this.draw(performance.now()); });
+    this.size = fit(root, [this.terrain, this.flight], () => {
+      this.stale = true;
+      this.draw(performance.now());
+    });
     const offTheme = context.on("theme", reload);
     const fonts = () => this.reload();
     document.fonts.ready.then(fonts);
@@ -58,12 +61,22 @@ export class CityMap {
   }
 
   /** Whether the network's values of the actions are shown as arrows. */
-  get showValues() { return this._showValues; }
-  set showValues(shown) { this._showValues = shown; this.refresh(); }
+  get showValues() {
+    return this._showValues;
+  }
+  set showValues(shown) {
+    this._showValues = shown;
+    this.refresh();
+  }
 
   /** [x, y] of a best flight, drawn as a ghost; null for none. */
-  get ghost() { return this._ghost; }
-  set ghost(path) { this._ghost = path; this.refresh(); }
+  get ghost() {
+    return this._ghost;
+  }
+  set ghost(path) {
+    this._ghost = path;
+    this.refresh();
+  }
 
   /** Draws again in the next animation frame. */
   refresh() {
@@ -132,7 +145,8 @@ export class CityMap {
 
 /** Where the grid lies: whole device pixels per cell, so that lines are sharp. */
 function layOut(mission, width, height, scale) {
-  const place = (room) => Math.floor(Math.min((width - room) / (mission.width + EDGE), (height - room) / (mission.height + EDGE)));
+  const place = (room) =>
+    Math.floor(Math.min((width - room) / (mission.width + EDGE), (height - room) / (mission.height + EDGE)));
   const room = LABEL_ROOM * scale;
   const labels = place(room + 2) >= LABELS_FROM * scale;
   const cell = Math.max(1, place(labels ? room + 2 : 2));
@@ -148,6 +162,8 @@ function layOut(mission, width, height, scale) {
 
 function describe(mission) {
   const parcels = `${mission.parcels.length} ${mission.parcels.length === 1 ? "parcel" : "parcels"}`;
-  return `City map of ${title(mission.short_name)}, ${mission.width} by ${mission.height} cells, map ${mission.seed}, ` +
-    `${parcels}. The events are told below.`;
+  return (
+    `City map of ${title(mission.short_name)}, ${mission.width} by ${mission.height} cells, map ${mission.seed}, ` +
+    `${parcels}. The events are told below.`
+  );
 }

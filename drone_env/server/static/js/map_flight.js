@@ -150,12 +150,27 @@ function drawBetterMoves(ctx, player, x, y, cell, size, colours) {
     if (!STEP[action]) continue;
     const [dx, dy] = STEP[action];
     const from = size * 0.56;
-    drawArrow(ctx, x + dx * from, y + dy * from, x + dx * (from + cell * 0.8), y + dy * (from + cell * 0.8), Math.max(3, cell * 0.13));
+    drawArrow(
+      ctx,
+      x + dx * from,
+      y + dy * from,
+      x + dx * (from + cell * 0.8),
+      y + dy * (from + cell * 0.8),
+      Math.max(3, cell * 0.13),
+    );
   }
 }
 
 function drawMarkHere(ctx, player, x, y, size, { scale }, colours) {
   const move = player.annotation.moves[player.cursor - 1];
   if (!move?.mark || player.position !== player.cursor) return;
-  drawMark(ctx, x + size * 0.46, y - size * 0.46, Math.max(18 * scale, size * 0.5), move.mark, labelColour(move.label), colours);
+  drawMark(
+    ctx,
+    x + size * 0.46,
+    y - size * 0.46,
+    Math.max(18 * scale, size * 0.5),
+    move.mark,
+    labelColour(move.label),
+    colours,
+  );
 }

@@ -121,7 +121,12 @@ export function drawDrone(ctx, x, y, size, heading, spin, lift, colours) {
   ctx.fill();
 }
 
-const CORNERS = [[-1, -1], [1, -1], [-1, 1], [1, 1]];
+const CORNERS = [
+  [-1, -1],
+  [1, -1],
+  [-1, 1],
+  [1, 1],
+];
 
 /** Another drone that is only thought of: the one on the best flight. */
 export function drawGhost(ctx, x, y, size, colours) {

@@ -185,7 +185,14 @@ function drawPad(ctx, x, y, cell, _, colours, shadow) {
   ctx.stroke();
   ctx.fillStyle = colours.padInk;
   ctx.beginPath();
-  for (const [dx, dy] of [[0.55, 0.28], [0.37, 0.54], [0.49, 0.54], [0.45, 0.72], [0.63, 0.46], [0.51, 0.46]]) {
+  for (const [dx, dy] of [
+    [0.55, 0.28],
+    [0.37, 0.54],
+    [0.49, 0.54],
+    [0.45, 0.72],
+    [0.63, 0.46],
+    [0.51, 0.46],
+  ]) {
     ctx.lineTo(x + cell * dx, y + cell * dy);
   }
   ctx.fill();

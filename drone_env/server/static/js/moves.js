@@ -39,12 +39,22 @@ export function mountMoves(root, player) {
   }
 
   function moveButton(move) {
-    return el("li", {}, el("button.move", {
-      type: "button", data: { label: move.label }, "aria-label": spoken(move), on: { click: () => player.seek(move.step) },
-    },
-      el("span.move-step", { text: String(move.step) }),
-      el("span.move-arrow", { text: ARROWS[move.action] ?? move.action }),
-      el("span.move-mark", { text: move.mark })));
+    return el(
+      "li",
+      {},
+      el(
+        "button.move",
+        {
+          type: "button",
+          data: { label: move.label },
+          "aria-label": spoken(move),
+          on: { click: () => player.seek(move.step) },
+        },
+        el("span.move-step", { text: String(move.step) }),
+        el("span.move-arrow", { text: ARROWS[move.action] ?? move.action }),
+        el("span.move-mark", { text: move.mark }),
+      ),
+    );
   }
 
   player.addEventListener("change", () => nextFrame(draw));
@@ -52,12 +62,22 @@ export function mountMoves(root, player) {
 }
 
 function counts(annotation) {
-  const chips = Object.keys(LABELS).filter((label) => annotation.counts[label]).map((label) => {
-    const count = annotation.counts[label];
-    return el("span.move-count", { data: { label } }, el("i", { "aria-hidden": "true" }), el("span", { text: `${count} ${count > 1 ? LABELS[label] : label}` }));
-  });
+  const chips = Object.keys(LABELS)
+    .filter((label) => annotation.counts[label])
+    .map((label) => {
+      const count = annotation.counts[label];
+      return el(
+        "span.move-count",
+        { data: { label } },
+        el("i", { "aria-hidden": "true" }),
+        el("span", { text: `${count} ${count > 1 ? LABELS[label] : label}` }),
+      );
+    });
   const accuracy = annotation.accuracy === null ? "–" : percent(annotation.accuracy);
-  return [el("p.accuracy-head", {}, el("strong", { text: accuracy }), el("span", { text: " accuracy" })), el("div.move-counts", {}, ...chips)];
+  return [
+    el("p.accuracy-head", {}, el("strong", { text: accuracy }), el("span", { text: " accuracy" })),
+    el("div.move-counts", {}, ...chips),
+  ];
 }
 
 function spoken(move) {
@@ -66,7 +86,8 @@ function spoken(move) {
 
 function describe(annotation, cursor) {
   const move = annotation.moves[cursor - 1];
-  if (!move) return `Optimum of this map: ${points(annotation.optimal_score)} in ${annotation.optimal_steps} steps. This flight gave away ${points(annotation.regret)}.`;
+  if (!move)
+    return `Optimum of this map: ${points(annotation.optimal_score)} in ${annotation.optimal_steps} steps. This flight gave away ${points(annotation.regret)}.`;
   const best = move.best_actions.join(" or ");
   if (move.label === "best") return `Step ${move.step}: ${move.action} gives nothing away.`;
   return `Step ${move.step}: ${move.action} gives away ${points(move.regret, 2)}. Best was ${best}.`;

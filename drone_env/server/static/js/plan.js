@@ -25,15 +25,29 @@ export function mountPlan(root, context, fleet) {
     setText(problem, detail);
     problem.hidden = false;
   });
-  context.on("missions", () => { problem.hidden = true; });
-  context.on("view", () => { drawPilots(); update(); });
+  context.on("missions", () => {
+    problem.hidden = true;
+  });
+  context.on("view", () => {
+    drawPilots();
+    update();
+  });
 
   function drawTasks() {
-    const groups = [["City", context.tasks.filter((task) => task.published)], ["Skyline", context.tasks.filter((task) => !task.published)]];
+    const groups = [
+      ["City", context.tasks.filter((task) => task.published)],
+      ["Skyline", context.tasks.filter((task) => !task.published)],
+    ];
     for (const [name, members] of groups) {
       if (!members.length) continue;
-      tasks.append(el("div.task-row", { role: "group", "aria-label": name },
-        el("span.task-group", { text: name, "aria-hidden": "true" }), ...members.map(taskOption)));
+      tasks.append(
+        el(
+          "div.task-row",
+          { role: "group", "aria-label": name },
+          el("span.task-group", { text: name, "aria-hidden": "true" }),
+          ...members.map(taskOption),
+        ),
+      );
     }
     tasks.append(el("p.note.task-note", { id: "task-note" }));
   }
@@ -41,7 +55,11 @@ export function mountPlan(root, context, fleet) {
   function taskOption(task) {
     const label = title(task.short_name).replace(/^Skyline /, "");
     const input = el("input", {
-      type: "radio", name: "task", value: task.short_name, "aria-label": title(task.short_name), "aria-describedby": "task-note",
+      type: "radio",
+      name: "task",
+      value: task.short_name,
+      "aria-label": title(task.short_name),
+      "aria-describedby": "task-note",
       on: { change: () => chooseTask(task) },
     });
     return el("label.task-option", {}, input, el("span", { text: label }));
@@ -65,10 +83,22 @@ export function mountPlan(root, context, fleet) {
     setText(pilots.querySelector("legend"), race ? "Pilots, up to four" : "Pilot");
     for (const pilot of context.pilots) {
       const input = el("input", {
-        type: race ? "checkbox" : "radio", name: "pilot", value: pilot.id, "aria-label": pilot.name, "aria-describedby": `about-${pilot.id}`,
+        type: race ? "checkbox" : "radio",
+        name: "pilot",
+        value: pilot.id,
+        "aria-label": pilot.name,
+        "aria-describedby": `about-${pilot.id}`,
         on: { change: () => choosePilot(pilot.id, race) },
       });
-      pilots.append(el("label.pilot", {}, input, el("span.pilot-name", { text: pilot.name }), el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary })));
+      pilots.append(
+        el(
+          "label.pilot",
+          {},
+          input,
+          el("span.pilot-name", { text: pilot.name }),
+          el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary }),
+        ),
+      );
     }
   }
 
@@ -94,8 +124,10 @@ export function mountPlan(root, context, fleet) {
       const full = context.view === "race" && !input.checked && setup.pilots.length >= MOST;
       input.disabled = !able || last || full;
       input.closest(".pilot").classList.toggle("unable", !able);
-      setText(input.closest(".pilot").querySelector(".pilot-note"),
-        able ? fleet.pilot(input.value).summary : "has no network here");
+      setText(
+        input.closest(".pilot").querySelector(".pilot-note"),
+        able ? fleet.pilot(input.value).summary : "has no network here",
+      );
     }
     if (document.activeElement !== seed) seed.value = setup.seed ?? "";
     profile.querySelector("select").value = setup.profile;
@@ -110,18 +142,54 @@ function taskNote(task) {
 }
 
 function mapForm(fleet) {
-  const seed = el("input.input", { id: "seed", type: "number", min: "0", max: String(LARGEST), step: "1", inputmode: "numeric", autocomplete: "off" });
+  const seed = el("input.input", {
+    id: "seed",
+    type: "number",
+    min: "0",
+    max: String(LARGEST),
+    step: "1",
+    inputmode: "numeric",
+    autocomplete: "off",
+  });
   const open = () => {
     if (seed.value !== "" && seed.reportValidity()) fleet.start({ seed: Number(seed.value) });
   };
   seed.addEventListener("change", open);
-  const fresh = el("button.button.small", { type: "button", id: "new-map", on: { click: () => fleet.start({ seed: null }) }, title: "Another map (N)", text: "New map" });
-  const copy = el("button.button.small", { type: "button", id: "copy-link", "aria-label": "Copy link to this mission", title: "Copy link to this mission", on: { click: () => copyLink(fleet) } },
-    icon("M10 14a4 4 0 0 0 6 .4l2.6-2.6a4 4 0 0 0-5.7-5.7L11.500 7.500M14 10a4 4 0 0 0-6-.4l-2.600 2.600a4 4 0 0 0 5.700 5.700l1.400-1.400"),
-    el("span", { text: "Copy link" }));
-  const form = el("form.map-form", { on: { submit: (event) => { event.preventDefault(); open(); } } },
+  const fresh = el("button.button.small", {
+    type: "button",
+    id: "new-map",
+    on: { click: () => fleet.start({ seed: null }) },
+    title: "Another map (N)",
+    text: "New map",
+  });
+  const copy = el(
+    "button.button.small",
+    {
+      type: "button",
+      id: "copy-link",
+      "aria-label": "Copy link to this mission",
+      title: "Copy link to this mission",
+      on: { click: () => copyLink(fleet) },
+    },
+    icon(
+      "M10 14a4 4 0 0 0 6 .4l2.6-2.6a4 4 0 0 0-5.7-5.7L11.500 7.500M14 10a4 4 0 0 0-6-.4l-2.600 2.600a4 4 0 0 0 5.700 5.700l1.400-1.400",
+    ),
+    el("span", { text: "Copy link" }),
+  );
+  const form = el(
+    "form.map-form",
+    {
+      on: {
+        submit: (event) => {
+          event.preventDefault();
+          open();
+        },
+      },
+    },
     el("label.eyebrow", { for: "seed", text: "Map" }),
-    seed, el("div.row", {}, fresh, copy));
+    seed,
+    el("div.row", {}, fresh, copy),
+  );
   return { form, seed };
 }
 
@@ -139,6 +207,7 @@ export async function copyLink(fleet) {
 
 function profileChoice(context, fleet) {
   const select = el("select", { id: "profile", on: { change: () => fleet.start({ profile: select.value }) } });
-  for (const profile of context.rewardProfiles) select.append(el("option", { value: profile.id, text: title(profile.id), title: profile.summary }));
+  for (const profile of context.rewardProfiles)
+    select.append(el("option", { value: profile.id, text: title(profile.id), title: profile.summary }));
   return el("div.field", {}, el("label.eyebrow", { for: "profile", text: "Rewards" }), select);
 }

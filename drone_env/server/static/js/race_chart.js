@@ -13,7 +13,10 @@ const ROOM = { left: 28, right: 8, top: 8, bottom: 20 };
  * @returns {HTMLCanvasElement}
  */
 export function mountRaceChart(root, context, fleet) {
-  const canvas = el("canvas", { role: "img", "aria-label": "What each pilot has given away, by step. The standings have the numbers." });
+  const canvas = el("canvas", {
+    role: "img",
+    "aria-label": "What each pilot has given away, by step. The standings have the numbers.",
+  });
   const field = el("div.race-chart-field", {}, canvas);
   root.append(el("figcaption", { text: "Given away of the score, by step" }), field);
 

@@ -1,13 +1,18 @@
 // Mission Results: how it ended, efficiency, score beside the optimum, the analysis, and what comes next.
-import { ApiError } from "./api.js";
+import { analyse } from "./analysis.js";
 import { announce, el, setText } from "./dom.js";
 import { OUTCOMES, fixed, percent, points, title } from "./format.js";
+import { recall, remember } from "./storage.js";
 
 const COUNTDOWN_SECONDS = 8;
 const LANDING_MILLISECONDS = 600;
 const CYCLE = "drone-env-cycle";
 /** The weights of the efficiency, as the server's schema has them: only how wide the parts of the bar are. */
-const PARTS = [["Parcels", 75], ["Battery left", 15], ["Steps left", 10]];
+const PARTS = [
+  ["Parcels", 75],
+  ["Battery left", 15],
+  ["Steps left", 10],
+];
 
 /** @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
 export function mountResults(context, fleet) {
@@ -17,6 +22,7 @@ export function mountResults(context, fleet) {
   let next = null;
   let nextButton = null;
   let countdown = null;
+  let scores = null;
 
   context.on("ended", (index, episode) => {
     const { player } = context;
@@ -26,11 +32,20 @@ export function mountResults(context, fleet) {
       if (context.view === "watch" && index === 0 && player.episode === episode) open(player, episode);
     }, LANDING_MILLISECONDS);
   });
+  context.player.addEventListener("frames", () => {
+    const { player } = context;
+    if (!dialog.open || !player.episode) return;
+    const known = scoreRow(player, player.episode);
+    scores.replaceWith(known);
+    scores = known;
+  });
   context.on("missions", close);
   context.on("view", close);
   dialog.addEventListener("close", stop);
   for (const type of ["pointerdown", "keydown"]) dialog.addEventListener(type, stop);
-  dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
+  dialog.addEventListener("click", (event) => {
+    if (event.target === dialog) dialog.close();
+  });
 
   function close() {
     if (dialog.open) dialog.close();
@@ -39,27 +54,71 @@ export function mountResults(context, fleet) {
   function open(player, episode) {
     const { mission, last } = player;
     next = nextTask(context.tasks, fleet.task());
-    nextButton = el("button.button.primary", { type: "button", id: "next-level", text: `Next: ${title(next.short_name)}`, on: { click: goOn } });
+    nextButton = el("button.button.primary", {
+      type: "button",
+      id: "next-level",
+      text: `Next: ${title(next.short_name)}`,
+      on: { click: goOn },
+    });
     countdown = el("p.note.countdown", { id: "countdown" });
-    const analysis = el("div.analysis", { "aria-busy": "true" }, el("p.note", { text: "Analysing all flights of this task …" }));
-    const cycle = el("input", { type: "checkbox", id: "cycle", checked: cycles(), on: { change: () => keepCycle(cycle.checked) } });
+    const analysis = el(
+      "div.analysis",
+      { "aria-busy": "true" },
+      el("p.note", { text: "Analysing all flights of this task …" }),
+    );
+    const cycle = el("input", {
+      type: "checkbox",
+      id: "cycle",
+      checked: recall(CYCLE) !== "off",
+      on: { change: () => remember(CYCLE, cycle.checked ? "on" : "off") },
+    });
+    const headline = episode.success ? "Mission accomplished" : "Mission failed";
+    const outcome = OUTCOMES[last.outcome] ?? last.outcome;
+    scores = scoreRow(player, episode);
     dialog.replaceChildren(
-      el("div.results-head", { data: { success: String(episode.success) } },
-        el("p.eyebrow", { text: `${title(mission.short_name)} · map ${mission.seed} · ${fleet.pilot(mission.pilot).name}` }),
-        el("h2", { id: "results-title", text: episode.success ? "Mission accomplished" : "Mission failed" }),
-        el("p.results-why", { text: `${OUTCOMES[last.outcome] ?? last.outcome}: ${last.deliveries_done} of ${mission.deliveries_total} parcels in ${last.step} steps.` })),
-      scoreRow(episode, last), efficiencyBar(mission, last), analysis,
+      el(
+        "div.results-head",
+        { data: { success: String(episode.success) } },
+        el("p.eyebrow", {
+          text: `${title(mission.short_name)} · map ${mission.seed} · ${fleet.pilot(mission.pilot).name}`,
+        }),
+        el("h2", { id: "results-title", text: headline }),
+        el("p.results-why", {
+          text: `${outcome}: ${last.deliveries_done} of ${mission.deliveries_total} parcels in ${last.step} steps.`,
+        }),
+      ),
+      scores,
+      efficiencyBar(mission, last),
+      analysis,
       el("label.switch", {}, cycle, el("span", { text: "Go on to the next level by itself" })),
-      el("div.dialog-actions", {}, nextButton,
-        el("button.button", { type: "button", text: "Fly again", on: { click: () => fleet.start({}, { play: true }) } }),
-        el("button.button", { type: "button", text: "Look at the flight", on: { click: () => { dialog.close(); context.emit("explain", player); } } }),
-        el("button.button.quiet", { type: "button", text: "Close", on: { click: () => dialog.close() } })),
-      countdown);
+      el(
+        "div.dialog-actions",
+        {},
+        nextButton,
+        el("button.button", {
+          type: "button",
+          text: "Fly again",
+          on: { click: () => fleet.start({}, { play: true }) },
+        }),
+        el("button.button", {
+          type: "button",
+          text: "Look at the flight",
+          on: {
+            click: () => {
+              dialog.close();
+              context.emit("explain", player);
+            },
+          },
+        }),
+        el("button.button.quiet", { type: "button", text: "Close", on: { click: () => dialog.close() } }),
+      ),
+      countdown,
+    );
     if (!dialog.open) dialog.showModal();
     nextButton.focus({ preventScroll: true });
-    announce(`${episode.success ? "Mission accomplished" : "Mission failed"}. Score ${points(episode.score)}, efficiency ${fixed(last.efficiency, 1)}.`);
+    announce(`${headline}. Score ${points(episode.score)}, efficiency ${fixed(last.efficiency, 1)}.`);
     analyse(context, mission, analysis);
-    if (cycles()) count(COUNTDOWN_SECONDS);
+    if (cycle.checked) count(COUNTDOWN_SECONDS);
   }
 
   function count(seconds) {
@@ -87,67 +146,46 @@ function nextTask(tasks, task) {
   return group[(group.indexOf(task) + 1) % group.length];
 }
 
-function scoreRow(episode, last) {
-  const number = (name, text, id, note) => el("div.result-number", {}, el("dt", { text: name }), el("dd", { id, text }), note ? el("dd.result-note", { text: note }) : null);
-  // The server may have told the optimum with the episode, or after it with the values.
-  const optimum = episode.optimal_score ?? null;
-  return el("dl.result-numbers", {},
+/** The optimum comes with the episode, or after it, with the values. */
+function scoreRow({ frames, last }, episode) {
+  const number = (name, text, id, note) =>
+    el(
+      "div.result-number",
+      {},
+      el("dt", { text: name }),
+      el("dd", { id, text }),
+      note ? el("dd.result-note", { text: note }) : null,
+    );
+  const optimum = episode.optimal_score ?? frames[0].value;
+  const regret = episode.regret ?? last.regret;
+  return el(
+    "dl.result-numbers",
+    {},
     number("Efficiency", fixed(last.efficiency, 1), "result-efficiency", "of 100"),
-    number("Score", points(episode.score), "result-score", optimum === null ? "optimum not known" : `optimum ${points(optimum)}`),
-    number("Given away", points(episode.regret), "result-regret", episode.regret === 0 ? "a perfect flight" : "of the score"));
+    number(
+      "Score",
+      points(episode.score),
+      "result-score",
+      optimum === null ? "optimum not known" : `optimum ${points(optimum)}`,
+    ),
+    number("Given away", points(regret), "result-regret", regret === 0 ? "a perfect flight" : "of the score"),
+  );
 }
 
 /** Three parts as wide as their weights, each filled by what is left or done. */
 function efficiencyBar(mission, last) {
   const shares = [last.deliveries_done / mission.deliveries_total, last.battery, 1 - last.step / mission.max_steps];
-  return el("div.efficiency", { "aria-label": "Efficiency", role: "group" },
-    ...PARTS.map(([name, weight], i) => el("div.efficiency-part", { style: { "--weight": String(weight), "--share": String(shares[i]) } },
-      el("div.efficiency-bar", { "aria-hidden": "true" }, el("i")),
-      el("span.efficiency-name", { text: name }),
-      el("span.efficiency-share", { text: `${percent(shares[i])} · weighs ${weight} %` }))));
-}
-
-/** What all finished flights of the task come to. */
-async function analyse({ api }, mission, root) {
-  try {
-    const a = await api.get(`analyse/${encodeURIComponent(mission.task)}`);
-    root.replaceChildren(
-      el("h3", { text: `${a.episodes === 1 ? "The only flight" : `All ${a.episodes} flights`} of ${title(mission.short_name)} here` }),
-      el("dl.numbers", {}, ...[
-        ["Success rate", percent(a.success_rate)], ["Success trend", trend(a.success_trend)], ["Mean score", points(a.average_score)],
-        ["Mean reward", fixed(a.average_reward, 2)], ["Mean steps", fixed(a.average_steps, 1)], ["Mean given away", points(a.mean_regret)],
-      ].map(([name, text]) => el("div", {}, el("dt", { text: name }), el("dd", { text })))),
-      actionBar(a.action_distribution));
-  } catch (error) {
-    if (!(error instanceof ApiError)) throw error;
-    root.replaceChildren(el("p.note", { text: `The analysis is not to be had: ${error.message}` }));
-  }
-  root.removeAttribute("aria-busy");
-}
-
-function trend(value) {
-  return typeof value === "number" ? `${value >= 0 ? "+" : "−"}${percent(Math.abs(value))}` : value ?? "–";
-}
-
-function actionBar(distribution) {
-  const parts = Object.entries(distribution);
-  return el("div.actions-bar", {}, ...parts.map(([action, share]) => el("div.action-part", { style: { "--share": String(share) } },
-    el("i", { "aria-hidden": "true" }), el("span", { text: `${action} ` }), el("span", { text: percent(share) }))));
-}
-
-function cycles() {
-  try {
-    return localStorage.getItem(CYCLE) !== "off";
-  } catch {
-    return true;
-  }
-}
-
-// Storage can be forbidden, as in a frame of another site: then the choice holds for this dialog alone.
-function keepCycle(on) {
-  try {
-    localStorage.setItem(CYCLE, on ? "on" : "off");
-  } catch {
-    return;
-  }
+  return el(
+    "div.efficiency",
+    { "aria-label": "Efficiency", role: "group" },
+    ...PARTS.map(([name, weight], i) =>
+      el(
+        "div.efficiency-part",
+        { style: { "--weight": String(weight), "--share": String(shares[i]) } },
+        el("div.efficiency-bar", { "aria-hidden": "true" }, el("i")),
+        el("span.efficiency-name", { text: name }),
+        el("span.efficiency-share", { text: `${percent(shares[i])} · weighs ${weight} %` }),
+      ),
+    ),
+  );
 }

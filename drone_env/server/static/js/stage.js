@@ -51,10 +51,22 @@ export function mountStage(context) {
 
   context.on("explain", (player) => explain(context, player));
   context.on("select", (i) => deck.select(i));
-  context.on("arrows", (shown) => deck.maps.forEach((map) => { map.showValues = shown; }));
-  context.on("maps", (maps) => maps.forEach((map) => { map.showValues = part("show-arrows").checked; }));
-  context.on("missions", () => { if (onStage(context.view)) showLink(fleet.setup); });
-  context.on("ended", (i) => { if (context.players.filter((player) => !player.empty).length > 1) explain(context, context.players[i]); });
+  context.on("arrows", (shown) =>
+    deck.maps.forEach((map) => {
+      map.showValues = shown;
+    }),
+  );
+  context.on("maps", (maps) =>
+    maps.forEach((map) => {
+      map.showValues = part("show-arrows").checked;
+    }),
+  );
+  context.on("missions", () => {
+    if (onStage(context.view)) showLink(fleet.setup);
+  });
+  context.on("ended", (i) => {
+    if (context.players.filter((player) => !player.empty).length > 1) explain(context, context.players[i]);
+  });
   context.on("view", (view) => follow(context, fleet, view));
   return fleet;
 }
@@ -89,7 +101,9 @@ function mountGhost(context, deck) {
     const path = context.players.find((player) => player.annotation)?.annotation.optimal_path ?? null;
     label.hidden = path === null;
     document.body.classList.toggle("explained", path !== null);
-    deck.maps.forEach((map) => { map.ghost = box.checked && map.player.annotation ? path : null; });
+    deck.maps.forEach((map) => {
+      map.ghost = box.checked && map.player.annotation ? path : null;
+    });
   };
   box.addEventListener("change", update);
   for (const player of context.players) player.addEventListener("frames", update);

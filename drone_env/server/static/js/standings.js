@@ -11,11 +11,23 @@ import { mountRaceChart } from "./race_chart.js";
  */
 export function mountStandings(root, context, fleet) {
   const body = el("tbody");
-  const table = el("table.table.standings", { id: "standings" },
+  const table = el(
+    "table.table.standings",
+    { id: "standings" },
     el("caption.visually-hidden", { text: "Standings" }),
-    el("thead", {}, el("tr", {}, ...["Pilot", "Steps", "Parcels", "Score", "Given away"].map((name, i) =>
-      el(i ? "th.num" : "th", { scope: "col", text: name })))),
-    body);
+    el(
+      "thead",
+      {},
+      el(
+        "tr",
+        {},
+        ...["Pilot", "Steps", "Parcels", "Score", "Given away"].map((name, i) =>
+          el(i ? "th.num" : "th", { scope: "col", text: name }),
+        ),
+      ),
+    ),
+    body,
+  );
   const note = el("p.note", { id: "race-note" });
   const moves = el("div.race-moves");
   const chart = el("figure.race-chart");
@@ -33,8 +45,17 @@ export function mountStandings(root, context, fleet) {
   function build(players) {
     rows = players.map((player, i) => {
       const cells = Array.from({ length: 4 }, () => el("td.num"));
-      const name = el("button.standing-name", { type: "button", on: { click: () => context.emit("select", i) } }, el("span", { text: fleet.pilot(player.mission.pilot).name }));
-      return { player, cells, node: el("tr", { style: { "--lane": `var(--lane-${i + 1})` } }, el("th", { scope: "row" }, name), ...cells), i };
+      const name = el(
+        "button.standing-name",
+        { type: "button", on: { click: () => context.emit("select", i) } },
+        el("span", { text: fleet.pilot(player.mission.pilot).name }),
+      );
+      return {
+        player,
+        cells,
+        node: el("tr", { style: { "--lane": `var(--lane-${i + 1})` } }, el("th", { scope: "row" }, name), ...cells),
+        i,
+      };
     });
     body.replaceChildren(...rows.map(({ node }) => node));
     draw();
@@ -51,7 +72,9 @@ export function mountStandings(root, context, fleet) {
       node.dataset.outcome = frame.outcome;
       node.classList.toggle("selected", i === selected);
     }
-    lists.forEach((list, i) => { list.hidden = i !== selected || !context.players[i].annotation; });
+    lists.forEach((list, i) => {
+      list.hidden = i !== selected || !context.players[i].annotation;
+    });
     setText(note, words());
   }
 
@@ -62,13 +85,18 @@ export function mountStandings(root, context, fleet) {
     if (!fleet.over) return `Same map, same moment.${best}`;
     const scores = fleet.active.map((player) => player.last.score);
     const top = Math.max(...scores);
-    const winners = fleet.active.filter((player) => player.last.score === top).map((player) => fleet.pilot(player.mission.pilot).name);
+    const winners = fleet.active
+      .filter((player) => player.last.score === top)
+      .map((player) => fleet.pilot(player.mission.pilot).name);
     const outcome = OUTCOMES[fleet.active.find((player) => player.last.score === top).last.outcome];
     return `${winners.join(" and ")} ${winners.length > 1 ? "tie" : "wins"} with ${points(top)}: ${outcome.toLowerCase()}.${best}`;
   }
 
   context.on("missions", build);
-  context.on("selected", (i) => { selected = i; draw(); });
+  context.on("selected", (i) => {
+    selected = i;
+    draw();
+  });
   for (const player of context.players) player.addEventListener("change", () => nextFrame(draw));
   return canvas;
 }

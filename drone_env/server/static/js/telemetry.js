@@ -5,8 +5,23 @@ import { nextFrame } from "./loop.js";
 import { palette } from "./palette.js";
 
 const COLUMNS = [
-  "step", "action", "x", "y", "event", "reward", "reward_total", "battery", "battery_units", "deliveries_done",
-  "distance", "score", "efficiency", "value", "regret", "outcome", "message",
+  "step",
+  "action",
+  "x",
+  "y",
+  "event",
+  "reward",
+  "reward_total",
+  "battery",
+  "battery_units",
+  "deliveries_done",
+  "distance",
+  "score",
+  "efficiency",
+  "value",
+  "regret",
+  "outcome",
+  "message",
 ];
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
@@ -14,10 +29,20 @@ export function mountTelemetry(root, context, fleet, { maps, charts }) {
   const { player } = context;
   const vector = el("p.telemetry-vector", { id: "telemetry" });
   const raw = el("pre.raw", { id: "raw-frame", tabindex: "0", "aria-label": "Frame as the server sent it" });
-  const details = el("details.telemetry", {}, el("summary", { text: "Raw telemetry" }), el("p.note", { text: "What the network is given beside the grid:" }), vector, raw);
-  const files = el("div.files", {},
+  const details = el(
+    "details.telemetry",
+    {},
+    el("summary", { text: "Raw telemetry" }),
+    el("p.note", { text: "What the network is given beside the grid:" }),
+    vector,
+    raw,
+  );
+  const files = el(
+    "div.files",
+    {},
     el("button.button.quiet.small", { type: "button", id: "save-csv", text: "CSV", on: { click: saveCsv } }),
-    el("button.button.quiet.small", { type: "button", id: "save-png", text: "Map PNG", on: { click: savePng } }));
+    el("button.button.quiet.small", { type: "button", id: "save-png", text: "Map PNG", on: { click: savePng } }),
+  );
   root.append(details, files);
 
   function draw() {
@@ -28,8 +53,11 @@ export function mountTelemetry(root, context, fleet, { maps, charts }) {
 
   function saveCsv() {
     if (!fleet.active.length) return;
-    const rows = fleet.active.flatMap(({ mission, frames }) => frames.map((frame) =>
-      [mission.pilot, mission.task, mission.seed, ...COLUMNS.map((name) => frame[name])].map(cell).join(",")));
+    const rows = fleet.active.flatMap(({ mission, frames }) =>
+      frames.map((frame) =>
+        [mission.pilot, mission.task, mission.seed, ...COLUMNS.map((name) => frame[name])].map(cell).join(","),
+      ),
+    );
     const text = [["pilot", "task", "seed", ...COLUMNS].join(","), ...rows].join("\r\n");
     download(`${name()}.csv`, new Blob([`${text}\r\n`], { type: "text/csv" }));
   }
@@ -43,8 +71,11 @@ export function mountTelemetry(root, context, fleet, { maps, charts }) {
   }
 
   const name = () => `${fleet.setup.task}-${fleet.setup.seed}-${fleet.setup.pilots.join("-")}`;
-  const caption = () => fleet.active.map(({ mission, frame }) =>
-    `${fleet.pilot(mission.pilot).name} · ${mission.task} · map ${mission.seed} · step ${frame.step} · score ${fixed(frame.score * 100, 1)}`);
+  const caption = () =>
+    fleet.active.map(
+      ({ mission, frame }) =>
+        `${fleet.pilot(mission.pilot).name} · ${mission.task} · map ${mission.seed} · step ${frame.step} · score ${fixed(frame.score * 100, 1)}`,
+    );
 
   details.addEventListener("toggle", draw);
   player.addEventListener("change", () => nextFrame(draw));

@@ -1,5 +1,6 @@
 // Dark and light: the system's choice until the visitor makes one, which is remembered. first_theme.js has set it.
 import { forgetPalette } from "./palette.js";
+import { recall, remember } from "./storage.js";
 
 const KEY = "drone-env-theme";
 
@@ -17,28 +18,11 @@ export function mountTheme(context) {
 
   button.addEventListener("click", () => {
     const theme = other(document.documentElement.dataset.theme);
-    keep(theme);
+    remember(KEY, theme);
     apply(theme);
   });
-  system.addEventListener("change", () => kept() ?? apply(system.matches ? "light" : "dark"));
+  system.addEventListener("change", () => recall(KEY) ?? apply(system.matches ? "light" : "dark"));
   apply(document.documentElement.dataset.theme);
 }
 
 const other = (theme) => (theme === "dark" ? "light" : "dark");
-
-function kept() {
-  try {
-    return localStorage.getItem(KEY);
-  } catch {
-    return null;
-  }
-}
-
-// Storage can be forbidden, as in a frame of another site: the choice then lasts as long as the page.
-function keep(theme) {
-  try {
-    localStorage.setItem(KEY, theme);
-  } catch {
-    return;
-  }
-}

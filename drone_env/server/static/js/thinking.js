@@ -10,9 +10,13 @@ export function mountThinking(root, context) {
   const { player } = context;
   const bars = ACTIONS.map((action) => {
     const value = el("span.q-value");
-    const node = el("li.q", { data: { action } },
+    const node = el(
+      "li.q",
+      { data: { action } },
       el("span.q-action", {}, el("i", { "aria-hidden": "true", text: ARROWS[action] }), el("span", { text: action })),
-      el("div.q-bar", { "aria-hidden": "true" }, el("i")), value);
+      el("div.q-bar", { "aria-hidden": "true" }, el("i")),
+      value,
+    );
     return { action, node, value };
   });
   const lead = el("span.confidence-text", { id: "confidence" });
@@ -21,11 +25,22 @@ export function mountThinking(root, context) {
   const none = el("p.note", { text: "No network is shipped for this task.", hidden: true });
   const arrows = el("input", { type: "checkbox", id: "show-arrows", checked: true, "aria-label": "Arrows on the map" });
   arrows.addEventListener("change", () => context.emit("arrows", arrows.checked));
-  const list = el("ol.q-list", { id: "q-values", "aria-label": "Value of each action" }, ...bars.map(({ node }) => node));
+  const list = el(
+    "ol.q-list",
+    { id: "q-values", "aria-label": "Value of each action" },
+    ...bars.map(({ node }) => node),
+  );
   root.append(
-    el("div.panel-head", {}, el("h2.eyebrow", { text: "What PathQNet thinks" }),
-      el("label.switch", {}, arrows, el("span", { text: "Arrows" }))),
-    list, confidence, none);
+    el(
+      "div.panel-head",
+      {},
+      el("h2.eyebrow", { text: "What PathQNet thinks" }),
+      el("label.switch", {}, arrows, el("span", { text: "Arrows" })),
+    ),
+    list,
+    confidence,
+    none,
+  );
 
   function draw() {
     const { frame } = player;

@@ -11,7 +11,14 @@ import { labelColour, lanePalette } from "./palette.js";
  */
 export function mountTimeline(root, context, { label, seek }) {
   const canvas = el("canvas.timeline-strip", { "aria-hidden": "true" });
-  const slider = el("input.timeline-slider", { type: "range", min: "0", max: "0", step: "1", value: "0", "aria-label": label });
+  const slider = el("input.timeline-slider", {
+    type: "range",
+    min: "0",
+    max: "0",
+    step: "1",
+    value: "0",
+    "aria-label": label,
+  });
   slider.addEventListener("input", () => seek(Number(slider.value)));
   slider.addEventListener("pointermove", (event) => {
     slider.title = tip(Math.round((event.offsetX / slider.clientWidth) * Number(slider.max)));

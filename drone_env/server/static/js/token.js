@@ -5,18 +5,33 @@ let asking = null;
 
 /** @param {boolean} wrong Whether there was a token, which the server refused. @returns {Promise<string>} */
 export function askForToken(wrong) {
-  asking ??= ask(wrong).finally(() => { asking = null; });
+  asking ??= ask(wrong).finally(() => {
+    asking = null;
+  });
   return asking;
 }
 
 function ask(wrong) {
   const dialog = document.getElementById("token");
-  const input = el("input.input", { type: "password", id: "token-input", autocomplete: "current-password", required: true });
-  const form = el("form", { method: "dialog" },
+  const input = el("input.input", {
+    type: "password",
+    id: "token-input",
+    autocomplete: "current-password",
+    required: true,
+  });
+  const form = el(
+    "form",
+    { method: "dialog" },
     el("h2", { id: "token-title", text: "This server asks for a token" }),
-    el("p.note", { text: wrong ? "The token was refused. Try another." : "It is the value of DRONE_ENV_TOKEN that the server was started with. It is kept for this tab." }),
-    el("label.eyebrow", { for: "token-input", text: "Token" }), input,
-    el("button.button.primary", { text: "Enter" }));
+    el("p.note", {
+      text: wrong
+        ? "The token was refused. Try another."
+        : "It is the value of DRONE_ENV_TOKEN that the server was started with. It is kept for this tab.",
+    }),
+    el("label.eyebrow", { for: "token-input", text: "Token" }),
+    input,
+    el("button.button.primary", { text: "Enter" }),
+  );
   dialog.replaceChildren(form);
   dialog.addEventListener("cancel", (event) => event.preventDefault());
   if (!dialog.open) dialog.showModal();
