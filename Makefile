@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check verify bench bench-training bench-dashboard evidence docs-data screenshots format clean
+.PHONY: demo test check adapters verify bench bench-training bench-dashboard evidence docs-data screenshots format clean
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -36,10 +36,21 @@ check: .venv/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
+# What needs TRL and Inspect, in an environment of its own.
+.venv-adapters/.made: pyproject.toml
+	test -x .venv-adapters/bin/python || $(PYTHON) -m venv .venv-adapters
+	.venv-adapters/bin/python -m pip install --quiet $(TORCH)
+	.venv-adapters/bin/python -m pip install --quiet --editable '.[inspect,trl]' 'pytest>=8.3' 'pytest-timeout>=2.3'
+	touch $@
+
+adapters: .venv-adapters/.made
+	.venv-adapters/bin/python -m pytest tests/llm/test_inspect.py tests/llm/test_trl.py
+
 # The same properties over many more cases; takes long.
 verify: .venv/.dev
 	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(BIN)/python -m pytest -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_store.py tests/unit/test_rl.py
 	DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SOCKET_STEPS=1000000 DRONE_ENV_SCHEMA_EXAMPLES=200 $(BIN)/python -m pytest --timeout 36000 tests/api
+	DRONE_ENV_KILLS=50 DRONE_ENV_LATENCY=0.2 DRONE_ENV_LLM_MAPS=100 $(BIN)/python -m pytest --timeout 36000 tests/llm
 
 # The batched simulator beside its peers, in an environment of its own; make bench ARGS=--quick for a short run.
 bench: .venv/.base
@@ -71,5 +82,5 @@ format: .venv/.dev
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf .venv .venv-bench build dist demo htmlcov .coverage .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf .venv .venv-bench .venv-adapters build dist demo htmlcov .coverage .pytest_cache .ruff_cache .hypothesis *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -180,8 +180,6 @@ def infer(
         cache=cache,
         server=server,
     )
-    if max_cost is not None and prices is None:
-        raise InvalidValueError("--max-cost needs prices: give --price-prompt and --price-completion")
     folder = run_folder.RunFolder(out or _new_folder(config.model, config_task.short_name), config, resume)
     try:
         with contextlib.ExitStack() as stack:
@@ -197,6 +195,9 @@ def infer(
 
             checked = verified_run(folder.path)
             write_report(checked, figures_of(checked, prices, moves))
+    except KeyboardInterrupt:
+        print(f"interrupted; to go on, give the same options with --out {folder.path} --resume", file=sys.stderr)
+        raise
     finally:
         folder.close()
     for line in runner.summary_lines(result):

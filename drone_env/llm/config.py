@@ -42,7 +42,7 @@ class RunConfig(Message):
 
     format: Literal["drone_env/llm-run"] = "drone_env/llm-run"
     format_version: Literal[1] = 1
-    model: str = Field(min_length=1, max_length=180, pattern=r"^[^\s\p{C}]+$", description="The model, without spaces.")
+    model: str = Field(min_length=1, max_length=180, description="The model, without spaces.")
     base_url: str
     task: str
     task_version: int = Field(ge=1)
@@ -57,6 +57,14 @@ class RunConfig(Message):
     stream: bool
     sampling: Sampling
 
+    @field_validator("model")
+    @classmethod
+    def _one_word(cls, model: str) -> str:
+        # It stands in log lines, which are split at spaces.
+        if any(letter.isspace() or not letter.isprintable() for letter in model):
+            raise ValueError(f"a model's name has no spaces and nothing unprintable, got {model!r}")
+        return model
+
     @field_validator("base_url")
     @classmethod
     def _address(cls, url: str) -> str:
@@ -66,6 +74,8 @@ class RunConfig(Message):
     def _known(self) -> Self:
         get_task(self.task, self.task_version)
         get_reward_profile(self.reward_profile)
+        if self.history and not get_prompt(self.prompt).tells_history:
+            raise ValueError(f"prompt {self.prompt} tells no last steps: history must be 0")
         start, stop = self.seeds
         if not start < stop <= N_SEEDS:
             raise ValueError(f"seeds {self.seeds} are not [start, stop) within [0, 2^53]")

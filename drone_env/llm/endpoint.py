@@ -1,6 +1,7 @@
 """One request to an OpenAI-compatible endpoint: what goes out, what comes back, which failures are worth a retry."""
 
 import asyncio
+import itertools
 from collections.abc import Sequence
 from email.utils import parsedate_to_datetime
 from time import time
@@ -9,7 +10,8 @@ from urllib.parse import urlsplit
 
 import httpx2
 import openai
-from openai import AsyncOpenAI
+from openai import AsyncOpenAI, AsyncStream
+from openai.types.chat import ChatCompletion, ChatCompletionChunk
 
 from drone_env.core.actions import Action
 from drone_env.errors import DroneEnvError
@@ -24,6 +26,8 @@ SENT_HEADERS = {
     *("user-agent", "authorization", "x-client-request-id"),
 }
 REASON_CHARACTERS = 300
+POOLS = 8
+"""Pools of connections. A pool looks at all of its own for each request, which hundreds in one would make slow."""
 DIRECTIONS = [action.name for action in Action]
 HINTS = {
     401: "the token is missing or wrong: check HF_TOKEN (Hugging Face) or OPENAI_API_KEY (elsewhere)",
@@ -78,15 +82,21 @@ class Endpoint:
             else:
                 request.headers["authorization"] = f"Bearer {token}"
 
-        # A redirect could take the token elsewhere. No limit of connections: the runner limits them.
-        http = openai.DefaultAsyncHttpxClient(
-            follow_redirects=False,
-            limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
-            event_hooks={"request": [keep_to_ourselves]},
-        )
-        self._client = AsyncOpenAI(
-            api_key=token or "none", base_url=config.base_url, max_retries=0, timeout=timeout, http_client=http
-        )
+        def client() -> AsyncOpenAI:
+            # A redirect could take the token elsewhere. No limit of connections: the runner limits them.
+            http = openai.DefaultAsyncHttpxClient(
+                verify=certificates,
+                follow_redirects=False,
+                limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
+                event_hooks={"request": [keep_to_ourselves]},
+            )
+            return AsyncOpenAI(
+                api_key=token or "none", base_url=config.base_url, max_retries=0, timeout=timeout, http_client=http
+            )
+
+        certificates = httpx2.create_ssl_context()
+        self._clients = [client() for _ in range(POOLS)]
+        self._next_client = itertools.cycle(self._clients)
         self.host = urlsplit(config.base_url).netloc
 
     async def ask(self, messages: Sequence[ChatMessage], call_id: str) -> Answer:
@@ -111,18 +121,24 @@ class Endpoint:
 
     async def close(self) -> None:
         """Close all connections."""
-        await self._client.close()
+        for client in self._clients:
+            await client.close()
 
     async def _ask(self, messages: Sequence[ChatMessage], call_id: str) -> Answer:
-        create: Any = self._client.chat.completions.create
+        # Not `chat.completions.create`, which takes longer to check each message than all else here takes.
+        post: Any = next(self._next_client).post
+        body: dict[str, Any] = {"messages": list(messages), **self.body}
         arguments: dict[str, Any] = {
-            "messages": list(messages),
-            "extra_headers": {"X-Client-Request-Id": call_id},
-            **self.body,
+            "options": {"headers": {"X-Client-Request-Id": call_id}},
+            "cast_to": ChatCompletion,
         }
-        if self._stream:
-            return await _read_stream(await create(**arguments, stream=True, stream_options={"include_usage": True}))
-        return _read_completion(await create(**arguments))
+        if not self._stream:
+            return _read_completion(await post("/chat/completions", body=body, **arguments))
+        body |= {"stream": True, "stream_options": {"include_usage": True}}
+        chunks = AsyncStream[ChatCompletionChunk]
+        return await _read_stream(
+            await post("/chat/completions", body=body, stream=True, stream_cls=chunks, **arguments)
+        )
 
     def _status_failed(self, error: openai.APIStatusError) -> NoReturn:
         status = error.status_code
@@ -144,10 +160,7 @@ class Endpoint:
 def request_body(config: RunConfig, plan: bool) -> dict[str, Any]:
     """What is sent beside the messages."""
     sampling = config.sampling.model_dump(exclude={"extra"}, exclude_none=True)
-    body: dict[str, Any] = {"model": config.model, **sampling}
-    if config.sampling.extra:
-        body["extra_body"] = config.sampling.extra
-    return {**body, **_form(config.answers, plan)}
+    return {"model": config.model, **sampling, **config.sampling.extra, **_form(config.answers, plan)}
 
 
 def _form(form: AnswerForm, plan: bool) -> dict[str, Any]:

@@ -39,7 +39,7 @@ def leaderboard(paths: Iterable[Path]) -> tuple[list[Board], list[Refused]]:
         try:
             run = verified_run(path)
         except (DroneEnvError, OSError, ValueError) as error:
-            refused.append(Refused(path, str(error), damaged=True))
+            refused.append(Refused(path, str(error).removeprefix(f"{path}: "), damaged=True))
             continue
         figures = report(run, moves=False)
         if figures["verdict"] != "valid":

@@ -61,10 +61,6 @@ class Spending:
     """Paid answers that did not say how many tokens they took."""
     started: float = field(default_factory=time.monotonic)
 
-    def __post_init__(self) -> None:
-        if self.limits.cost is not None and self.prices is None:
-            raise InvalidValueError("--max-cost needs prices: give --price-prompt and --price-completion")
-
     @property
     def tokens(self) -> int:
         """All tokens."""

@@ -6,6 +6,7 @@ from typing import Literal
 
 from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer, Outcome, read_answer
 from drone_env.llm.config import RunConfig
@@ -17,6 +18,34 @@ from drone_env.models import DroneObservation
 
 Ask = Callable[[CallKey, list[ChatMessage]], Awaitable[Answer]]
 Status = Literal["finished", "errored", "budget_stop"]
+
+
+@dataclass(frozen=True)
+class Mission:
+    """What is to be flown.
+
+    Attributes:
+        index: The number of the flight, from 0.
+        seed, repeat: The map, and the how manieth flight over it from 0.
+        task: The task.
+        reward_profile: What steps pay.
+        history: How many of the last steps are told.
+        agent: Who flies, for a server's records.
+    """
+
+    index: int
+    seed: int
+    repeat: int
+    task: TaskConfig
+    reward_profile: str
+    history: int
+    agent: str
+
+
+def mission_of(config: RunConfig, index: int) -> Mission:
+    """A flight of a run, by its number."""
+    seed, repeat = config.flight(index)
+    return Mission(index, seed, repeat, config.task_config, config.reward_profile, config.history, config.model)
 
 
 class CallFailedError(DroneEnvError):
@@ -47,30 +76,28 @@ class Flight:
     error: str | None = None
 
 
-async def fly(config: RunConfig, prompt: Prompt, index: int, ask: Ask, server: ServerFlight | None = None) -> Flight:
-    """Fly one flight of a run. Equal answers give equal flights.
+async def fly(mission: Mission, prompt: Prompt, ask: Ask, server: ServerFlight | None = None) -> Flight:
+    """Fly one flight. Equal answers give equal flights.
 
     Args:
-        config: The run.
-        prompt: Its prompt.
-        index: The number of the flight.
+        mission: The flight.
+        prompt: How the model is asked.
         ask: Brings the answer of one call; raises `CallFailedError` or `LimitReachedError` where there is none.
         server: Flies along, and must show the same.
 
     Raises:
         InvalidValueError: if the server shows something else.
     """
-    task = config.task_config
-    seed, repeat = config.flight(index)
-    episode = Episode(task, config.reward_profile)
-    episode.reset(seed)
-    flight = Flight(index, seed, repeat, episode)
+    index, task = mission.index, mission.task
+    episode = Episode(task, mission.reward_profile)
+    episode.reset(mission.seed)
+    flight = Flight(index, mission.seed, mission.repeat, episode)
     if server is not None:
-        await server.reset(episode, config.model)
+        await server.reset(episode, mission.agent)
     flown: list[Flown] = []
     while not episode.ended:
         turn = len(flight.turns) + 1
-        asked = first_messages(prompt, task, DroneObservation.of(episode), flown, config.history)
+        asked = first_messages(prompt, task, DroneObservation.of(episode), flown, mission.history)
         try:
             answer = await ask(CallKey(index, turn, 1), asked)
             reading = read_answer(answer, prompt.plan)

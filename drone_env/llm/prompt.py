@@ -66,6 +66,11 @@ class Prompt:
     repair: str
     digest: str
 
+    @property
+    def tells_history(self) -> bool:
+        """Whether it has a place for the last steps."""
+        return "{history}" in self.user
+
 
 @dataclass(frozen=True)
 class Flown:
@@ -150,8 +155,13 @@ def repair_messages(prompt: Prompt, asked: Sequence[ChatMessage], answer: str, r
     return [
         *asked,
         {"role": "assistant", "content": answer[:QUOTED_CHARACTERS]},
-        {"role": "user", "content": _fill(prompt.repair, {"reason": reason})},
+        {"role": "user", "content": repair_text(prompt, reason)},
     ]
+
+
+def repair_text(prompt: Prompt, reason: str) -> str:
+    """What is said about an answer that could not be used."""
+    return _fill(prompt.repair, {"reason": reason})
 
 
 VALUES = {

@@ -15,7 +15,7 @@ from drone_env.files import replacing
 from drone_env.llm.answers import OUTCOMES
 from drone_env.llm.limits import Prices
 from drone_env.llm.run_folder import FlightResult
-from drone_env.llm.runner import verdict_of
+from drone_env.llm.runner import mean_over_maps, verdict_of
 from drone_env.llm.verify import VerifiedRun
 
 BASELINES = ("random", "greedy", "pathqnet", "optimal")
@@ -24,8 +24,9 @@ BASELINES = ("random", "greedy", "pathqnet", "optimal")
 def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -> dict[str, Any]:
     """The figures of a run, as JSON values; what is not known is null.
 
-    `score_ci95` is mean +- 1.96 standard errors over the maps (flights over one map are averaged first), null for one
-    map. `normalised` is (score - random) / (optimal - random) of the means over the same maps.
+    Flights over one map are averaged first, then the maps, so that each map counts as much as for the other agents.
+    `score_ci95` is mean +- 1.96 standard errors over the maps, null for one map. `normalised` is
+    (score - random) / (optimal - random) of the means over the same maps.
 
     Args:
         run: The run.
@@ -41,8 +42,8 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
         by_map[result.seed].append(result)
     baselines = _baselines(run, sorted(by_map))
     optima = baselines["optimal"]
-    means = [_mean([r.score for r in results]) for results in by_map.values()]
-    score, random = _mean([result.score for result in counted]), _mean_of(baselines["random"])
+    score = mean_over_maps([(result.seed, result.score) for result in counted])
+    random = _mean_of(baselines["random"])
     best = _mean_of(optima)
     return {
         "format": "drone_env/llm-report",
@@ -56,11 +57,18 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
             "errored": len(run.results) - len(counted),
             "unfinished": sum(not result.ended for result in counted),
         },
+        "not_finished": [
+            {"seed": r.seed, "repeat": r.repeat, "status": r.status, "error": r.error}
+            for r in run.results
+            if r.status != "finished"
+        ],
         "score": score,
-        "score_ci95": _interval([mean for mean in means if mean is not None]),
-        "success_rate": _mean([result.success for result in counted]),
+        "score_ci95": _interval([math.fsum(r.score for r in results) / len(results) for results in by_map.values()]),
+        "success_rate": mean_over_maps([(result.seed, result.success) for result in counted]),
         "pass_hat_k": _pass_hat_k(list(by_map.values())),
-        "regret": None if optima is None else _mean([optima[result.seed] - result.score for result in counted]),
+        "regret": None
+        if optima is None
+        else mean_over_maps([(result.seed, optima[result.seed] - result.score) for result in counted]),
         "normalised": None
         if score is None or random is None or best is None or best == random
         else (score - random) / (best - random),
@@ -168,63 +176,6 @@ def _spending(run: VerifiedRun, prices: Prices | None) -> dict[str, Any]:
     }
 
 
-def markdown(figures: dict[str, Any]) -> str:
-    """The report as a page of Markdown."""
-    config, flights = figures["config"], figures["flights"]
-    interval = figures["score_ci95"]
-    width = "" if interval is None or figures["score"] is None else f" ± {interval[1] - figures['score']:.4f}"
-    base, calls, tokens = figures["baselines"], figures["calls"], figures["tokens"]
-    verdict = figures["verdict"].upper() if figures["verdict"] == "invalid" else figures["verdict"]
-    rows = [
-        ("score (95 %)", _shown(figures["score"]) + width),
-        ("delivered all", _percent(figures["success_rate"])),
-        ("regret", _shown(figures["regret"])),
-        ("(score - random) / (optimal - random)", _shown(figures["normalised"])),
-        *((f"{name}, same maps", _shown(score)) for name, score in base.items()),
-        *((f"pass^{k}", _percent(share)) for k, share in figures["pass_hat_k"].items()),
-        ("flights planned, flown", f"{flights['planned']}, {flights['flown']}"),
-        ("errored, left out", str(flights["errored"])),
-        ("unfinished, counted as waiting to the end", str(flights["unfinished"])),
-        ("WAIT in place of an unusable answer", str(figures["waits"])),
-        ("requests; answers; from the cache", f"{calls['requests']}; {calls['answered']}; {calls['cached']}"),
-        ("tokens: prompt, completion", f"{tokens['prompt']}, {tokens['completion']}"),
-        ("cost in US dollars", _shown(figures["cost_usd"])),
-    ]
-    if figures["moves"] is not None:
-        labels = ", ".join(f"{label} {count}" for label, count in figures["moves"]["labels"].items())
-        rows += [("moves", labels), ("best moves where it mattered", _percent(figures["moves"]["accuracy"]))]
-    title = f"{config['model']} on {config['task']}, prompt {config['prompt']}"
-    seeds = (
-        f"Maps {config['seeds'][0]} to {config['seeds'][1] - 1} ({config['split']}), {config['repeats']} flights each."
-    )
-    lines = [f"# {title}", "", f"**{verdict}**{': ' if figures['reason'] else ''}{figures['reason']}", "", seeds]
-    lines += ["", "| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)]
-    lines += ["", "## Answers", "", "| outcome | requests for actions |", "|---|---|"]
-    lines += [f"| {name} | {count} |" for name, count in figures["turns"].items()]
-    lines += [
-        "",
-        "## Maps",
-        "",
-        "| map | scores | optimum | delivered all | steps | WAIT in place |",
-        "|---|---|---|---|---|---|",
-    ]
-    for of_map in figures["maps"]:
-        scores, steps = ", ".join(map(_shown, of_map["scores"])), ", ".join(map(str, of_map["steps"]))
-        all_of = f"{of_map['success']} of {len(of_map['scores'])}"
-        lines.append(
-            f"| {of_map['seed']} | {scores} | {_shown(of_map['optimum'])} | {all_of} | {steps} | {of_map['waits']} |"
-        )
-    return "\n".join([*lines, ""])
-
-
-def _shown(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1%}"
-
-
 def write_report(run: VerifiedRun, figures: dict[str, Any]) -> None:
     """Write `report.json`, `report.md` and `report.html` into the run's folder, each whole or not at all.
 
@@ -232,6 +183,7 @@ def write_report(run: VerifiedRun, figures: dict[str, Any]) -> None:
         OSError: if they cannot be written.
     """
     from drone_env.llm.report_page import page
+    from drone_env.llm.report_tables import markdown
 
     texts = {
         "report.json": json.dumps(figures, indent=2, allow_nan=False) + "\n",

@@ -1,64 +1,54 @@
-"""The report as one HTML page with plots, which needs nothing from anywhere else."""
+"""The report as one HTML page with plots, which needs nothing from anywhere else and runs nothing."""
 
-import io
 from html import escape
+from pathlib import Path
 from typing import Any
 
-STYLE = (
-    "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}"
-    "table{border-collapse:collapse;margin:1rem 0}td,th{border:1px solid #ccc;padding:.2rem .6rem;text-align:left}"
-    "svg{max-width:100%;height:auto}"
-)
+from drone_env.llm.report_plots import plots
+from drone_env.llm.report_tables import ReportTable, maps_line, percent, shown, tables, title, verdict, with_interval
+
+STYLE = Path(__file__).with_name("report.css")
+FOLDED_ROWS = 30
+"""Longer tables are folded."""
 
 
 def page(figures: dict[str, Any]) -> str:
     """The page of a report's figures."""
-    from drone_env.llm.report import markdown
-
-    body: list[str] = []
-    in_table = False
-    for line in markdown(figures).splitlines():
-        row = line.startswith("|")
-        if in_table and not row:
-            body.append("</table>")
-        if row and not in_table:
-            body.append("<table>")
-        in_table = row
-        if (row and set(line) > set("|-")) or (row and line == "| | |"):
-            cells = [escape(cell.strip()) for cell in line.strip("|").split("|")]
-            if any(cells):
-                body.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
-        elif line.startswith("#"):
-            level = len(line) - len(line.lstrip("#"))
-            body.append(f"<h{level}>{escape(line.lstrip('# '))}</h{level}>")
-            if level == 1:
-                body.append(_plots(figures))
-        elif line and not row:
-            body.append(f"<p>{escape(line.replace('**', ''))}</p>")
-    if in_table:
-        body.append("</table>")
-    title = escape(f"{figures['config']['model']} on {figures['config']['task']}")
+    config = figures["config"]
+    reason = f"<p class='reason'>{escape(figures['reason'])}</p>" if figures["reason"] else ""
+    drawn = "".join(f"<figure><figcaption>{escape(name)}</figcaption>{svg}</figure>" for name, svg in plots(figures))
     return (
-        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f"<style>{STYLE}</style></head><body>\n" + "\n".join(body) + "\n</body></html>\n"
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width">'
+        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">"
+        f"<title>{escape(title(figures))}</title><style>{STYLE.read_text(encoding='utf-8')}</style></head>\n<body>\n"
+        f"<header><h1>{escape(config['model'])}</h1>"
+        f"<p>{escape(config['task'])}, prompt {escape(config['prompt'])}. {escape(maps_line(figures))}</p>"
+        f"<span class='verdict {escape(figures['verdict'])}'>{escape(verdict(figures))}</span>{reason}</header>\n"
+        f"<section class='cards'>{_cards(figures)}</section>\n<section class='plots'>{drawn}</section>\n"
+        f"<section class='tables'>{''.join(map(_table, tables(figures)))}</section>\n</body></html>\n"
     )
 
 
-def _plots(figures: dict[str, Any]) -> str:
-    """Scores beside the other agents', and how the answers came out, as SVG."""
-    from matplotlib.figure import Figure
+def _cards(figures: dict[str, Any]) -> str:
+    """The figures that matter most."""
+    tokens, cost = figures["tokens"], figures["cost_usd"]
+    cards = [
+        (with_interval(figures), "mean score, 95 % interval"),
+        (percent(figures["success_rate"]), "delivered everything"),
+        (shown(figures["regret"]), "regret: what lacks to the optimum"),
+        (shown(figures["normalised"]), "of the way from random to optimal"),
+        (f"{tokens['prompt'] + tokens['completion']:,}", "tokens" + ("" if cost is None else f", ${cost:.4f}")),
+    ]
+    return "".join(f"<div><b>{escape(figure)}</b><span>{escape(name)}</span></div>" for figure, name in cards)
 
-    figure = Figure(figsize=(10, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    bars = {"this model": figures["score"], **figures["baselines"]}
-    known = {name: score for name, score in bars.items() if score is not None}
-    left.bar(list(known), list(known.values()), color=["#d95f02", *["#7570b3"] * (len(known) - 1)])
-    left.set_ylim(0, 1)
-    left.set_title("mean score, same maps")
-    turns = {name: count for name, count in figures["turns"].items() if count}
-    right.barh(list(turns), list(turns.values()), color="#1b9e77")
-    right.set_title("how requests for actions came out")
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    svg = text.getvalue()
-    return svg[svg.index("<svg") :]
+
+def _table(table: ReportTable) -> str:
+    head = "".join(f"<th>{escape(name)}</th>" for name in table.head)
+    rows = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
+    body = f"<table>{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{rows}</tbody></table>"
+    wide = " class='wide'" if len(table.head) > 2 else ""
+    if len(table.rows) > FOLDED_ROWS:
+        heading = f"<summary><h2>{escape(table.title)}</h2> {len(table.rows)} rows</summary>"
+        return f"<article{wide}><details>{heading}{body}</details></article>"
+    return f"<article{wide}><h2>{escape(table.title)}</h2>{body}</article>"

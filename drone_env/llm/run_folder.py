@@ -144,7 +144,7 @@ def load_results(path: Path) -> list[FlightResult]:
 def first_problem(error: ValidationError) -> str:
     """The first thing that is wrong, with the field where it is."""
     first = error.errors()[0]
-    return "".join(f"{part}: " for part in first["loc"]) + first["msg"]
+    return "".join(f"{part}: " for part in first["loc"]) + first["msg"].removeprefix("Value error, ")
 
 
 def _begun(path: Path) -> bool:

@@ -3,7 +3,8 @@
 import asyncio
 import contextlib
 import math
-from collections.abc import Callable, Coroutine
+from collections import defaultdict
+from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -19,7 +20,7 @@ from drone_env.llm.config import RunConfig
 from drone_env.llm.endpoint import Endpoint
 from drone_env.llm.image import ServerFlight
 from drone_env.llm.limits import Limits, Prices, Spending
-from drone_env.llm.pilot import Flight, fly
+from drone_env.llm.pilot import Flight, fly, mission_of
 from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
 from drone_env.llm.transcript import Transcript
 
@@ -55,6 +56,8 @@ class Options:
             raise InvalidValueError(f"--concurrency must be 1 to 10000, got {self.concurrency}")
         if not 0 < self.timeout < float("inf"):
             raise InvalidValueError(f"--timeout must be above 0 s, got {self.timeout}")
+        if self.limits.cost is not None and self.prices is None:
+            raise InvalidValueError("--max-cost needs prices: give --price-prompt and --price-completion")
 
 
 class Observer(Watcher, Protocol):
@@ -133,7 +136,7 @@ async def run(
             """Whether to go on with the next one."""
             server = None if options.server is None else ServerFlight(options.server)
             try:
-                flight = await fly(config, prompt, index, caller.ask, server)
+                flight = await fly(mission_of(config, index), prompt, caller.ask, server)
             except StoppedError:
                 return False
             finally:
@@ -195,6 +198,14 @@ def log_text(flight: Flight, model: str) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
+def mean_over_maps(values: Sequence[tuple[int, float]]) -> float | None:
+    """The mean over the maps of (map, value) pairs, those of one map averaged first; None where there are none."""
+    by_map: dict[int, list[float]] = defaultdict(list)
+    for seed, value in values:
+        by_map[seed].append(value)
+    return math.fsum(math.fsum(of_map) / len(of_map) for of_map in by_map.values()) / len(by_map) if by_map else None
+
+
 def summary_lines(result: RunResult) -> list[str]:
     """What came of a run, for people: the verdict, the score of those that count, and how the answers came out."""
     counted = [flight for flight in result.flights if flight.status != "errored"]
@@ -203,8 +214,8 @@ def summary_lines(result: RunResult) -> list[str]:
     errored = len(result.flights) - len(counted)
     unfinished = sum(not flight.episode.ended for flight in counted)
     lines: list[str] = []
-    if counted:
-        mean = math.fsum(flight.episode.counted_score() for flight in counted) / len(counted)
+    mean = mean_over_maps([(flight.seed, flight.episode.counted_score()) for flight in counted])
+    if mean is not None:
         success = sum(flight.episode.success for flight in counted)
         lines.append(f"mean score {mean:.4f} over {len(counted)} flights, {success} delivered everything")
     lines.append(f"errored and left out: {errored}; unfinished, counted as waiting to the end: {unfinished}")

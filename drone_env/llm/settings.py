@@ -24,7 +24,12 @@ class InferenceSettings(BaseSettings):
     """What can be configured. Each field is read from the variable of its name in capitals."""
 
     model_config = SettingsConfigDict(
-        env_file=".env", env_file_encoding="utf-8", env_ignore_empty=True, frozen=True, extra="ignore"
+        env_file=".env",
+        env_file_encoding="utf-8",
+        env_ignore_empty=True,
+        frozen=True,
+        extra="ignore",
+        protected_namespaces=(),
     )
 
     hf_token: SecretStr | None = Field(default=None, description="Token for Hugging Face; sent to its hosts alone.")
@@ -43,10 +48,12 @@ def load_settings() -> InferenceSettings:
     """The settings from the environment and `.env` of the working folder.
 
     Raises:
-        InvalidValueError: if a variable has a value that it cannot have; the message names it.
+        InvalidValueError: if a variable has a value that it cannot have, or `.env` is no text; the message says which.
     """
     try:
         return InferenceSettings()
+    except UnicodeDecodeError as error:
+        raise InvalidValueError(f".env is not UTF-8 text: {error.reason} at byte {error.start}") from None
     except ValidationError as error:
         wrong = "; ".join(f"{str(e['loc'][0]).upper()}: {e['msg']}" for e in error.errors())
         raise InvalidValueError(wrong) from None

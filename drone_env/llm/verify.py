@@ -1,6 +1,7 @@
 """Whether a run folder is what it says: every flight is flown again, from the model's own answers."""
 
 import asyncio
+from dataclasses import dataclass
 from pathlib import Path
 
 from drone_env.episodes.jsonl import read_records
@@ -9,12 +10,13 @@ from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig
 from drone_env.llm.limits import LimitReachedError
-from drone_env.llm.pilot import CallFailedError, Flight, fly
+from drone_env.llm.pilot import CallFailedError, Flight, fly, mission_of
 from drone_env.llm.prompt import ChatMessage
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
 from drone_env.llm.transcript import Call, CallKey, read_calls
 
 
+@dataclass(frozen=True)
 class VerifiedRun:
     """A run that has been checked.
 
@@ -26,19 +28,11 @@ class VerifiedRun:
         calls: All of the transcript.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        config: RunConfig,
-        results: list[FlightResult],
-        records: list[EpisodeRecord],
-        calls: list[Call],
-    ) -> None:
-        self.path = path
-        self.config = config
-        self.results = results
-        self.records = records
-        self.calls = calls
+    path: Path
+    config: RunConfig
+    results: list[FlightResult]
+    records: list[EpisodeRecord]
+    calls: list[Call]
 
 
 def verified_run(path: Path) -> VerifiedRun:
@@ -52,6 +46,7 @@ def verified_run(path: Path) -> VerifiedRun:
     results, records = load_results(path), list(read_records(path / EPISODES))
     calls = [call for _, call in read_calls(path / TRANSCRIPT)]
     answers = {call.key: call for call in calls if call.answer is not None}
+    failed = {call.key for call in calls if call.answer is None}
     if len(results) != len(records):
         raise InvalidValueError(f"{path} holds {len(records)} records for {len(results)} flights")
     numbers = [result.flight for result in results]
@@ -66,7 +61,7 @@ def verified_run(path: Path) -> VerifiedRun:
     for result, record in zip(results, records, strict=True):
         try:
             replay(record)
-            flight = asyncio.run(_flown_again(config, result, answers, used))
+            flight = asyncio.run(_flown_again(config, result, answers, failed, used))
         except DroneEnvError as error:
             raise InvalidValueError(f"{path}: flight {result.flight}: {error}") from None
         if FlightResult.of(flight) != result or record_of(flight.episode, config.model) != record:
@@ -77,7 +72,7 @@ def verified_run(path: Path) -> VerifiedRun:
 
 
 async def _flown_again(
-    config: RunConfig, result: FlightResult, answers: dict[CallKey, Call], used: set[CallKey]
+    config: RunConfig, result: FlightResult, answers: dict[CallKey, Call], failed: set[CallKey], used: set[CallKey]
 ) -> Flight:
     async def ask(key: CallKey, messages: list[ChatMessage]) -> Answer:
         call = answers.get(key)
@@ -87,10 +82,12 @@ async def _flown_again(
             used.add(key)
             return call.answer
         # Where the answers end, the flight ended as its result says, which is compared with the rest of it.
-        if result.status == "errored":
+        if result.status == "errored" and key in failed:
             raise CallFailedError(result.error or "")
         if result.status == "budget_stop":
             raise LimitReachedError(result.error or "")
-        raise InvalidValueError(f"call {key} has no answer, but the flight is said to be finished")
+        # An errored flight counts for nothing, so nobody may call one so whose calls did not fail.
+        missing = "has neither an answer nor a failure" if result.status == "errored" else "has no answer"
+        raise InvalidValueError(f"call {key} {missing}, but the flight is said to be {result.status}")
 
-    return await fly(config, config.load_prompt(), result.flight, ask)
+    return await fly(mission_of(config, result.flight), config.load_prompt(), ask)

@@ -102,6 +102,11 @@ class Server:
             data = b"<html>busy</html>"
             writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/html\r\nContent-Length: %d\r\n\r\n" % len(data) + data)
             return True
+        if fault == "garbage":
+            data = b"data: {\x00\xff not json\n\n"
+            writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n")
+            writer.write(b"Content-Length: %d\r\n\r\n" % len(data) + data)
+            return True
         if isinstance(fault, dict) and "status" in fault:
             error = {"error": {"message": fault.get("message", f"scripted {fault['status']}"), "type": "scripted"}}
             self.send(writer, fault["status"], error, fault.get("headers", {}))

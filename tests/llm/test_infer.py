@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -62,6 +63,10 @@ def test_log_lines_to_the_byte(endpoint: Start) -> None:
     verified(done)
 
 
+MAPS = int(os.environ.get("DRONE_ENV_LLM_MAPS", "5"))
+"""How many maps are flown where every step is a call."""
+
+
 @pytest.mark.parametrize("task", ["easy", "medium", "hard"])
 def test_a_perfect_pilot_scores_the_optimum_on_100_test_maps(endpoint: Start, task: str) -> None:
     done = endpoint(pilot="plan").infer("--task", task, "--episodes", "100", "--prompt", "plan")
@@ -74,23 +79,25 @@ def test_a_perfect_pilot_scores_the_optimum_on_100_test_maps(endpoint: Start, ta
     verified(done)
 
 
-@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
-def test_a_perfect_pilot_asked_step_by_step(endpoint: Start, stream: str) -> None:
-    done = endpoint(pilot="perfect").infer("--task", "hard", "--episodes", "3", "--prompt", "coordinates", stream)
+@pytest.mark.parametrize(("task", "stream"), [("easy", "--stream"), ("medium", "--no-stream"), ("hard", "--no-stream")])
+def test_a_perfect_pilot_asked_step_by_step(endpoint: Start, task: str, stream: str) -> None:
+    maps = MAPS if MAPS >= 100 else 1
+    options = ("--task", task, "--episodes", str(maps), "--prompt", "coordinates", stream)
+    done = endpoint(pilot="perfect").infer(*options)
     assert done.status == 0, done.err
     start = SPLITS["test"].start
-    optima = [solve("hard", seed) for seed in range(start, start + 3)]
+    optima = [solve(task, seed) for seed in range(start, start + maps)]
     assert [f["score"] for f in done.flights] == [optimum.score for optimum in optima]
     assert done.turns == {"ok": sum(optimum.steps for optimum in optima)}
     verified(done)
 
 
-@pytest.mark.parametrize("task", ["easy", "medium"])
+@pytest.mark.parametrize("task", ["easy", "medium", "hard"])
 def test_a_greedy_pilot_equals_the_greedy_agent(endpoint: Start, task: str) -> None:
-    done = endpoint(pilot="greedy").infer("--task", task, "--episodes", "50")
+    done = endpoint(pilot="greedy").infer("--task", task, "--episodes", str(MAPS))
     assert done.status == 0, done.err
     start = SPLITS["test"].start
-    greedy = run_episodes(episodes_key(task, "greedy", range(start, start + 50), "test"))
+    greedy = run_episodes(episodes_key(task, "greedy", range(start, start + MAPS), "test"))
     assert [f["score"] for f in done.flights] == greedy.scores.tolist()
     assert [f["steps"] for f in done.flights] == greedy.steps.tolist()
 
@@ -189,9 +196,13 @@ def test_failures_that_stay_make_flights_errored_and_the_run_invalid(endpoint: S
     assert len(blocks(done.out)) == 3
 
 
-def test_no_json_is_an_api_error_and_not_tried_again(endpoint: Start) -> None:
-    scripted = endpoint(pilot="greedy", faults=[[1, 1, "no_json"]])
-    done = scripted.infer("--seeds", "14:15")
+# (Of a stream a page of HTML is an early end, which is tried again.)
+@pytest.mark.parametrize(
+    ("fault", "stream"), [("no_json", "--no-stream"), ("garbage", "--no-stream"), ("garbage", "--stream")]
+)
+def test_garbage_is_an_api_error_and_not_tried_again(endpoint: Start, fault: str, stream: str) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[1, 1, fault]])
+    done = scripted.infer("--seeds", "14:15", stream)
     assert done.status == 1
     assert done.turns == {"ok": 1, "api_error": 1}
     assert len(scripted.requests()) == 2
@@ -201,17 +212,15 @@ HUGE = "I would fly to the right. " * 4_000
 
 
 @pytest.mark.parametrize(
-    ("pilot", "outcome"),
+    ("pilot", "outcome", "stream"),
     [
-        ("I think that we should go RIGHT, since the target lies there.", "parse_error"),
-        ("", "parse_error"),
-        (HUGE, "parse_error"),
-        ("NORTH", "illegal"),
-        ('{"action": "JUMP"}', "illegal"),
-        ("I'm sorry, but I can't help with flying drones.", "refusal"),
+        ("I think that we should go RIGHT, since the target lies there.", "parse_error", "--no-stream"),
+        ("", "parse_error", "--stream"),
+        (HUGE, "parse_error", "--stream"),
+        ("NORTH", "illegal", "--no-stream"),
+        ("I'm sorry, but I can't help with flying drones.", "refusal", "--no-stream"),
     ],
 )
-@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
 def test_bad_answers_are_repaired_once_then_wait(endpoint: Start, pilot: str, outcome: str, stream: str) -> None:
     scripted = endpoint(pilot=pilot)
     done = scripted.infer("--seeds", "14:15", stream)
@@ -252,7 +261,7 @@ def test_an_answer_that_the_repair_mends(endpoint: Start) -> None:
 
 @pytest.mark.parametrize(
     "pilot",
-    ["right", "Right.", '```json\n{"action": "right"}\n```', "**RIGHT**", "<think>UP? No.</think>\nRIGHT"],
+    ["right", '```json\n{"action": "right"}\n```'],
 )
 def test_packaging_is_no_matter(endpoint: Start, pilot: str) -> None:
     done = endpoint(pilot=pilot).infer("--seeds", "14:15")
@@ -325,6 +334,41 @@ def test_resume_refuses_another_configuration_and_a_new_run_an_old_folder(endpoi
     assert len(scripted.requests()) == 3
 
 
+def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy", latency=0.1)
+    folder = scripted.folder / "run"
+    flights = ("--task", "hard", "--episodes", "2", "--concurrency", "1")
+    arguments = scripted.arguments(*flights, folder=folder)
+    process = subprocess.Popen(
+        [sys.executable, str(ROOT / "inference.py"), *arguments[1:]],
+        env=environment(OPENAI_API_KEY=TOKEN),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 120
+    while len(scripted.requests()) < 9:
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    second = scripted.infer(*flights, "--resume", folder=folder)
+    assert (second.status, second.out) == (2, "")
+    assert "another process is working on the run" in second.err
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (130, ""), err
+    assert f"--out {folder} --resume" in err
+    assert "Traceback" not in err
+    lines = (folder / "calls.jsonl").read_text().splitlines()
+    paid = {call["request_digest"]: call for call in map(json.loads, lines)}
+    done = scripted.infer("--task", "hard", "--episodes", "2", "--concurrency", "2", "--resume", folder=folder)
+    assert done.status == 0, done.err
+    kept = {call["request_digest"]: call for call in done.calls}
+    assert paid
+    assert all(kept[digest] == call for digest, call in paid.items())
+    verified(done)
+
+
 def test_the_cache_answers_equal_requests(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy")
     first = scripted.infer("--seeds", "14:15", "--cache", "cache")
@@ -350,7 +394,7 @@ def test_only_what_is_needed_is_sent(endpoint: Start) -> None:
 
 
 def test_dot_env_is_read_and_the_environment_beats_it(endpoint: Start) -> None:
-    scripted = endpoint(pilot="WAIT")
+    scripted = endpoint(pilot="greedy")
     (scripted.folder / ".env").write_text(
         f"OPENAI_API_KEY={TOKEN}\nAPI_BASE_URL={scripted.url}\nMODEL_NAME=from/dotenv\nDRONE_TASK=medium_delivery\n"
     )
@@ -380,11 +424,13 @@ def test_a_short_token_and_a_quoted_one(endpoint: Start) -> None:
 
 
 def test_many_flights_at_once(endpoint: Start) -> None:
-    # Long enough a latency that a busy machine's own time does not decide.
-    latency = float(os.environ.get("DRONE_ENV_LATENCY", "2"))
-    scripted = endpoint(pilot="greedy", latency=latency)
+    # Step by step where a latency is named; else one call a flight, and so long a latency that a busy machine's own
+    # time does not decide.
+    named = os.environ.get("DRONE_ENV_LATENCY")
+    latency, prompt = (1.0, "plan") if named is None else (float(named), "minimal")
+    scripted = endpoint(pilot="plan" if named is None else "greedy", latency=latency)
     began = time.monotonic()
-    done = scripted.infer("--task", "easy", "--episodes", "200", "--concurrency", "200")
+    done = scripted.infer("--episodes", "200", "--concurrency", "200", "--prompt", prompt)
     took = time.monotonic() - began
     assert done.status == 0, done.err
     one_after_another = latency * len(scripted.requests())

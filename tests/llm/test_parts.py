@@ -13,8 +13,9 @@ from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.llm.answers import Answer, read_answer
 from drone_env.llm.concurrency import AdaptiveGate
+from drone_env.llm.config import RunConfig, Sampling
 from drone_env.llm.prompt import VALUES, Flown, first_messages, get_prompt, prompt_ids, read_prompt
-from drone_env.llm.settings import InferenceSettings, models_table, settings_table, token_for
+from drone_env.llm.settings import InferenceSettings, load_settings, models_table, settings_table, token_for
 from drone_env.models import DroneObservation
 
 ROOT = Path(__file__).parents[2]
@@ -146,6 +147,52 @@ def test_the_token_is_chosen_by_the_host(tmp_path: Path, monkeypatch: pytest.Mon
         with pytest.raises(InvalidValueError, match="API_BASE_URL"):
             token_for(both, url)
     assert "hf_a" not in repr(both)
+
+
+def test_settings_that_are_wrong_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DRONE_TASK", raising=False)
+    (tmp_path / ".env").write_text("DRONE_TASK=\nNOT_OURS=1\nno equals sign\n")
+    assert load_settings().drone_task == "easy_delivery"
+    (tmp_path / ".env").write_bytes(b"DRONE_TASK=\xff\xfe")
+    with pytest.raises(InvalidValueError, match=r"\.env is not UTF-8 text"):
+        load_settings()
+    monkeypatch.setenv("HF_TOKEN", "hf_a\u00e4b")
+    (tmp_path / ".env").write_text("")
+    with pytest.raises(InvalidValueError, match="HF_TOKEN must be printable ASCII"):
+        token_for(load_settings(), HF)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"model": "two words"}, "no spaces"),
+        ({"model": "line\u2028break"}, "no spaces"),
+        ({"base_url": "ftp://x"}, "API_BASE_URL must be"),
+        ({"prompt": "plan-1", "prompt_digest": get_prompt("plan").digest, "history": 1}, "tells no last steps"),
+        ({"seeds": (3, 3)}, "are not"),
+    ],
+)
+def test_a_run_that_cannot_be_is_refused(change: dict[str, object], why: str) -> None:
+    fields = {
+        "model": "m",
+        "base_url": "https://x/v1",
+        "task": "easy_delivery",
+        "task_version": 1,
+        "split": "custom",
+        "seeds": (14, 15),
+        "repeats": 1,
+        "reward_profile": "tiered",
+        "prompt": "minimal-1",
+        "prompt_digest": get_prompt("minimal").digest,
+        "history": 0,
+        "answers": "text",
+        "stream": False,
+        "sampling": Sampling(),
+    }
+    assert RunConfig.model_validate(fields).flights == 1
+    with pytest.raises(ValueError, match=why):
+        RunConfig.model_validate(fields | change)
 
 
 def test_the_gate_grows_with_answers_and_halves_under_load() -> None:

@@ -47,8 +47,31 @@ def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
     assert json.loads((done.folder / "report.json").read_text()) == figures
     assert f"| score (95 %) | {figures['score']:.4f} ± " in (done.folder / "report.md").read_text()
     page = (done.folder / "report.html").read_text()
-    assert "<svg" in page
+    assert page.count("<svg") == 4
     assert not re.search(r"<script|<link|<img|src=|href=\"(?!#)", page)
+
+
+def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None:
+    folder = endpoint(pilot="WAIT").infer("--seeds", "14:15").folder
+    calls, flights = folder / "calls.jsonl", folder / "flights.jsonl"
+    whole, result = calls.read_text(), flights.read_text()
+    lines = whole.splitlines()
+    calls.write_text("\n".join([lines[0].replace('"text":"WAIT"', '"text":"LEFT"'), *lines[1:], ""]))
+    with pytest.raises(InvalidValueError, match="asked something else than this prompt does"):
+        verified_run(folder)
+    calls.write_text("\n".join([*lines[:-1], lines[-1].replace('"text":"WAIT"', '"text":"LEFT"'), ""]))
+    with pytest.raises(InvalidValueError, match="not what the model's answers come to"):
+        verified_run(folder)
+    calls.write_text("\n".join([*lines[:-1], ""]))
+    with pytest.raises(InvalidValueError, match="call 0-60-1 has no answer, but the flight is said to be finished"):
+        verified_run(folder)
+    # A bad flight cannot be taken out of the mean by calling it errored.
+    flights.write_text(result.replace('"status":"finished","error":null', '"status":"errored","error":"500"'))
+    with pytest.raises(InvalidValueError, match="call 0-60-1 has neither an answer nor a failure"):
+        verified_run(folder)
+    flights.write_text(result)
+    calls.write_text(whole)
+    assert verified_run(folder).results[0].score == 0.01
 
 
 def test_errored_flights_are_kept_out_and_shown(endpoint: Start) -> None:
@@ -59,6 +82,43 @@ def test_errored_flights_are_kept_out_and_shown(endpoint: Start) -> None:
     assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
     assert [of_map["seed"] for of_map in figures["maps"]] == [14]
     assert figures["turns"]["api_error"] == 1
+    (errored,) = figures["not_finished"]
+    assert (errored["seed"], errored["status"], errored["error"]) == (15, "errored", "500: scripted 500")
+
+
+def test_a_run_without_a_score_has_a_report(endpoint: Start) -> None:
+    done = endpoint(pilot="greedy", faults=[[0, 10**9, {"status": 500}]]).infer("--seeds", "14:16", "--tries", "1")
+    run = verified_run(done.folder)
+    figures = report(run)
+    write_report(run, figures)
+    assert (figures["verdict"], figures["score"], figures["regret"], figures["normalised"]) == ("invalid", *3 * [None])
+    assert "**INVALID**: 2 of 2 flights errored, more than 5%" in (done.folder / "report.md").read_text()
+    assert (done.folder / "report.html").read_text().count("<svg") == 1
+
+
+def test_a_map_counts_once_however_many_of_its_flights_errored(endpoint: Start) -> None:
+    # Map 14 takes 3 steps: the second flight over it fails at its first call.
+    first = endpoint(pilot="greedy").infer("--seeds", "14:16", "--concurrency", "1")
+    calls = len(first.calls)
+    scripted = endpoint(pilot="greedy", faults=[[calls, calls, {"status": 400}]])
+    done = scripted.infer("--seeds", "14:16", "--repeats", "2", "--concurrency", "1")
+    figures = report(verified_run(done.folder), moves=False)
+    assert figures["flights"]["errored"] == 1
+    assert figures["score"] == pytest.approx(figures["baselines"]["greedy"], abs=1e-12)
+    assert figures["pass_hat_k"] == {"1": 1.0}
+    assert f"mean score {figures['score']:.4f} over 3 flights" in done.err
+
+
+def test_names_and_errors_from_elsewhere_stay_text(endpoint: Start) -> None:
+    hostile = "<script>alert(1)</script>|x"
+    scripted = endpoint(pilot="greedy", faults=[[3, 10**9, {"status": 500, "message": hostile}]])
+    done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--tries", "1", "--model", hostile)
+    run = verified_run(done.folder)
+    write_report(run, report(run))
+    page, text = (done.folder / "report.html").read_text(), (done.folder / "report.md").read_text()
+    assert "<script" not in page + text
+    assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;|x") >= 3
+    assert "| 15 | 1 | errored | 500: &lt;script>alert(1)&lt;/script>&#124;x |" in text
 
 
 def test_the_leaderboard_ranks_whole_runs_and_refuses_forged_ones(

@@ -17,7 +17,7 @@ from drone_env.llm.transcript import Transcript, read_calls
 
 from .conftest import ROOT, TOKEN, Endpoint, environment
 
-KILLS = int(os.environ.get("DRONE_ENV_KILLS", "3"))
+KILLS = int(os.environ.get("DRONE_ENV_KILLS", "2"))
 
 
 @pytest.mark.timeout(300 + 60 * KILLS)
@@ -25,7 +25,7 @@ def test_killed_again_and_again(endpoint: Callable[..., Endpoint], tmp_path: Pat
     scripted = endpoint(pilot="greedy", latency=0.1)
     folder = tmp_path / "run"
     transcript = folder / "calls.jsonl"
-    flights = 20 * KILLS
+    flights = 10 * KILLS
     arguments = scripted.arguments("--seeds", f"0:{flights}", "--concurrency", "4", folder=folder)
     acknowledged: dict[str, int] = {}
     randomness = random.Random(1)

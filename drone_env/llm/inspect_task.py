@@ -1,0 +1,180 @@
+"""The drone as a task of Inspect (https://inspect.aisi.org.uk): `inspect eval drone_env/drone_delivery --model ...`.
+
+A model is asked, read and flown by the same code as in `drone-env infer`, so the scores are the same. What fails or is
+limited is Inspect's affair: a call that fails makes its sample an error, which is no part of the mean.
+"""
+
+import math
+from typing import Any
+
+from drone_env.core.seeds import split_seeds
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import get_task
+from drone_env.episodes.record import record_of
+from drone_env.errors import InvalidValueError, MissingPackageError
+from drone_env.llm.answers import Answer
+from drone_env.llm.limits import LimitReachedError
+from drone_env.llm.pilot import Flight, Mission, fly
+from drone_env.llm.prompt import ChatMessage, first_messages, get_prompt
+from drone_env.llm.run_folder import FlightResult
+from drone_env.llm.runner import MOST_ERRORED, log_text
+from drone_env.llm.transcript import CallKey
+from drone_env.models import DroneObservation
+from drone_env.planning.optimal import best_of
+
+try:
+    import anyio
+    from inspect_ai import Task, task  # pyright: ignore[reportMissingImports]
+    from inspect_ai.dataset import MemoryDataset, Sample  # pyright: ignore[reportMissingImports]
+    from inspect_ai.model import (  # pyright: ignore[reportMissingImports]
+        ChatMessageAssistant,
+        ChatMessageSystem,
+        ChatMessageUser,
+        ContentReasoning,
+        ModelOutput,
+        get_model,
+    )
+    from inspect_ai.scorer import Score, Scorer, Target, mean, scorer, stderr  # pyright: ignore[reportMissingImports]
+    from inspect_ai.solver import Generate, Solver, TaskState, solver  # pyright: ignore[reportMissingImports]
+    from inspect_ai.util import LimitExceededError  # pyright: ignore[reportMissingImports]
+except ModuleNotFoundError as error:
+    if error.name not in ("anyio", "inspect_ai"):
+        raise
+    raise MissingPackageError("inspect_ai", "inspect") from None
+
+ROLES = {"system": ChatMessageSystem, "user": ChatMessageUser, "assistant": ChatMessageAssistant}
+FINISH_REASONS = {"max_tokens": "length", "model_length": "length"}
+"""Inspect's words for what OpenAI's protocol calls otherwise."""
+
+
+@task
+def drone_delivery(
+    task: str = "easy",
+    prompt: str = "minimal",
+    episodes: int = 100,
+    split: str = "test",
+    history: int = 0,
+    reward_profile: str = "tiered",
+) -> Task:
+    """Flights over the first maps of a split, one sample a map; Inspect's epochs are repeats.
+
+    Args:
+        task: The task: id, short name or grader.
+        prompt: The prompt, by its name (the newest version) or id.
+        episodes: How many maps.
+        split: Whose maps: train, validation or test.
+        history: How many of the last steps are told.
+        reward_profile: What steps pay; it changes no score.
+
+    Raises:
+        UnknownNameError: if the task, prompt, split or profile does not exist.
+        InvalidValueError: if a number is out of range.
+    """
+    config, chosen = get_task(task), get_prompt(prompt)
+    if history < 0:
+        raise InvalidValueError(f"history must be 0 or more, got {history}")
+    episode = Episode(config, reward_profile)
+    samples: list[Sample] = []
+    for seed in split_seeds(split, episodes):
+        episode.reset(seed)
+        messages = first_messages(chosen, config, DroneObservation.of(episode), [], history)
+        samples.append(Sample(id=str(seed), input=[_inspects(m) for m in messages], metadata={"seed": seed}))
+    return Task(
+        dataset=MemoryDataset(samples, name=f"{config.id}-{split}"),
+        solver=pilot(config.id, chosen.id, history, reward_profile),
+        scorer=graded(),
+        fail_on_error=MOST_ERRORED,
+        name=config.id,
+        version=config.version,
+        metadata={"prompt": chosen.id, "prompt_digest": chosen.digest, "reward_profile": reward_profile},
+    )
+
+
+@solver
+def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
+    """Flies the map of a sample to its end; an unusable answer is asked for once more, then it is a WAIT.
+
+    Args:
+        task: Id of the task.
+        prompt: Id of the prompt.
+        history: How many of the last steps are told.
+        reward_profile: What steps pay.
+    """
+    config, chosen = get_task(task), get_prompt(prompt)
+
+    async def solve(state: TaskState, generate: Generate) -> TaskState:
+        model = get_model()
+        stopped: BaseException | None = None
+
+        async def ask(key: CallKey, messages: list[ChatMessage]) -> Answer:
+            nonlocal stopped
+            asked = [_inspects(message) for message in messages]
+            try:
+                output = await model.generate(asked)
+            except (LimitExceededError, anyio.get_cancelled_exc_class()) as error:
+                stopped = error
+                raise LimitReachedError(str(error) or "stopped by Inspect") from error
+            state.messages, state.output = [*asked, output.message], output
+            return _answer(output)
+
+        mission = Mission(0, state.metadata["seed"], state.epoch - 1, config, reward_profile, history, str(state.model))
+        flight = await fly(mission, chosen, ask)
+        state.store.set("flight", _told(flight, mission))
+        # Where a limit was reached, Inspect notes it and scores what was flown so far.
+        if stopped is not None:
+            raise stopped
+        state.completed = True
+        return state
+
+    return solve
+
+
+@scorer(metrics={"score": [mean(), stderr()], "success": [mean(), stderr()], "regret": [mean(), stderr()]})
+def graded() -> Scorer:
+    """The graded score of a flight, whether it delivered everything, and what it lacks to the optimum of its map.
+
+    An unfinished flight counts as if it waited to its end. Regret is NaN, unscored, where a map is too large to be
+    solved. The metadata hold the outcomes of all answers and the record of the flight.
+    """
+
+    async def score(state: TaskState, target: Target) -> Score:
+        told: dict[str, Any] = state.store.get("flight")
+        result = FlightResult.model_validate(told["result"])
+        optimum = best_of(get_task(told["task"]), result.seed)
+        regret = math.nan if optimum is None else optimum.score - result.score
+        return Score(
+            value={"score": result.score, "success": float(result.success), "regret": regret},
+            answer=" ".join(told["actions"]),
+            explanation=told["log"],
+            metadata={"result": told["result"], "record": told["record"]},
+        )
+
+    return score
+
+
+def _told(flight: Flight, mission: Mission) -> dict[str, Any]:
+    """A flight as JSON values, which is what a sample can store."""
+    return {
+        "task": mission.task.id,
+        "result": FlightResult.of(flight).model_dump(mode="json"),
+        "record": record_of(flight.episode, mission.agent).to_json(),
+        "actions": [step.action.name for step in flight.episode.path],
+        "log": log_text(flight, mission.agent),
+    }
+
+
+def _inspects(message: ChatMessage) -> ChatMessageSystem | ChatMessageUser | ChatMessageAssistant:
+    return ROLES[message["role"]](content=message["content"])
+
+
+def _answer(output: ModelOutput) -> Answer:
+    content = output.message.content if output.choices else ""
+    thoughts = (
+        [part.text for part in content if isinstance(part, ContentReasoning)] if isinstance(content, list) else []
+    )
+    return Answer(
+        text=output.completion,
+        reasoning="\n".join(thoughts) or None,
+        finish_reason=FINISH_REASONS.get(output.stop_reason, output.stop_reason),
+        model=output.model,
+    )

@@ -1,0 +1,109 @@
+"""The drone as a task of Inspect, flown through Inspect's own evaluation: `make adapters`."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drone_env.core.seeds import SPLITS
+from drone_env.episodes.record import EpisodeRecord, replay
+from drone_env.errors import MissingPackageError
+from drone_env.evaluation import episodes_key, run_episodes
+from drone_env.planning.optimal import solve
+
+from .conftest import Endpoint, environment
+
+Start = Callable[..., Endpoint]
+WHY = "not one of the development tools; make adapters has it"
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def evaluated(endpoint: Endpoint, folder: Path, arguments: dict[str, Any], **options: Any) -> Any:
+    """The log of one evaluation against a scripted endpoint."""
+    pytest.importorskip("inspect_ai", reason=WHY)
+    from inspect_ai import eval as evaluate
+    from inspect_ai.model import get_model
+
+    from drone_env.llm.inspect_task import drone_delivery
+
+    model = get_model("openai-api/scripted/pilot", base_url=endpoint.url, api_key="sk-scripted", memoize=False)
+    (log,) = evaluate(drone_delivery(**arguments), model=model, log_dir=str(folder / "logs"), display="none", **options)
+    return log
+
+
+def test_a_greedy_pilot_scores_as_the_greedy_agent(endpoint: Start, tmp_path: Path) -> None:
+    scripted = endpoint(pilot="greedy")
+    log = evaluated(scripted, tmp_path, {"task": "medium", "episodes": 4}, epochs=2)
+    assert log.status == "success"
+    start = SPLITS["test"].start
+    greedy = run_episodes(episodes_key("medium", "greedy", range(start, start + 4), "test"))
+    flown = [sample.scores["graded"] for sample in log.samples]
+    assert sorted(score.value["score"] for score in flown) == sorted([*greedy.scores, *greedy.scores])
+    assert len(scripted.requests()) == 2 * greedy.steps.sum()
+    by_name = {score.name: score.metrics["mean"].value for score in log.results.scores}
+    assert by_name["score"] == pytest.approx(greedy.scores.mean(), abs=1e-12)
+    optima = [solve("medium", seed).score for seed in range(start, start + 4)]
+    assert by_name["regret"] == pytest.approx(sum(optima) / 4 - greedy.scores.mean(), abs=1e-12)
+    assert by_name["success"] == 1
+    for score in flown:
+        assert score.metadata["result"]["turns"]["ok"] == score.metadata["result"]["steps"]
+        replay(EpisodeRecord.model_validate_json(score.metadata["record"]))
+
+
+def test_bad_answers_are_repaired_once_then_wait(endpoint: Start, tmp_path: Path) -> None:
+    log = evaluated(endpoint(pilot="Let us go up!"), tmp_path, {"episodes": 1})
+    (sample,) = log.samples
+    assert sample.scores["graded"].metadata["result"]["turns"]["parse_error"] == 60
+    assert sample.scores["graded"].value["score"] == 0.01
+    assert "action=WAIT reward=0.10 done=false error=parse_error" in sample.scores["graded"].explanation
+    mended = evaluated(endpoint(pilot="Let us go up!", repair="greedy"), tmp_path, {"episodes": 1})
+    turns = mended.samples[0].scores["graded"].metadata["result"]["turns"]
+    assert turns["repaired"] == sum(turns.values())
+
+
+@pytest.mark.parametrize("limit", [{"token_limit": 500}, {"time_limit": 2}])
+def test_a_limit_counts_as_waiting_to_the_end(endpoint: Start, tmp_path: Path, limit: dict[str, int]) -> None:
+    log = evaluated(endpoint(pilot="greedy", latency=0.3), tmp_path, {"task": "hard", "episodes": 1}, **limit)
+    (sample,) = log.samples
+    result = sample.scores["graded"].metadata["result"]
+    assert sample.limit.type == next(iter(limit)).removesuffix("_limit")
+    assert (result["status"], result["ended"]) == ("budget_stop", False)
+    assert 0 < result["steps"] < 20
+
+
+def test_a_failing_call_is_an_error_and_no_score(endpoint: Start, tmp_path: Path) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[2, 10**9, {"status": 400}]])
+    log = evaluated(scripted, tmp_path, {"task": "hard", "episodes": 1})
+    assert log.status == "error"
+    assert not any(sample.scores for sample in log.samples or [])
+
+
+def test_the_command_line_knows_the_task(endpoint: Start, tmp_path: Path) -> None:
+    pytest.importorskip("inspect_ai", reason=WHY)
+    scripted = endpoint(pilot="greedy")
+    # Inspect finds tasks of installed packages alone, and a path in front of them hides that this one is.
+    installed = environment(SCRIPTED_API_KEY="sk-scripted", SCRIPTED_BASE_URL=scripted.url)
+    del installed["PYTHONPATH"]
+    code = "from inspect_ai._cli.main import main; main()"
+    arguments = ["eval", "drone_env/drone_delivery", "--model", "openai-api/scripted/pilot", "-T", "episodes=2"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments, "--display", "plain"],
+        cwd=tmp_path,
+        env=installed,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "easy_delivery (2 samples)" in done.stdout
+    assert len(list(tmp_path.glob("logs/*.eval"))) == 1
+
+
+def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "inspect_ai", None)
+    monkeypatch.delitem(sys.modules, "drone_env.llm.inspect_task", raising=False)
+    with pytest.raises(MissingPackageError, match=r"drone-env\[inspect\]"):
+        import drone_env.llm.inspect_task  # noqa: F401
