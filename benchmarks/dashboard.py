@@ -116,8 +116,9 @@ def visit(browser: Browser, url: str) -> tuple[float, float, int, int]:
 
 
 def _bytes(response: Any) -> int:
-    is_file = response is not None and ("/static/" in response.url or response.url.endswith("/"))
-    return len(response.body()) if is_file else 0
+    if response is None or not ("/static/" in response.url or response.url.endswith("/")):
+        return 0
+    return len(response.body())
 
 
 def main() -> None:
