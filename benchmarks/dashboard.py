@@ -3,8 +3,8 @@
     python benchmarks/dashboard.py [--seconds 15] [--speed 6] [--visits 10] [--json FILE]
 
 The server and the machine's own chromium, without a window, run here. Frames come from the browser's own trace: the
-time between two animation frames, and the script part of each, which is the time that its main thread spent in
-JavaScript (animation callbacks, messages of the socket, timers) since the frame before. Where there is no graphics
+time between two animation frames, and the script part of each, which is the CPU time that its main thread spent in
+JavaScript (animation callbacks, messages of the socket, timers) until the next. Where there is no graphics
 card, the rest is drawing by software. First paint is that of visits with an empty cache.
 """
 
@@ -57,19 +57,12 @@ def main_thread(trace: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def script_spans(events: list[dict[str, Any]]) -> Iterator[tuple[float, float]]:
-    """(start, end) in microseconds of the time in script, nested calls counted once."""
-    start = end = -1.0
+    """(start, CPU time) in microseconds of each stretch in script, nested calls counted once."""
+    end = -1.0
     for event in events:
-        if event["name"] not in SCRIPT:
-            continue
-        if event["ts"] > end:
-            if end > start:
-                yield start, end
-            start, end = event["ts"], event["ts"] + event["dur"]
-        else:
-            end = max(end, event["ts"] + event["dur"])
-    if end > start:
-        yield start, end
+        if event["name"] in SCRIPT and event["ts"] >= end:
+            end = event["ts"] + event["dur"]
+            yield event["ts"], event["tdur"]
 
 
 def frame_costs(trace: list[dict[str, Any]]) -> tuple[list[float], list[float]]:
@@ -85,7 +78,7 @@ def frame_costs(trace: list[dict[str, Any]]) -> tuple[list[float], list[float]]:
         cost = 0.0
         while at < len(spans) and spans[at][0] < following:
             if spans[at][0] >= frame:
-                cost += spans[at][1] - spans[at][0]
+                cost += spans[at][1]
             at += 1
         costs.append(cost / 1000)
     return [(b - a) / 1000 for a, b in pairwise(frames)], costs
@@ -123,8 +116,9 @@ def visit(browser: Browser, url: str) -> tuple[float, float, int, int]:
 
 
 def _bytes(response: Any) -> int:
-    is_file = response is not None and ("/static/" in response.url or response.url.endswith("/"))
-    return len(response.body()) if is_file else 0
+    if response is None or not ("/static/" in response.url or response.url.endswith("/")):
+        return 0
+    return len(response.body())
 
 
 def main() -> None:

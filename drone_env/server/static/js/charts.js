@@ -13,10 +13,12 @@ function loadUPlot() {
   loading ??= Promise.all([
     loaded(el("link", { rel: "stylesheet", href: new URL("uPlot.min.css", FILES) })),
     loaded(el("script", { src: new URL("uPlot.iife.min.js", FILES) })),
-  ]).then(() => window.uPlot).catch((error) => {
-    loading = null;
-    throw error;
-  });
+  ])
+    .then(() => window.uPlot)
+    .catch((error) => {
+      loading = null;
+      throw error;
+    });
   return loading;
 }
 
@@ -59,10 +61,19 @@ export class Chart {
     this.summary = el("p.note");
     this.frame = el("div.chart-frame");
     this.save = el("button.button.quiet.small", {
-      type: "button", text: "PNG", "aria-label": `Save the chart "${options.title}" as PNG`, on: { click: () => this.download() },
+      type: "button",
+      text: "PNG",
+      "aria-label": `Save the chart "${options.title}" as PNG`,
+      on: { click: () => this.download() },
     });
-    root.append(el("figure.chart", {},
-      el("figcaption", {}, el("h3", { text: options.title }), this.save, this.summary), this.frame));
+    root.append(
+      el(
+        "figure.chart",
+        {},
+        el("figcaption", {}, el("h3", { text: options.title }), this.save, this.summary),
+        this.frame,
+      ),
+    );
     new ResizeObserver(() => this.plot && this.frame.clientWidth && this.plot.setSize(this.size())).observe(this.frame);
     context.on("theme", () => this.plot?.redraw(false, true));
   }
@@ -121,9 +132,12 @@ export class Chart {
       },
       axes: [
         {
-          ...axis, size: 32, grid: { show: false },
+          ...axis,
+          size: 32,
+          grid: { show: false },
           splits: bars ? () => this.names.map((_, i) => i) : undefined,
-          values: (_, splits) => (bars ? this.names : splits.map((at) => (Number.isInteger(at) && at > 0 ? String(at) : ""))),
+          values: (_, splits) =>
+            bars ? this.names : splits.map((at) => (Number.isInteger(at) && at > 0 ? String(at) : "")),
         },
         { ...axis, size: 56, values: (_, splits) => splits.map(format) },
       ],

@@ -28,13 +28,28 @@ export class EpisodeTable {
     this.context = context;
     this.ids = new Set();
     this.body = el("tbody");
-    this.root = el("div.scroller", { tabindex: "0", role: "region", "aria-label": "Table of episodes" },
-      el("table.table.episodes", {},
-        el("caption.visually-hidden", { text: "Finished episodes, newest first. Scores, optima and regrets are times 100." }),
-        el("thead", {}, el("tr", {},
-          ...COLUMNS.map(([name, , number]) => el(number ? "th.num" : "th", { scope: "col", text: name })),
-          el("td"))),
-        this.body));
+    this.root = el(
+      "div.scroller",
+      { tabindex: "0", role: "region", "aria-label": "Table of episodes" },
+      el(
+        "table.table.episodes",
+        {},
+        el("caption.visually-hidden", {
+          text: "Finished episodes, newest first. Scores, optima and regrets are times 100.",
+        }),
+        el(
+          "thead",
+          {},
+          el(
+            "tr",
+            {},
+            ...COLUMNS.map(([name, , number]) => el(number ? "th.num" : "th", { scope: "col", text: name })),
+            el("td"),
+          ),
+        ),
+        this.body,
+      ),
+    );
   }
 
   has(id) {
@@ -49,11 +64,16 @@ export class EpisodeTable {
 
   row(episode) {
     const replay = el("button.button.small", {
-      type: "button", text: "Replay", "aria-label": `Replay ${episode.task}, map ${episode.seed}, by ${episode.agent}`,
+      type: "button",
+      text: "Replay",
+      "aria-label": `Replay ${episode.task}, map ${episode.seed}, by ${episode.agent}`,
     });
     // The click on the button comes up to its row.
-    return el("tr", { data: { episode: episode.id }, on: { click: () => this.context.emit("replay", episode.id) } },
+    return el(
+      "tr",
+      { data: { episode: episode.id }, on: { click: () => this.context.emit("replay", episode.id) } },
       ...COLUMNS.map(([, cell, number]) => el(number ? "td.num" : "td", {}, cell(episode))),
-      el("td", {}, replay));
+      el("td", {}, replay),
+    );
   }
 }

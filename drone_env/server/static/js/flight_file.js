@@ -21,7 +21,10 @@ export async function readFlights(file) {
   if (!text.trim()) throw new Error(`${file.name} is empty.`);
   const whole = parsed(text);
   if (whole.ok) return [record(whole.value, file.name)];
-  const lines = text.split("\n").map((line, i) => [line, i + 1]).filter(([line]) => line.trim());
+  const lines = text
+    .split("\n")
+    .map((line, i) => [line, i + 1])
+    .filter(([line]) => line.trim());
   return lines.map(([line, number]) => {
     const one = parsed(line);
     const where = lines.length > 1 ? `${file.name}, line ${number}` : file.name;

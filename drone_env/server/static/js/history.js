@@ -34,9 +34,12 @@ class History {
     this.agents = new Set(context.pilots.map((pilot) => pilot.id));
     this.timer = 0;
 
-    this.task = el("select", { id: "history-task", on: { change: () => this.restart() } },
+    this.task = el(
+      "select",
+      { id: "history-task", on: { change: () => this.restart() } },
       el("option", { value: "", text: "All tasks" }),
-      ...context.tasks.map((task) => el("option", { value: task.short_name, text: title(task.short_name) })));
+      ...context.tasks.map((task) => el("option", { value: task.short_name, text: title(task.short_name) })),
+    );
     this.agent = el("select", { id: "history-agent", on: { change: () => this.restart() } });
     this.charts = new HistoryCharts(el("div.charts"), context);
     this.table = new EpisodeTable(context);
@@ -44,11 +47,17 @@ class History {
     this.older = el("button.button.small", { type: "button", text: "Older", on: { click: () => this.forth() } });
     this.note = el("p.note", { role: "status" });
     root.append(
-      el("div.view-head", {},
+      el(
+        "div.view-head",
+        {},
         el("h2", { text: "Episodes" }),
-        el("div.filters", {},
+        el(
+          "div.filters",
+          {},
           el("label", { for: "history-task" }, el("span", { text: "Task" }), this.task),
-          el("label", { for: "history-agent" }, el("span", { text: "Agent" }), this.agent))),
+          el("label", { for: "history-agent" }, el("span", { text: "Agent" }), this.agent),
+        ),
+      ),
       this.charts.root,
       this.table.root,
       el("div.pager", {}, this.newer, this.older, this.note),
@@ -93,13 +102,17 @@ class History {
     this.offerAgents();
     this.newer.disabled = this.pages.length === 1;
     this.older.disabled = this.next === null;
-    this.note.textContent = episodes.length ? `Page ${this.pages.length}` : "No episode yet. Fly one, and it stands here.";
+    this.note.textContent = episodes.length
+      ? `Page ${this.pages.length}`
+      : "No episode yet. Fly one, and it stands here.";
   }
 
   offerAgents() {
     const chosen = this.agent.value;
-    this.agent.replaceChildren(el("option", { value: "", text: "All agents" }),
-      ...[...this.agents].map((agent) => el("option", { value: agent, text: agent })));
+    this.agent.replaceChildren(
+      el("option", { value: "", text: "All agents" }),
+      ...[...this.agents].map((agent) => el("option", { value: agent, text: agent })),
+    );
     this.agent.value = chosen;
   }
 

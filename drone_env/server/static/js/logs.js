@@ -11,7 +11,10 @@ export function mount(root, context) {
   const requests = new Log("Requests", "log-requests", "No request yet.");
   const training = new Log("Training", "log-training", "No training has written here. It starts with: drone-env train");
   const missions = new Log("Missions", "log-missions", "No mission has ended yet.");
-  root.append(el("div.view-head", {}, el("h2", { text: "Logs" })), el("div.logs", {}, requests.root, training.root, missions.root));
+  root.append(
+    el("div.view-head", {}, el("h2", { text: "Logs" })),
+    el("div.logs", {}, requests.root, training.root, missions.root),
+  );
 
   const { live } = context;
   live.on("requests", (message) => requests.add(message.requests.map((r) => [r.number, requestLine(r)])));
@@ -38,19 +41,32 @@ export function mount(root, context) {
 const byTime = (episodes) => [...episodes].sort((a, b) => (a.finished_at < b.finished_at ? -1 : 1));
 
 function requestLine({ time, method, path, status, milliseconds }) {
-  return el("li", { data: { bad: status >= 400 ? "yes" : "no" } },
-    el("time.dim", { datetime: time, text: new Date(time).toLocaleTimeString() }), ` ${method} `, el("span.path", { text: path }),
-    ` ${status} `, el("span.dim", { text: `${fixed(milliseconds, 1)} ms` }));
+  return el(
+    "li",
+    { data: { bad: status >= 400 ? "yes" : "no" } },
+    el("time.dim", { datetime: time, text: new Date(time).toLocaleTimeString() }),
+    ` ${method} `,
+    el("span.path", { text: path }),
+    ` ${status} `,
+    el("span.dim", { text: `${fixed(milliseconds, 1)} ms` }),
+  );
 }
 
 function missionLine(e, context) {
-  return el("li", {},
+  return el(
+    "li",
+    {},
     el("time.dim", { datetime: e.finished_at, text: moment(e.finished_at) }),
-    el("span", { text: ` ${title(e.task)} ${e.seed}, ${e.agent}: ${OUTCOMES[e.outcome] ?? e.outcome}, ${e.steps} steps, score ${points(e.score)} ` }),
+    el("span", {
+      text: ` ${title(e.task)} ${e.seed}, ${e.agent}: ${OUTCOMES[e.outcome] ?? e.outcome}, ${e.steps} steps, score ${points(e.score)} `,
+    }),
     el("button.link", {
-      type: "button", text: "Replay", "aria-label": `Replay ${e.task}, map ${e.seed}, by ${e.agent}`,
+      type: "button",
+      text: "Replay",
+      "aria-label": `Replay ${e.task}, map ${e.seed}, by ${e.agent}`,
       on: { click: () => context.emit("replay", e.id) },
-    }));
+    }),
+  );
 }
 
 /** A list that grows downwards and keeps its newest lines in sight, unless it was scrolled away from them. */
@@ -58,9 +74,19 @@ class Log {
   constructor(name, id, empty) {
     this.keys = new Set();
     this.list = el("ol", { id });
-    this.frame = el("div.log-frame", { tabindex: "0", role: "log", "aria-live": "off", "aria-labelledby": `${id}-title` }, this.list);
+    this.frame = el(
+      "div.log-frame",
+      { tabindex: "0", role: "log", "aria-live": "off", "aria-labelledby": `${id}-title` },
+      this.list,
+    );
     this.none = el("p.note", { text: empty });
-    this.root = el("section.log", { "aria-labelledby": `${id}-title` }, el("h3", { id: `${id}-title`, text: name }), this.none, this.frame);
+    this.root = el(
+      "section.log",
+      { "aria-labelledby": `${id}-title` },
+      el("h3", { id: `${id}-title`, text: name }),
+      this.none,
+      this.frame,
+    );
     this.frame.hidden = true;
   }
 

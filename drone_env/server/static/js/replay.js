@@ -15,7 +15,8 @@ export function mount(root, context) {
   listenToDrops(context, (file) => replay.openFile(file));
   document.addEventListener("keydown", (event) => {
     const busy = event.target.closest?.("input, select, textarea, dialog, button, a, [role=region]");
-    if (context.view !== "replay" || busy || event.ctrlKey || event.metaKey || event.altKey || replay.player.empty) return;
+    if (context.view !== "replay" || busy || event.ctrlKey || event.metaKey || event.altKey || replay.player.empty)
+      return;
     if (replay.transport.press(event.key)) event.preventDefault();
   });
 }
@@ -28,18 +29,43 @@ class Replay {
     this.asked = 0;
 
     const input = el("input.visually-hidden", {
-      type: "file", id: "replay-file", accept: ".json,.jsonl",
-      on: { change: () => { if (input.files[0]) this.openFile(input.files[0]); input.value = ""; } },
+      type: "file",
+      id: "replay-file",
+      accept: ".json,.jsonl",
+      on: {
+        change: () => {
+          if (input.files[0]) this.openFile(input.files[0]);
+          input.value = "";
+        },
+      },
     });
     const choose = el("label.button.file-button", { for: "replay-file", text: "Open a file…" });
     this.problem = el("p.problem", { role: "alert", hidden: true });
     this.status = el("p.note", { role: "status" });
-    this.flights = el("select", { id: "replay-flight", on: { change: () => this.openRecord(this.choices[this.flights.selectedIndex]) } });
-    this.chooser = el("label.chooser", { for: "replay-flight", hidden: true }, el("span", { text: "Flight" }), this.flights);
-    this.empty = el("div.replay-empty", {},
+    this.flights = el("select", {
+      id: "replay-flight",
+      on: { change: () => this.openRecord(this.choices[this.flights.selectedIndex]) },
+    });
+    this.chooser = el(
+      "label.chooser",
+      { for: "replay-flight", hidden: true },
+      el("span", { text: "Flight" }),
+      this.flights,
+    );
+    this.empty = el(
+      "div.replay-empty",
+      {},
       el("p", { text: "Nothing is replayed yet." }),
-      el("p.note", {}, "Choose an episode in the ", el("a", { href: "#history", text: "history" }), ", or drop a file of flights here: what ",
-        el("code", { text: "drone-env fly --record" }), " writes, as .json, or .jsonl with one flight per line."));
+      el(
+        "p.note",
+        {},
+        "Choose an episode in the ",
+        el("a", { href: "#history", text: "history" }),
+        ", or drop a file of flights here: what ",
+        el("code", { text: "drone-env fly --record" }),
+        " writes, as .json, or .jsonl with one flight per line.",
+      ),
+    );
 
     const mapRoot = el("div.replay-map");
     const moves = el("div.replay-moves");
@@ -48,16 +74,36 @@ class Replay {
     this.ghost = el("input", { type: "checkbox", checked: true, on: { change: () => this.drawGhost() } });
     const action = (text, press) => el("button.button.small", { type: "button", text, on: { click: press } });
     this.link = action("Copy link", () => this.copyLink());
-    this.body = el("div.replay-body", { hidden: true },
+    this.body = el(
+      "div.replay-body",
+      { hidden: true },
       el("div.replay-stage", {}, mapRoot, this.transport.root),
-      el("aside.replay-side", { "aria-label": "The flight" },
+      el(
+        "aside.replay-side",
+        { "aria-label": "The flight" },
         this.summary.root,
         el("label.switch", {}, this.ghost, "Show a best flight as a ghost"),
         moves,
-        el("div.replay-actions", {}, action("Download record", () => this.downloadRecord()), this.link)));
+        el(
+          "div.replay-actions",
+          {},
+          action("Download record", () => this.downloadRecord()),
+          this.link,
+        ),
+      ),
+    );
     root.append(
-      el("div.view-head", {}, el("h2", { text: "Replay" }), el("div.filters", {}, this.chooser, el("div", {}, input, choose))),
-      this.problem, this.empty, this.body, this.status);
+      el(
+        "div.view-head",
+        {},
+        el("h2", { text: "Replay" }),
+        el("div.filters", {}, this.chooser, el("div", {}, input, choose)),
+      ),
+      this.problem,
+      this.empty,
+      this.body,
+      this.status,
+    );
     this.map = new CityMap(mapRoot, this.player, context);
     mountMoves(moves, this.player);
   }

@@ -3,7 +3,10 @@ import { el } from "./dom.js";
 import { fixed, title } from "./format.js";
 
 const NONE = "–";
-const drains = (drain) => Object.entries(drain).map(([kind, units]) => `; ${units} above a ${kind}`).join("");
+const drains = (drain) =>
+  Object.entries(drain)
+    .map(([kind, units]) => `; ${units} above a ${kind}`)
+    .join("");
 
 /** A row each: its name, and what stands in it for a task. Rows of nothing but dashes are left out. */
 const WORLD = [
@@ -44,13 +47,21 @@ export function mount(root, context) {
   };
   const frame = el("div.scroller", { tabindex: "0", role: "region", "aria-label": "Table of specifications" });
   const show = (family) => frame.replaceChildren(table(family, families[family]));
-  const choices = Object.keys(families).map((family, i) => el("label.segment", {},
-    el("input", { type: "radio", name: "specs-family", checked: i === 0, on: { change: () => show(family) } }),
-    el("span", { text: family })));
+  const choices = Object.keys(families).map((family, i) =>
+    el(
+      "label.segment",
+      {},
+      el("input", { type: "radio", name: "specs-family", checked: i === 0, on: { change: () => show(family) } }),
+      el("span", { text: family }),
+    ),
+  );
   root.append(
-    el("div.view-head", {},
+    el(
+      "div.view-head",
+      {},
       el("h2", { text: "Technical specifications" }),
-      el("fieldset.segments", {}, el("legend.visually-hidden", { text: "Levels" }), ...choices)),
+      el("fieldset.segments", {}, el("legend.visually-hidden", { text: "Levels" }), ...choices),
+    ),
     frame,
     legend(context.kinds),
   );
@@ -58,32 +69,57 @@ export function mount(root, context) {
 }
 
 function table(family, tasks) {
-  return el("table.table.specs-table", {},
+  return el(
+    "table.table.specs-table",
+    {},
     el("caption.visually-hidden", { text: `Technical specifications of the ${family} levels` }),
-    el("thead", {}, el("tr", {},
-      el("th", { scope: "col", text: "Level" }),
-      ...tasks.map((task) => el("th", { scope: "col", text: title(task.short_name) })))),
+    el(
+      "thead",
+      {},
+      el(
+        "tr",
+        {},
+        el("th", { scope: "col", text: "Level" }),
+        ...tasks.map((task) => el("th", { scope: "col", text: title(task.short_name) })),
+      ),
+    ),
     group("World", WORLD, tasks),
     group("Rewards per step (tiered)", REWARDS, tasks),
-    group("Identity", IDENTITY, tasks));
+    group("Identity", IDENTITY, tasks),
+  );
 }
 
 function group(name, rows, tasks) {
   const filled = rows
     .map(([label, cell]) => [label, tasks.map((task) => String(cell(task)))])
     .filter(([, values]) => values.some((value) => value !== NONE));
-  return el("tbody", {},
+  return el(
+    "tbody",
+    {},
     el("tr.group", {}, el("th", { scope: "rowgroup", colspan: tasks.length + 1, text: name })),
-    ...filled.map(([label, values]) => el("tr", {},
-      el("th", { scope: "row", text: label }),
-      ...values.map((value) => el("td", { text: value })))));
+    ...filled.map(([label, values]) =>
+      el("tr", {}, el("th", { scope: "row", text: label }), ...values.map((value) => el("td", { text: value }))),
+    ),
+  );
 }
 
 /** What stands on a map, and what it does to the drone. */
 function legend(kinds) {
-  return el("section.legend", { "aria-labelledby": "legend-title" },
+  return el(
+    "section.legend",
+    { "aria-labelledby": "legend-title" },
     el("h2", { id: "legend-title", text: "Legend" }),
-    el("dl", {}, ...kinds.map((kind) => el("div", {},
-      el("dt", {}, el("span.emoji", { "aria-hidden": "true", text: kind.emoji }), kind.name),
-      el("dd", { text: kind.effect })))));
+    el(
+      "dl",
+      {},
+      ...kinds.map((kind) =>
+        el(
+          "div",
+          {},
+          el("dt", {}, el("span.emoji", { "aria-hidden": "true", text: kind.emoji }), kind.name),
+          el("dd", { text: kind.effect }),
+        ),
+      ),
+    ),
+  );
 }

@@ -10,11 +10,25 @@ export class Transport {
   /** @param {import("./player.js").Player} player */
   constructor(player) {
     this.player = player;
-    const button = (label, key, drawing, press) => el("button.icon-button", {
-      type: "button", "aria-label": label, title: `${label} (${key})`, on: { click: press },
-    }, drawing);
+    const button = (label, key, drawing, press) =>
+      el(
+        "button.icon-button",
+        {
+          type: "button",
+          "aria-label": label,
+          title: `${label} (${key})`,
+          on: { click: press },
+        },
+        drawing,
+      );
     this.slider = el("input", {
-      type: "range", id: "replay-slider", min: "0", max: "0", step: "1", value: "0", "aria-label": "Step of the flight",
+      type: "range",
+      id: "replay-slider",
+      min: "0",
+      max: "0",
+      step: "1",
+      value: "0",
+      "aria-label": "Step of the flight",
       on: { input: () => player.seek(Number(this.slider.value)) },
     });
     this.first = button("First step", "Home", icon("M18 6l-7 6 7 6", "M6.5 6v12"), () => player.seek(0));
@@ -22,16 +36,40 @@ export class Transport {
     this.toggle = button("Play", "Space", PLAY, () => this.playOrPause());
     this.forward = button("Step forward", "→", icon("M9 6l7 6-7 6"), () => this.step(1));
     this.end = button("Last step", "End", icon("M6 6l7 6-7 6", "M17.5 6v12"), () => player.seek(Infinity));
-    this.speed = el("select", { id: "replay-speed", on: { change: () => { player.speed = Number(this.speed.value); } } },
-      ...SPEEDS.map((speed) => el("option", { value: String(speed), text: `${speed} steps/s` })));
+    this.speed = el(
+      "select",
+      {
+        id: "replay-speed",
+        on: {
+          change: () => {
+            player.speed = Number(this.speed.value);
+          },
+        },
+      },
+      ...SPEEDS.map((speed) => el("option", { value: String(speed), text: `${speed} steps/s` })),
+    );
     this.speed.value = String(player.speed);
     this.where = el("p.replay-step", { id: "replay-step" });
-    this.root = el("div.transport", {},
+    this.root = el(
+      "div.transport",
+      {},
       this.slider,
-      el("div.transport-row", {},
-        el("div.transport-buttons", { role: "group", "aria-label": "Playback" }, this.first, this.back, this.toggle, this.forward, this.end),
+      el(
+        "div.transport-row",
+        {},
+        el(
+          "div.transport-buttons",
+          { role: "group", "aria-label": "Playback" },
+          this.first,
+          this.back,
+          this.toggle,
+          this.forward,
+          this.end,
+        ),
         el("label", { for: "replay-speed" }, el("span.visually-hidden", { text: "Speed" }), this.speed),
-        this.where));
+        this.where,
+      ),
+    );
     player.addEventListener("change", () => this.draw());
   }
 
