@@ -207,6 +207,6 @@ def infer(
 
 
 def _new_folder(model: str, task: str) -> Path:
-    name = "".join(letter if letter.isalnum() or letter in ".-_" else "-" for letter in model)
+    name = "".join(letter if letter.isalnum() or letter in ".-_" else "-" for letter in model[:50])
     now = datetime.now(timezone.utc).strftime("%Y%m%d-%H%M%S-%f")
     return Path("results") / "llm" / f"{now}-{task}-{name}"

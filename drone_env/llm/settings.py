@@ -86,7 +86,7 @@ def token_for(settings: InferenceSettings, url: str) -> str | None:
             unencrypted to another machine.
     """
     parts = urlsplit(check_url(url))
-    host = (parts.hostname or "").lower()
+    host = (parts.hostname or "").lower().rstrip(".")
     name, secret = ("OPENAI_API_KEY", settings.openai_api_key)
     if any(host == known or host.endswith(f".{known}") for known in HUGGING_FACE_HOSTS):
         name, secret = ("HF_TOKEN", settings.hf_token)
@@ -95,8 +95,11 @@ def token_for(settings: InferenceSettings, url: str) -> str | None:
             return None
         raise InvalidValueError(f"{host} needs {name}: set it in the environment or in .env")
     token = secret.get_secret_value().strip()
-    if not token or not token.isascii() or not token.isprintable() or " " in token:
-        raise InvalidValueError(f"{name} must be printable ASCII without spaces, as a header has to carry it")
+    if not token or not token.isascii() or not token.isprintable() or any(letter in " \"'\\" for letter in token):
+        # Quoted in JSON, quotes and backslashes look different, and would not be found and taken out.
+        raise InvalidValueError(
+            f"{name} must be printable ASCII without spaces, quotes and backslashes, as a header has to carry it"
+        )
     if parts.scheme != "https" and host not in LOOPBACK:
         raise InvalidValueError(f"{name} is not sent unencrypted: API_BASE_URL must begin with https:// for {host}")
     return token

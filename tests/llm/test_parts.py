@@ -30,6 +30,12 @@ ROOT = Path(__file__).parents[2]
         ('"WAIT".', "ok"),
         ('{"direction": "DOWN"}', "ok"),
         ("```\nRIGHT\n```", "ok"),
+        ("```text\nRIGHT\n```", "ok"),
+        ('```json{"action": "UP"}```', "ok"),
+        ("```RIGHT```", "ok"),
+        ("```", "parse_error"),
+        ("```json" + " \n" * 10_000 + "x y```", "parse_error"),
+        ("```json" + " \n" * 10_000 + "x", "parse_error"),
         ("reasoned in the prompt's own block</think>\n\nRIGHT", "ok"),
         ("UP UP", "parse_error"),
         ("UP or DOWN", "parse_error"),
@@ -50,6 +56,12 @@ def test_one_action(text: str, kind: str) -> None:
     assert read_answer(Answer(text=text), plan=False).kind == kind
 
 
+def test_half_a_character_can_be_kept() -> None:
+    answer = Answer(text="UP\ud800", reasoning="\ud83d\ude81")
+    assert (answer.text, answer.reasoning) == ("UP\ufffd", "\U0001f681")
+    assert Answer.model_validate_json(answer.model_dump_json()) == answer
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -58,6 +70,8 @@ def test_one_action(text: str, kind: str) -> None:
         ("RIGHT, UP", [Action.RIGHT, Action.UP]),
         ("right -> up\nDOWN", [Action.RIGHT, Action.UP, Action.DOWN]),
         ("RIGHT", [Action.RIGHT]),
+        ("```RIGHT UP```", [Action.RIGHT, Action.UP]),
+        ("```plain RIGHT UP```", [Action.RIGHT, Action.UP]),
         ('{"actions": []}', "parse_error"),
         ('{"actions": ["RIGHT", 3]}', "parse_error"),
         ("First RIGHT, then UP!", "parse_error"),
