@@ -165,7 +165,7 @@ def infer(
         )
     except ValidationError as error:
         raise InvalidValueError(run_folder.first_problem(error)) from None
-    except json_format.JSONDecodeError as error:
+    except (json_format.JSONDecodeError, RecursionError) as error:
         raise InvalidValueError(f"--extra takes a JSON object: {error}") from None
     token = token_for(settings, config.base_url)
     prices = None if price_prompt is None or price_completion is None else Prices(price_prompt, price_completion)

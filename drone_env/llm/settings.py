@@ -63,7 +63,8 @@ def check_url(url: str) -> str:
     """An endpoint's address without a slash at its end.
 
     Raises:
-        InvalidValueError: if it is no http or https address, or holds a user, a password, a query or a fragment.
+        InvalidValueError: if it is no http or https address, or holds a user, a password, a query, a fragment or
+            anything unprintable.
     """
     try:
         parts = urlsplit(url)
@@ -71,9 +72,10 @@ def check_url(url: str) -> str:
     except ValueError:
         raise InvalidValueError(f"API_BASE_URL is no address: {url!r}") from None
     # A password in the address would end up in the run folder.
-    if not usable or "@" in parts.netloc or parts.query or parts.fragment:
+    if not usable or not url.isprintable() or "@" in parts.netloc or parts.query or parts.fragment:
         raise InvalidValueError(
-            "API_BASE_URL must be http(s)://HOST[:PORT][/PATH] without a user, password, query or fragment"
+            "API_BASE_URL must be http(s)://HOST[:PORT][/PATH] without a user, password, query or fragment, and "
+            "without anything unprintable"
         )
     return url.rstrip("/")
 
