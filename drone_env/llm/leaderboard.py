@@ -31,11 +31,11 @@ def leaderboard(paths: Iterable[Path]) -> tuple[list[Board], list[Refused]]:
     """Check runs and rank them.
 
     Args:
-        paths: The run folders.
+        paths: The run folders; one that is named twice counts once.
     """
     boards: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
     refused: list[Refused] = []
-    for path in paths:
+    for path in {path.resolve(): path for path in paths}.values():
         try:
             run = verified_run(path)
         except (DroneEnvError, OSError, ValueError) as error:

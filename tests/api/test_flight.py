@@ -323,6 +323,12 @@ class TestEndOfSession:
             assert client.get("/state", headers=header).status_code == 410
             assert client.post("/reset").status_code == 200
 
+    def test_the_cookie_goes_with_it(self, tmp_path: Path) -> None:
+        with TestClient(create_app(Settings(data=tmp_path))) as client:
+            client.post("/reset")
+            assert client.delete("/session").status_code == 204
+            assert client.get("/state").json()["code"] == "no_session"
+
     def test_the_client_ends_its_session(self, tmp_path: Path) -> None:
         with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
             for seed in range(3):

@@ -87,9 +87,10 @@ def step(
 
 
 @router.delete("/session", status_code=204, responses=SESSION_ERRORS)
-def end_session(shared: SharedParts, session: SessionId) -> None:
+def end_session(shared: SharedParts, session: SessionId, response: Response) -> None:
     """End the session, so that its place is free for others. An episode that has not ended is dropped."""
     shared.sessions.end(session)
+    response.delete_cookie(COOKIE)
 
 
 @router.get("/state", responses=SESSION_ERRORS)
