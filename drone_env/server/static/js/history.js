@@ -90,10 +90,16 @@ class History {
       if (asked !== this.asked) return;
       this.next = answer.next;
       this.show(answer.episodes);
-      await this.charts.load(task || this.context.player.mission?.short_name || this.context.tasks[0].short_name);
+      await this.charts.load(task || this.someTask(answer.episodes));
     } catch (error) {
       if (asked === this.asked) this.note.textContent = `The history could not be loaded: ${error.message}`;
     }
+  }
+
+  /** What the charts show of all tasks: that of the newest episode. */
+  someTask([newest]) {
+    const { tasks } = this.context;
+    return (tasks.find((task) => task.id === newest?.task) ?? tasks[0]).short_name;
   }
 
   show(episodes) {
