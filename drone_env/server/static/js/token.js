@@ -33,9 +33,13 @@ function ask(wrong) {
     el("button.button.primary", { text: "Enter" }),
   );
   dialog.replaceChildren(form);
-  dialog.addEventListener("cancel", (event) => event.preventDefault());
+  // Without a token there is no page. "cancel" is no help: browsers let the second Escape through.
+  dialog.onclose = () => dialog.showModal();
   if (!dialog.open) dialog.showModal();
   return new Promise((resolve) => {
-    form.addEventListener("submit", () => resolve(input.value.trim()));
+    form.addEventListener("submit", () => {
+      dialog.onclose = null;
+      resolve(input.value.trim());
+    });
   });
 }
