@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-training bench-dashboard evidence docs-data screenshots format clean
+.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots format clean
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -56,6 +56,10 @@ verify: .venv/.dev
 bench: .venv/.base
 	$(BIN)/python benchmarks/simulator.py $(ARGS)
 	$(BIN)/python benchmarks/scalar_step.py
+
+# The server's WebSocket beside OpenEnv's echo environment.
+bench-server: .venv/.dev
+	$(BIN)/python benchmarks/server.py $(ARGS)
 
 # The trainer beside Stable-Baselines3's DQN; takes half an hour.
 bench-training: .venv/.dev

@@ -165,7 +165,7 @@ def infer(
         )
     except ValidationError as error:
         raise InvalidValueError(run_folder.first_problem(error)) from None
-    except json_format.JSONDecodeError as error:
+    except (json_format.JSONDecodeError, RecursionError) as error:
         raise InvalidValueError(f"--extra takes a JSON object: {error}") from None
     token = token_for(settings, config.base_url)
     prices = None if price_prompt is None or price_completion is None else Prices(price_prompt, price_completion)
@@ -207,6 +207,6 @@ def infer(
 
 
 def _new_folder(model: str, task: str) -> Path:
-    name = "".join(letter if letter.isalnum() or letter in ".-_" else "-" for letter in model)
+    name = "".join(letter if letter.isalnum() or letter in ".-_" else "-" for letter in model[:50])
     now = datetime.now(timezone.utc).strftime("%Y%m%d-%H%M%S-%f")
     return Path("results") / "llm" / f"{now}-{task}-{name}"

@@ -9,6 +9,8 @@ import json
 import re
 from typing import Any, Literal, NamedTuple
 
+from pydantic import field_validator
+
 from drone_env.core.actions import Action
 from drone_env.models import Count, Message
 
@@ -26,7 +28,8 @@ OUTCOMES: tuple[Outcome, ...] = (
 )
 
 KEYS = {"action", "direction", "actions", "directions"}
-FENCE = re.compile(r"```[a-zA-Z]*\s*(.*?)\s*```", re.DOTALL)
+FENCE = "```"
+LANGUAGE = re.compile(r"[a-zA-Z]+(?=[\s\[{])")
 THOUGHT = re.compile(r"\A\s*<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
 OPEN_THOUGHT = re.compile(r"\A\s*<think(?:ing)?>", re.IGNORECASE)
 # Some servers' chat templates open the block in the prompt, so that only its end is in the answer.
@@ -51,6 +54,12 @@ class Answer(Message):
     prompt_tokens: Count | None = None
     completion_tokens: Count | None = None
     model: str | None = None
+
+    @field_validator("text", "reasoning", "tool_arguments", "refusal", "finish_reason", "model")
+    @classmethod
+    def _writable(cls, text: str | None) -> str | None:
+        # JSON may hold half a character, which no file can; a stream may bring its halves one after the other.
+        return text and text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
 
 
 class Reading(NamedTuple):
@@ -101,8 +110,7 @@ def _without_thoughts(text: str) -> str | None:
 
 def _words(text: str, plan: bool) -> list[str] | None:
     """The words that stand where actions should; None where there is something else."""
-    fenced = FENCE.fullmatch(text.strip())
-    text = (fenced[1] if fenced else text).strip()
+    text = _unfenced(text.strip())
     if text[:1] in ("{", "["):
         return _json_words(text, plan)
     text = text.strip(" \t\r\n*_`'\".")
@@ -112,6 +120,17 @@ def _words(text: str, plan: bool) -> list[str] | None:
     if plan and len(words) > 1 and not any(word.upper() in Action.__members__ for word in words):
         return None  # prose
     return words
+
+
+def _unfenced(text: str) -> str:
+    """What stands inside of a code fence, without the name of a language; the text itself where there is no fence."""
+    if len(text) < 2 * len(FENCE) or not text.startswith(FENCE) or not text.endswith(FENCE):
+        return text
+    text = text[len(FENCE) : -len(FENCE)]
+    language = LANGUAGE.match(text)
+    if language and language[0].upper() not in Action.__members__:
+        text = text[language.end() :]
+    return text.strip()
 
 
 def _json_words(text: str, plan: bool) -> list[str] | None:

@@ -173,7 +173,8 @@ class Caller:
 
         def wait(state: RetryCallState) -> float:
             asked = _failure(state).retry_after
-            return backoff(state) if asked is None else asked
+            # Behind the end of the run's time nothing is sent: there is nothing to wait for.
+            return min(backoff(state) if asked is None else asked, self._spending.seconds_left)
 
         def note(state: RetryCallState) -> None:
             failed, waited = _failure(state), state.next_action.sleep if state.next_action else 0.0
@@ -203,7 +204,7 @@ class Caller:
                 answer = await self._endpoint.ask(messages, str(key))
             except TryFailedError as failed:
                 if failed.retried:
-                    pause = min(failed.retry_after or 0.0, self._policy.longest_wait)
+                    pause = min(failed.retry_after or 0.0, self._policy.longest_wait, self._spending.seconds_left)
                     self._gate.overloaded(sent_at, pause)
                 raise
             self._gate.succeeded()

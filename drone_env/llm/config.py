@@ -33,7 +33,7 @@ class Sampling(Message):
         taken |= {"tools", "tool_choice", "response_format"}
         if taken & extra.keys():
             raise ValueError(f"{sorted(taken & extra.keys())[0]!r} is set by other means than extra")
-        json.dumps(extra, allow_nan=False)
+        json.dumps(extra, allow_nan=False, ensure_ascii=False).encode()
         return extra
 
 

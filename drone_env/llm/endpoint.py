@@ -18,6 +18,7 @@ from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import AnswerForm, RunConfig
 from drone_env.llm.prompt import ChatMessage
+from drone_env.llm.settings import LOOPBACK
 from drone_env.llm.transcript import SHORTEST_SECRET
 
 RETRIED = {408, 409, 429}
@@ -26,6 +27,8 @@ SENT_HEADERS = {
     *("user-agent", "authorization", "x-client-request-id"),
 }
 REASON_CHARACTERS = 300
+MOST_TOKENS = 10**12
+"""A count of tokens from here on is none."""
 POOLS = 8
 """Pools of connections. A pool looks at all of its own for each request, which hundreds in one would make slow."""
 DIRECTIONS = [action.name for action in Action]
@@ -84,7 +87,9 @@ class Endpoint:
 
         def client() -> AsyncOpenAI:
             # A redirect could take the token elsewhere. No limit of connections: the runner limits them.
+            # A proxy is another machine: what goes to this one, unencrypted, passes none.
             http = openai.DefaultAsyncHttpxClient(
+                trust_env=urlsplit(config.base_url).hostname not in LOOPBACK,
                 verify=certificates,
                 follow_redirects=False,
                 limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
@@ -118,6 +123,9 @@ class Endpoint:
         except (openai.APIError, ValueError) as error:
             # An error inside of a stream, or what is no JSON.
             raise TryFailedError(200, self._clean(f"not an answer: {error}"), retried=False) from None
+        except (AttributeError, LookupError, TypeError, RecursionError) as error:
+            # Foreign servers send anything where the protocol has objects and lists, and nothing checks it before.
+            raise TryFailedError(200, self._clean(f"not in the form of an answer: {error}"), retried=False) from None
 
     async def close(self) -> None:
         """Close all connections."""
@@ -151,10 +159,12 @@ class Endpoint:
         ) from None
 
     def _clean(self, text: str) -> str:
-        """The text on one line, without the token."""
+        """The text on one line, without the token, and without what moves a terminal or cannot be written."""
         if self._token and len(self._token) >= SHORTEST_SECRET:
             text = text.replace(self._token, "***")
-        return " ".join(text.split())[:REASON_CHARACTERS]
+        # Cut last: half of a token would not be found.
+        text = " ".join(text.split())[:REASON_CHARACTERS]
+        return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
 
 
 def request_body(config: RunConfig, plan: bool) -> dict[str, Any]:
@@ -191,7 +201,9 @@ def _read_completion(completion: Any) -> Answer:
     """The answer in a completion; foreign servers leave much of it out."""
     choices = getattr(completion, "choices", None)
     if not choices:
-        raise ValueError(f"there are no choices in {str(completion)[:200]!r}")
+        # Some send their errors as 200.
+        error = _field(completion, "error") if isinstance(completion, ChatCompletion) else None
+        raise ValueError(f"there are no choices, but {error or completion}")
     message = choices[0].message
     if message is None:
         raise ValueError("the choice has no message")
@@ -199,7 +211,7 @@ def _read_completion(completion: Any) -> Answer:
     return Answer(
         text=_text(message.content) or "",
         reasoning=_text(_field(message, "reasoning_content") or _field(message, "reasoning")),
-        tool_arguments=_text(calls[0].function.arguments) if calls else None,
+        tool_arguments=_arguments(calls) if calls else None,
         refusal=_text(getattr(message, "refusal", None)),
         finish_reason=_text(choices[0].finish_reason),
         model=_text(completion.model),
@@ -225,7 +237,7 @@ async def _read_stream(stream: Any) -> Answer:
                     "text": delta.content,
                     "reasoning": _field(delta, "reasoning_content") or _field(delta, "reasoning"),
                     "refusal": getattr(delta, "refusal", None),
-                    "tool": calls[0].function.arguments if calls and calls[0].function else None,
+                    "tool": _arguments(calls) if calls else None,
                 }
                 for name, piece in pieces.items():
                     if piece:
@@ -244,6 +256,12 @@ async def _read_stream(stream: Any) -> Answer:
     )
 
 
+def _arguments(calls: Any) -> str | None:
+    """The arguments of tool calls. Those of several stand side by side, which makes them no action."""
+    pieces = [_text(call.function.arguments) for call in calls if call.function is not None]
+    return "".join(piece or "" for piece in pieces) or None
+
+
 def _field(message: Any, name: str) -> Any:
     """A field that is not part of OpenAI's protocol, but of others'."""
     return (message.model_extra or {}).get(name)
@@ -252,12 +270,12 @@ def _field(message: Any, name: str) -> Any:
 def _text(value: Any) -> str | None:
     if value is None or isinstance(value, str):
         return value
-    raise ValueError(f"text was expected, got {str(value)[:100]!r}")
+    raise ValueError(f"text was expected, got {value!r}")
 
 
 def _usage(usage: Any) -> dict[str, int | None]:
     counts = {name: getattr(usage, name, None) for name in ("prompt_tokens", "completion_tokens")}
-    return _usage_fields({name: n if type(n) is int and n >= 0 else None for name, n in counts.items()})
+    return _usage_fields({name: n if type(n) is int and 0 <= n < MOST_TOKENS else None for name, n in counts.items()})
 
 
 def _usage_fields(usage: dict[str, int | None]) -> dict[str, int | None]:

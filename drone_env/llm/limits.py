@@ -71,6 +71,12 @@ class Spending:
         """US dollars; None where no price is known."""
         return None if self.prices is None else self.prices.cost(self.prompt_tokens, self.completion_tokens)
 
+    @property
+    def seconds_left(self) -> float:
+        """Until the time of the run is over."""
+        limit = self.limits.seconds
+        return float("inf") if limit is None else max(0.0, limit - (time.monotonic() - self.started))
+
     def add(self, call: Call, counted: int = 0) -> None:
         """Count a call, `counted` of whose requests have been counted already."""
         self.requests += call.requests - counted
@@ -91,7 +97,7 @@ class Spending:
         limits, cost = self.limits, self.cost
         if limits.calls is not None and self.requests >= limits.calls:
             raise LimitReachedError(f"all {limits.calls} calls have been made")
-        if limits.seconds is not None and time.monotonic() - self.started >= limits.seconds:
+        if limits.seconds is not None and self.seconds_left == 0:
             raise LimitReachedError(f"{limits.seconds:g} s have passed")
         if self.unmetered and (limits.tokens is not None or limits.cost is not None):
             raise LimitReachedError("the endpoint does not say how many tokens it used, so they cannot be limited")

@@ -156,6 +156,6 @@ def _row(cells: Sequence[str]) -> str:
 
 def _plain(text: str) -> str:
     """A text that Markdown shows as it is: names and errors come from elsewhere."""
-    for letter, code in (("&", "&amp;"), ("<", "&lt;"), ("|", "&#124;")):
+    for letter, code in (("&", "&amp;"), ("<", "&lt;"), *((letter, f"&#{ord(letter)};") for letter in "|[`*\\")):
         text = text.replace(letter, code)
     return text

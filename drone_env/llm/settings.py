@@ -63,7 +63,8 @@ def check_url(url: str) -> str:
     """An endpoint's address without a slash at its end.
 
     Raises:
-        InvalidValueError: if it is no http or https address, or holds a user, a password, a query or a fragment.
+        InvalidValueError: if it is no http or https address, or holds a user, a password, a query, a fragment or
+            anything unprintable.
     """
     try:
         parts = urlsplit(url)
@@ -71,9 +72,10 @@ def check_url(url: str) -> str:
     except ValueError:
         raise InvalidValueError(f"API_BASE_URL is no address: {url!r}") from None
     # A password in the address would end up in the run folder.
-    if not usable or "@" in parts.netloc or parts.query or parts.fragment:
+    if not usable or not url.isprintable() or "@" in parts.netloc or parts.query or parts.fragment:
         raise InvalidValueError(
-            "API_BASE_URL must be http(s)://HOST[:PORT][/PATH] without a user, password, query or fragment"
+            "API_BASE_URL must be http(s)://HOST[:PORT][/PATH] without a user, password, query or fragment, and "
+            "without anything unprintable"
         )
     return url.rstrip("/")
 
@@ -86,7 +88,7 @@ def token_for(settings: InferenceSettings, url: str) -> str | None:
             unencrypted to another machine.
     """
     parts = urlsplit(check_url(url))
-    host = (parts.hostname or "").lower()
+    host = (parts.hostname or "").lower().rstrip(".")
     name, secret = ("OPENAI_API_KEY", settings.openai_api_key)
     if any(host == known or host.endswith(f".{known}") for known in HUGGING_FACE_HOSTS):
         name, secret = ("HF_TOKEN", settings.hf_token)
@@ -95,8 +97,11 @@ def token_for(settings: InferenceSettings, url: str) -> str | None:
             return None
         raise InvalidValueError(f"{host} needs {name}: set it in the environment or in .env")
     token = secret.get_secret_value().strip()
-    if not token or not token.isascii() or not token.isprintable() or " " in token:
-        raise InvalidValueError(f"{name} must be printable ASCII without spaces, as a header has to carry it")
+    if not token or not token.isascii() or not token.isprintable() or any(letter in " \"'\\" for letter in token):
+        # Quoted in JSON, quotes and backslashes look different, and would not be found and taken out.
+        raise InvalidValueError(
+            f"{name} must be printable ASCII without spaces, quotes and backslashes, as a header has to carry it"
+        )
     if parts.scheme != "https" and host not in LOOPBACK:
         raise InvalidValueError(f"{name} is not sent unencrypted: API_BASE_URL must begin with https:// for {host}")
     return token

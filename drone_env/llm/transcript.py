@@ -104,7 +104,10 @@ class Transcript:
             call = Call.model_validate_json(json.dumps(_without(json.loads(line), self._secret)))
             line = call.model_dump_json()
         data = f"{line}\n".encode()
-        if self._file.write(data) != len(data):
+        written = self._file.write(data)
+        if written != len(data):
+            # The next call would stand on the same line.
+            self._file.truncate(self._file.tell() - (written or 0))
             raise OSError(f"a call could not be written whole to {self.path}")
         self.calls.append(call)
         if call.answer is not None:

@@ -3,12 +3,14 @@
 import asyncio
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from drone_env.episodes.jsonl import read_records
 from drone_env.episodes.record import EpisodeRecord, record_of, replay
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Answer
-from drone_env.llm.config import RunConfig
+from drone_env.llm.config import RunConfig, digest
+from drone_env.llm.endpoint import request_body
 from drone_env.llm.limits import LimitReachedError
 from drone_env.llm.pilot import CallFailedError, Flight, fly, mission_of
 from drone_env.llm.prompt import ChatMessage
@@ -58,10 +60,11 @@ def verified_run(path: Path) -> VerifiedRun:
         # Leaving out the flights that went badly would make a run look better than it was.
         raise InvalidValueError(f"{path}: flight {lost[0]} was begun but is not among the results: resume the run")
     used: set[CallKey] = set()
+    body = request_body(config, config.load_prompt().plan)
     for result, record in zip(results, records, strict=True):
         try:
             replay(record)
-            flight = asyncio.run(_flown_again(config, result, answers, failed, used))
+            flight = asyncio.run(_flown_again(config, body, result, answers, failed, used))
         except DroneEnvError as error:
             raise InvalidValueError(f"{path}: flight {result.flight}: {error}") from None
         if FlightResult.of(flight) != result or record_of(flight.episode, config.model) != record:
@@ -72,13 +75,20 @@ def verified_run(path: Path) -> VerifiedRun:
 
 
 async def _flown_again(
-    config: RunConfig, result: FlightResult, answers: dict[CallKey, Call], failed: set[CallKey], used: set[CallKey]
+    config: RunConfig,
+    body: dict[str, Any],
+    result: FlightResult,
+    answers: dict[CallKey, Call],
+    failed: set[CallKey],
+    used: set[CallKey],
 ) -> Flight:
     async def ask(key: CallKey, messages: list[ChatMessage]) -> Answer:
         call = answers.get(key)
         if call is not None and call.answer is not None:
             if call.messages != messages:
                 raise InvalidValueError(f"call {key} asked something else than this prompt does")
+            if call.request_digest != digest({"body": body, "messages": messages}):
+                raise InvalidValueError(f"call {key} asked another model or otherwise than run.json says")
             used.add(key)
             return call.answer
         # Where the answers end, the flight ended as its result says, which is compared with the rest of it.

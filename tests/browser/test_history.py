@@ -44,13 +44,24 @@ def drawn(page: Page, chart: str) -> int:
     )
 
 
+def expect_drawn(page: Page) -> None:
+    """Every chart comes to show values in the colour of the theme."""
+    for _ in range(50):
+        found = {chart: drawn(page, chart) for chart in CHARTS}
+        if min(found.values()) > 50:
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError(f"too few pixels of the accent's colour: {found}")
+
+
 def test_it_lists_filters_and_pages_what_the_store_has(page: Page, server: Server) -> None:
     view(page, "History")
     page.get_by_role("combobox", name="Task").select_option("easy")
     page.get_by_role("combobox", name="Agent").select_option("greedy")
     rows = page.locator("tr[data-episode]")
     known = listed(server, task="easy", agent="greedy", limit=200)
-    expect(rows).to_have_count(25)
+    expect(rows.first).to_have_attribute("data-episode", known[0]["id"])
+    expect(rows.nth(24)).to_have_attribute("data-episode", known[24]["id"])
     assert shown_ids(page) == [episode["id"] for episode in known[:25]]
     first = known[0]
     expect(rows.first).to_contain_text(f"{first['deliveries']} / {first['deliveries_total']}")
@@ -74,12 +85,10 @@ def test_the_charts_draw_and_say_what_the_server_counts_in_both_themes(page: Pag
     expect(charts).to_contain_text(f"{percent(analysis['success_rate'])} delivered everything")
     for action, share in analysis["action_distribution"].items():
         expect(charts).to_contain_text(f"{action} {percent(share)}")
-    dark = {chart: drawn(page, chart) for chart in CHARTS}
-    assert min(dark.values()) > 50, dark
+    expect_drawn(page)
     page.get_by_role("button", name=re.compile("light colours")).click()
-    light = {chart: drawn(page, chart) for chart in CHARTS}
+    expect_drawn(page)
     page.get_by_role("button", name=re.compile("dark colours")).click()
-    assert min(light.values()) > 50, light
 
 
 def test_a_chart_can_be_saved_and_a_click_in_it_replays(page: Page) -> None:

@@ -129,6 +129,9 @@ def test_a_token_cannot_be_escaped_from_and_the_history_comes_when_the_server_do
         expect(dialog).to_be_visible()
         for _ in range(3):
             page.keyboard.press("Escape")
+        dialog.get_by_label("Token").fill("\u2603")
+        page.keyboard.press("Enter")
+        expect(dialog).to_contain_text("The token was refused")
         dialog.get_by_label("Token").fill("let-me-in")
         page.keyboard.press("Enter")
         expect(page.locator("#connection")).to_contain_text("Live")

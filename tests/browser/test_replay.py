@@ -47,6 +47,14 @@ def dropped(page: Page, name: str, text: str) -> None:
         page.dispatch_event("main", event, {"dataTransfer": transfer})
 
 
+def replayed(page: Page, record: EpisodeRecord) -> None:
+    """Drop a record on the page, and wait until it stands there."""
+    view(page, "Replay")
+    dropped(page, "flight.json", record.to_json(2))
+    expect(page.locator(".replay-title")).to_contain_text(f"map {record.seed}, flown by {record.agent}")
+    expect(slider(page)).to_have_attribute("max", str(len(record.actions)))
+
+
 def test_an_episode_replays_from_its_link_with_slider_and_steps(page: Page, server: Server) -> None:
     episode = httpx.get(f"{server.url}/episodes", params={"task": "medium", "agent": "greedy"}).json()["episodes"][0]
     record = parse_record(httpx.get(f"{server.url}/episodes/{episode['id']}").content, "it")
@@ -66,10 +74,10 @@ def test_an_episode_replays_from_its_link_with_slider_and_steps(page: Page, serv
     assert facts(page)["Score"] == points(episode["score"])
 
 
-def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(page: Page, record: EpisodeRecord) -> None:
-    view(page, "Replay")
-    dropped(page, "flight.json", record.to_json(2))
-    page.get_by_role("combobox", name="Speed").select_option("30")
+def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(page: Page) -> None:
+    record = flown("medium", 7, "random", label="me")
+    replayed(page, record)
+    page.get_by_role("combobox", name="Speed").select_option("15")
     page.get_by_role("button", name="Play").click()
     expect(slider(page)).to_have_value(re.compile("[1-9]"))
     page.get_by_role("button", name="Pause").click()
@@ -92,8 +100,7 @@ def test_the_moves_are_annotated_and_jump_to_their_step(page: Page, server: Serv
     annotation = posted(server, "annotate", record)
     marked = [move for move in annotation["moves"] if move["mark"]]
     assert marked, "a flight at random must have given something away"
-    view(page, "Replay")
-    dropped(page, "flight.json", record.to_json())
+    replayed(page, record)
     moves = page.locator(".replay-moves")
     expect(moves.get_by_role("button")).to_have_count(len(annotation["moves"]))
     for label, count in annotation["counts"].items():
@@ -122,9 +129,7 @@ def test_a_file_with_several_flights_offers_them(page: Page, tmp_path: Path) -> 
 
 
 def test_the_record_that_is_downloaded_is_the_record(page: Page, record: EpisodeRecord) -> None:
-    view(page, "Replay")
-    dropped(page, "flight.json", record.to_json())
-    expect(page.get_by_role("heading", name="Easy Delivery, map 21, flown by me")).to_be_visible()
+    replayed(page, record)
     with page.expect_download() as saved:
         page.get_by_role("button", name="Download record").click()
     assert saved.value.suggested_filename == "easy_delivery-21-me.json"

@@ -102,6 +102,12 @@ class Server:
             data = b"<html>busy</html>"
             writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/html\r\nContent-Length: %d\r\n\r\n" % len(data) + data)
             return True
+        if isinstance(fault, dict) and "sends" in fault:
+            kind = b"text/event-stream" if body.get("stream") else b"application/json"
+            data = fault["sends"].encode()
+            writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: %s\r\n" % kind)
+            writer.write(b"Content-Length: %d\r\n\r\n" % len(data) + data)
+            return True
         if fault == "garbage":
             data = b"data: {\x00\xff not json\n\n"
             writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n")
@@ -127,7 +133,7 @@ class Server:
         elif body.get("response_format"):
             message["content"] = json.dumps({"direction": message["content"]})
         reason = script.get("finish_reason", "stop")
-        usage = {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102}
+        usage = script.get("usage", {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102})
         if script.get("no_usage"):
             usage = None
         common = {"id": "x", "created": 0, "model": body["model"]}

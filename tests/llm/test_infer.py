@@ -19,6 +19,15 @@ from drone_env.planning.optimal import solve
 from .conftest import ROOT, TOKEN, Endpoint, Infer, environment
 
 Start = Callable[..., Endpoint]
+
+
+class RawJson(str):
+    """JSON as it is sent."""
+
+    def __str__(self) -> str:
+        return self[:20]
+
+
 LINE = re.compile(
     r"\[START\] task=\S+ env=drone_env_v1 model=scripted"
     r"|\[STEP\] step=\d+ action=(?:UP|DOWN|LEFT|RIGHT|WAIT) reward=\d\.\d\d done=(?:true|false) error=\w+"
@@ -421,6 +430,86 @@ def test_a_short_token_and_a_quoted_one(endpoint: Start) -> None:
     assert quoted.turns == {"parse_error": 60}
     assert quoted.calls[0]["answer"]["text"] == "Your key is ***"
     verified(quoted)
+
+
+@pytest.mark.parametrize("stream", [False, True])
+@pytest.mark.parametrize(
+    "value",
+    [
+        *([], "UP", None, {"choices": "UP"}, {"choices": ["UP"]}, {"choices": [None]}, {"choices": {"0": 1}}),
+        {"choices": [{"message": "UP", "delta": "UP", "finish_reason": "stop"}]},
+        {"choices": [{"message": {"tool_calls": ["UP"]}, "delta": {"tool_calls": ["UP"]}, "finish_reason": "stop"}]},
+        RawJson('{"choices": ' + "[" * 100_000 + "]" * 100_000 + "}"),
+    ],
+    ids=str,
+)
+def test_what_has_not_the_form_of_an_answer_is_an_api_error(endpoint: Start, value: object, stream: bool) -> None:
+    text = value if isinstance(value, RawJson) else json.dumps(value)
+    # Not formatted, which would shorten it.
+    fault = {"sends": "data: " + text + "\n\n" if stream else text}
+    arguments = ("--seeds", "14:16", "--tries", "1", *(["--stream"] if stream else []))
+    done = endpoint(pilot="greedy", faults=[[0, 10**9, fault]]).infer(*arguments)
+    assert (done.status, done.turns) == (1, {"api_error": 2}), done.err
+
+
+def test_an_error_sent_as_200_is_told(endpoint: Start) -> None:
+    fault = {"sends": json.dumps({"error": {"message": "quota exceeded"}})}
+    done = endpoint(pilot="greedy", faults=[[0, 0, fault]]).infer("--seeds", "14:15")
+    (failure,) = done.calls[0]["failures"]
+    assert failure["reason"] == "not an answer: there are no choices, but {'message': 'quota exceeded'}"
+
+
+@pytest.mark.parametrize("said", ["x" * 195 + TOKEN, {"choices": [{"message": {"content": ["x" * 93 + TOKEN]}}]}])
+def test_not_even_half_of_the_token_is_told(endpoint: Start, said: object) -> None:
+    done = endpoint(pilot="greedy", faults=[[0, 0, {"sends": json.dumps(said)}]]).infer("--seeds", "14:15")
+    assert "xxx***" in done.calls[0]["failures"][0]["reason"]
+    assert "xxxsk" not in done.err + (done.folder / "calls.jsonl").read_text()
+
+
+def test_what_an_endpoint_says_cannot_move_the_terminal(endpoint: Start) -> None:
+    fault = {"status": 401, "message": "\x1b[2Jgone"}
+    done = endpoint(pilot="greedy", faults=[[0, 0, fault]]).infer("--seeds", "14:15")
+    assert done.status == 2
+    assert "\ufffd[2Jgone" in done.err
+    assert "\x1b" not in done.err
+
+
+@pytest.mark.parametrize("stream", [False, True])
+def test_two_tool_calls_are_no_action(endpoint: Start, stream: bool) -> None:
+    calls = [
+        {
+            "index": i,
+            "id": str(i),
+            "type": "function",
+            "function": {"name": "fly", "arguments": f'{{"direction":"{to}"}}'},
+        }
+        for i, to in enumerate(("UP", "RIGHT"))
+    ]
+    message = {"content": "", "tool_calls": calls}
+    done = endpoint(pilot="", message=message).infer("--seeds", "14:15", *(["--stream"] if stream else []))
+    assert done.turns == {"parse_error": 60}
+
+
+def test_tokens_beyond_counting_are_not_counted(endpoint: Start) -> None:
+    usage = {"prompt_tokens": 10**400, "completion_tokens": -1}
+    prices = ("--price-prompt", "1", "--price-completion", "1")
+    done = endpoint(pilot="greedy", usage=usage).infer("--seeds", "14:15", *prices)
+    assert done.status == 0, done.err
+    assert done.calls[0]["answer"]["prompt_tokens"] is None
+
+
+def test_no_wait_is_longer_than_the_time_of_the_run(endpoint: Start) -> None:
+    fault = {"status": 429, "headers": {"Retry-After": "100"}}
+    started = time.monotonic()
+    done = endpoint(pilot="greedy", faults=[[0, 10**9, fault]]).infer("--seeds", "14:17", "--max-seconds", "0.5")
+    assert (done.status, time.monotonic() - started < 50) == (3, True)
+
+
+def test_the_token_for_this_machine_passes_no_proxy(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy")
+    proxies = dict.fromkeys(("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"), "http://127.0.0.1:9")
+    done = scripted.infer("--seeds", "14:15", "--tries", "1", **proxies)
+    assert done.status == 0, done.err
 
 
 def test_many_flights_at_once(endpoint: Start) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from drone_env.cli import main
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.state_manager import Episode
@@ -30,6 +31,12 @@ ROOT = Path(__file__).parents[2]
         ('"WAIT".', "ok"),
         ('{"direction": "DOWN"}', "ok"),
         ("```\nRIGHT\n```", "ok"),
+        ("```text\nRIGHT\n```", "ok"),
+        ('```json{"action": "UP"}```', "ok"),
+        ("```RIGHT```", "ok"),
+        ("```", "parse_error"),
+        ("```json" + " \n" * 10_000 + "x y```", "parse_error"),
+        ("```json" + " \n" * 10_000 + "x", "parse_error"),
         ("reasoned in the prompt's own block</think>\n\nRIGHT", "ok"),
         ("UP UP", "parse_error"),
         ("UP or DOWN", "parse_error"),
@@ -50,6 +57,12 @@ def test_one_action(text: str, kind: str) -> None:
     assert read_answer(Answer(text=text), plan=False).kind == kind
 
 
+def test_half_a_character_can_be_kept() -> None:
+    answer = Answer(text="UP\ud800", reasoning="\ud83d\ude81")
+    assert (answer.text, answer.reasoning) == ("UP\ufffd", "\U0001f681")
+    assert Answer.model_validate_json(answer.model_dump_json()) == answer
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -58,6 +71,8 @@ def test_one_action(text: str, kind: str) -> None:
         ("RIGHT, UP", [Action.RIGHT, Action.UP]),
         ("right -> up\nDOWN", [Action.RIGHT, Action.UP, Action.DOWN]),
         ("RIGHT", [Action.RIGHT]),
+        ("```RIGHT UP```", [Action.RIGHT, Action.UP]),
+        ("```plain RIGHT UP```", [Action.RIGHT, Action.UP]),
         ('{"actions": []}', "parse_error"),
         ('{"actions": ["RIGHT", 3]}', "parse_error"),
         ("First RIGHT, then UP!", "parse_error"),
@@ -123,6 +138,31 @@ def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
 HF, OTHER = "https://router.huggingface.co/v1", "https://api.openai.com/v1"
 
 
+def test_more_of_the_body_can_be_sent() -> None:
+    with pytest.raises(ValueError, match="surrogates not allowed"):
+        Sampling(extra={"stop": "\ud800"})
+    with pytest.raises(ValueError, match="'seed' is set by other means"):
+        Sampling(extra={"seed": 1})
+
+
+def test_an_extra_that_nests_too_deep_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["infer", "--extra", "[" * 100_000]) == 2
+    assert "--extra takes a JSON object" in capsys.readouterr().err
+
+
+def test_an_openai_key_does_not_go_to_hugging_face_by_another_spelling(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HF_TOKEN", raising=False)
+    monkeypatch.setenv("OPENAI_API_KEY", "sk-1")
+    with pytest.raises(InvalidValueError, match="needs HF_TOKEN"):
+        token_for(load_settings(), "https://router.huggingface.co./v1")
+    monkeypatch.setenv("HF_TOKEN", 'hf_"quoted')
+    with pytest.raises(InvalidValueError, match="without spaces, quotes and backslashes"):
+        token_for(load_settings(), HF)
+
+
 def test_the_token_is_chosen_by_the_host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("HF_TOKEN", "OPENAI_API_KEY"):
@@ -169,6 +209,7 @@ def test_settings_that_are_wrong_are_named(tmp_path: Path, monkeypatch: pytest.M
         ({"model": "two words"}, "no spaces"),
         ({"model": "line\u2028break"}, "no spaces"),
         ({"base_url": "ftp://x"}, "API_BASE_URL must be"),
+        ({"base_url": "https://x/a\tb"}, "without anything unprintable"),
         ({"prompt": "plan-1", "prompt_digest": get_prompt("plan").digest, "history": 1}, "tells no last steps"),
         ({"seeds": (3, 3)}, "are not"),
     ],

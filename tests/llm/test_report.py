@@ -74,6 +74,14 @@ def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None
     assert verified_run(folder).results[0].score == 0.01
 
 
+def test_a_run_cannot_be_called_another_models(endpoint: Start) -> None:
+    folder = endpoint(pilot="greedy").infer("--seeds", "14:15").folder
+    for name in ("run.json", "episodes.jsonl", "calls.jsonl"):
+        (folder / name).write_text((folder / name).read_text().replace('"scripted"', '"better"'))
+    with pytest.raises(InvalidValueError, match="call 0-1-1 asked another model or otherwise"):
+        verified_run(folder)
+
+
 def test_errored_flights_are_kept_out_and_shown(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy", faults=[[3, 10**9, {"status": 500}]])
     done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--tries", "1")
@@ -110,15 +118,15 @@ def test_a_map_counts_once_however_many_of_its_flights_errored(endpoint: Start) 
 
 
 def test_names_and_errors_from_elsewhere_stay_text(endpoint: Start) -> None:
-    hostile = "<script>alert(1)</script>|x"
+    hostile = "<script>alert(1)</script>|x![](http://h)"
     scripted = endpoint(pilot="greedy", faults=[[3, 10**9, {"status": 500, "message": hostile}]])
     done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--tries", "1", "--model", hostile)
     run = verified_run(done.folder)
     write_report(run, report(run))
     page, text = (done.folder / "report.html").read_text(), (done.folder / "report.md").read_text()
     assert "<script" not in page + text
-    assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;|x") >= 3
-    assert "| 15 | 1 | errored | 500: &lt;script>alert(1)&lt;/script>&#124;x |" in text
+    assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;|x![](http://h)") >= 3
+    assert "| 15 | 1 | errored | 500: &lt;script>alert(1)&lt;/script>&#124;x!&#91;](http://h) |" in text
 
 
 def test_the_leaderboard_ranks_whole_runs_and_refuses_forged_ones(

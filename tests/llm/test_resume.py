@@ -84,6 +84,30 @@ def test_a_cut_last_line_is_no_call_and_a_damaged_one_an_error(
         Transcript(path)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="has no limit of file sizes")
+def test_a_call_that_finds_no_room_leaves_no_half_line(endpoint: Callable[..., Endpoint]) -> None:
+    import resource
+
+    scripted = endpoint(pilot="greedy")
+    path = scripted.infer("--seeds", "14:15").folder / "calls.jsonl"
+    whole = path.read_bytes()
+    first, *_ = whole.splitlines(keepends=True)
+    path.write_bytes(first)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    transcript = Transcript(path)
+    call = transcript.calls[0].model_copy(update={"turn": 2})
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(first) + 10, limits[1]))
+    try:
+        with pytest.raises(OSError, match="could not be written whole"):
+            transcript.append(call)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_bytes() == first
+    transcript.append(call)
+    transcript.close()
+    assert len(list(read_calls(path))) == 2
+
+
 def test_the_transcript_of_another_request_is_refused(endpoint: Callable[..., Endpoint]) -> None:
     scripted = endpoint(pilot="greedy")
     done = scripted.infer("--seeds", "14:15")
