@@ -33,13 +33,13 @@ function ask(wrong) {
     el("button.button.primary", { text: "Enter" }),
   );
   dialog.replaceChildren(form);
-  // Without a token there is no page. "cancel" is no help: browsers let the second Escape through.
-  dialog.onclose = () => dialog.showModal();
   if (!dialog.open) dialog.showModal();
   return new Promise((resolve) => {
+    let given = null;
     form.addEventListener("submit", () => {
-      dialog.onclose = null;
-      resolve(input.value.trim());
+      given = input.value.trim();
     });
+    // Without a token there is no page. "cancel" is no help: browsers let the second Escape through.
+    dialog.onclose = () => (given === null ? dialog.showModal() : resolve(given));
   });
 }
