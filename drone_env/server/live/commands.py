@@ -2,16 +2,29 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
+from pydantic_core import PydanticCustomError
 
 from drone_env.errors import InvalidValueError
 from drone_env.models import Direction, Message
 from drone_env.server.problems import where
-from drone_env.server.schemas import Seed
+from drone_env.server.schemas import MAX_SEED, Seed
 from drone_env.server.state import LONGEST_ID
 from drone_env.server.strict_json import parse_json
 
 MOST_MISSIONS = 4
+
+
+def _say_the_range(value: Any, check: ValidatorFunctionWrapHandler) -> int:
+    try:
+        return check(value)
+    except ValidationError:
+        # People come here by links that they have written themselves.
+        told = "the number of a map is a whole number from 0 to {most}"
+        raise PydanticCustomError("seed", told, {"most": MAX_SEED}) from None
+
+
+MapNumber = Annotated[Seed, WrapValidator(_say_the_range)]
 Topic = Literal["requests", "training", "episodes"]
 
 
@@ -21,7 +34,7 @@ class Start(Message):
     type: Literal["start"]
     task: str = Field(max_length=100)
     pilots: list[str] = Field(min_length=1, max_length=MOST_MISSIONS)
-    seed: Seed | None = None
+    seed: MapNumber | None = None
     reward_profile: str | None = Field(default=None, max_length=100)
 
 

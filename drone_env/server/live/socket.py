@@ -293,14 +293,9 @@ class Cockpit:
     async def _send(self, message: dict[str, Any]) -> None:
         if self._socket.application_state is not WebSocketState.CONNECTED:
             return  # the page has gone
-        try:
+        # Where it goes just now, `_listen` hears of that, after the last that the page has said.
+        with suppress(WebSocketDisconnect, OSError):
             await self._socket.send_text(to_json(message).decode())
-        except (WebSocketDisconnect, OSError):
-            self._tasks.cancel_scope.cancel()
-
-
-def _shown(mission: LiveMission) -> dict[str, Any]:
-    return {"mission": mission.opening.model_dump(), "frames": [frame.model_dump() for frame in mission.frames()]}
 
 
 def _end_all(missions: Sequence[LiveMission]) -> None:

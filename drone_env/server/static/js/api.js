@@ -3,6 +3,8 @@
 import { recall, remember } from "./storage.js";
 
 const TOKEN = "drone-env-token";
+/** What a header can carry; with anything else a request could not even be made. */
+const SENDABLE = /^[\x21-\x7e]+$/;
 
 /** An answer that is not a success; `status` 0 means that the server could not be reached. */
 export class ApiError extends Error {
@@ -32,7 +34,8 @@ export function createApi(askForToken) {
       throw new ApiError(0, "away", "The server cannot be reached.");
     }
     if (response.status === 401) {
-      token = await askForToken(token !== null);
+      do token = await askForToken(token !== null);
+      while (!SENDABLE.test(token));
       remember(TOKEN, token, "sessionStorage");
       return call(method, path, body);
     }

@@ -44,6 +44,7 @@ function token(name) {
  * @property {string} y What is drawn.
  * @property {(value: number) => string} format Writes a value.
  * @property {[number, number]} [range] Of the values; fitted to them where it is not given.
+ * @property {number} [least] How far the axis reaches where all values are zero; 1 where it is not given.
  * @property {(index: number) => void} [pick] A value was clicked.
  */
 
@@ -111,7 +112,7 @@ export class Chart {
   }
 
   settings(uPlot) {
-    const { kind, format, range, x, y } = this.options;
+    const { kind, format, range, least = 1, x, y } = this.options;
     const bars = kind === "bars";
     const accent = () => token("--accent");
     const axis = {
@@ -127,8 +128,13 @@ export class Chart {
       cursor: { y: false, drag: { x: false, y: false }, points: { size: 9, fill: accent } },
       scales: {
         x: { time: false, range: (_, low, high) => (bars ? [low - 0.5, high + 0.5] : [low - 1, high + 1]) },
-        // Bars stand on zero.
-        y: { range: range ?? ((_, low, high) => uPlot.rangeNum(bars ? 0 : (low ?? 0), high ?? 1, 0.1, true)) },
+        // Bars stand on zero. Values that are all zero would get an axis up to a hundred.
+        y: {
+          range:
+            range ??
+            ((_, low, high) =>
+              low === 0 && high === 0 ? [0, least] : uPlot.rangeNum(bars ? 0 : (low ?? 0), high ?? 1, 0.1, true)),
+        },
       },
       axes: [
         {
@@ -149,7 +155,8 @@ export class Chart {
           width: kind === "line" ? 2 : 1,
           fill: bars ? accent : undefined,
           paths: bars ? uPlot.paths.bars({ size: [0.6, 56] }) : kind === "points" ? () => null : undefined,
-          points: { show: kind === "points", size: 6, fill: accent },
+          // A line of one value cannot be seen.
+          points: { show: (plot) => kind === "points" || plot.data[1].length === 1, size: 6, fill: accent },
           value: (_, value) => (value === null || value === undefined ? "–" : format(value)),
         },
       ],

@@ -4,6 +4,7 @@ import { toast } from "./dom.js";
 export const SPEEDS = [0.5, 1, 2, 4, 6, 10, 15, 30, 60];
 const DEFAULT_SPEED = 6;
 const HUMAN_SPEED = 8;
+const PATIENCE = 2500;
 export const FIRST_TASK = "easy";
 export const DEFAULT_PROFILE = "tiered";
 
@@ -26,6 +27,7 @@ export class Fleet extends EventTarget {
     this.playAfterStart = false;
     this.wanted = false;
     this.waiting = false;
+    this.slow = 0;
     const { live } = context;
     live.on("state", ({ state }) => (state === "open" ? this.resume() : this.lost()));
     live.on("missions", (message) => this.begin(message));
@@ -34,6 +36,8 @@ export class Fleet extends EventTarget {
     live.on("playing", ({ playing, speed }) => this.setPlaying(playing, speed));
     live.on("ended", ({ mission, episode }) => this.ended(mission, episode));
     live.on("error", (message) => this.refused(message));
+    // A page that is closed gives its sessions back: nobody could attach to them, and they take the room of others.
+    window.addEventListener("pagehide", ({ persisted }) => persisted || live.send({ type: "end" }));
   }
 
   /** The players that have a mission. */
@@ -163,11 +167,15 @@ export class Fleet extends EventTarget {
   }
 
   move(frames) {
+    clearTimeout(this.slow);
     for (const { mission, frame } of frames) this.context.players[mission]?.push(frame);
   }
 
   setPlaying(playing, speed) {
     this.playing = playing;
+    clearTimeout(this.slow);
+    // The best flight over the largest maps takes seconds to be found, in which nobody moves.
+    if (playing) this.slow = setTimeout(() => toast("A pilot is still working this map out."), PATIENCE);
     if (playing) this.speed = speed;
     for (const player of this.context.players) {
       player.flying = playing && Boolean(player.last) && !player.last.done;
@@ -189,9 +197,9 @@ export class Fleet extends EventTarget {
   refused({ code, detail }) {
     const asked = this.asked;
     this.asked = null;
-    if (asked === "attach" && code === "session_gone") {
+    if (asked !== "start" && code === "session_gone") {
       toast("The server has ended that mission meanwhile: it starts anew.");
-      this.start({}, { play: this.playAfterStart });
+      this.start({}, { play: this.playAfterStart || this.playing });
       return;
     }
     this.dispatchEvent(new CustomEvent("refused", { detail }));

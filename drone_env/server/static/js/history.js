@@ -22,6 +22,9 @@ export function mount(root, context) {
   context.live.on("episodes", ({ episodes }) => {
     if (unsubscribe) history.heard(episodes);
   });
+  context.live.on("state", ({ state }) => {
+    if (unsubscribe && state === "open" && history.failed) history.load();
+  });
 }
 
 class History {
@@ -31,6 +34,7 @@ class History {
     this.pages = [null];
     this.next = null;
     this.asked = 0;
+    this.failed = false;
     this.agents = new Set(context.pilots.map((pilot) => pilot.id));
     this.timer = 0;
 
@@ -88,12 +92,21 @@ class History {
     try {
       const answer = await this.context.api.get("episodes", query);
       if (asked !== this.asked) return;
+      this.failed = false;
       this.next = answer.next;
       this.show(answer.episodes);
-      await this.charts.load(task || this.context.player.mission?.short_name || this.context.tasks[0].short_name);
+      await this.charts.load(task || this.someTask(answer.episodes));
     } catch (error) {
-      if (asked === this.asked) this.note.textContent = `The history could not be loaded: ${error.message}`;
+      if (asked !== this.asked) return;
+      this.failed = true;
+      this.note.textContent = `The history could not be loaded: ${error.message}`;
     }
+  }
+
+  /** What the charts show of all tasks: that of the newest episode. */
+  someTask([newest]) {
+    const { tasks } = this.context;
+    return (tasks.find((task) => task.id === newest?.task) ?? tasks[0]).short_name;
   }
 
   show(episodes) {

@@ -49,6 +49,7 @@ export class HistoryCharts {
       kind: "points",
       y: "Regret",
       format: (v) => points(v),
+      least: 0.01,
       pick,
     });
   }

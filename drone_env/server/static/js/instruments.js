@@ -29,7 +29,7 @@ export function mountInstruments(root, context) {
     el("span.gauge-text"),
   );
   const reward = row("Reward", "reward");
-  const total = row("In all", "reward-total", "The rewards so far");
+  const total = row("Total", "reward-total", "The rewards so far");
   const efficiency = row("Efficiency", "efficiency", "75 % parcels, 15 % battery left, 10 % steps left");
   const target = row("Target", "target");
   root.append(

@@ -7,11 +7,12 @@ const FIRST_PILOT = "pathqnet";
 export function setupFromLink() {
   const link = new URLSearchParams(location.search);
   const pilots = (link.get("pilots") ?? link.get("pilot") ?? FIRST_PILOT).split(",").filter(Boolean);
+  if (!pilots.length) pilots.push(FIRST_PILOT);
   const seed = link.get("seed");
   return {
     task: link.get("task") ?? FIRST_TASK,
-    // What is no number goes to the server as it is: its answer says what is allowed.
-    seed: seed === null || seed === "" ? null : /^\d+$/.test(seed) ? Number(seed) : seed,
+    // What is no number of a map goes to the server as it is: its answer says what is allowed.
+    seed: !seed ? null : Number.isSafeInteger(Number(seed)) ? Number(seed) : seed,
     profile: link.get("profile") ?? DEFAULT_PROFILE,
     pilots,
   };
@@ -20,7 +21,7 @@ export function setupFromLink() {
 /** The address at which the same missions open. @param {import("./fleet.js").Setup} setup */
 export function linkOf({ task, seed, profile, pilots }) {
   const parts = [`task=${encodeURIComponent(task)}`];
-  if (seed !== null) parts.push(`seed=${seed}`);
+  if (seed !== null) parts.push(`seed=${encodeURIComponent(seed)}`);
   parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);
   if (profile !== DEFAULT_PROFILE) parts.push(`profile=${encodeURIComponent(profile)}`);
   const url = new URL(document.baseURI);

@@ -14,7 +14,7 @@ import * as specs from "./specs.js";
 
 async function boot() {
   // Read before the views show their own links.
-  const link = new URLSearchParams(location.search);
+  const episode = new URLSearchParams(location.search).get("episode");
   const api = createApi(askForToken);
   const [{ tasks, reward_profiles }, { pilots }, { kinds }] = await firstAnswers(api);
   const live = new Live(api.protocols);
@@ -24,12 +24,12 @@ async function boot() {
   mountTheme(context);
   mountConnection(context);
   mountStage(context);
-  if (link.has("episode")) context.view = "replay";
+  if (episode) context.view = "replay";
   for (const [id, view] of Object.entries({ history, logs, replay, specs })) view.mount(part(id), context);
   mountViews(context);
   live.connect();
 
-  if (link.has("episode")) context.emit("replay", link.get("episode"));
+  if (episode) context.emit("replay", episode);
 }
 
 /** The tasks are asked for first and alone: it is there that a token may be asked for. */

@@ -14,7 +14,9 @@ export function mountPlan(root, context, fleet) {
   const problem = el("p.problem", { role: "alert", hidden: true });
   const { form, seed } = mapForm(fleet);
   const profile = profileChoice(context, fleet);
-  root.append(tasks, pilots, form, profile, problem);
+  root.append(tasks, pilots, form, profile);
+  // Above the maps: on narrow screens the plan is far below.
+  document.getElementById("deck").prepend(problem);
 
   drawTasks();
   drawPilots();
@@ -152,7 +154,9 @@ function mapForm(fleet) {
     autocomplete: "off",
   });
   const open = () => {
-    if (seed.value !== "" && seed.reportValidity()) fleet.start({ seed: Number(seed.value) });
+    if (seed.validity.badInput || seed.value !== "") {
+      if (seed.reportValidity()) fleet.start({ seed: Number(seed.value) });
+    } else seed.value = fleet.setup.seed ?? "";
   };
   seed.addEventListener("change", open);
   const fresh = el("button.button.small", {

@@ -33,9 +33,13 @@ function ask(wrong) {
     el("button.button.primary", { text: "Enter" }),
   );
   dialog.replaceChildren(form);
-  dialog.addEventListener("cancel", (event) => event.preventDefault());
   if (!dialog.open) dialog.showModal();
   return new Promise((resolve) => {
-    form.addEventListener("submit", () => resolve(input.value.trim()));
+    let given = null;
+    form.addEventListener("submit", () => {
+      given = input.value.trim();
+    });
+    // Without a token there is no page. "cancel" is no help: browsers let the second Escape through.
+    dialog.onclose = () => (given === null ? dialog.showModal() : resolve(given));
   });
 }

@@ -11,9 +11,12 @@ const TITLES = {
 
 /** @param {import("./context.js").Context} context `emit("replay", id)` and `emit("open", view)` change the view. */
 export function mountViews(context) {
+  /** What an address without a view shows: what it opened with, whatever has been looked at since. */
+  const home = context.view;
+
   function show() {
     const name = location.hash.slice(1);
-    const view = name in TITLES ? name : context.view;
+    const view = Object.hasOwn(TITLES, name) ? name : home;
     const first = !document.body.dataset.view;
     context.view = view;
     document.body.dataset.view = view;
@@ -34,7 +37,8 @@ export function mountViews(context) {
     if (location.hash.slice(1) === view) show();
     else location.hash = view;
   };
-  window.addEventListener("hashchange", show);
+  // Not "hashchange": browsers leave it out where the link before the hash differs too.
+  window.addEventListener("popstate", show);
   context.on("open", open);
   context.on("replay", () => open("replay"));
   show();
