@@ -22,8 +22,10 @@ from starlette.responses import Response
 from starlette.routing import WebSocketRoute
 
 from drone_env import __version__
+from drone_env.core.tasks import get_task
 from drone_env.episodes.store import Store
 from drone_env.errors import DroneEnvError, StoreError
+from drone_env.server.flight import DEFAULT_TASK
 from drone_env.server.live.socket import LiveSocket
 from drone_env.server.openenv_socket import OpenEnvSocket
 from drone_env.server.problems import answers, install
@@ -93,13 +95,15 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
     app.router.routes.append(WebSocketRoute("/live", live))
-    _add_page(app)
+    _add_page(app, live)
     return app
 
 
-def _add_page(app: FastAPI) -> None:
+def _add_page(app: FastAPI, live: LiveSocket) -> None:
     @app.get("/", include_in_schema=False)
     async def page() -> FileResponse:
+        # Whoever opens the page will soon look at what can still be reached, and the first solver compiles for seconds.
+        live.values.request(get_task(DEFAULT_TASK), 0)
         return FileResponse(PAGE / "index.html", headers=REVALIDATED)
 
     app.mount("/static", _Static(directory=PAGE))
