@@ -346,7 +346,8 @@ def test_resume_refuses_another_configuration_and_a_new_run_an_old_folder(endpoi
 def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy", latency=0.1)
     folder = scripted.folder / "run"
-    flights = ("--task", "hard", "--episodes", "2", "--concurrency", "1")
+    # One after another they take 40 s, more than it takes a busy machine to start a second run.
+    flights = ("--task", "hard", "--episodes", "8", "--concurrency", "1")
     arguments = scripted.arguments(*flights, folder=folder)
     process = subprocess.Popen(
         [sys.executable, str(ROOT / "inference.py"), *arguments[1:]],
@@ -370,7 +371,7 @@ def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
     assert "Traceback" not in err
     lines = (folder / "calls.jsonl").read_text().splitlines()
     paid = {call["request_digest"]: call for call in map(json.loads, lines)}
-    done = scripted.infer("--task", "hard", "--episodes", "2", "--concurrency", "2", "--resume", folder=folder)
+    done = scripted.infer("--task", "hard", "--episodes", "8", "--concurrency", "8", "--resume", folder=folder)
     assert done.status == 0, done.err
     kept = {call["request_digest"]: call for call in done.calls}
     assert paid
