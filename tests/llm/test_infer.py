@@ -355,6 +355,8 @@ def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # What a shell starts in the background ignores SIGINT, and so do its children.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline = time.monotonic() + 120
     while len(scripted.requests()) < 9:
