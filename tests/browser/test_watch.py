@@ -5,6 +5,7 @@ import json
 import re
 
 import httpx
+import pytest
 from playwright.sync_api import Page, expect
 
 from drone_env.core.actions import Action
@@ -162,3 +163,12 @@ def test_a_link_opens_exactly_its_mission(tabs: Tabs, server: Server) -> None:
     results(other)
     stored = httpx.get(f"{server.url}/episodes", params={"task": "hard", "agent": "optimal"}).json()["episodes"]
     assert stored[0]["seed"] == int(seed)
+
+
+@pytest.mark.parametrize("task", ["easy", "skyline_easy"])
+def test_the_legend_beside_the_map_shows_what_can_be_met_on_it(page: Page, server: Server, task: str) -> None:
+    page.goto(f"/?task={task}&seed=7&pilot=greedy")
+    expect(page.locator("#step-counter")).to_have_text(re.compile("^Step 0 of "))
+    legend = page.get_by_role("list", name="Legend").get_by_role("listitem")
+    expect(legend.filter(has_text="Parcel").or_(legend.filter(has_text="Delivery"))).to_be_visible()
+    expect(legend.filter(has_text="Pad")).to_be_visible(visible=task == "skyline_easy")

@@ -12,22 +12,25 @@ const LEFT_OUT = new Set(["road", "unknown", "drone"]);
 export function mountLegend(root, context) {
   const signs = context.kinds
     .filter((kind) => !LEFT_OUT.has(kind.name))
-    .map((kind) => ({ kind, canvas: el("canvas", { "aria-hidden": "true" }) }));
-  root.append(
-    el(
-      "ul.legend",
-      { "aria-label": "Legend" },
-      ...signs.map(({ kind, canvas }) =>
-        el("li", { title: kind.effect }, canvas, el("span", { text: title(kind.name) })),
-      ),
-    ),
-  );
+    .map((kind) => {
+      const canvas = el("canvas", { "aria-hidden": "true" });
+      const entry = el("li", { title: kind.effect }, canvas, el("span", { text: title(kind.name) }));
+      return { kind, canvas, entry };
+    });
+  root.append(el("ul.legend", { "aria-label": "Legend" }, ...signs.map(({ entry }) => entry)));
 
   function draw() {
     for (const { kind, canvas } of signs) drawSign(canvas, kind.name);
   }
   context.on("theme", draw);
   draw();
+
+  /** Only what can be met on the map that is shown. */
+  context.on("missions", ([player]) => {
+    if (!player?.mission) return;
+    const there = new Set(player.mission.cells.flat());
+    for (const { kind, entry } of signs) entry.hidden = kind.name !== "delivered" && !there.has(kind.id);
+  });
 }
 
 /** Draws the sign of a kind of cell on a canvas of 24 by 24. */
