@@ -33,9 +33,16 @@ def score(rules: Rules, row: Buffer) -> float:
     )
 
 
+EFFICIENCY_WEIGHTS = {"parcels delivered": 75, "battery left": 15, "steps left": 10}
+"""What the efficiency is made of, in percent: a figure for people to look at, paid nowhere."""
+
+
+def efficiency_shares(rules: Rules, row: Buffer) -> tuple[float, float, float]:
+    """The share of each part of the efficiency, 0 to 1, in the order of `EFFICIENCY_WEIGHTS`."""
+    return row[DELIVERIES] / rules.deliveries, row[BATTERY] / rules.capacity, 1 - row[STEPS] / rules.max_steps
+
+
 def efficiency(rules: Rules, row: Buffer) -> float:
-    """75 % parcels delivered, 15 % battery left, 10 % steps left, as 0 to 100: for people to look at, paid nowhere."""
-    delivered = row[DELIVERIES] / rules.deliveries
-    battery = row[BATTERY] / rules.capacity
-    left = 1 - row[STEPS] / rules.max_steps
-    return 75 * delivered + 15 * battery + 10 * left
+    """The weighted sum of the shares, 0 to 100."""
+    shares = efficiency_shares(rules, row)
+    return sum(weight * share for weight, share in zip(EFFICIENCY_WEIGHTS.values(), shares, strict=True))

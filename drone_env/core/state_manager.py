@@ -30,7 +30,7 @@ from drone_env.core.rules import (
     row_size,
     view,
 )
-from drone_env.core.score import efficiency, score
+from drone_env.core.score import efficiency, efficiency_shares, score
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import EpisodeError, InvalidValueError
@@ -253,8 +253,13 @@ class Episode:
 
     @property
     def efficiency(self) -> float:
-        """How sparing the flight was, 0 to 100: 75 % parcels, 15 % battery left, 10 % steps left. Not the score."""
+        """How sparing the flight was, 0 to 100: for people to look at; not the score."""
         return efficiency(self.rules, self._row)
+
+    @property
+    def efficiency_shares(self) -> tuple[float, float, float]:
+        """What each part of the efficiency comes to, 0 to 1, in the order of `score.EFFICIENCY_WEIGHTS`."""
+        return efficiency_shares(self.rules, self._row)
 
     @property
     def reward_last(self) -> float:

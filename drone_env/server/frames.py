@@ -6,6 +6,7 @@ from typing import cast
 from pydantic import Field
 
 from drone_env.core.actions import Event
+from drone_env.core.score import EFFICIENCY_WEIGHTS
 from drone_env.core.state_manager import Episode
 from drone_env.models import Count, Direction, EventName, Message, OutcomeName, Position, Score
 from drone_env.server.predict import Networks
@@ -56,6 +57,14 @@ class Mission(Message):
         )
 
 
+class EfficiencyPart(Message):
+    """One part of the efficiency."""
+
+    name: str
+    weight: int = Field(description="In percent; all parts have 100 together.")
+    share: float = Field(ge=0, le=1, description="How much of it there is.")
+
+
 class Frame(Message):
     """How a flight stands after a step; frame 0 is the reset."""
 
@@ -74,7 +83,8 @@ class Frame(Message):
     distance: int | None = Field(description="Manhattan distance to it in cells.")
     telemetry: list[float] = Field(description="The numbers that the network is given beside the grid.")
     score: Score = Field(description="The graded score as the flight stands; provisional until `done`.")
-    efficiency: float = Field(ge=0, le=100, description="75 % parcels, 15 % battery left, 10 % steps left.")
+    efficiency: float = Field(ge=0, le=100, description="The weighted sum of its parts; not the score.")
+    efficiency_parts: list[EfficiencyPart]
     message: str = Field(description="What happened, in words.")
     done: bool
     outcome: OutcomeName
@@ -113,6 +123,10 @@ def frame_of(episode: Episode, networks: Networks) -> Frame:
         telemetry=observation["telemetry"].tolist(),
         score=episode.score,
         efficiency=episode.efficiency,
+        efficiency_parts=[
+            EfficiencyPart(name=name, weight=weight, share=share)
+            for (name, weight), share in zip(EFFICIENCY_WEIGHTS.items(), episode.efficiency_shares, strict=True)
+        ],
         message=episode.message,
         done=episode.ended,
         outcome=cast(OutcomeName, episode.outcome.name.lower()),

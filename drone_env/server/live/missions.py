@@ -8,6 +8,7 @@ from drone_env.core.state_manager import Episode
 from drone_env.episodes.sessions import SessionRow
 from drone_env.errors import EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import Direction
+from drone_env.planning.exact import ExactSolver
 from drone_env.server.frames import Frame, Mission, frame_of, frames_of
 from drone_env.server.live.values import ExactValues
 from drone_env.server.pilots import HUMAN, PILOTS, agent_of
@@ -88,8 +89,8 @@ class LiveMission:
 
         Whoever flies by hand is told after the end: before, it would tell which moves are good.
         """
-        solver = self._values.get(self.episode.task, self.episode.seed)
-        if solver is None or (self.pilot == HUMAN and not self.episode.ended):
+        solver = self._solver()
+        if solver is None:
             return None
         flight = Episode(self.episode.task, self.episode.reward_profile)
         flight.reset(self.episode.seed)
@@ -142,10 +143,15 @@ class LiveMission:
                 frames.append(self._frame())
         return frames
 
+    def _solver(self) -> ExactSolver | None:
+        """What knows the values; None while it does not, or they are not to be told."""
+        told = self.pilot != HUMAN or self.episode.ended
+        return self._values.get(self.episode.task, self.episode.seed) if told else None
+
     def _frame(self) -> Frame:
         frame = frame_of(self.episode, self._networks)
-        solver = self._values.get(self.episode.task, self.episode.seed)
-        if solver is None or (self.pilot == HUMAN and not self.episode.ended):
+        solver = self._solver()
+        if solver is None:
             return frame
         start = Episode(self.episode.task)
         start.reset(self.episode.seed)

@@ -30,7 +30,7 @@ export function mountInstruments(root, context) {
   );
   const reward = row("Reward", "reward");
   const total = row("Total", "reward-total", "The rewards so far");
-  const efficiency = row("Efficiency", "efficiency", "75 % parcels, 15 % battery left, 10 % steps left");
+  const efficiency = row("Efficiency", "efficiency", "Parcels delivered, battery and steps left, weighed; not the score");
   const target = row("Target", "target");
   root.append(
     head,

@@ -7,12 +7,6 @@ import { recall, remember } from "./storage.js";
 const COUNTDOWN_SECONDS = 8;
 const LANDING_MILLISECONDS = 600;
 const CYCLE = "drone-env-cycle";
-/** The weights of the efficiency, as the server's schema has them: only how wide the parts of the bar are. */
-const PARTS = [
-  ["Parcels", 75],
-  ["Battery left", 15],
-  ["Steps left", 10],
-];
 
 /** @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
 export function mountResults(context, fleet) {
@@ -88,7 +82,7 @@ export function mountResults(context, fleet) {
         }),
       ),
       scores,
-      efficiencyBar(mission, last),
+      efficiencyBar(last),
       analysis,
       el("label.switch", {}, cycle, el("span", { text: "Go on to the next level by itself" })),
       el(
@@ -173,18 +167,17 @@ function scoreRow({ frames, last }, episode) {
 }
 
 /** Three parts as wide as their weights, each filled by what is left or done. */
-function efficiencyBar(mission, last) {
-  const shares = [last.deliveries_done / mission.deliveries_total, last.battery, 1 - last.step / mission.max_steps];
+function efficiencyBar({ efficiency_parts: parts }) {
   return el(
     "div.efficiency",
     { "aria-label": "Efficiency", role: "group" },
-    ...PARTS.map(([name, weight], i) =>
+    ...parts.map(({ name, weight, share }) =>
       el(
         "div.efficiency-part",
-        { style: { "--weight": String(weight), "--share": String(shares[i]) } },
+        { style: { "--weight": String(weight), "--share": String(share) } },
         el("div.efficiency-bar", { "aria-hidden": "true" }, el("i")),
-        el("span.efficiency-name", { text: name }),
-        el("span.efficiency-share", { text: `${percent(shares[i])} · weighs ${weight} %` }),
+        el("span.efficiency-name", { text: title(name) }),
+        el("span.efficiency-share", { text: `${percent(share)} · weighs ${weight} %` }),
       ),
     ),
   );
