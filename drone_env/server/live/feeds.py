@@ -39,7 +39,7 @@ class Feed:
                 self._request = entries[-1].number if entries else 0
                 yield {"type": "requests", "requests": [entry.model_dump() for entry in entries]}
         if "training" in self.topics and self._log.has_changed():
-            yield {"type": "training", "lines": self._log.tail(LINES), "fresh": True}
+            yield {"type": "training", "lines": self._log.tail(LINES)}
         if "episodes" in self.topics:
             found = self._shared.store.listed(EPISODES, after=self._episode)
             if found or self._episode is None:

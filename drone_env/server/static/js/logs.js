@@ -18,8 +18,8 @@ export function mount(root, context) {
 
   const { live } = context;
   live.on("requests", (message) => requests.add(message.requests.map((r) => [r.number, requestLine(r)])));
-  live.on("training", ({ lines, fresh }) => {
-    if (fresh) training.clear();
+  live.on("training", ({ lines }) => {
+    training.clear();
     training.add(lines.map((line) => [null, el("li", { text: line })]));
   });
   live.on("episodes", ({ episodes }) => missions.add(byTime(episodes).map((e) => [e.id, missionLine(e, context)])));
