@@ -4,8 +4,8 @@
     python3 tests/stranger.py --keep DIR the same in DIR, which is kept
 
 Needs what the README says is needed, and Git. Commands that serve go on in the background while the next ones are
-typed. Where the README says to fill in a token, it is one for the endpoint that the tests script. Exit status 0 if every
-command ended with 0.
+typed. Where the README says to fill in a token, it is one for the endpoint that the tests script. Exit status 0 if
+every command ended with 0.
 """
 
 import argparse
