@@ -19,7 +19,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -44,30 +43,26 @@ def free_port() -> int:
         return sock.getsockname()[1]
 
 
-def wait_for(url: str, process: "subprocess.Popen[bytes]") -> None:
-    """Until there is an answer, of whatever kind.
+def wait_for(port: int, process: "subprocess.Popen[bytes]") -> None:
+    """Until the process listens.
 
     Raises:
-        RuntimeError: if the process ends, or there is none in time.
+        RuntimeError: if it ends, or does not in time.
     """
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end and process.poll() is None:
-        try:
-            urllib.request.urlopen(url, timeout=5).close()
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=5):
             return
-        except urllib.error.HTTPError:
-            return
-        except OSError:
-            time.sleep(0.2)
-    raise RuntimeError(f"no answer from {url}")
+        time.sleep(0.2)
+    raise RuntimeError(f"nothing listens on port {port}")
 
 
 @contextlib.contextmanager
-def background(command: list[str], url: str, **options: object) -> Iterator[None]:
+def background(command: list[str], port: int, **options: object) -> Iterator[None]:
     """A command that serves, until the end of the `with`."""
     process = subprocess.Popen(command, start_new_session=True, **options)  # type: ignore[call-overload]
     try:
-        wait_for(url, process)
+        wait_for(port, process)
         yield
     finally:
         with contextlib.suppress(ProcessLookupError):
@@ -79,9 +74,8 @@ def scripted_endpoint(clone: Path, stack: contextlib.ExitStack, environment: dic
     """A language model that flies greedily; its base URL."""
     port = free_port()
     python = str(clone / ".venv/bin/python")
-    script = background([python, "tests/llm/scripted_server.py", str(port)], f"http://127.0.0.1:{port}/",
-                        cwd=clone, env={**environment, "PYTHONPATH": str(clone)})  # fmt: skip
-    stack.enter_context(script)
+    command = [python, "tests/llm/scripted_server.py", str(port)]
+    stack.enter_context(background(command, port, cwd=clone, env=environment))
     body = f'{{"log": "{clone}/stranger.log", "pilot": "greedy", "repair": "greedy", "latency": 0, "faults": []}}'
     urllib.request.urlopen(f"http://127.0.0.1:{port}/stranger/script", body.encode()).close()
     return f"http://127.0.0.1:{port}/stranger/v1"
@@ -99,7 +93,7 @@ def walk(clone: Path) -> list[tuple[str, float, int]]:
             words = shlex.split(command, comments=True)
             try:
                 if command.startswith(SERVES):
-                    stack.enter_context(background(words, "http://127.0.0.1:8000/health", cwd=clone, env=environment))
+                    stack.enter_context(background(words, 8000, cwd=clone, env=environment))
                 else:
                     done = subprocess.run(
                         ["bash", "-c", command], cwd=clone, env=environment, stdin=subprocess.DEVNULL, check=False
