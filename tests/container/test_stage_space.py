@@ -1,6 +1,7 @@
 """The staged Space, from a clean export of the repository, by OpenEnv's own checks."""
 
 import json
+import runpy
 import subprocess
 import sys
 import tarfile
@@ -12,6 +13,7 @@ import yaml
 from openenv.cli.commands import push
 from openenv.validation import Level, run_validation
 
+from drone_env.client import DroneDeliveryClient, DroneEnvClient
 from tests.tools import missing_tool
 
 from .commands import ROOT
@@ -110,9 +112,9 @@ def test_git_sends_binary_files_as_large_ones(space: Path) -> None:
 
 
 def test_its_clients_can_be_imported(space: Path) -> None:
-    code = "import client; print(client.DroneEnvClient.__module__, client.DroneDeliveryClient.__module__)"
-    done = subprocess.run([sys.executable, "-c", code], cwd=space, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["drone_env.client", "drone_env.openenv_client"]
+    for name in ("client", "__init__"):
+        found = runpy.run_path(str(space / f"{name}.py"))
+        assert (found["DroneEnvClient"], found["DroneDeliveryClient"]) == (DroneEnvClient, DroneDeliveryClient)
 
 
 def test_staging_again_replaces_all_but_git(space: Path, export: Path) -> None:

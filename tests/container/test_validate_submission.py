@@ -1,4 +1,4 @@
-"""The logic of `validate-submission.sh`: a real server or one that fails, and scripts in place of docker and openenv."""
+"""The logic of `validate-submission.sh`: a real server or a failing one, and scripts in place of docker and openenv."""
 
 import subprocess
 import threading
@@ -37,7 +37,7 @@ def answering(status: int) -> Generator[str, None, None]:
             self.end_headers()
             self.wfile.write(b"this is\x00the answer")
 
-        def log_message(self, format: str, *args: object) -> None:
+        def log_message(self, *_: object) -> None:
             pass
 
     server = HTTPServer(("127.0.0.1", 0), Handler)
