@@ -69,7 +69,12 @@ class Image:
 
     def health_command(self) -> list[str]:
         """The image's own HEALTHCHECK."""
-        kind, *command = cast("list[str]", self.described()["Config"]["Healthcheck"]["Test"])
+        described = self.described()
+        # Podman shows it beside the configuration, Docker in it.
+        check = described.get("Healthcheck") or described["Config"].get("Healthcheck")
+        if not check:
+            raise WrongError("the image has no HEALTHCHECK")
+        kind, *command = cast("list[str]", check["Test"])
         if kind != "CMD":
             raise WrongError(f"the HEALTHCHECK goes through a shell: {kind}")
         return command
