@@ -1,0 +1,115 @@
+"""A plain PyTorch loop: an actor and a critic, 256 drones, eight steps at a time (A2C).
+
+    pip install 'drone-env[train]'
+    python examples/pytorch_loop.py --total-timesteps 1500000
+
+@MEASURED@
+
+No framework between you and the environment. (TorchRL's `GymWrapper` takes the environment as any other; it would hide
+here what the example is about.)
+"""
+
+import argparse
+import time
+
+import gymnasium
+import torch
+from torch import nn
+from torch.nn import functional
+
+from drone_env import AGENTS, episodes_key, run_episodes, split_seeds, summarise
+from drone_env.core.cells import N_CELL_KINDS
+
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser.add_argument("--total-timesteps", type=int, default=1_500_000)
+parser.add_argument("--num-envs", type=int, default=256)
+parser.add_argument("--maps", type=int, default=500, help="validation maps to judge by (%(default)s)")
+parser.add_argument("--seed", type=int, default=0)
+args = parser.parse_args()
+GAMMA, HORIZON, ENTROPY, TASK = 0.99, 8, 0.01, "easy"
+
+torch.manual_seed(args.seed)
+torch.set_num_threads(1)  # these networks are too small to share
+envs = gymnasium.make_vec("drone_env:DroneDelivery-Easy-v1", num_envs=args.num_envs, autoreset_mode="SAME_STEP")
+
+
+class ActorCritic(nn.Module):
+    """Logits of the five actions and the value of the state, float32[B, 6], from a map and telemetry."""
+
+    def __init__(self):
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(N_CELL_KINDS * 100 + 5, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 6)
+        )
+
+    def forward(self, grids, telemetry):
+        """Both, from uint8[B, 10, 10] and float32[B, 5]."""
+        planes = functional.one_hot(torch.as_tensor(grids).long(), N_CELL_KINDS).flatten(1).float()
+        out = self.layers(torch.cat([planes, torch.as_tensor(telemetry)], dim=1))
+        return torch.distributions.Categorical(logits=out[:, :5]), out[:, 5]
+
+
+model = ActorCritic()
+optimizer = torch.optim.Adam(model.parameters(), lr=1e-3)
+observation, _ = envs.reset(seed=args.seed)
+start = time.time()
+for update in range(max(1, args.total_timesteps // (args.num_envs * HORIZON))):
+    log_probs, values, entropies, rewards, alive = [], [], [], [], []
+    for _ in range(HORIZON):
+        policy, value = model(observation["grid"], observation["telemetry"])
+        action = policy.sample()
+        observation, reward, terminated, _, info = envs.step(action.numpy())
+        log_probs.append(policy.log_prob(action))
+        entropies.append(policy.entropy())
+        values.append(value)
+        rewards.append(torch.as_tensor(reward, dtype=torch.float32))
+        alive.append(1 - torch.as_tensor(terminated, dtype=torch.float32))
+
+    # Returns, from the back: nothing is left after an end, and the critic says what follows the last step.
+    with torch.no_grad():
+        following = model(observation["grid"], observation["telemetry"])[1]
+    returns = []
+    for reward, flying in zip(reversed(rewards), reversed(alive), strict=True):
+        following = reward + GAMMA * flying * following
+        returns.append(following)
+    advantage = torch.stack(returns[::-1]) - torch.stack(values)
+    loss = (
+        -(torch.stack(log_probs) * advantage.detach()).mean()
+        + 0.5 * advantage.square().mean()
+        - ENTROPY * torch.stack(entropies).mean()
+    )
+    optimizer.zero_grad()
+    loss.backward()
+    nn.utils.clip_grad_norm_(model.parameters(), 0.5)
+    optimizer.step()
+    if update % 100 == 0 and "final_info" in info:
+        score = info["final_info"]["score"][info["_final_info"]].mean()
+        print(f"update {update}: score of the episodes that just ended {score:.3f}, {time.time() - start:.0f} s")
+
+
+class Learned:
+    """The policy as an agent of the package, so that `run_episodes` can judge it. It samples its actions."""
+
+    config = {"agent": "pytorch_loop"}  # noqa: RUF012
+
+    def reset(self, seed):
+        """Nothing to forget."""
+
+    def act(self, observation):
+        """The next action of one drone."""
+        return int(self.act_batch(observation["grid"][None], observation["telemetry"][None])[0])
+
+    def reset_batch(self, seeds):
+        """Nothing to forget."""
+
+    def act_batch(self, grids, telemetry):
+        """The next actions of N drones, int64[N]."""
+        with torch.no_grad():
+            return model(grids, telemetry)[0].sample().numpy()
+
+
+AGENTS["pytorch_loop"] = lambda task: Learned()
+figures = summarise(
+    run_episodes(episodes_key(TASK, "pytorch_loop", split_seeds("validation", args.maps), "validation"))
+)
+print(f"score {figures['mean_score']:.4f}, optimum of the same {args.maps} maps {figures['mean_optimal_score']:.4f}")
