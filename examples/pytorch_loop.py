@@ -82,9 +82,9 @@ for update in range(max(1, args.total_timesteps // (args.num_envs * HORIZON))):
     loss.backward()
     nn.utils.clip_grad_norm_(model.parameters(), 0.5)
     optimizer.step()
-    if update % 100 == 0 and "final_info" in info:
-        score = info["final_info"]["score"][info["_final_info"]].mean()
-        print(f"update {update}: score of the episodes that just ended {score:.3f}, {time.time() - start:.0f} s")
+    if update % 100 == 0:
+        mean = torch.stack(entropies).mean().item()
+        print(f"update {update}: entropy {mean:.2f} of 1.61, {time.time() - start:.0f} s", flush=True)
 
 
 class Learned:

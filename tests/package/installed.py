@@ -1,11 +1,11 @@
 """The wheel in an empty environment, outside the checkout: does all that it promises work there?
 
-    python tests/package/installed.py [--python 3.10 3.11 3.12 3.13] [--offline] [--json FILE]
+    python tests/package/installed.py [--python 3.10 3.11 3.12 3.13] [--uv | --offline] [--json FILE]
 
 For each Python: a fresh environment in a temporary folder, the wheel with the extra `server`, then from another folder
 `drone-env --version`, `fly`, `evaluate`, `doctor` and `serve`; the page and all its files are asked for, and a mission
-is begun over HTTP. With --offline, the dependencies are those of the Python that runs this, and only the package itself
-comes from the wheel.
+is begun over HTTP. With --uv, uv installs instead of pip. With --offline, the dependencies are those of the Python that
+runs this, and only the package itself comes from the wheel.
 """
 
 import argparse
@@ -59,9 +59,10 @@ class Installed:
         python: The interpreter to make the environment with.
         folder: An empty folder.
         offline: Whether to take the dependencies of the Python that runs this.
+        uv: Whether uv installs.
     """
 
-    def __init__(self, wheel: Path, python: str, folder: Path, offline: bool) -> None:
+    def __init__(self, wheel: Path, python: str, folder: Path, offline: bool, uv: bool) -> None:
         self.place = folder / "elsewhere"
         self.place.mkdir()
         self.bin = folder / "env" / "bin"
@@ -80,8 +81,11 @@ class Installed:
             subprocess.run([python, "-m", "venv", str(folder / "env")], check=True, env=self.environment)
             self.packages = next((folder / "env").glob("lib/python*/site-packages"))
             before = megabytes(self.packages)
-            install = [str(self.bin / "python"), "-m", "pip", "install", "--quiet", f"{wheel}[server]"]
-            subprocess.run(install, check=True, env=self.environment)
+            own = str(self.bin / "python")
+            pip = (
+                [sys.executable, "-m", "uv", "pip", "install", "--python", own] if uv else [own, "-m", "pip", "install"]
+            )
+            subprocess.run([*pip, "--quiet", f"{wheel}[server]"], check=True, env=self.environment)
             self.megabytes = megabytes(self.packages) - before
         self.seconds = time.monotonic() - start
 
@@ -170,7 +174,7 @@ def page_files(wheel: Path) -> list[str]:
     return [info.filename.removeprefix(prefix) for info in infos]
 
 
-def check(wheel: Path, python: str, offline: bool = False) -> dict[str, Any]:
+def check(wheel: Path, python: str, offline: bool = False, uv: bool = False) -> dict[str, Any]:
     """Install and try everything; the figures.
 
     Raises:
@@ -178,7 +182,7 @@ def check(wheel: Path, python: str, offline: bool = False) -> dict[str, Any]:
         subprocess.CalledProcessError: if it cannot be installed.
     """
     with tempfile.TemporaryDirectory() as folder:
-        installed = Installed(wheel, python, Path(folder), offline)
+        installed = Installed(wheel, python, Path(folder), offline, uv)
         figures = installed.check_commands()
         files = page_files(wheel)
         answered = installed.check_server(files)
@@ -208,7 +212,7 @@ def main() -> int:
         wheel = build(Path(folder), "--wheel")[0]
         for version, python in pythons.items():
             try:
-                figures = check(wheel, str(python), args.offline)
+                figures = check(wheel, str(python), args.offline, args.uv)
             except (AssertionError, OSError, subprocess.CalledProcessError) as error:
                 results[version] = {"error": str(error)}
                 print(f"| {version} | | | | | | failed: {error} |", flush=True)
