@@ -196,9 +196,9 @@ def main() -> int:
     """Check each Python and print a table; 1 if one failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--python", nargs="+", default=["3.10", "3.11", "3.12", "3.13"], metavar="X.Y")
-    parser.add_argument(
-        "--offline", action="store_true", help="this Python and its dependencies, whatever --python says"
-    )
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--uv", action="store_true", help="have uv install, which takes a fraction of the time")
+    how.add_argument("--offline", action="store_true", help="this Python and its dependencies, whatever --python says")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     args = parser.parse_args()
     versions = [sysconfig.get_python_version()] if args.offline else args.python
