@@ -3,6 +3,7 @@
 import json as json_format
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
@@ -10,7 +11,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from drone_env import __version__
-from drone_env.commands.diagnosis import Finding, diagnose
+
+if TYPE_CHECKING:
+    from drone_env.commands.diagnosis import Finding
 
 MARKS = {"ok": "[green]ok[/]", "absent": "[dim]absent[/]", "attention": "[yellow]look[/]", "broken": "[red]broken[/]"}
 
@@ -30,6 +33,8 @@ def doctor(port: int | None = None, host: str | None = None, data: Path | None =
         data: The folder of what is kept; DRONE_ENV_DATA or `data` if nothing is said.
         json: Print JSON instead.
     """
+    from drone_env.commands.diagnosis import diagnose  # loads Numba, which other commands should not wait for
+
     findings = diagnose(port, host, data)
     healthy = all(finding.status != "broken" for finding in findings)
     if json:
@@ -40,7 +45,7 @@ def doctor(port: int | None = None, host: str | None = None, data: Path | None =
     return 0 if healthy else 1
 
 
-def _print(findings: list[Finding], healthy: bool) -> None:
+def _print(findings: "list[Finding]", healthy: bool) -> None:
     console = Console()
     table = Table(box=box.SIMPLE_HEAD, title=f"drone-env {__version__}", title_justify="left", show_header=False)
     for _ in range(4):
