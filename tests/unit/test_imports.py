@@ -55,6 +55,11 @@ def test_importing_loads_nothing_heavy(module: str) -> None:
     assert [name for name in HEAVY if name in loaded] == []
 
 
+def test_no_command_waits_for_the_compiler() -> None:
+    code = "import sys, drone_env.cli; print(sorted({'numba', 'torch', 'pydantic'} & set(sys.modules)))"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+
+
 def test_the_core_imports_numpy_and_numba_alone() -> None:
     foreign = {
         (file.name, name)
