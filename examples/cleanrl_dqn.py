@@ -3,7 +3,7 @@
     pip install 'drone-env[train]'
     python examples/cleanrl_dqn.py --total-timesteps 400000
 
-@MEASURED@
+Measured: score 0.9774, optimum of the same 500 maps 0.9774, after 2.5 minutes of CPU time (PyTorch 2.13).
 
 The native vector environment steps all drones in compiled code. Every ending is part of the task, so nothing is ever
 bootstrapped beyond one, and the observation after it is never looked at.
