@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean
+.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -68,6 +68,16 @@ bench-training: .venv/.dev
 # Frames, first paint and weight of the dashboard, in the system's chromium.
 bench-dashboard: .venv/.dev
 	$(BIN)/python benchmarks/dashboard.py $(ARGS)
+
+# Seconds and megabytes from an empty environment to the first flight; the dependencies of the project's first version
+# beside it, resolved and not installed.
+bench-install: .venv/.dev
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/python benchmarks/install.py $(ARGS)
+
+# The wheel in an empty environment for each Python, with server and page; make wheels-check ARGS='--python 3.12'.
+wheels-check: .venv/.dev
+	$(BIN)/python tests/package/installed.py $(ARGS)
 
 # Train all standard tasks with three seeds each and fly the test maps; takes an hour, and goes on where it was stopped.
 evidence: .venv/.dev

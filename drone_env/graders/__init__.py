@@ -12,7 +12,7 @@ GRADERS: dict[str, Grader] = {task.id: make_grader(task.id) for task in TASKS.va
     "hard_delivery": grade_hard,
 }
 
-__all__ = ["GRADERS", "Grader", "grade", "grade_easy", "grade_hard", "grade_medium"]
+__all__ = ["GRADERS", "Grader", "grade", "grade_easy", "grade_hard", "grade_medium", "make_grader"]
 
 
 def __getattr__(name: str) -> Grader:
