@@ -5,11 +5,12 @@ from html import escape
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "drone_env"
-WIDTH, ROW, BOX_WIDTH, BOX_HEIGHT = 880, 78, 132, 34
+WIDTH, ROW, BOX_WIDTH, BOX_HEIGHT = 880, 68, 132, 34
 STYLE = """
   .back { fill: #fbfaf7 } .box { fill: #ffffff; stroke: #4b5563; rx: 6px }
   .name { font: 600 14px system-ui, sans-serif; fill: #1f2937; text-anchor: middle }
-  .edge { fill: none; stroke: #b45309; stroke-opacity: .55; stroke-width: 1.5; marker-end: url(#tip) } .tip { fill: #b45309 }
+  .edge { fill: none; stroke: #b45309; stroke-opacity: .55; stroke-width: 1.5; marker-end: url(#tip) }
+  .tip { fill: #b45309 }
 """
 
 
@@ -65,8 +66,10 @@ def diagram() -> str:
     for row, names in enumerate(floors):
         # Each part near the middle of what it stands on.
         names = sorted(names, key=lambda n: (sum(place[o][0] for o in graph[n]) / max(1, len(graph[n])), n))
+        # One alone stands beside the middle, so that arrows can pass it.
+        aside = (row % 2 - 0.5) * BOX_WIDTH * 1.6 if len(names) == 1 else 0
         for i, name in enumerate(names):
-            place[name] = (WIDTH * (i + 0.5) / len(names), tall - 12 - ROW * (row + 0.5))
+            place[name] = (WIDTH * (i + 0.5) / len(names) + aside, tall - 12 - ROW * (row + 0.5))
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {tall}" role="img">',
         "<title>Which part of drone_env imports which</title>",

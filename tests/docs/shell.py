@@ -25,7 +25,7 @@ DOORS = {"train.py": "train", "inference.py": "infer"}
 EXIT_STATUS = re.compile(r"#.*\bexit status (\d+)")
 # A server in the background, waited for; it ends with the script.
 START_SERVER = """{command} --port {port} &
-for _ in $(seq 600); do curl --silent --fail --output /dev/null http://127.0.0.1:{port}/health && break; sleep 0.1; done
+for _ in $(seq 600); do (: < /dev/tcp/127.0.0.1/{port}) 2>/dev/null && break; sleep 0.1; done
 """
 
 
