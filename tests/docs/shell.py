@@ -84,24 +84,22 @@ def split_skipped(block: Block) -> tuple[list[str], list[str]]:
     return [command for command in every if command not in skipped], skipped
 
 
-def script_of(chosen: list[str], port: Callable[[], int]) -> str:
+def script_of(chosen: list[str], free_port: Callable[[], int]) -> str:
     """A script that runs commands and stops at the first that does not do as it should.
 
     Args:
         chosen: The commands. One whose comment says `exit status N` has to end with that. One that serves is started
-            in the background on a port of its own, which then takes the place of port 8000 in the others.
-        port: Gives a free port.
+            in the background on a port of its own, which takes the place of port 8000 in all of them.
+        free_port: Gives a port.
     """
     lines = ["set -euo pipefail", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT"]
-    serving: int | None = None
-    for command in chosen:
-        if serving is not None:
-            command = command.replace(":8000", f":{serving}")
+    port = free_port() if any(command.startswith(SERVERS) for command in chosen) else None
+    for written in chosen:
+        command = written if port is None else written.replace(":8000", f":{port}")
         lines.append(f"echo {shlex.quote('+ ' + command)} >&2")
         expected = EXIT_STATUS.search(command)
         if command.startswith(SERVERS):
-            serving = port()
-            lines.append(START_SERVER.format(command=shlex.join(shlex.split(command, comments=True)), port=serving))
+            lines.append(START_SERVER.format(command=shlex.join(shlex.split(command, comments=True)), port=port))
         elif expected:
             lines.append(f"status=0; {{ {command}\n}} || status=$?; [ $status -eq {expected[1]} ]")
         else:

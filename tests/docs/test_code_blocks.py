@@ -82,9 +82,8 @@ class Page:
         elif block.language in DATA:
             DATA[block.language](block.text)
         else:
-            assert block.not_run or block.file, (
-                f"{block.where}: say in a comment above why {block.language!r} is not run"
-            )
+            language = repr(block.language) if block.language else "a bare fence"
+            assert block.not_run or block.file, f"{block.where}: say in a comment above why {language} is not run"
 
     def _shell(self, chosen: list[str], block: Block) -> Any:
         script = shell.script_of(chosen, free_port)
