@@ -161,8 +161,10 @@ def _simple_commands(command: str) -> Iterator[list[str]]:
 
 
 def _check_path(word: str, where: str) -> None:
-    first, slash, _ = word.partition("/")
-    if slash and (ROOT / first).is_dir() and first not in LEFT_OUT and not any(sign in word for sign in "*{$"):
+    """A file of the checkout: what begins with the name of one of its folders and ends like a file."""
+    folder, slash, _ = word.partition("/")
+    ours = slash and (ROOT / folder).is_dir() and folder not in LEFT_OUT and Path(word).suffix
+    if ours and not any(sign in word for sign in "*{$"):
         assert (ROOT / word).exists(), f"{where}: there is no {word}"
 
 
