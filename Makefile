@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check
+.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -83,8 +83,13 @@ wheels-check: .venv/.dev
 evidence: .venv/.dev
 	$(BIN)/python benchmarks/training_runs.py $(ARGS)
 
+# The documentation as a site in build/site. (The variable silences what its theme prints about itself.)
+docs: .venv/.dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
+
 # The generated pages, tables and pictures of docs/; takes minutes.
-docs-data: .venv/.base
+docs-data: .venv/.dev
+	$(BIN)/python docs/tables.py
 	$(BIN)/python docs/generate.py
 
 # The pictures of the dashboard in docs/images, taken in the system's chromium.
