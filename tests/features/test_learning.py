@@ -1,6 +1,7 @@
 """The promises of learning."""
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -13,9 +14,8 @@ import numpy as np
 import pytest
 import torch
 
-from drone_env import TASKS, Episode
+from drone_env import TASKS
 from drone_env.cli import main
-from drone_env.episodes.store import Store
 from drone_env.rl.checkpoint import load_checkpoint
 from drone_env.rl.config import ORIGINAL, TrainConfig
 from drone_env.rl.model import MapEncoder, PathQNet
@@ -74,34 +74,71 @@ def test_l3_exploration_decays_by_both_schedules() -> None:
     assert [epsilon(episode) for episode in (0, 1, 2, 1000)] == pytest.approx([1.0, 0.995, 0.995**2, 0.05])
 
 
-def test_l4_train_py_trains_with_the_originals_numbers(tmp_path: Path) -> None:
+def test_l4_train_py_trains_with_the_originals_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """python train.py --task TASK --episodes N [--gpu] trains a DQN; the preset original has the first numbers"""
     assert (ORIGINAL.gamma, ORIGINAL.batch_size, ORIGINAL.learning_rate) == (0.99, 64, 1e-4)
     assert (ORIGINAL.replay_size, ORIGINAL.target_update, ORIGINAL.target_every) == (10_000, "episodes", 10)
     assert (ORIGINAL.epsilon_start, ORIGINAL.epsilon_end) == (1.0, 0.05)
     command = [sys.executable, str(ROOT / "train.py"), *TRAIN, "--episodes", "3"]
-    environment = {"PYTHONPATH": str(ROOT), "PATH": ""}
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     checkpoint = load_checkpoint(tmp_path / "data/easy.pth")
     assert checkpoint["config"] | {"steps_per_update": 1, "validation_maps": 500, "num_threads": 2} == (
         ORIGINAL.identity()
     )
-    assert [path.name for path in (tmp_path / "data").glob("easy.*")]
+    with pytest.raises(SystemExit):
+        main(["train", "--help"])
+    flags = capsys.readouterr().out
+    assert all(f"--{field.name.replace('_', '-')}" in flags for field in fields(TrainConfig))
+    gpu = ["train", *TRAIN, "--episodes", "1", "--gpu", "--data", str(tmp_path / "gpu"), "--results", str(tmp_path)]
+    assert main(gpu) == (0 if torch.cuda.is_available() else 2)
+    assert "CUDA" in capsys.readouterr().err or torch.cuda.is_available()
+
+
+@pytest.fixture(scope="module")
+def lines(server: Server, tmp_path_factory: pytest.TempPathFactory) -> list[int]:
+    """Trains into the server's data folder up to the first checkpoint, and kills that; the lines `/logs` told on."""
+    results = tmp_path_factory.mktemp("results")
+    command = [sys.executable, "train.py", *TRAIN, "--episodes", "100000", "--data", str(server.data)]
+    seen: list[int] = []
+    with (results / "output").open("wb") as output:
+        process = subprocess.Popen([*command, "--results", str(results)], cwd=ROOT, stdout=output, stderr=output)
+        while not (server.data / "easy.pth").exists():
+            assert process.poll() is None, (results / "output").read_text()
+            seen.append(len(httpx.get(f"{server.url}/logs").json()["lines"]))
+            time.sleep(0.02)
+        process.kill()
+        process.wait()
+    return seen
 
 
 def test_l5_checkpoints_and_automatic_resume(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    server: Server, lines: list[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A checkpoint every 50 episodes in data/easy.pth; training goes on from it, and anew where it was deleted"""
-    monkeypatch.chdir(tmp_path)
-    raise NotImplementedError
+    checkpoint = server.data / "easy.pth"
+    flown = load_checkpoint(checkpoint)["counters"][2]
+    assert flown in (50, 100)
+    train = ["train", *TRAIN, "--data", str(server.data), "--results", str(tmp_path)]
+    assert main([*train, "--episodes", str(flown + 2)]) == 0
+    assert f"going on from {checkpoint}: {flown} of {flown + 2} episodes" in " ".join(capsys.readouterr().err.split())
+    checkpoint.unlink()
+    assert main([*train, "--episodes", "2"]) == 0
+    assert "going on" not in capsys.readouterr().err
+    assert load_checkpoint(checkpoint)["counters"][2] == 2
 
 
-def test_l6_a_live_log_and_a_memory_of_100_episodes(server: Server, tmp_path: Path) -> None:
+def test_l6_a_live_log_and_a_memory_of_100_episodes(server: Server, lines: list[int], tmp_path: Path) -> None:
     """data/train.log grows while it trains, /logs shows it; data/memory.json holds the last 100 episodes"""
-    results = ["--data", str(server.data), "--results", str(tmp_path)]
-    raise NotImplementedError
+    assert lines == sorted(lines)
+    assert len(set(lines)) > 2, "it was not seen to grow"
+    last = httpx.get(f"{server.url}/logs").json()["lines"][-1]
+    assert last == (server.data / "train.log").read_text(encoding="utf-8").splitlines()[-1]
+    assert last.startswith("episode=")
+    fill(tmp_path, [flown("easy", seed, "greedy") for seed in range(102)])
+    memory = json.loads((tmp_path / "memory.json").read_text(encoding="utf-8"))["episodes"]
+    assert [episode["seed"] for episode in memory] == list(range(2, 102))
 
 
 @pytest.mark.parametrize("task", ["easy_delivery", "medium_delivery", "hard_delivery"])
