@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots format clean
+.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -80,6 +80,19 @@ docs-data: .venv/.base
 # The pictures of the dashboard in docs/images, taken in the system's chromium.
 screenshots: .venv/.dev
 	$(BIN)/python docs/screenshots.py
+
+# Build the container and record it in data/docker_build.log; BUILDER=podman or buildah, ARGS for more of its options.
+BUILDER ?= docker
+image: .venv/.base
+	$(BIN)/python tools/build_image.py --builder $(BUILDER) $(ARGS)
+
+# Build it and prove that it works: hardened, restarted, stopped, flown; docker or podman.
+image-check: .venv/.dev
+	$(BIN)/python tools/check_image.py --builder $(BUILDER) $(ARGS)
+
+# Stage the folder that becomes a Hugging Face Space, in build/space.
+space: .venv/.base
+	$(BIN)/python tools/stage_space.py $(ARGS)
 
 format: .venv/.dev
 	$(BIN)/ruff check --fix .
