@@ -1,5 +1,6 @@
 """The promises of inference: a language model flies, here one that does as it is told."""
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -60,7 +61,7 @@ def test_i3_the_prompt_asks_for_one_word(endpoint: Start) -> None:
     assert (system["role"], user["role"]) == ("system", "user")
     for told in ("delivery drone", "Goal: deliver every parcel", "exactly one", "in uppercase"):
         assert told in system["content"]
-    assert all(f"{action} " in system["content"] for action in ("UP", "DOWN", "LEFT", "RIGHT", "WAIT"))
+    assert re.findall(r"\b[A-Z]{2,}\b", system["content"]) == ["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
     assert user["content"].split("\n") == [
         "Position: (6, 3)",
         "Battery: 100% (60 units)",

@@ -138,7 +138,7 @@ def test_l6_a_live_log_and_a_memory_of_100_episodes(server: Server, lines: list[
     assert last.startswith("episode=")
     fill(tmp_path, [flown("easy", seed, "greedy") for seed in range(102)])
     memory = json.loads((tmp_path / "memory.json").read_text(encoding="utf-8"))["episodes"]
-    assert [episode["seed"] for episode in memory] == list(range(2, 102))
+    assert [episode["record"]["seed"] for episode in memory] == list(range(2, 102))
 
 
 @pytest.mark.parametrize("task", ["easy_delivery", "medium_delivery", "hard_delivery"])
