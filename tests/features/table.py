@@ -39,7 +39,7 @@ class FeatureTable:
         text = dict(report.user_properties).get(TEXT)
         if text is None or (report.when != "call" and report.passed):
             return
-        feature = feature_of(report.location[2].rpartition(".")[2])
+        feature = feature_of(report.location[2])
         assert feature is not None
         self.texts[feature] = str(text)
         if self.outcomes.get(feature, "passed") == "passed" or report.failed:
