@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs
+.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -29,6 +29,10 @@ demo: .venv/.base
 
 test: .venv/.dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+# What was promised, feature by feature, and whether its test passes.
+features: .venv/.dev
+	$(BIN)/python -m pytest -q -n auto --dist loadfile --features tests/features
 
 # Lint, formatting, types.
 check: .venv/.dev

@@ -19,8 +19,6 @@ from drone_env.llm.prompt import VALUES, Flown, first_messages, get_prompt, prom
 from drone_env.llm.settings import InferenceSettings, load_settings, token_for
 from drone_env.models import DroneObservation
 
-ROOT = Path(__file__).parents[2]
-
 
 @pytest.mark.parametrize(
     ("text", "kind"),
@@ -260,8 +258,3 @@ def test_the_gate_grows_with_answers_and_halves_under_load() -> None:
         assert gate.active == 0
 
     asyncio.run(crowd())
-
-
-def test_the_example_of_an_environment_names_every_variable() -> None:
-    example = (ROOT / ".env.example").read_text(encoding="utf-8")
-    assert all(name.upper() in example for name in InferenceSettings.model_fields)
