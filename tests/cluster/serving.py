@@ -53,12 +53,13 @@ class Nginx:
 
     def _wait(self, log: Path) -> None:
         deadline = time.monotonic() + 30
-        while time.monotonic() < deadline:
-            try:
-                httpx.get(f"{self.url}/health")
-                return
-            except httpx.HTTPError:
-                time.sleep(0.05)
+        with httpx.Client() as client:
+            while time.monotonic() < deadline:
+                try:
+                    client.get(f"{self.url}/health")
+                    return
+                except httpx.HTTPError:
+                    time.sleep(0.05)
         raise AssertionError(f"nginx did not answer: {log.read_text(encoding='utf-8')}")
 
     def drain(self, which: str, port: int) -> "subprocess.Popen[bytes]":
@@ -85,6 +86,8 @@ class Cluster:
         self.folder = folder
         self.settings = settings
         self.servers: dict[int, Server] = {}
+        # Kept connections would count as sessions of the server when it is drained.
+        self._direct = httpx.Client(limits=httpx.Limits(max_keepalive_connections=0))
         ports = {free_port() for _ in range(count)}
         assert len(ports) == count
         self.nginx = Nginx(folder, sorted(ports))
@@ -96,6 +99,11 @@ class Cluster:
             self.close()
             raise
 
+    def answered(self, port: int, path: str) -> int:
+        """How many of the last 200 requests that a server has answered were for `path`."""
+        requests = self._direct.get(f"{self.servers[port].url}/terminal_logs").json()["requests"]
+        return sum(request["path"] == path for request in requests)
+
     def start(self, port: int) -> Server:
         """Start the server of a port, also again."""
         self.servers[port] = Server(COMMAND, self.folder / "data", port, self.settings)
@@ -103,6 +111,7 @@ class Cluster:
 
     def close(self) -> None:
         """End all of it."""
+        self._direct.close()
         self.nginx.close()
         for server in self.servers.values():
             if server.process.poll() is None:

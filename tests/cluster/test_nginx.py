@@ -11,11 +11,10 @@ import pytest
 
 from tests.cluster.forgetful import Forgetful
 from tests.cluster.serving import Cluster, Nginx, cluster
-from tests.cluster.sessions import HttpSession, SocketSession, fly_all
+from tests.cluster.sessions import Client, HttpSession, SocketSession, fly_all
 
 SERVERS = 3
 HTTP, SOCKETS = 150, 150
-LIMITS = httpx.Limits(max_connections=64)
 
 
 @pytest.fixture(scope="module")
@@ -23,12 +22,6 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     folder = tmp_path_factory.mktemp("cluster")
     with cluster(folder, SERVERS, CAPACITY="1000", ALLOWED_HOSTS="localhost,127.0.0.1") as found:
         yield found
-
-
-def answered(running: Cluster, port: int, path: str) -> int:
-    """How many of the last requests that this server has answered were for `path`."""
-    requests = httpx.get(f"{running.servers[port].url}/terminal_logs").json()["requests"]
-    return sum(request["path"] == path for request in requests)
 
 
 def test_callers_see_a_server(running: Cluster) -> None:
@@ -50,21 +43,21 @@ def test_callers_see_a_server(running: Cluster) -> None:
 
 def test_a_session_stays_with_its_server(running: Cluster) -> None:
     with httpx.Client(base_url=running.url) as client:
-        before = {port: answered(running, port, "/path_history") for port in running.servers}
+        before = {port: running.answered(port, "/path_history") for port in running.servers}
         session = {"X-Session-Id": client.post("/reset").json()["session_id"]}
         for _ in range(9):
             client.get("/path_history", headers=session)
-        after = {port: answered(running, port, "/path_history") for port in running.servers}
+        after = {port: running.answered(port, "/path_history") for port in running.servers}
     assert sorted(after[port] - before[port] for port in after) == [0, 0, 9]
 
 
 def test_the_request_log_comes_as_it_is_written(running: Cluster) -> None:
     events = {"Accept": "text/event-stream"}
     with httpx.stream("GET", f"{running.url}/terminal_logs", headers=events, timeout=30) as answer:
-        for server in running.servers.values():
-            httpx.get(f"{server.url}/kinds")
+        for port in running.servers:
+            running.answered(port, "")
         for line in answer.iter_lines():
-            if line.startswith("data: ") and json.loads(line.removeprefix("data: "))["path"] == "/kinds":
+            if line.startswith("data: ") and json.loads(line.removeprefix("data: "))["path"] == "/terminal_logs":
                 break
 
 
@@ -72,10 +65,10 @@ def test_a_step_that_a_server_took_before_it_died_is_not_taken_twice(running: Cl
     real = next(iter(running.servers))
 
     async def fly(url: str) -> int:
-        async with httpx.AsyncClient(base_url=running.url, limits=LIMITS, timeout=60) as client:
+        async with Client(running.url) as client:
             sessions = [HttpSession(client, 6000 + seed, counts=seed % 2 > 0) for seed in range(16)]
             await asyncio.gather(*[session.open() for session in sessions])
-            async with httpx.AsyncClient(base_url=url, limits=httpx.Limits(max_connections=1), timeout=60) as broken:
+            async with Client(url, at_once=1) as broken:
                 for session in sessions:
                     session.steps = broken
                 for _ in range(4):
@@ -94,7 +87,7 @@ def test_a_server_is_killed_among_300_sessions_and_comes_back(running: Cluster) 
     killed = next(iter(running.servers))
 
     async def all_of_it() -> None:
-        async with httpx.AsyncClient(base_url=running.url, limits=LIMITS, timeout=60) as client:
+        async with Client(running.url) as client:
             # Every tenth does not say which step it sends.
             http = [HttpSession(client, seed, counts=seed % 10 > 0) for seed in range(HTTP)]
             sockets = [SocketSession(running.url, 1000 + seed) for seed in range(SOCKETS)]
@@ -121,7 +114,7 @@ def test_a_server_is_killed_among_300_sessions_and_comes_back(running: Cluster) 
             again = [SocketSession(running.url, 2000 + seed) for seed in range(len(lost))]
             for _ in range(40):
                 await fly_all(http[:20], 1)
-                if answered(running, killed, "/step"):
+                if running.answered(killed, "/step"):
                     break
                 await asyncio.sleep(0.5)
             else:
@@ -133,7 +126,7 @@ def test_a_server_is_killed_among_300_sessions_and_comes_back(running: Cluster) 
             assert not [session for session in whole if session.lost]
             await asyncio.gather(*[session.close() for session in again])
             # It had the fewest.
-            assert answered(running, killed, "/ws") == len(again)
+            assert running.answered(killed, "/ws") == len(again)
             await asyncio.gather(*[session.close() for session in whole])
 
     asyncio.run(all_of_it())
@@ -149,7 +142,7 @@ def test_a_server_is_drained_and_no_session_breaks(running: Cluster) -> None:
         return await process
 
     async def all_of_it() -> None:
-        async with httpx.AsyncClient(base_url=running.url, limits=LIMITS, timeout=60) as client:
+        async with Client(running.url) as client:
             http = [HttpSession(client, 3000 + seed, counts=True) for seed in range(12)]
             sockets = [SocketSession(running.url, 4000 + seed) for seed in range(6)]
             await asyncio.gather(*[session.open() for session in [*http, *sockets]])
@@ -159,10 +152,10 @@ def test_a_server_is_drained_and_no_session_breaks(running: Cluster) -> None:
             later = [SocketSession(running.url, 5000 + seed) for seed in range(6)]
             await asyncio.sleep(2)
             assert draining.poll() is None, "there still are sockets"
-            before = answered(running, drained, "/step")
+            before = running.answered(drained, "/step")
             await asyncio.gather(*[session.open() for session in later])
             await asyncio.gather(fly_all(http, 5), fly_all(sockets, 5), fly_all(later, 5))
-            assert answered(running, drained, "/step") == before
+            assert running.answered(drained, "/step") == before
             await asyncio.gather(*[session.close() for session in sockets])
             assert await ends(waiting, http) == 0
             await asyncio.to_thread(running.servers[drained].stop)
@@ -173,7 +166,7 @@ def test_a_server_is_drained_and_no_session_breaks(running: Cluster) -> None:
             assert running.nginx.drain("in", drained).wait(30) == 0
             for _ in range(20):
                 await fly_all(http, 1)
-                if answered(running, drained, "/step"):
+                if running.answered(drained, "/step"):
                     break
                 await asyncio.sleep(0.5)
             else:
