@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots format clean
+.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard bench-capacity evidence docs-data screenshots format clean
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -68,6 +68,10 @@ bench-training: .venv/.dev
 # Frames, first paint and weight of the dashboard, in the system's chromium.
 bench-dashboard: .venv/.dev
 	$(BIN)/python benchmarks/dashboard.py $(ARGS)
+
+# What a session and a step cost the server, its store and nginx; some minutes, and needs nginx.
+bench-capacity: .venv/.dev
+	$(BIN)/python benchmarks/capacity.py $(ARGS)
 
 # Train all standard tasks with three seeds each and fly the test maps; takes an hour, and goes on where it was stopped.
 evidence: .venv/.dev

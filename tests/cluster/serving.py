@@ -64,6 +64,8 @@ class Nginx:
 
     def drain(self, which: str, port: int) -> "subprocess.Popen[bytes]":
         """`deploy/drain.sh out` or `in`, running."""
+        if shutil.which("ss") is None:
+            missing_tool("ss")
         variables = {"SERVERS": str(self.servers), "NGINX_COMMAND": shlex.join(self.command), "WAIT": "60"}
         return subprocess.Popen([str(DEPLOY / "drain.sh"), which, f"127.0.0.1:{port}"], env={**os.environ, **variables})
 
