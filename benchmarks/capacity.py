@@ -452,7 +452,7 @@ def measured(figures: Figures) -> str:
         (f"a WebSocket, after {STEPS} steps", f"{socket.flying / kilo:.1f} KB"),
         ("a WebSocket in nginx", f"{socket.nginx / kilo:.1f} KB"),
         ("open files for a WebSocket: server, nginx", f"{socket.server_files:.2f}, {socket.nginx_files:.2f}"),
-        ("open files for an HTTP session without a request", f"{figures.live_http_files:.2f}"),
+        ("open files for an HTTP session without a request", f"{round(figures.live_http_files, 1) + 0.0:.1f}"),
         ("a step over HTTP: CPU of the server, directly", f"{figures.http_direct.server_us:.0f} us"),
         ("a step over HTTP: CPU of the server, through nginx", f"{figures.http_proxied.server_us:.0f} us"),
         ("a step over HTTP: CPU of nginx", f"{figures.http_proxied.nginx_us:.0f} us"),
