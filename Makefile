@@ -48,7 +48,7 @@ adapters: .venv-adapters/.made
 
 # The same properties over many more cases; takes long.
 verify: .venv/.dev
-	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(BIN)/python -m pytest -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_store.py tests/unit/test_rl.py
+	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(BIN)/python -m pytest -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_store_processes.py tests/unit/test_rl.py
 	DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SOCKET_STEPS=1000000 DRONE_ENV_SCHEMA_EXAMPLES=200 $(BIN)/python -m pytest --timeout 36000 tests/api
 	DRONE_ENV_KILLS=50 DRONE_ENV_LATENCY=0.2 DRONE_ENV_LLM_MAPS=100 $(BIN)/python -m pytest --timeout 36000 tests/llm
 

@@ -16,7 +16,7 @@ from drone_env.commands.arguments import SHORT_NAMES, parse_seeds
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation import EpisodesKey, concatenate, episodes_key, run_in_chunks, summarise
+from drone_env.evaluation import EpisodeResults, EpisodesKey, concatenate, episodes_key, run_in_chunks, summarise
 from drone_env.files import replacing
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
@@ -90,7 +90,7 @@ def _evaluate_task(task: TaskConfig, keys: dict[str, EpisodesKey]) -> dict[str, 
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         for agent, agent_key in keys.items():
             bar = progress.add_task(f"{task.short_name} {agent}", total=stop - start)
-            pieces = []
+            pieces: list[EpisodeResults] = []
             for piece in run_in_chunks(agent_key):
                 pieces.append(piece)
                 progress.advance(bar, len(piece.seeds))
