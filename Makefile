@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features
+.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features bench-capacity
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -82,6 +82,10 @@ bench-install: .venv/.dev
 # The wheel in an empty environment for each Python, with server and page; make wheels-check ARGS='--python 3.12'.
 wheels-check: .venv/.dev
 	$(BIN)/python tests/package/installed.py $(ARGS)
+
+# What a session and a step cost the server, its store and nginx; some minutes, and needs nginx.
+bench-capacity: .venv/.dev
+	$(BIN)/python benchmarks/capacity.py $(ARGS)
 
 # Train all standard tasks with three seeds each and fly the test maps; takes an hour, and goes on where it was stopped.
 evidence: .venv/.dev
