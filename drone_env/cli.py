@@ -20,6 +20,7 @@ from drone_env.commands.play import play
 from drone_env.commands.replay import replay
 from drone_env.commands.serve import serve
 from drone_env.commands.solve import solve
+from drone_env.commands.sweep import sweep
 from drone_env.commands.train import train_command
 from drone_env.errors import DroneEnvError
 
@@ -31,7 +32,21 @@ DESCRIPTION = (
 def _app(arguments: Sequence[str]) -> SubcommandApp:
     app = SubcommandApp()
     train = train_command(arguments)
-    commands = (fly, evaluate, solve, audit, train, infer, leaderboard, play, replay, analyse_flight, dataset, serve)
+    commands = (
+        fly,
+        evaluate,
+        solve,
+        audit,
+        train,
+        sweep,
+        infer,
+        leaderboard,
+        play,
+        replay,
+        analyse_flight,
+        dataset,
+        serve,
+    )
     for command in commands:
         app.command(command)
     return app
