@@ -73,9 +73,16 @@ class SweepConfig(Message):
             checkpoint_seconds=checkpoint_seconds,
         )
 
+    def common(self) -> Setting:
+        """What all settings change alike."""
+        first, *others = self.settings
+        return {name: value for name, value in first.items() if all(other[name] == value for other in others)}
+
     def label(self, setting: int) -> str:
-        """A setting in words."""
-        return " ".join(f"{name}={value}" for name, value in self.settings[setting].items()) or "as the preset"
+        """A setting in words: what is not the same in all."""
+        common = self.common()
+        own = {name: value for name, value in self.settings[setting].items() if name not in common}
+        return " ".join(f"{name}={value}" for name, value in own.items()) or "the only setting"
 
     def command(self, trial: Trial) -> str:
         """The command that trains the same network alone, in a folder of its own."""

@@ -5,7 +5,9 @@ writes notes of its own, but ten seconds or more apart, so a driver that is kill
 are never read, and removed when Tune has ended.
 """
 
+import logging
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -34,6 +36,8 @@ def drive(folder: SweepFolder, config: SweepConfig, checkpoint_seconds: float, c
     Raises:
         KeyboardInterrupt: if Ctrl-C ended it.
     """
+    for left in folder.path.glob("tune-*"):
+        shutil.rmtree(left, ignore_errors=True)
     for episodes in rungs(config):
         _train_all(folder, config, episodes, checkpoint_seconds, concurrent, show)
         decide(folder, config, episodes)
@@ -86,7 +90,10 @@ def _tune(
     shared: dict[str, Any], trials: Sequence[Trial], cpus: int, concurrent: int, notes: str, show: Show
 ) -> dict[Trial, str]:
     """Run the trials; the errors of those that were given up."""
+    # What a trial reports is shown here and kept in its folder: Tune need neither print it nor keep it too.
     os.environ["TUNE_DISABLE_AUTO_CALLBACK_LOGGERS"] = "1"
+    os.environ["RAY_AIR_NEW_OUTPUT"] = "0"
+    logging.getLogger("ray.tune.analysis.experiment_analysis").setLevel(logging.ERROR)
     import ray.tune as ray_tune
 
     tune: Any = ray_tune

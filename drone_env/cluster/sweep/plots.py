@@ -62,7 +62,7 @@ def _curves(figures: dict[str, Any]) -> Any:
 def _scores(figures: dict[str, Any]) -> Any:
     """Test scores of the settings that finished, with their intervals, and the scores of their seeds."""
     shown = [of for of in figures["settings"] if of["test"]]
-    figure, axes = _figure(8, 1.6 + 0.45 * max(len(shown), 1))
+    figure, axes = _figure(8, 1.9 + 0.45 * max(len(shown), 1))
     for row, of in enumerate(shown):
         test = of["test"]
         low, high = test["score"]["ci95"]
@@ -77,7 +77,7 @@ def _scores(figures: dict[str, Any]) -> Any:
     axes.set_ylim(max(len(shown), 1) - 0.4, -0.6)
     axes.set(xlabel="mean score on the test maps, 95 % interval; grey: each seed", title="Settings that finished")
     axes.grid(axis="x", alpha=0.3)
-    axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+    figure.legend(frameon=False, loc="outside lower center", ncols=2)
     return figure
 
 

@@ -55,6 +55,7 @@ def sweep_report(folder: SweepFolder, config: SweepConfig) -> dict[str, Any]:
     return {
         "format": "drone_env/sweep-report",
         "config": config.model_dump(mode="json"),
+        "common": config.common(),
         "trials_by_status": {name: count[name] for name in ("finished", "stopped", "failed", "unfinished")},
         "validation_optimum": optima[0] if optima else None,
         "greedy": {"score": greedy["mean_score"], "ratio": greedy["score_ratio"]},

@@ -9,11 +9,13 @@ def markdown(figures: dict[str, Any]) -> str:
     config, count = figures["config"], figures["trials_by_status"]
     optimum = next((of["test"]["optimum"] for of in figures["settings"] if of["test"]), None)
     greedy = figures["greedy"]
+    common = ", ".join(f"{name} {value}" for name, value in figures["common"].items())
     lines = [
         f"# Sweep of {config['task']}, preset {config['preset']}",
         "",
         f"{len(config['settings'])} settings with {config['seeds']} seeds each: {count['finished']} trials finished, "
         f"{count['stopped']} stopped early, {count['failed']} failed, {count['unfinished']} unfinished.",
+        *([f"In all settings: {common}."] if common else []),
         "",
         "## Settings",
         "",

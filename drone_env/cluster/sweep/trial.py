@@ -95,14 +95,14 @@ def best_until(history: Sequence[Progress], episodes: int) -> float:
 
 def _train(run: Run, until: int, report: Report) -> None:
     """Train to the first line of the log at or after so many episodes; not at all where that is done."""
-    history = run.trainer.history
+    history, every = run.trainer.history, run.config.validation_every
     if run.trainer.episodes >= run.config.episodes or (history and history[-1].episode >= until):
         return
     reported = run.trainer.episodes
 
     def show(line: Progress) -> None:
         nonlocal reported
-        if line.episode - reported >= run.config.validation_every or line.episode >= until:
+        if line.episode // every > reported // every or line.episode >= until:
             reported = line.episode
             report({"episodes": line.episode, "validation": line.validation, "optimum": line.validation_optimum})
         if line.episode >= until:
