@@ -205,7 +205,7 @@ def drive(out: Path) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(command, stdout=log, stderr=log, env=environment)
 
 
-def wait_for(driver: "subprocess.Popen[bytes]", path: Path, seconds: float = 120) -> None:
+def wait_for(driver: "subprocess.Popen[bytes]", path: Path, seconds: float = 240) -> None:
     """Wait until there is something at a path that matches, while the driver runs."""
     until = time.monotonic() + seconds
     while not list(path.parent.glob(path.name)):
@@ -224,7 +224,7 @@ def test_killed_drivers_and_workers_change_nothing(tmp_path: Path, monkeypatch: 
         place = folder.folder(Trial(0, 0))
         wait_for(driver, place / "easy.pth")
         os.kill(folder.parts(Trial(0, 0))[-1]["pid"], signal.SIGKILL)
-        until = time.monotonic() + 120
+        until = time.monotonic() + 240
         while len(folder.parts(Trial(0, 0))) < 2:
             assert driver.poll() is None
             assert time.monotonic() < until
