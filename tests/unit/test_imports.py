@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[2] / "drone_env"
-HEAVY = ("numba", "torch", "openenv", "fastapi", "pydantic", "PIL", "pygame")
+HEAVY = ("numba", "torch", "openenv", "fastapi", "pydantic", "PIL", "pygame", "ray")
 ALLOWED_IN_CORE = {"numpy", "numba", *sys.stdlib_module_names}
 
 # Each floor may import from the floors below it, and from its own.
@@ -22,6 +22,7 @@ FLOORS = [
     {"analysis", "datasets", "envs", "evaluation", "rl"},
     {"server"},
     {"client", "llm", "openenv_client"},
+    {"cluster"},
     {"commands", "cli"},
 ]
 
