@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import socket
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 from drone_env.errors import ClusterError, InvalidValueError, MissingPackageError
 
 LOCAL, AUTO = "local", "auto"
+CONNECT_SECONDS = 10
 TOKEN_FILE = Path(".ray") / "auth_token"
 
 
@@ -47,21 +49,36 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
         raise MissingPackageError("ray", "cluster") from None
     if ray.is_initialized():
         raise InvalidValueError("this process is connected to a cluster already")
+    if address not in (LOCAL, AUTO):
+        _check_reachable(address)
     started = {"num_cpus": cpus, "include_dashboard": False} if address == LOCAL else {}
     try:
         ray.init(address, log_to_driver=False, logging_level="WARNING", **started)
     except AuthenticationError as error:
-        raise ClusterError(
-            f"the cluster at {address} refuses: set RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH to its token ({error.message})"
-        ) from None
+        wanted = "set RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH to its token"
+        raise ClusterError(f"the cluster at {address} refuses: {wanted} ({error.message})") from None
     except (ConnectionError, RayError, RuntimeError, ValueError) as error:
-        raise ClusterError(f"there is no cluster to be reached at {address}: {error}") from None
+        raise ClusterError(
+            f"cannot join the cluster at {address}: it does not answer, or has another token than RAY_AUTH_TOKEN or "
+            f"RAY_AUTH_TOKEN_PATH: {error}"
+        ) from None
     try:
         yield
     finally:
         ray.shutdown()
         if own_token:
             del os.environ["RAY_AUTH_TOKEN"]
+
+
+def _check_reachable(address: str) -> None:
+    """Ray itself would try for minutes where nobody listens."""
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal():
+        raise InvalidValueError(f"--address takes local, auto or HOST:PORT, got {address!r}")
+    try:
+        socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()
+    except (OSError, OverflowError) as error:
+        raise ClusterError(f"there is no cluster to be reached at {address}: {error}") from None
 
 
 def _has_token() -> bool:
