@@ -1,5 +1,6 @@
 """The one place where Ray is started or joined: always with a token, never with usage statistics."""
 
+import logging
 import os
 import secrets
 import socket
@@ -53,7 +54,7 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
         _check_reachable(address)
     started = {"num_cpus": cpus, "include_dashboard": False} if address == LOCAL else {}
     try:
-        ray.init(address, log_to_driver=False, logging_level="WARNING", **started)
+        ray.init(address, log_to_driver=False, logging_level=logging.WARNING, **started)
     except AuthenticationError as error:
         wanted = "set RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH to its token"
         raise ClusterError(f"the cluster at {address} refuses: {wanted} ({error.message})") from None
