@@ -19,8 +19,9 @@ TOKEN_FILE = Path(".ray") / "auth_token"
 def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, None, None]:
     """Ray, from here to the end of the `with`.
 
-    Token authentication is on unless RAY_AUTH_MODE says `disabled`. A cluster that is started here has a token of its
-    own unless RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH names one; it ends with the `with`.
+    Token authentication is on unless RAY_AUTH_MODE says `disabled`. A cluster that is started here has the token that
+    RAY_AUTH_TOKEN, RAY_AUTH_TOKEN_PATH or ~/.ray/auth_token names, else one of this process alone; it ends with the
+    `with`.
 
     Args:
         address: `local` starts a cluster of this machine alone, `auto` joins the one that runs on this machine or at
@@ -37,9 +38,10 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
     # Read by Ray when it is imported, and handed on to all processes that it starts.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_AUTH_MODE", "token")
+    # How Ray will behave in future; it warns of it otherwise.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    own_token = address == LOCAL and not _has_token()
-    if own_token:
+    if address == LOCAL and not _has_token():
+        # Ray keeps the first token that it has read as long as the process lives.
         os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
     try:
         import ray
@@ -67,8 +69,6 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
         yield
     finally:
         ray.shutdown()
-        if own_token:
-            del os.environ["RAY_AUTH_TOKEN"]
 
 
 def _check_reachable(address: str) -> None:

@@ -100,6 +100,7 @@ def test_where_nobody_listens_and_what_is_no_address(capsys: pytest.CaptureFixtu
 
 def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.setenv("RAY_AUTH_TOKEN", "none is made")
     assert main(["evaluate", "--task", "easy", "--episodes", "1", "--engine", "ray"]) == 2
     assert "pip install 'drone-env[cluster]'" in capsys.readouterr().err
 
