@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots format clean
+.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard bench-cluster evidence docs-data screenshots format clean
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -68,6 +68,10 @@ bench-training: .venv/.dev
 # Frames, first paint and weight of the dashboard, in the system's chromium.
 bench-dashboard: .venv/.dev
 	$(BIN)/python benchmarks/dashboard.py $(ARGS)
+
+# Evaluation on a Ray cluster of several nodes on this machine beside the plain run; ARGS="--maps 100000" for all.
+bench-cluster: .venv/.dev
+	$(BIN)/python benchmarks/cluster.py $(ARGS)
 
 # Train all standard tasks with three seeds each and fly the test maps; takes an hour, and goes on where it was stopped.
 evidence: .venv/.dev

@@ -1,7 +1,9 @@
 """The one place where Ray is started or joined: always with a token, never with usage statistics."""
 
+import logging
 import os
 import secrets
+import socket
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 from drone_env.errors import ClusterError, InvalidValueError, MissingPackageError
 
 LOCAL, AUTO = "local", "auto"
+CONNECT_SECONDS = 10
 TOKEN_FILE = Path(".ray") / "auth_token"
 
 
@@ -16,8 +19,9 @@ TOKEN_FILE = Path(".ray") / "auth_token"
 def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, None, None]:
     """Ray, from here to the end of the `with`.
 
-    Token authentication is on unless RAY_AUTH_MODE says `disabled`. A cluster that is started here has a token of its
-    own unless RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH names one; it ends with the `with`.
+    Token authentication is on unless RAY_AUTH_MODE says `disabled`. A cluster that is started here has the token that
+    RAY_AUTH_TOKEN, RAY_AUTH_TOKEN_PATH or ~/.ray/auth_token names, else one of this process alone; it ends with the
+    `with`.
 
     Args:
         address: `local` starts a cluster of this machine alone, `auto` joins the one that runs on this machine or at
@@ -34,9 +38,10 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
     # Read by Ray when it is imported, and handed on to all processes that it starts.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_AUTH_MODE", "token")
+    # How Ray will behave in future; it warns of it otherwise.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    own_token = address == LOCAL and not _has_token()
-    if own_token:
+    if address == LOCAL and not _has_token():
+        # Ray keeps the first token that it has read as long as the process lives.
         os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
     try:
         import ray
@@ -47,21 +52,34 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
         raise MissingPackageError("ray", "cluster") from None
     if ray.is_initialized():
         raise InvalidValueError("this process is connected to a cluster already")
+    if address not in (LOCAL, AUTO):
+        _check_reachable(address)
     started = {"num_cpus": cpus, "include_dashboard": False} if address == LOCAL else {}
     try:
-        ray.init(address, log_to_driver=False, logging_level="WARNING", **started)
+        ray.init(address, log_to_driver=False, logging_level=logging.WARNING, **started)
     except AuthenticationError as error:
-        raise ClusterError(
-            f"the cluster at {address} refuses: set RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH to its token ({error.message})"
-        ) from None
+        wanted = "set RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH to its token"
+        raise ClusterError(f"the cluster at {address} refuses: {wanted} ({error.message})") from None
     except (ConnectionError, RayError, RuntimeError, ValueError) as error:
-        raise ClusterError(f"there is no cluster to be reached at {address}: {error}") from None
+        raise ClusterError(
+            f"cannot join the cluster at {address}: it does not answer, or has another token than RAY_AUTH_TOKEN or "
+            f"RAY_AUTH_TOKEN_PATH: {error}"
+        ) from None
     try:
         yield
     finally:
         ray.shutdown()
-        if own_token:
-            del os.environ["RAY_AUTH_TOKEN"]
+
+
+def _check_reachable(address: str) -> None:
+    """Ray itself would try for minutes where nobody listens."""
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal():
+        raise InvalidValueError(f"--address takes local, auto or HOST:PORT, got {address!r}")
+    try:
+        socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()
+    except (OSError, OverflowError) as error:
+        raise ClusterError(f"there is no cluster to be reached at {address}: {error}") from None
 
 
 def _has_token() -> bool:

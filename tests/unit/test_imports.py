@@ -19,7 +19,7 @@ FLOORS = [
     {"core"},
     {"planning", "models", "reward_file"},
     {"agents", "graders", "episodes"},
-    {"analysis", "datasets", "envs", "evaluation", "rl"},
+    {"analysis", "datasets", "envs", "evaluation", "evaluation_folder", "rl"},
     {"server"},
     {"client", "llm", "openenv_client"},
     {"cluster"},

@@ -110,7 +110,10 @@ def _tune(
         tune.with_resources(run_trial, {"cpu": cpus}),
         param_space={**shared, "trial": tune.grid_search([list(trial) for trial in trials])},
         tune_config=tune.TuneConfig(
-            max_concurrent_trials=concurrent or None, trial_name_creator=name, trial_dirname_creator=name
+            max_concurrent_trials=concurrent or None,
+            trial_name_creator=name,
+            trial_dirname_creator=name,
+            reuse_actors=True,  # a new one would load PyTorch anew for each trial
         ),
         run_config=tune.RunConfig(
             name="sweep",
