@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from drone_env.cluster.nodes import identity
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import SweepFolder
 from drone_env.cluster.sweep.halving import decide, remaining, rungs
@@ -75,8 +76,9 @@ def _train_all(
     trials = outstanding(folder, config, until)
     if not trials:
         return
-    shared = {"out": str(folder.path.resolve()), "until": until, "checkpoint_seconds": checkpoint_seconds}
-    with tempfile.TemporaryDirectory(prefix="tune-", dir=folder.path.resolve()) as notes:
+    out = str(folder.path.resolve())
+    shared = {"out": out, "until": until, "checkpoint_seconds": checkpoint_seconds, "identity": identity()}
+    with tempfile.TemporaryDirectory(prefix="tune-", dir=out) as notes:
         errors = _tune(shared, trials, config.cpus_per_trial, concurrent, notes, show)
     for trial, error in errors.items():
         state = folder.state(trial)

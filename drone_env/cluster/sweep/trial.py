@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from drone_env.agents.network import load_network
+from drone_env.cluster.nodes import check_identity
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import MapScores, SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
@@ -28,13 +29,16 @@ def run_trial(job: dict[str, Any]) -> None:
     """Train the trial that a job of Ray Tune names; reports to Tune at every validation and at the end.
 
     Args:
-        job: `out`, the sweep's folder; `trial`, [setting, seed]; `until`, episodes to train to; `checkpoint_seconds`.
+        job: `out`, the sweep's folder; `trial`, [setting, seed]; `until`, episodes to train to; `checkpoint_seconds`;
+            `identity`, what the driver's package is.
 
     Raises:
+        ClusterError: if this machine's package is not the driver's.
         InvalidValueError: if this machine does not see the sweep's folder.
     """
     from ray import tune
 
+    check_identity(job["identity"])
     folder = SweepFolder(Path(job["out"]))
     if not folder.path.is_dir():
         raise InvalidValueError(f"this machine has no {folder.path}: a sweep's folder lies where all machines see it")
