@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -206,12 +207,12 @@ def drive(out: Path, address: str) -> "subprocess.Popen[bytes]":
         return subprocess.Popen(command, stdout=log, stderr=log)
 
 
-def wait_for(driver: "subprocess.Popen[bytes]", path: Path, seconds: float = 240) -> None:
-    """Wait until there is a file, while the driver runs."""
+def wait_until(driver: "subprocess.Popen[bytes]", holds: Callable[[], bool], seconds: float = 240) -> None:
+    """Wait while the driver runs."""
     until = time.monotonic() + seconds
-    while not path.exists():
-        assert driver.poll() is None, f"the driver ended with {driver.returncode} before there was {path}"
-        assert time.monotonic() < until, f"no {path} after {seconds} seconds"
+    while not holds():
+        assert driver.poll() is None, f"the driver ended with {driver.returncode}"
+        assert time.monotonic() < until, f"waited for {seconds} seconds"
         time.sleep(0.01)
 
 
@@ -224,14 +225,12 @@ def test_killed_drivers_and_workers_change_nothing(
     folder = SweepFolder(out)
     driver = drive(out, cluster.address)
     try:
-        place = folder.folder(Trial(0, 0))
-        wait_for(driver, place / "easy.pth")
+        log, checkpoint = (folder.folder(Trial(0, 0)) / name for name in ("train.log", "easy.pth"))
+        wait_until(driver, lambda: log.exists() and "episode=10 " in log.read_text())
+        logged = log.stat().st_mtime
+        wait_until(driver, lambda: checkpoint.exists() and checkpoint.stat().st_mtime > logged)
         os.kill(folder.parts(Trial(0, 0))[-1]["pid"], signal.SIGKILL)
-        until = time.monotonic() + 240
-        while len(folder.parts(Trial(0, 0))) < 2:
-            assert driver.poll() is None
-            assert time.monotonic() < until
-            time.sleep(0.01)
+        wait_until(driver, lambda: len(folder.parts(Trial(0, 0))) == 2)
     finally:
         driver.kill()
         driver.wait()
@@ -247,11 +246,12 @@ def test_killed_drivers_and_workers_change_nothing(
     for trial, state in before.items():
         assert folder.state(trial).rungs.items() >= state.rungs.items()
         # Each episode is on the log once, and no part began before what an earlier one had kept.
-        log = [line.split()[0] for line in (folder.folder(trial) / "train.log").read_text().splitlines()]
-        assert log == [f"episode={n}" for n in range(5, 5 * len(log) + 1, 5)]
+        lines = [line.split()[0] for line in (folder.folder(trial) / "train.log").read_text().splitlines()]
+        assert lines == [f"episode={n}" for n in range(5, 5 * len(lines) + 1, 5)]
         begun = [part["episodes"] for part in folder.parts(trial)]
         assert begun == sorted(begun)
         assert begun[0] == 0
+    assert folder.parts(Trial(0, 0))[1]["episodes"] >= 10
     assert figures["trials"][0]["parts"] >= 3
     for name in ("report.md", "curves.png", "scores.png"):
         assert (out / name).stat().st_size > 500
