@@ -41,7 +41,11 @@ def markdown(figures: dict[str, Any]) -> str:
             *_table(
                 ("setting", "stopped at", "validation score"),
                 [
-                    (of["label"], f"{of['stopped_at']:,} episodes", _number(of["validation"][str(of["stopped_at"])]))
+                    (
+                        f"{of['setting']}: {of['label']}",
+                        f"{of['stopped_at']:,} episodes",
+                        _number(of["validation"][str(of["stopped_at"])]),
+                    )
                     for of in stopped
                 ],
             ),
@@ -63,7 +67,7 @@ def markdown(figures: dict[str, Any]) -> str:
 def _finished(of: dict[str, Any]) -> tuple[str, ...]:
     test = of["test"]
     return (
-        of["label"],
+        f"{of['setting']}: {of['label']}",
         f"{of['seeds_finished']} of {of['seeds']}",
         _with_interval(test["score"]),
         "-" if test["ratio"] is None else _with_interval(test["ratio"]),
