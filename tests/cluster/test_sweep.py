@@ -200,9 +200,10 @@ def test_a_folder_keeps_to_its_sweep(tmp_path: Path) -> None:
 
 def drive(out: Path, address: str) -> "subprocess.Popen[bytes]":
     """A driver in a process of its own."""
-    sets = [word for text in (*SMALL, "episodes=120", "lr=1e-3,1e-6") for word in ("--set", text)]
+    sets = [word for text in (*SMALL, "episodes=80", "lr=1e-3,1e-6") for word in ("--set", text)]
     command = [sys.executable, "-m", "drone_env.cli", "sweep", "--task", "easy", "--seeds", "1", *sets,
-               "--test-maps", "20", "--checkpoint-seconds", "0.1", "--address", address, "--out", str(out)]  # fmt: skip
+               "--no-early-stopping", "--test-maps", "20", "--checkpoint-seconds", "0.1",
+               "--address", address, "--out", str(out)]  # fmt: skip
     with (out.parent / "driver.log").open("ab") as log:
         return subprocess.Popen(command, stdout=log, stderr=log)
 
@@ -216,7 +217,7 @@ def wait_until(driver: "subprocess.Popen[bytes]", holds: Callable[[], bool], sec
         time.sleep(0.01)
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1200)
 def test_killed_drivers_and_workers_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cluster: Any
 ) -> None:
@@ -239,15 +240,18 @@ def test_killed_drivers_and_workers_change_nothing(
     before = {trial: folder.state(trial) for trial in config.trials()}
 
     driver = drive(out, cluster.address)
-    assert driver.wait(300) == 0, (tmp_path / "driver.log").read_text()
+    try:
+        assert driver.wait(540) == 0, (tmp_path / "driver.log").read_text()
+    finally:
+        driver.kill()
+        driver.wait()
     figures = json.loads((out / "report.json").read_text())
-    assert figures["trials_by_status"] == {"finished": 1, "stopped": 1, "failed": 0, "unfinished": 0}
-    assert [of["stopped_at"] for of in figures["settings"]] == [None, 30]
+    assert figures["trials_by_status"] == {"finished": 2, "stopped": 0, "failed": 0, "unfinished": 0}
     for trial, state in before.items():
-        assert folder.state(trial).rungs.items() >= state.rungs.items()
+        assert state.status == "unfinished" or folder.state(trial) == state
         # Each episode is on the log once, and no part began before what an earlier one had kept.
         lines = [line.split()[0] for line in (folder.folder(trial) / "train.log").read_text().splitlines()]
-        assert lines == [f"episode={n}" for n in range(5, 5 * len(lines) + 1, 5)]
+        assert lines == [f"episode={n}" for n in range(5, 81, 5)]
         begun = [part["episodes"] for part in folder.parts(trial)]
         assert begun == sorted(begun)
         assert begun[0] == 0
