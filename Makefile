@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features bench-capacity
+.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features bench-capacity bench-cluster
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -86,6 +86,10 @@ wheels-check: .venv/.dev
 # What a session and a step cost the server, its store and nginx; some minutes, and needs nginx.
 bench-capacity: .venv/.dev
 	$(BIN)/python benchmarks/capacity.py $(ARGS)
+
+# Evaluation on a Ray cluster of several nodes on this machine beside the plain run; ARGS="--maps 100000" for all.
+bench-cluster: .venv/.dev
+	$(BIN)/python benchmarks/cluster.py $(ARGS)
 
 # Train all standard tasks with three seeds each and fly the test maps; takes an hour, and goes on where it was stopped.
 evidence: .venv/.dev
