@@ -66,7 +66,7 @@ class Nginx:
         """`deploy/drain.sh out` or `in`, running."""
         if shutil.which("ss") is None:
             missing_tool("ss")
-        variables = {"SERVERS": str(self.servers), "NGINX_COMMAND": shlex.join(self.command), "WAIT": "60"}
+        variables = {"SERVERS": str(self.servers), "NGINX_COMMAND": shlex.join(self.command), "WAIT": "200"}
         return subprocess.Popen([str(DEPLOY / "drain.sh"), which, f"127.0.0.1:{port}"], env={**os.environ, **variables})
 
     def close(self) -> None:
