@@ -176,7 +176,7 @@ def check_service(image: Image, volume: str) -> None:
         report = validate_running_environment(server.url)
         passed, total = report["summary"]["passed_count"], report["summary"]["total_count"]
         require(bool(report["passed"]), f"openenv validate --url passes {passed}/{total}")
-        check_restart(image, server)
+        session, steps = check_restart(image, server)
         started = time.monotonic()
         image.call("stop", "--time", str(STOP_SECONDS), server.name)
         seconds = time.monotonic() - started
@@ -185,25 +185,35 @@ def check_service(image: Image, volume: str) -> None:
             seconds < STOP_SECONDS and status in ("0", "143"), f"SIGTERM ends it in {seconds:.1f} s, status {status}"
         )
 
+    with image.running(*HARDENED, *KEPT, "--volume", f"{volume}:/data") as successor:
+        successor.wait()
+        require(steps_of(successor, session) == steps, "a session goes on in a new container with the same volume")
 
-def check_restart(image: Image, server: Container) -> None:
-    """A session goes on after a restart, and in a new container with the same volume."""
+
+def check_restart(image: Image, server: Container) -> tuple[str, int]:
+    """A session goes on after a restart; the session, and its steps."""
     client = DroneEnvClient(server.url)
     client.reset("hard_delivery", seed=7)
-    before = client.step("RIGHT")
-    session = client.session_id
+    steps = int(client.step("RIGHT")["step_count"])
+    session = str(client.session_id)
     client.close(keep_session=True)
     image.call("restart", "--time", str(STOP_SECONDS), server.name)
     server.wait()
-    with DroneEnvClient(server.url) as after:
-        after.session_id = session
-        state = after.state()
-        same = (state["step_count"], state["drone_x"]) == (before["step_count"], before["drone_x"])
-        require(same, "a session goes on where it was after a restart")
+    require(steps_of(server, session) == steps, "a session goes on where it was after a restart")
+    return session, steps
 
 
-def check_as_validated(image: Image) -> None:
-    """A server as OpenEnv's validator starts it: a foreign user, and nothing to write to but /tmp."""
+def steps_of(server: Container, session: str) -> int:
+    """Steps that a session has flown."""
+    client = DroneEnvClient(server.url)
+    client.session_id = session
+    steps = int(client.state()["step_count"])
+    client.close(keep_session=True)
+    return steps
+
+
+def check_elsewhere(image: Image) -> None:
+    """A server as OpenEnv's validator starts it, a foreign user with nothing to write to but /tmp; and as a Space."""
     with image.running(*AS_VALIDATED) as server:
         seconds = server.wait()
         require(
@@ -211,6 +221,13 @@ def check_as_validated(image: Image) -> None:
         )
         with DroneEnvClient(server.url) as client:
             fly(client, "easy_delivery", 7)
+    with image.running("--env", "FORWARDED_ALLOW_IPS=*") as server:
+        server.wait()
+        answer = httpx.post(f"{server.url}/reset", json={}, headers={"X-Forwarded-Proto": "https"})
+        cookie = answer.headers["set-cookie"].lower()
+        require(
+            "secure" in cookie and "samesite=none" in cookie, "as a Space it marks its cookie for frames over HTTPS"
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -232,7 +249,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_contents(image)
         image.call("volume", "create", volume)
         check_service(image, volume)
-        check_as_validated(image)
+        check_elsewhere(image)
     except (WrongError, httpx.HTTPError, OSError) as error:
         print(f"WRONG: {error}", file=sys.stderr)
         return 1
