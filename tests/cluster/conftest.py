@@ -12,7 +12,13 @@ from tests.llm.conftest import endpoint, scripted_server
 __all__ = ["endpoint", "scripted_server"]
 
 MEMORY = 80 * 2**20
-STARTING = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32), "RAY_USAGE_STATS_ENABLED": "0"}
+STARTING = {
+    "RAY_AUTH_MODE": "token",
+    "RAY_AUTH_TOKEN": secrets.token_hex(32),
+    "RAY_USAGE_STATS_ENABLED": "0",
+    # Ray's own is 15: on a machine that has other things to do its workers would hardly start.
+    "RAY_worker_niceness": "0",
+}
 
 
 @pytest.fixture(scope="session")
