@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard bench-cluster evidence docs-data screenshots format clean
+.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard bench-cluster evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -48,7 +48,7 @@ adapters: .venv-adapters/.made
 
 # The same properties over many more cases; takes long.
 verify: .venv/.dev
-	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(BIN)/python -m pytest -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_store.py tests/unit/test_rl.py
+	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(BIN)/python -m pytest -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_store_processes.py tests/unit/test_rl.py
 	DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SOCKET_STEPS=1000000 DRONE_ENV_SCHEMA_EXAMPLES=200 $(BIN)/python -m pytest --timeout 36000 tests/api
 	DRONE_ENV_KILLS=50 DRONE_ENV_LATENCY=0.2 DRONE_ENV_LLM_MAPS=100 $(BIN)/python -m pytest --timeout 36000 tests/llm
 
@@ -73,17 +73,45 @@ bench-dashboard: .venv/.dev
 bench-cluster: .venv/.dev
 	$(BIN)/python benchmarks/cluster.py $(ARGS)
 
+# Seconds and megabytes from an empty environment to the first flight; the dependencies of the project's first version
+# beside it, resolved and not installed.
+bench-install: .venv/.dev
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/python benchmarks/install.py $(ARGS)
+
+# The wheel in an empty environment for each Python, with server and page; make wheels-check ARGS='--python 3.12'.
+wheels-check: .venv/.dev
+	$(BIN)/python tests/package/installed.py $(ARGS)
+
 # Train all standard tasks with three seeds each and fly the test maps; takes an hour, and goes on where it was stopped.
 evidence: .venv/.dev
 	$(BIN)/python benchmarks/training_runs.py $(ARGS)
 
+# The documentation as a site in build/site. (The variable silences what its theme prints about itself.)
+docs: .venv/.dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
+
 # The generated pages, tables and pictures of docs/; takes minutes.
-docs-data: .venv/.base
+docs-data: .venv/.dev
+	$(BIN)/python docs/tables.py
 	$(BIN)/python docs/generate.py
 
 # The pictures of the dashboard in docs/images, taken in the system's chromium.
 screenshots: .venv/.dev
 	$(BIN)/python docs/screenshots.py
+
+# Build the container and record it in data/docker_build.log; BUILDER=podman or buildah, ARGS for more of its options.
+BUILDER ?= docker
+image: .venv/.base
+	$(BIN)/python tools/build_image.py --builder $(BUILDER) $(ARGS)
+
+# Build it and prove that it works: hardened, restarted, stopped, flown; docker or podman.
+image-check: .venv/.dev
+	$(BIN)/python tools/check_image.py --builder $(BUILDER) $(ARGS)
+
+# Stage the folder that becomes a Hugging Face Space, in build/space.
+space: .venv/.base
+	$(BIN)/python tools/stage_space.py $(ARGS)
 
 format: .venv/.dev
 	$(BIN)/ruff check --fix .

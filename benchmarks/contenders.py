@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import gymnasium
 import numpy as np
@@ -70,7 +70,9 @@ def spread_out(batch: Batch | NumpyBatch, maps: npt.NDArray[Any], actions: list[
 
 def bytes_of(observations: Any, num_envs: int) -> float:
     """Bytes of one observation in a batch of them."""
-    arrays = observations.values() if isinstance(observations, dict) else [observations]
+    arrays: list[Any] = (
+        [*cast(dict[str, Any], observations).values()] if isinstance(observations, dict) else [observations]
+    )
     return sum(array.nbytes for array in arrays) / num_envs
 
 

@@ -146,7 +146,7 @@ def first_steps(times: int) -> dict[str, float]:
 
 def memory() -> dict[str, float]:
     """Bytes per episode of each task, and what a million hard episodes take."""
-    found = {}
+    found: dict[str, float] = {}
     for task in ("easy", "medium", "hard"):
         for same_step in (False, True):
             name = f"{task}, {'SameStep' if same_step else 'NextStep'}"

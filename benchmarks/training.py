@@ -151,7 +151,7 @@ def theirs(task: str, seed: int, threads: int, validator: Validator, limit: floa
     """Train with Stable-Baselines3's DQN."""
     torch.set_num_threads(threads)
     env = DroneDeliveryVecEnv(task, NUM_ENVS, observation="dict")
-    policy = {"features_extractor_class": PathQNetFeatures, "net_arch": [], "normalize_images": False}
+    policy: dict[str, Any] = {"features_extractor_class": PathQNetFeatures, "net_arch": [], "normalize_images": False}
     exploration = SB3_EXPLORATION_STEPS / SB3_STEPS
     model = DQN(
         "MultiInputPolicy", env, policy_kwargs=policy, exploration_fraction=exploration, seed=seed, device="cpu", **SB3

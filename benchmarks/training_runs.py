@@ -173,7 +173,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "results" / "evidence")
     parser.add_argument("--ship", action="store_true", help="install the first seed's networks")
     arguments = parser.parse_args()
-    rows = []
+    rows: list[str] = []
     for task in map(get_task, arguments.tasks):
         for seed in arguments.seeds:
             result = train(task, seed, arguments.threads, arguments.out.resolve() / f"{task.id}-seed{seed}")

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from drone_env.graders import GRADERS
     from drone_env.models import DroneAction, DroneObservation, DroneState
     from drone_env.planning.optimal import Solution, solve
+    from drone_env.registry import register_reward_profile, register_task
 
 __version__ = "0.3.0"
 
@@ -49,6 +50,8 @@ _HOMES = {
     "get_task": "core.tasks",
     "make_agent": "agents",
     "next_seed": "core.seeds",
+    "register_reward_profile": "registry",
+    "register_task": "registry",
     "run_episodes": "evaluation",
     "solve": "planning.optimal",
     "split_seeds": "core.seeds",
@@ -81,6 +84,8 @@ __all__ = [
     "get_task",
     "make_agent",
     "next_seed",
+    "register_reward_profile",
+    "register_task",
     "run_episodes",
     "solve",
     "split_seeds",

@@ -12,6 +12,7 @@ from drone_env import __version__
 from drone_env.commands.analyse_flight import analyse_flight
 from drone_env.commands.audit import audit
 from drone_env.commands.dataset import dataset
+from drone_env.commands.doctor import doctor
 from drone_env.commands.evaluate import evaluate
 from drone_env.commands.fly import fly
 from drone_env.commands.infer import infer
@@ -22,6 +23,7 @@ from drone_env.commands.serve import serve
 from drone_env.commands.solve import solve
 from drone_env.commands.train import train_command
 from drone_env.errors import DroneEnvError
+from drone_env.registry import load_plugins
 
 DESCRIPTION = (
     "A drone delivers parcels on a generated city grid. `drone-env COMMAND --help` is the manual of a command."
@@ -32,7 +34,7 @@ def _app(arguments: Sequence[str]) -> SubcommandApp:
     app = SubcommandApp()
     train = train_command(arguments)
     commands = (fly, evaluate, solve, audit, train, infer, leaderboard, play, replay, analyse_flight, dataset, serve)
-    for command in commands:
+    for command in (*commands, doctor):
         app.command(command)
     return app
 
@@ -50,6 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"drone-env {__version__}")
         return 0
     try:
+        load_plugins()
         status = _app(arguments).cli(
             prog="drone-env", description=DESCRIPTION, args=arguments, config=[tyro.conf.DisallowNone]
         )

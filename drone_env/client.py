@@ -15,7 +15,7 @@ import random
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import httpx
 from typing_extensions import Self
@@ -184,9 +184,10 @@ class DroneEnvClient:
             answer = {} if response.status_code == NO_CONTENT else response.json()
         except ValueError:
             answer = None
-        if response.is_success and isinstance(answer, dict):
-            return answer
-        told = answer if isinstance(answer, dict) else {}
+        told = cast(dict[str, Any], answer) if isinstance(answer, dict) else None
+        if response.is_success and told is not None:
+            return told
+        told = told or {}
         detail = told.get("detail", response.text[:200])
         code = told.get("code", "http")
         raise ServerError(response.status_code, code, f"{method} {path}: {response.status_code}: {detail}")

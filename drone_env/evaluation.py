@@ -82,8 +82,8 @@ def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = 
 
 def config_hash(task: TaskConfig, agent: str) -> str:
     """16 hex digits that change with any number of the task and with anything that decides how the agent flies."""
-    task_numbers = {name: sorted(v) if isinstance(v, frozenset) else v for name, v in asdict(task).items()}
-    config = {"task": task_numbers, "agent": dict(make_agent(agent, task).config)}
+    numbers = asdict(task) | {"impassable": sorted(task.impassable)}
+    config = {"task": numbers, "agent": dict(make_agent(agent, task).config)}
     return hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -282,7 +282,7 @@ class DroneState(Message):
             path_history=[
                 PathPoint(
                     step=i,
-                    action=cast(Direction, point.action.name),
+                    action=point.action.name,
                     x=point.x,
                     y=point.y,
                     event=cast(EventName, point.event.name.lower()),

@@ -84,8 +84,9 @@ def load_reward_profile(path: str | Path) -> RewardProfile:
     clamp: list[Any] | None = table.pop("clamp", None)
     require(clamp is None or (len(clamp) == 2 and all(map(_is_number, clamp))), "clamp must be [lowest, highest]")
     numbers = {key: Decimal(table.pop(key)) for key in ("shaping", "shaping_gamma") if key in table}
+    fields: dict[str, Any] = {"summary": "", **table, **numbers}
     return RewardProfile(
-        **{"summary": "", **table, **numbers},
+        **fields,
         events=tuple((EVENTS[name], Decimal(value)) for name, value in events.items()),
         clamp=None if clamp is None else (Decimal(clamp[0]), Decimal(clamp[1])),
     )

@@ -18,12 +18,15 @@ def missing_tool(name: str) -> NoReturn:
 
 def find_python(version: str) -> str:
     """Path of a working interpreter of this version, such as "3.13"."""
+    return path_of_python(version) or missing_tool(f"Python {version}")
+
+
+def path_of_python(version: str) -> str | None:
+    """The same; None where there is none."""
     pyenv = sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python"))
-    for candidate in (shutil.which(f"python{version}"), *map(str, pyenv)):
-        # A name on the path may be a shim that refuses to run.
-        if candidate is not None and _version(candidate) == version:
-            return candidate
-    missing_tool(f"Python {version}")
+    candidates = filter(None, (shutil.which(f"python{version}"), *map(str, pyenv)))
+    # A name on the path may be a shim that refuses to run.
+    return next((candidate for candidate in candidates if _version(candidate) == version), None)
 
 
 def _version(python: str) -> str:

@@ -8,6 +8,7 @@ import json
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -85,9 +86,10 @@ def load_network(path: Path) -> Network:
         CheckpointError: if it is not an exported network.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Opened here, as NumPy leaves a file open that is cut short.
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             parameters = {name: file[name] for name in file.files if name != "metadata"}
             metadata = json.loads(str(file["metadata"]))
         return Network(parameters, metadata)
-    except (ValueError, KeyError, EOFError) as error:
+    except (ValueError, KeyError, EOFError, BadZipFile) as error:
         raise CheckpointError(f"{path} is not an exported network (.npz, beside the checkpoint): {error}") from None

@@ -98,9 +98,12 @@ def _keys() -> Generator[str, None, None]:
         # Without flushing: what is typed while the map is drawn counts.
         tty.setcbreak(terminal, termios.TCSADRAIN)
 
+    def leave(*_: object) -> None:
+        sys.exit(143)
+
     handlers = {
         signal.SIGCONT: signal.signal(signal.SIGCONT, set_cbreak),
-        signal.SIGTERM: signal.signal(signal.SIGTERM, lambda *_: sys.exit(143)),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, leave),
     }
     try:
         set_cbreak()

@@ -1,7 +1,8 @@
 """The columns of a data set: what each is called, holds and means. One row is one step."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,8 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.datasets.flights import Flight
 
 
-class Column(NamedTuple):
+@dataclass(frozen=True)
+class Column:
     """One column.
 
     `values` makes its part of one flight: an array [T, ...], a list, or one value for all steps.

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, cast
 
 from drone_env import __version__
 from drone_env.agents import make_agent
@@ -101,4 +101,4 @@ def dataset_config(
 
 
 def _as_json_value(value: object) -> Any:
-    return sorted(value) if isinstance(value, frozenset) else str(value)
+    return sorted(cast(frozenset[int], value)) if isinstance(value, frozenset) else str(value)

@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents import Agent, make_agent
-from drone_env.core.actions import N_ACTIONS
+from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
-from drone_env.core.state_manager import Episode
+from drone_env.core.state_manager import Episode, Observation
 from drone_env.datasets.config import DatasetConfig
 from drone_env.planning.exact import ExactSolver
 
@@ -101,7 +101,12 @@ def chance(agent: str, seed: int) -> Iterator[tuple[float, int]]:
 
 def _fly(episode: Episode, solver: ExactSolver, agent: Agent, name: str, epsilon: float) -> Flight:
     agent.reset(episode.seed)
-    observations, masks, scores, events, chosen, q_values = [], [], [], [], [], []
+    observations: list[Observation] = []
+    masks: list[npt.NDArray[np.int8]] = []
+    scores: list[float] = []
+    events: list[Event] = []
+    chosen: list[int] = []
+    values: list[npt.NDArray[np.float64]] = []
     lots = chance(name, episode.seed)
 
     def look() -> None:
@@ -112,12 +117,12 @@ def _fly(episode: Episode, solver: ExactSolver, agent: Agent, name: str, epsilon
 
     look()
     while not episode.ended:
-        q_values.append(solver.q_values(episode))
+        values.append(solver.q_values(episode))
         chosen.append(agent.act(episode.observation()))
         share, action = next(lots)
         episode.step(action if share < epsilon else chosen[-1])
         look()
-    q_values = np.array(q_values)
+    q_values = np.array(values)
     return Flight(
         seed=episode.seed,
         agent=name,

@@ -37,7 +37,7 @@ class MinariWriter:
 
     def __init__(self, folder: Path, config: DatasetConfig) -> None:
         try:
-            import h5py  # noqa: F401 - Minari asks for it only when it writes
+            import h5py  # noqa: F401  # pyright: ignore[reportUnusedImport] - Minari asks for it only when it writes
             import minari
             from minari.data_collector import EpisodeBuffer
             from minari.dataset.minari_storage import MinariStorage

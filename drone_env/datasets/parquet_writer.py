@@ -1,5 +1,8 @@
 """A data set as one Parquet file, written row group by row group."""
 
+# pyarrow declares no types.
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownParameterType=false
+
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,6 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from drone_env.datasets.columns import Column, columns
 from drone_env.datasets.config import DatasetConfig
@@ -67,7 +71,7 @@ class ParquetWriter:
 
     def _array(self, column: Column, flights: Sequence[Flight]) -> "pyarrow.Array[Any]":
         kind = self._schema.field(column.name).type
-        parts = []
+        parts: list[npt.NDArray[Any]] = []
         for flight in flights:
             part = column.values(flight)
             parts.append(np.full(flight.steps, part) if np.ndim(part) == 0 else part)

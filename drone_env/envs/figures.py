@@ -58,10 +58,9 @@ drone: 4 line hull 8 0 0 30 30; 4 oval hull 30 30 21; box hull -16 -22 16 22 8; 
   oval target -30 30 6; oval target 30 30 6; box hull -17 -23 17 23 9; box hull_light -12 -9 12 17 6;
   oval glass 0 -13 6; oval hull 0 -13 3; box drop -6 -1 6 9 2
 """
-FIGURES = {name: art for name, _, art in (line.partition(": ") for line in _FIGURES.replace("\n  ", " ").splitlines())}
-FIGURES |= {
-    f"building{i}": f"{FIGURES['building']}; {FIGURES[f'top{i % 4}']}".replace("roof", f"roof{i // 4}")
-    for i in range(24)
+_DRAWN = {name: art for name, _, art in (line.partition(": ") for line in _FIGURES.replace("\n  ", " ").splitlines())}
+FIGURES = _DRAWN | {
+    f"building{i}": f"{_DRAWN['building']}; {_DRAWN[f'top{i % 4}']}".replace("roof", f"roof{i // 4}") for i in range(24)
 }
 CROWN = (
     (0, 0, 1, "-18"),

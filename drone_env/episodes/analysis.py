@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 from pydantic import Field
 
@@ -78,9 +78,7 @@ def analyse(task: str, total: int, rows: Sequence[FinishedRow]) -> Analysis:
         average_steps=_mean([row.steps for row in rows]),
         average_deliveries=_mean([row.deliveries for row in rows]),
         deliveries=sum(row.deliveries for row in rows),
-        action_distribution={
-            cast(Direction, action.name): count / steps if steps else 0.0 for action, count in counts.items()
-        },
+        action_distribution={action.name: count / steps if steps else 0.0 for action, count in counts.items()},
         mean_regret=_mean(regrets),
         regret_episodes=len(regrets),
     )

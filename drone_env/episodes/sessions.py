@@ -49,7 +49,7 @@ class SessionRow:
     touched_at: datetime
     finished: list[StoredEpisode] = field(default_factory=list[StoredEpisode])
 
-    def append(self, action: SupportsIndex) -> None:
+    def append(self, action: object) -> None:
         """Note one more action.
 
         Raises:

@@ -7,7 +7,7 @@ with one key `action`, `direction`, `actions` or `directions`.
 
 import json
 import re
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 from pydantic import field_validator
 
@@ -139,10 +139,12 @@ def _json_words(text: str, plan: bool) -> list[str] | None:
     except (ValueError, RecursionError):
         return None
     if isinstance(value, dict):
-        keys = list(value)
-        if len(keys) != 1 or not isinstance(keys[0], str) or keys[0].lower() not in KEYS:
+        table = cast(dict[str, Any], value)
+        keys = list(table)
+        if len(keys) != 1 or keys[0].lower() not in KEYS:
             return None
-        value = value[keys[0]]
+        value = table[keys[0]]
     if plan:
-        return value if isinstance(value, list) and value and all(isinstance(word, str) for word in value) else None
+        words = cast(list[Any], value) if isinstance(value, list) else []
+        return words if words and all(isinstance(word, str) for word in words) else None
     return [value] if isinstance(value, str) else None

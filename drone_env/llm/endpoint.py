@@ -5,7 +5,7 @@ import itertools
 from collections.abc import Sequence
 from email.utils import parsedate_to_datetime
 from time import time
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 from urllib.parse import urlsplit
 
 import httpx2
@@ -221,19 +221,21 @@ def _read_completion(completion: Any) -> Answer:
 
 async def _read_stream(stream: Any) -> Answer:
     parts: dict[str, list[str]] = {"text": [], "reasoning": [], "refusal": [], "tool": []}
-    finish_reason = model = None
+    finish_reason: str | None = None
+    model: str | None = None
     usage: dict[str, int | None] = {}
     async with stream:
         async for chunk in stream:
             model = _text(chunk.model) or model
             usage = _usage(chunk.usage) if chunk.usage else usage
-            for choice in (chunk.choices or [])[:1]:
+            choices: list[Any] = chunk.choices or []
+            for choice in choices[:1]:
                 finish_reason = _text(choice.finish_reason) or finish_reason
                 delta = choice.delta
                 if delta is None:
                     continue
                 calls = getattr(delta, "tool_calls", None)
-                pieces = {
+                pieces: dict[str, Any] = {
                     "text": delta.content,
                     "reasoning": _field(delta, "reasoning_content") or _field(delta, "reasoning"),
                     "refusal": getattr(delta, "refusal", None),
@@ -264,7 +266,8 @@ def _arguments(calls: Any) -> str | None:
 
 def _field(message: Any, name: str) -> Any:
     """A field that is not part of OpenAI's protocol, but of others'."""
-    return (message.model_extra or {}).get(name)
+    extra: dict[str, Any] = message.model_extra or {}
+    return extra.get(name)
 
 
 def _text(value: Any) -> str | None:
@@ -284,9 +287,8 @@ def _usage_fields(usage: dict[str, int | None]) -> dict[str, int | None]:
 
 def _error_text(error: openai.APIStatusError) -> str:
     body = error.body
-    if isinstance(body, dict) and isinstance(body.get("message"), str):
-        return body["message"]
-    return error.message
+    told = cast(dict[str, Any], body).get("message") if isinstance(body, dict) else None
+    return told if isinstance(told, str) else error.message
 
 
 def _retry_after(headers: httpx2.Headers) -> float | None:

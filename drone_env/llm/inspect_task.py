@@ -4,6 +4,10 @@ A model is asked, read and flown by the same code as in `drone-env infer`, so th
 limited is Inspect's affair: a call that fails makes its sample an error, which is no part of the mean.
 """
 
+# Inspect is in no environment in which types are checked: its requirements fit no others.
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownParameterType=false
+# pyright: reportUntypedFunctionDecorator=false
+
 import math
 from typing import Any
 

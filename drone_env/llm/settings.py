@@ -1,7 +1,11 @@
 """Which model is asked, where, and with which token: from the environment or `.env`, the environment first."""
 
+import os
+from difflib import get_close_matches
+from pathlib import Path
 from urllib.parse import urlsplit
 
+from dotenv import dotenv_values
 from pydantic import Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
@@ -59,6 +63,30 @@ def load_settings() -> InferenceSettings:
         raise InvalidValueError(wrong) from None
 
 
+def ignored_variables() -> dict[str, str]:
+    """Variables of the environment and of `.env` that look like settings and are none, and what may be meant.
+
+    Raises:
+        InvalidValueError: if `.env` is no text.
+    """
+    known = [name.upper() for name in InferenceSettings.model_fields]
+    file = Path(".env")
+    try:
+        written = dotenv_values(file) if file.is_file() else {}
+    except UnicodeDecodeError as error:
+        raise InvalidValueError(f".env is not UTF-8 text: {error.reason} at byte {error.start}") from None
+    hints = {
+        name: "the server reads the environment alone, not .env"
+        for name in written
+        if name.startswith("DRONE_ENV_") and name not in os.environ
+    }
+    for name in {*written, *os.environ}:
+        match = get_close_matches(name.upper(), known, 1, 0.9)
+        if match and name.upper() not in known:
+            hints[name] = f"is not a setting and is ignored; is {match[0]} meant?"
+    return dict(sorted(hints.items()))
+
+
 def check_url(url: str) -> str:
     """An endpoint's address without a slash at its end.
 
@@ -70,7 +98,8 @@ def check_url(url: str) -> str:
         parts = urlsplit(url)
         usable = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
     except ValueError:
-        raise InvalidValueError(f"API_BASE_URL is no address: {url!r}") from None
+        # Not quoted: it may hold a password.
+        raise InvalidValueError("API_BASE_URL is no address of the form http(s)://HOST[:PORT][/PATH]") from None
     # A password in the address would end up in the run folder.
     if not usable or not url.isprintable() or "@" in parts.netloc or parts.query or parts.fragment:
         raise InvalidValueError(

@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 from pydantic import Field, ValidationError
 
@@ -56,7 +56,7 @@ class Call(Message):
     request_digest: str = Field(description="Of the messages and all that is sent with them.")
     answer: Answer | None = Field(description="Null where no try brought one.")
     outcome: str = Field(description="How the answer was understood, or `api_error`.")
-    failures: list[Failure] = Field(default_factory=list)
+    failures: list[Failure] = Field(default_factory=list[Failure])
     latency: float = Field(ge=0, description="Seconds that the last try took.")
     at: float = Field(description="When it was done, seconds since 1970.")
     cached: bool = Field(default=False, description="Whether the answer is from the cache and was not paid.")
@@ -146,9 +146,9 @@ def _without(value: Any, secret: str) -> Any:
     if isinstance(value, str):
         return value.replace(secret, "***")
     if isinstance(value, list):
-        return [_without(item, secret) for item in value]
+        return [_without(item, secret) for item in cast(list[Any], value)]
     if isinstance(value, dict):
-        return {name: _without(item, secret) for name, item in value.items()}
+        return {name: _without(item, secret) for name, item in cast(dict[str, Any], value).items()}
     return value
 
 

@@ -53,7 +53,7 @@ def cheapest_action(rules: Rules, grid: Any, start: int, costs: Any, first: Any)
                 to = rules.moves[cell * N_ACTIONS + action]
                 if collision(rules, grid, to) != FREE:
                     continue
-                cost = costs[cell] + rules.drain[grid[to] * N_ACTIONS + action] * UNIT_COST + STEP_COST
+                cost = costs[cell] + rules.drain[grid[to] * N_ACTIONS + action] * UNIT_COST + STEP_COST  # pyright: ignore[reportUnknownVariableType]
                 if cost < costs[to]:
                     costs[to] = cost
                     first[to] = action if cell == start else first[cell]

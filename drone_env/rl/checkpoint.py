@@ -8,7 +8,7 @@ import os
 import pickle
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 
@@ -40,11 +40,12 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
         CheckpointError: if it is cut short, no checkpoint of this project, or of a newer version.
     """
     try:
-        contents = torch.load(path, map_location=device, weights_only=True)
+        contents: Any = torch.load(path, map_location=device, weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, zipfile.BadZipFile, ValueError, KeyError) as error:
         raise CheckpointError(f"{path} cannot be read: cut short, or no checkpoint ({_first_line(error)})") from None
-    if not isinstance(contents, dict) or contents.get("format") != FORMAT:
+    if not isinstance(contents, dict) or cast(dict[str, Any], contents).get("format") != FORMAT:
         raise CheckpointError(f"{path} is not a checkpoint of this project")
+    contents = cast(dict[str, Any], contents)
     if contents["version"] != VERSION:
         raise CheckpointError(
             f"{path} is a checkpoint of version {contents['version']}; this program reads version {VERSION}"

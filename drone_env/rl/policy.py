@@ -77,6 +77,6 @@ def epsilon_greedy(
     It draws the same numbers whatever epsilon is, so that a run can be compared with one that explores less.
     """
     n, n_actions = q_values.shape
-    explores = rng.random(n) < epsilon
-    chance = rng.integers(0, n_actions, n)
+    explores = np.asarray(rng.random(n), np.float64) < epsilon
+    chance = np.asarray(rng.integers(0, n_actions, n), np.int64)
     return np.where(explores, chance, q_values.argmax(axis=1))

@@ -169,7 +169,8 @@ class Trainer:
 
     def finish_episodes(self) -> list[Progress]:
         """Account for the episodes that the last step ended; validate and log where it is time to."""
-        config, finals, lines = self.config, self.batch.finals(), []
+        config, finals = self.config, self.batch.finals()
+        lines: list[Progress] = []
         for i, score, steps, deliveries in zip(
             self.batch.ended.tolist(), finals["score"], finals["steps"], finals["deliveries"], strict=True
         ):

@@ -25,6 +25,7 @@ from drone_env import __version__
 from drone_env.core.tasks import get_task
 from drone_env.episodes.store import Store
 from drone_env.errors import DroneEnvError, StoreError
+from drone_env.registry import load_plugins
 from drone_env.server.flight import DEFAULT_TASK
 from drone_env.server.live.socket import LiveSocket
 from drone_env.server.openenv_socket import OpenEnvSocket
@@ -59,6 +60,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     Raises:
         InvalidValueError: if a variable of the environment has a value that it cannot have.
     """
+    load_plugins()
     shared = Shared(settings or load_settings())
     settings = shared.settings
     live = LiveSocket(shared)

@@ -108,7 +108,7 @@ def frame_of(episode: Episode, networks: Networks) -> Frame:
     q_values = None if episode.ended else networks.q_values(episode.task, observation)
     return Frame(
         step=episode.steps,
-        action=None if last is None else cast(Direction, last.action.name),
+        action=None if last is None else last.action.name,
         x=x,
         y=y,
         event=None if episode.event is Event.NONE else cast(EventName, episode.event.name.lower()),

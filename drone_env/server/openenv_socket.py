@@ -11,7 +11,7 @@ import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from typing import Any
+from typing import Any, cast
 
 from pydantic import ValidationError
 from pydantic_core import to_json
@@ -142,11 +142,11 @@ class OpenEnvSocket:
             raise RefusedError("INVALID_JSON", str(error)) from None
         if not isinstance(frame, dict):
             raise RefusedError("VALIDATION_ERROR", 'a frame is an object, such as {"type": "reset", "data": {}}')
-        kind = frame.get("type")
-        unknown = frame.keys() - {"type", "data"}
-        data = frame.get("data", {})
-        if unknown or not isinstance(data, dict):
+        frame = cast(dict[str, Any], frame)
+        kind, data = frame.get("type"), frame.get("data", {})
+        if frame.keys() - {"type", "data"} or not isinstance(data, dict):
             raise RefusedError("VALIDATION_ERROR", "a frame has `type` and `data`, an object, and nothing else")
+        data = cast(dict[str, Any], data)
         try:
             if kind == "step":
                 return await self._step(flight, data)
@@ -197,14 +197,15 @@ class OpenEnvSocket:
 
 def mcp_answer(request: Any) -> dict[str, Any]:
     """The JSON-RPC answer to any MCP request: this environment has no tools."""
-    valid = isinstance(request, dict) and request.get("jsonrpc") == "2.0" and isinstance(request.get("method"), str)
-    number = request.get("id") if isinstance(request, dict) else None
+    asked = cast(dict[str, Any], request) if isinstance(request, dict) else {}
+    valid = asked.get("jsonrpc") == "2.0" and isinstance(asked.get("method"), str)
+    number = asked.get("id")
     echoed = printable(number) if isinstance(number, str) else number if isinstance(number, int) else None
     answer: dict[str, Any] = {"jsonrpc": "2.0", "id": echoed}
     if not valid:
         message = 'a request has "jsonrpc": "2.0" and a method'
         return answer | {"error": {"code": -32600, "message": f"Invalid Request: {message}"}}
-    if request["method"] == "tools/list":
+    if asked["method"] == "tools/list":
         return answer | {"result": {"tools": []}}
     return answer | {"error": {"code": -32601, "message": "Method not found: this environment has no MCP tools"}}
 

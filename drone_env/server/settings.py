@@ -1,9 +1,9 @@
-"""The configuration of the server, from the environment. `docs/server.md` shows it as a table."""
+"""The configuration of the server, from the environment. `docs/configuration.md` shows it as a table."""
 
 import os
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
@@ -99,4 +99,4 @@ def _shown(name: str, default: object) -> str:
         return "-"
     if name == "weights":
         return "the networks that are shipped"
-    return f"`{','.join(default)}`" if isinstance(default, tuple) else f"`{default}`"
+    return f"`{','.join(cast(tuple[str, ...], default))}`" if isinstance(default, tuple) else f"`{default}`"

@@ -1,7 +1,7 @@
 """JSON as the standard has it: no NaN, no Infinity, no key twice, nothing nested deeply."""
 
 import json
-from typing import Any
+from typing import Any, cast
 
 from drone_env.errors import InvalidValueError
 
@@ -44,10 +44,11 @@ TOO_DEEP = f"JSON may be nested {MAX_DEPTH} deep"
 
 
 def _check_depth(value: Any) -> None:
-    layer, depth = [value], 0
+    layer: list[Any] = [value]
+    depth = 0
     while layer:
         depth += 1
-        nested = [node for node in layer if isinstance(node, dict | list)]
+        nested = [cast(dict[str, Any] | list[Any], node) for node in layer if isinstance(node, dict | list)]
         if nested and depth > MAX_DEPTH:
             raise InvalidValueError(TOO_DEEP)
         layer = [child for node in nested for child in (node.values() if isinstance(node, dict) else node)]

@@ -8,12 +8,11 @@ from drone_env.errors import InvalidValueError, UnknownNameError
 
 PREVIEW = 1000
 """How many maps a list shows; `the 1,000 test maps` are these of the test split."""
-NAMES = [f"{task}/{split}" for task in TASKS for split in SPLITS]
 
 
 def list_splits() -> list[dict[str, str]]:
     """All splits, named `task/split`."""
-    return [{"name": name, "type": name.partition("/")[2]} for name in NAMES]
+    return [{"name": name, "type": name.partition("/")[2]} for name in _names()]
 
 
 def num_tasks(split: str) -> int:
@@ -79,4 +78,8 @@ def _find(split: str) -> tuple[TaskConfig, tuple[int, int]]:
     try:
         return get_task(task), SPLITS[name]
     except (UnknownNameError, KeyError):
-        raise UnknownNameError("split", split, NAMES) from None
+        raise UnknownNameError("split", split, _names()) from None
+
+
+def _names() -> list[str]:
+    return [f"{task}/{split}" for task in TASKS for split in SPLITS]

@@ -4,7 +4,6 @@ import asyncio
 import json
 import os
 import random
-import re
 import signal
 import subprocess
 import sys
@@ -353,17 +352,6 @@ def test_an_oversized_frame_ends_its_connection_alone(server: Server) -> None:
         assert closed.value.rcvd.code == 1009
         other.send('{"type": "reset"}')
         assert json.loads(other.recv(timeout=10))["type"] == "observation"
-
-
-EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "server.md").read_text(encoding="utf-8"), re.DOTALL)
-
-
-@pytest.mark.parametrize("example", EXAMPLES, ids=range(len(EXAMPLES)))
-def test_the_examples_of_the_documentation_run(server: Server, example: str) -> None:
-    code = example.replace("http://localhost:8000", server.url)
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False)
-    assert run.returncode == 0, run.stderr
-    assert run.stdout
 
 
 def test_the_request_log_is_streamed(server: Server) -> None:

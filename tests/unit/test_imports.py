@@ -19,7 +19,7 @@ FLOORS = [
     {"core"},
     {"planning", "models", "reward_file"},
     {"agents", "graders", "episodes"},
-    {"analysis", "datasets", "envs", "evaluation", "evaluation_folder", "rl"},
+    {"analysis", "datasets", "envs", "evaluation", "evaluation_folder", "registry", "rl"},
     {"server"},
     {"client", "llm", "openenv_client"},
     {"cluster"},
@@ -54,6 +54,11 @@ def test_importing_loads_nothing_heavy(module: str) -> None:
     loaded = json.loads(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout)
     assert module in loaded
     assert [name for name in HEAVY if name in loaded] == []
+
+
+def test_no_command_waits_for_the_compiler() -> None:
+    code = "import sys, drone_env.cli; print(sorted({'numba', 'torch', 'pydantic'} & set(sys.modules)))"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
 
 
 def test_the_core_imports_numpy_and_numba_alone() -> None:

@@ -52,7 +52,7 @@ SMALL = TrainConfig(
 )
 
 
-KILLS = 20 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 2
+KILLS = 20 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 1
 
 
 SHIPPED = ("easy", "medium", "hard")
@@ -456,7 +456,7 @@ def test_the_command_refuses(
 
 
 def test_killed_at_random_moments_the_run_comes_to_the_same_end(tmp_path: Path) -> None:
-    episodes = 80 + 20 * KILLS
+    episodes = 60 + 20 * KILLS
 
     def command(folder: Path) -> list[str]:
         return [sys.executable, "-m", "drone_env.cli", *TRAIN, "--episodes", str(episodes), "--checkpoint-seconds",

@@ -1,6 +1,6 @@
 """The routes that fly: reset, step, and what there is to know about the session's episode."""
 
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Request, Response
 from pydantic_core import to_json
@@ -8,7 +8,7 @@ from pydantic_core import to_json
 from drone_env.core.actions import Action
 from drone_env.core.tasks import get_task
 from drone_env.graders import GRADERS
-from drone_env.models import Direction, DroneObservation, DroneState
+from drone_env.models import DroneObservation, DroneState
 from drone_env.server.flight import openenv_result
 from drone_env.server.predict import arrays_of
 from drone_env.server.problems import RequestError, answers
@@ -135,7 +135,7 @@ def solution(shared: SharedParts, session: SessionId) -> SolutionAnswer:
         regret=best.score - score,
         steps=best.steps,
         deliveries=best.deliveries,
-        actions=[cast(Direction, Action(action).name) for action in best.actions],
+        actions=[Action(action).name for action in best.actions],
         path=path,
     )
 

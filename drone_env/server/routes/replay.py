@@ -139,4 +139,4 @@ def _annotation(analysis: FlightAnalysis, best: Solution, path: list[Position]) 
 
 
 def _name(action: int) -> Direction:
-    return cast(Direction, Action(action).name)
+    return Action(action).name

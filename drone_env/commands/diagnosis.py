@@ -1,0 +1,282 @@
+"""What `drone-env doctor` looks at, one function for each topic. Works where no extra is installed."""
+
+import errno
+import os
+import platform
+import shutil
+import socket
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from packaging.requirements import Requirement
+
+from drone_env import __version__
+from drone_env.agents.pathqnet import WEIGHTS, PathQNetAgent, shipped_network
+from drone_env.core.compile_cache import cache_folder
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS
+from drone_env.errors import DroneEnvError
+
+Status = Literal["ok", "absent", "attention", "broken"]
+DISTRIBUTION = "drone-env"
+SHIPPED = ("easy_delivery", "medium_delivery", "hard_delivery")
+"""The tasks whose networks come with the package."""
+MEGABYTE = 1_000_000
+DEFAULT_HOST, DEFAULT_PORT, DEFAULT_DATA = "127.0.0.1", 8000, Path("data")
+"""What the server takes, where its package is not there to be asked."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes:
+        topic: What it belongs to.
+        name: What was looked at.
+        status: `ok`; `absent` where it is not installed and need not be; `attention` where somebody should look at it;
+            `broken` where flights or their records are in danger.
+        detail: The finding, for people.
+        facts: The same as JSON values.
+    """
+
+    topic: str
+    name: str
+    status: Status
+    detail: str
+    facts: dict[str, object] = field(default_factory=dict[str, object])
+
+
+def diagnose(port: int | None, host: str | None, data: Path | None) -> list[Finding]:
+    """Everything, in the order in which it is shown. What is None comes from the settings."""
+    settings, found_host, found_port, found_data = _server_settings()
+    return [
+        *_system(),
+        *_packages(),
+        *_extras(),
+        *_networks(),
+        *_folders(found_data if data is None else data),
+        _port(found_host if host is None else host, found_port if port is None else port),
+        *settings,
+        *_inference_settings(),
+    ]
+
+
+def _system() -> Iterator[Finding]:
+    python = platform.python_version()
+    yield Finding("system", "python", "ok", f"{python} ({sys.executable})", {"version": python})
+    machine = f"{platform.platform()}, {platform.machine()}, {os.cpu_count()} cores"
+    yield Finding("system", "platform", "ok", machine, {"cores": os.cpu_count()})
+    place = Path(__file__).parents[1]
+    try:
+        installed = metadata.version(DISTRIBUTION)
+    except metadata.PackageNotFoundError:
+        yield Finding("system", DISTRIBUTION, "attention", f"{__version__}, not installed: runs from {place}")
+        return
+    same = installed == __version__
+    detail = f"{__version__} from {place}" + ("" if same else f", but {installed} is what is installed")
+    yield Finding("system", DISTRIBUTION, "ok" if same else "attention", detail, {"version": __version__})
+
+
+def _requirements() -> list[Requirement]:
+    """What the package asks for, in all extras; empty where it is not installed."""
+    try:
+        return [Requirement(text) for text in metadata.requires(DISTRIBUTION) or []]
+    except metadata.PackageNotFoundError:
+        return []
+
+
+def _applies(requirement: Requirement, extra: str) -> bool:
+    return requirement.marker is None or requirement.marker.evaluate({"extra": extra})
+
+
+def _unmet(requirement: Requirement) -> str | None:
+    """Why a requirement is not met, None where it is."""
+    try:
+        version = metadata.version(requirement.name)
+    except metadata.PackageNotFoundError:
+        return requirement.name
+    if requirement.specifier.contains(version, prereleases=True):
+        return None
+    return f"{requirement.name}{requirement.specifier} (there is {version})"
+
+
+def _packages() -> Iterator[Finding]:
+    for requirement in _requirements():
+        if _applies(requirement, ""):
+            unmet = _unmet(requirement)
+            if unmet is not None:
+                yield Finding("packages", requirement.name, "broken", f"missing: {unmet}")
+    for name in ("numpy", "numba", "gymnasium"):
+        version = metadata.version(name)
+        yield Finding("packages", name, "ok", version, {"version": version})
+    if find_spec("torch") is None:
+        yield Finding("packages", "torch", "absent", "needed to train, not to fly")
+        return
+    import torch
+
+    cuda = torch.cuda.is_available()
+    where = f"CUDA {torch.version.cuda} on {torch.cuda.get_device_name()}" if cuda else "no CUDA device"
+    yield Finding("packages", "torch", "ok", f"{torch.__version__}, {where}", {"cuda": cuda})
+
+
+def _extras() -> Iterator[Finding]:
+    try:
+        extras = metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or []
+    except metadata.PackageNotFoundError:
+        return
+    for extra in sorted(str(name) for name in extras):
+        missing = sorted({unmet for r in _brought_by(extra) if (unmet := _unmet(r)) is not None})
+        facts: dict[str, object] = {"missing": missing}
+        if missing:
+            detail = f"pip install '{DISTRIBUTION}[{extra}]' brings {', '.join(missing)}"
+            yield Finding("extras", extra, "absent", detail, facts)
+        else:
+            yield Finding("extras", extra, "ok", "complete", facts)
+
+
+def _brought_by(extra: str) -> Iterator[Requirement]:
+    """What an extra asks for, and what the extras ask for that it names."""
+    for requirement in _requirements():
+        if _applies(requirement, extra) and not _applies(requirement, ""):
+            if requirement.name == DISTRIBUTION:
+                for other in requirement.extras:
+                    yield from _brought_by(other)
+            else:
+                yield requirement
+
+
+def _networks() -> Iterator[Finding]:
+    recorded = _recorded_digests()
+    for name in SHIPPED:
+        task = TASKS[name]
+        path = shipped_network(task)
+        try:
+            agent = PathQNetAgent(task)
+            episode = Episode(task)
+            episode.reset(0)
+            usable = bool(np.isfinite(agent.q_values(episode.observation())).all())
+        except (DroneEnvError, OSError) as error:
+            yield Finding("networks", name, "broken", str(error))
+            continue
+        if not usable:
+            yield Finding("networks", name, "broken", f"{path} holds values that are no numbers")
+        elif path.name in recorded and not recorded[path.name]:
+            yield Finding("networks", name, "broken", f"{path} is not the file that was installed")
+        else:
+            detail = f"{path.stat().st_size / MEGABYTE:.2f} MB, digest {agent.config['network']}"
+            yield Finding("networks", name, "ok", detail, {"digest": agent.config["network"]})
+
+
+def _recorded_digests() -> dict[str, bool]:
+    """By name of an installed network: whether it is as its wheel recorded it. Empty for an editable installation."""
+    try:
+        files = metadata.files(DISTRIBUTION) or []
+    except metadata.PackageNotFoundError:
+        return {}
+    import base64
+    import hashlib
+
+    intact: dict[str, bool] = {}
+    for file in files:
+        path = Path(str(file.locate()))
+        if path.parent == WEIGHTS and file.hash is not None and file.hash.mode == "sha256" and path.is_file():
+            digest = base64.urlsafe_b64encode(hashlib.sha256(path.read_bytes()).digest()).rstrip(b"=").decode()
+            intact[path.name] = digest == file.hash.value
+    return intact
+
+
+def _folders(data: Path) -> Iterator[Finding]:
+    yield _folder("data", data, "episodes, sessions, logs, checkpoints")
+    yield _folder("results", Path("results"), "curves of training, runs of language models")
+    try:
+        cache = cache_folder()
+    except OSError as error:
+        yield Finding("folders", "cache", "broken", f"compiled code cannot be kept: {error}")
+        return
+    yield _folder("cache", cache, "compiled code")
+
+
+def _folder(name: str, folder: Path, holds: str) -> Finding:
+    place = folder.absolute()
+    existing = next(parent for parent in (place, *place.parents) if parent.exists())
+    facts: dict[str, object] = {"path": str(place), "exists": existing == place, "writable": False}
+    try:
+        # Rights alone do not tell: root may write anywhere, but not to a disk that is mounted read-only.
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        return Finding("folders", name, "broken", f"{place} cannot be written ({holds}): {error.strerror}", facts)
+    size = sum(file.stat().st_size for file in place.rglob("*") if file.is_file()) if existing == place else 0
+    free = shutil.disk_usage(existing).free
+    facts |= {"writable": True, "bytes": size, "free_bytes": free}
+    state = f"{size / MEGABYTE:.1f} MB" if existing == place else "made when needed"
+    return Finding("folders", name, "ok", f"{place} ({holds}): {state}, {free / MEGABYTE / 1000:.1f} GB free", facts)
+
+
+def _port(host: str, port: int) -> Finding:
+    name = f"{host}:{port}"
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            # As servers do: a connection that has just been closed does not take the port.
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OverflowError:
+        return Finding("port", name, "attention", "a port is 0 to 65535", {"free": False})
+    except OSError as error:
+        taken = error.errno == errno.EADDRINUSE
+        detail = "taken: give a server another with --port" if taken else f"cannot be listened on: {error.strerror}"
+        return Finding("port", name, "attention", detail, {"free": False})
+    return Finding("port", name, "ok", "free", {"free": True})
+
+
+def _server_settings() -> tuple[list[Finding], str, int, Path]:
+    """The findings, and the host, port and data folder that a server would take."""
+    if find_spec("pydantic_settings") is None:
+        finding = Finding("settings", "server", "absent", "not checked: the extra `server` reads them")
+        return [finding], DEFAULT_HOST, DEFAULT_PORT, DEFAULT_DATA
+    from drone_env.server.settings import load_settings, misspelt_variables
+
+    findings = [
+        Finding("settings", name, "attention", f"is not a setting and is ignored; is {meant} meant?")
+        for name, meant in misspelt_variables().items()
+    ]
+    try:
+        settings = load_settings()
+    except DroneEnvError as error:
+        findings.append(Finding("settings", "server", "broken", str(error)))
+        return findings, DEFAULT_HOST, DEFAULT_PORT, DEFAULT_DATA
+    set_here = sorted(name for name in settings.model_fields_set)
+    shown = ", ".join(f"DRONE_ENV_{name.upper()}" for name in set_here) or "none is set"
+    findings.append(Finding("settings", "server", "ok", f"understood: {shown}", {"set": set_here}))
+    return findings, settings.host, settings.port, settings.data
+
+
+def _inference_settings() -> Iterator[Finding]:
+    if find_spec("pydantic_settings") is None:
+        yield Finding("settings", "llm", "absent", "not checked: the extra `llm` reads them")
+        return
+    from drone_env.llm.settings import ignored_variables, load_settings, token_for
+
+    try:
+        settings = load_settings()
+        ignored = ignored_variables()
+    except DroneEnvError as error:
+        yield Finding("settings", "llm", "broken", str(error))
+        return
+    for name, hint in ignored.items():
+        yield Finding("settings", name, "attention", hint)
+    try:
+        token = token_for(settings, settings.api_base_url)
+    except DroneEnvError as error:
+        yield Finding("settings", "llm", "absent", f"no language model can be asked: {error}")
+        return
+    carried = "without a token" if token is None else "with a token"
+    yield Finding("settings", "llm", "ok", f"understood: {settings.model_name}, asked {carried}")

@@ -1,0 +1,69 @@
+"""Tasks and reward profiles from outside the package.
+
+A module registers them when it is imported:
+
+    courier = replace(get_task("easy"), id="courier", short_name="courier", grader="drone_env.graders:grade_courier")
+    register_task(replace(courier, deliveries=2))
+    register_reward_profile(RewardProfile("parcels", "a parcel pays", events=((Event.DELIVERY, Decimal(1)),)))
+
+`gymnasium.make("my_module:DroneDelivery-Courier-v1")` imports `my_module` first; the command line and the server import
+what `DRONE_ENV_PLUGINS` names.
+"""
+
+import os
+from importlib import import_module
+
+from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
+from drone_env.core.tasks import PAST_TASKS, TASKS, TaskConfig
+from drone_env.envs.registration import register_envs
+from drone_env.errors import InvalidTaskError, InvalidValueError
+
+PLUGINS = "DRONE_ENV_PLUGINS"
+
+
+def register_task(task: TaskConfig) -> TaskConfig:
+    """Make a task known by its names everywhere: command line, evaluation, Gymnasium, graders; the task is handed back.
+
+    Registering an equal task again changes nothing.
+
+    Raises:
+        InvalidTaskError: if its id, short name or grader is that of another task.
+    """
+    from drone_env.graders import GRADERS, make_grader  # loads Pydantic, which the package's face does without
+
+    names = {task.id, task.short_name, task.grader}
+    for other in (*TASKS.values(), *PAST_TASKS):
+        taken = sorted(names & {other.id, other.short_name, other.grader})
+        if taken and other != task:
+            raise InvalidTaskError(f"task {task.id!r}: {', '.join(taken)} already names the task {other.id!r}")
+    TASKS[task.id] = task
+    GRADERS.setdefault(task.id, make_grader(task.id))
+    register_envs()
+    return task
+
+
+def register_reward_profile(profile: RewardProfile) -> RewardProfile:
+    """Make a reward profile known by its name everywhere; the profile is handed back.
+
+    Registering an equal profile again changes nothing.
+
+    Raises:
+        InvalidTaskError: if its id is that of another profile.
+    """
+    if REWARD_PROFILES.get(profile.id, profile) != profile:
+        raise InvalidTaskError(f"reward profile {profile.id!r}: there is another one of this name")
+    REWARD_PROFILES[profile.id] = profile
+    return profile
+
+
+def load_plugins() -> None:
+    """Import the modules that `DRONE_ENV_PLUGINS` names, comma-separated, in order.
+
+    Raises:
+        InvalidValueError: if there is no such module.
+    """
+    for name in filter(None, (part.strip() for part in os.environ.get(PLUGINS, "").split(","))):
+        try:
+            import_module(name)
+        except ModuleNotFoundError as error:
+            raise InvalidValueError(f"{PLUGINS} takes modules that Python finds, comma-separated: {error}") from None

@@ -1,0 +1,130 @@
+"""The README's commands, one after another, as a stranger types them on a fresh machine; what each took is printed.
+
+    python3 tests/stranger.py            in a clone of the last commit, in a folder of its own
+    python3 tests/stranger.py --keep DIR the same in DIR, which is kept
+
+Needs what the README says is needed, and Git. Commands that serve go on in the background while the next ones are
+typed. Where the README says to fill in a token, it is one for the endpoint that the tests script. Exit status 0 if
+every command ended with 0.
+"""
+
+import argparse
+import contextlib
+import os
+import re
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SERVES = "drone-env serve"
+FILL_IN = "cp .env.example .env"
+PATIENCE = 120.0
+"""Seconds within which what is started in the background must answer."""
+
+
+def commands(readme: str) -> list[str]:
+    """The commands of all `bash` blocks, in order."""
+    lines = "\n".join(re.findall(r"^```bash\n(.*?)^```", readme, re.DOTALL | re.MULTILINE))
+    typed = lines.replace("\\\n", " ").splitlines()
+    return [line for line in typed if shlex.split(line, comments=True)]
+
+
+def free_port() -> int:
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        return sock.getsockname()[1]
+
+
+def wait_for(port: int, process: "subprocess.Popen[bytes]") -> None:
+    """Until the process listens.
+
+    Raises:
+        RuntimeError: if it ends, or does not in time.
+    """
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end and process.poll() is None:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=5):
+            return
+        time.sleep(0.2)
+    raise RuntimeError(f"nothing listens on port {port}")
+
+
+@contextlib.contextmanager
+def background(command: list[str], port: int, **options: object) -> Iterator[None]:
+    """A command that serves, until the end of the `with`."""
+    process = subprocess.Popen(command, start_new_session=True, **options)  # type: ignore[call-overload]
+    try:
+        wait_for(port, process)
+        yield
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGTERM)
+        process.wait(PATIENCE)
+
+
+def scripted_endpoint(clone: Path, stack: contextlib.ExitStack, environment: dict[str, str]) -> str:
+    """A language model that flies greedily; its base URL."""
+    port = free_port()
+    python = str(clone / ".venv/bin/python")
+    command = [python, "tests/llm/scripted_server.py", str(port)]
+    stack.enter_context(background(command, port, cwd=clone, env=environment))
+    body = f'{{"log": "{clone}/stranger.log", "pilot": "greedy", "repair": "greedy", "latency": 0, "faults": []}}'
+    urllib.request.urlopen(f"http://127.0.0.1:{port}/stranger/script", body.encode()).close()
+    return f"http://127.0.0.1:{port}/stranger/v1"
+
+
+def walk(clone: Path) -> list[tuple[str, float, int]]:
+    """Type every command; what it was, its seconds and its exit status."""
+    environment = {**os.environ, "PATH": f"{clone / '.venv/bin'}{os.pathsep}{os.environ['PATH']}"}
+    environment.pop("VIRTUAL_ENV", None)
+    walked: list[tuple[str, float, int]] = []
+    with contextlib.ExitStack() as stack:
+        for command in commands((clone / "README.md").read_text(encoding="utf-8")):
+            print(f"\n$ {command}", flush=True)
+            start, status = time.perf_counter(), 0
+            words = shlex.split(command, comments=True)
+            try:
+                if command.startswith(SERVES):
+                    stack.enter_context(background(words, 8000, cwd=clone, env=environment))
+                else:
+                    done = subprocess.run(
+                        ["bash", "-c", command], cwd=clone, env=environment, stdin=subprocess.DEVNULL, check=False
+                    )
+                    status = done.returncode
+                if command.startswith(FILL_IN):
+                    url = scripted_endpoint(clone, stack, environment)
+                    with (clone / ".env").open("a") as file:
+                        file.write(f"\nAPI_BASE_URL={url}\nOPENAI_API_KEY=stranger\n")
+            except (OSError, RuntimeError) as error:
+                print(error, file=sys.stderr)
+                status = 1
+            walked.append((command, time.perf_counter() - start, status))
+    return walked
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="clone into this new folder and keep it")
+    keep: Path | None = parser.parse_args().keep
+    with tempfile.TemporaryDirectory() as folder:
+        clone = (keep or Path(folder) / "drone-env").resolve()
+        subprocess.run(["git", "clone", "--quiet", str(ROOT), str(clone)], check=True)
+        walked = walk(clone)
+    print(f"\n{'seconds':>9}  {'exit':>4}  command")
+    for command, seconds, status in walked:
+        print(f"{seconds:9.1f}  {status:4}  {command}")
+    failed = sum(status != 0 for _, _, status in walked)
+    print(f"{len(walked)} commands of the README, {failed} failed, {sum(s for _, s, _ in walked):.0f} s")
+    return 1 if failed or not walked else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

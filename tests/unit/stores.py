@@ -1,0 +1,67 @@
+"""What the tests of the store share."""
+
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from drone_env.core.rewards import RewardProfile
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.episodes.sessions import SessionRow
+from drone_env.episodes.store import Store, StoredEpisode
+from drone_env.planning.optimal import solve
+
+
+def flown(task: str = "easy", seed: int = 7, actions: str | None = None, profile: str = "tiered") -> Episode:
+    """An episode flown to its end: with these actions again and again, or optimally."""
+    episode = Episode(task, profile)
+    episode.reset(seed)
+    chosen = "".join(str(int(a)) for a in solve(task, seed).actions) if actions is None else actions
+    while not episode.ended:
+        episode.step(int(chosen[episode.steps % len(chosen)]))
+    return episode
+
+
+def opened(store: Store, task: str = "easy_delivery", seed: int = 7, capacity: int = 256) -> str:
+    return store.open_session(task, 1, seed, "tiered", "someone", capacity)
+
+
+def finish_in(row: SessionRow, episode: Episode, next_seed: int | None = None) -> None:
+    if row.task != episode.task.id:
+        row.reset(episode.task.id, 1, episode.seed, "tiered")
+    for action in episode.actions:
+        row.append(action)
+    row.finish(episode)
+    if next_seed is not None:
+        row.reset(row.task, 1, next_seed, "tiered")
+
+
+def view(folder: Path) -> list[StoredEpisode]:
+    content = json.loads((folder / "memory.json").read_bytes())
+    assert (content["format"], content["format_version"]) == ("drone_env/memory", 1)
+    return [StoredEpisode.model_validate_json(json.dumps(episode)) for episode in content["episodes"]]
+
+
+def eventually(holds: Any, seconds: float = 20) -> None:
+    deadline = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def mine() -> RewardProfile:
+    return RewardProfile(id="mine", summary="")
+
+
+def unlike() -> TaskConfig:
+    return replace(TASKS["easy_delivery"], max_steps=30)
+
+
+def flying(task: str | TaskConfig = "easy", profile: str | RewardProfile = "tiered", steps: int = 0) -> Episode:
+    episode = Episode(task, profile)
+    episode.reset(7)
+    for _ in range(steps):
+        episode.step(4)
+    return episode

@@ -1,0 +1,138 @@
+"""`drone-env doctor`: what it says of a sound machine, and of each way in which one is not."""
+
+import json
+import os
+import shutil
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drone_env import __version__
+from drone_env.agents.pathqnet import WEIGHTS
+from drone_env.cli import main
+
+SECRET = "hf_do_not_print_me"
+VARIABLES = ("HF_TOKEN", "OPENAI_API_KEY", "API_BASE_URL", "MODEL_NAME", "DRONE_TASK", "LOCAL_IMAGE_NAME")
+
+
+@pytest.fixture(autouse=True)
+def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a folder with nothing in it, in an environment that configures nothing but the cache."""
+    for name in [*VARIABLES, *(name for name in os.environ if name.startswith("DRONE_ENV_"))]:
+        if name != "DRONE_ENV_CACHE":
+            monkeypatch.delenv(name, raising=False)
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def diagnosis(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, dict[str, Any]]]:
+    """The exit status, and the findings by their names."""
+    status = main(["doctor", "--port", "0", *arguments, "--json"])
+    report = json.loads(capsys.readouterr().out)
+    assert report["version"] == __version__
+    assert report["healthy"] == (status == 0)
+    return status, {finding["name"]: finding for finding in report["findings"]}
+
+
+def test_a_sound_machine(capsys: pytest.CaptureFixture[str], empty_folder: Path) -> None:
+    status, found = diagnosis(capsys)
+    assert status == 0
+    for name in ("python", "numpy", "numba", "easy_delivery", "medium_delivery", "hard_delivery", "data", "cache"):
+        assert found[name]["status"] == "ok", found[name]
+    assert found["data"]["facts"]["path"] == str(empty_folder / "data")
+    assert found["data"]["facts"]["free_bytes"] > 0
+    assert list(empty_folder.iterdir()) == []
+
+
+def test_it_is_shown_to_people(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--port", "0"]) == 0
+    out = capsys.readouterr().out
+    assert f"drone-env {__version__}" in out
+    assert out.rstrip().endswith("Flights can be flown.")
+
+
+def test_a_folder_that_cannot_be_written(capsys: pytest.CaptureFixture[str], empty_folder: Path) -> None:
+    (empty_folder / "file").write_text("")
+    status, found = diagnosis(capsys, "--data", "file/data")
+    assert (status, found["data"]["status"]) == (1, "broken")
+    assert str(empty_folder / "file" / "data") in found["data"]["detail"]
+
+
+def test_a_port_that_is_taken_is_no_defect(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        status = main(["doctor", "--port", str(port), "--json"])
+        findings = json.loads(capsys.readouterr().out)["findings"]
+    finding = next(f for f in findings if f["name"] == f"127.0.0.1:{port}")
+    assert (status, finding["status"], finding["facts"]) == (0, "attention", {"free": False})
+    assert diagnosis(capsys, "--port", str(port))[1][f"127.0.0.1:{port}"]["facts"] == {"free": True}
+
+
+@pytest.mark.parametrize("harm", ["missing", "cut short", "not a network"])
+def test_a_network_that_is_not_whole(
+    harm: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    weights = tmp_path / "weights"
+    shutil.copytree(WEIGHTS, weights)
+    monkeypatch.setattr("drone_env.agents.pathqnet.WEIGHTS", weights)
+    file = weights / "medium_delivery_v1.npz"
+    if harm == "missing":
+        file.unlink()
+    else:
+        file.write_bytes(file.read_bytes()[:100_000] if harm == "cut short" else b"nothing of the kind")
+    status, found = diagnosis(capsys)
+    assert (status, found["medium_delivery"]["status"]) == (1, "broken")
+    assert found["hard_delivery"]["status"] == "ok"
+
+
+def test_settings_that_are_wrong_or_misspelt(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, empty_folder: Path
+) -> None:
+    monkeypatch.setenv("DRONE_ENV_TOKN", SECRET)
+    (empty_folder / ".env").write_text(f"HF_TOKN={SECRET}\nDRONE_ENV_PORT=9000\n")
+    status, found = diagnosis(capsys)
+    assert status == 0
+    for name, hint in (("DRONE_ENV_TOKN", "DRONE_ENV_TOKEN"), ("HF_TOKN", "HF_TOKEN"), ("DRONE_ENV_PORT", "not .env")):
+        assert found[name]["status"] == "attention"
+        assert hint in found[name]["detail"]
+    assert "HF_TOKEN" in found["llm"]["detail"]
+
+    monkeypatch.setenv("DRONE_ENV_WORKERS", "many")
+    status, found = diagnosis(capsys)
+    assert (status, found["server"]["status"]) == (1, "broken")
+    assert "DRONE_ENV_WORKERS" in found["server"]["detail"]
+
+
+@pytest.mark.parametrize("url", ["https://router.huggingface.co/v1", f"http://me:{SECRET}@127.0.0.1:none/v1"])
+def test_no_secret_is_printed(
+    url: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, empty_folder: Path
+) -> None:
+    monkeypatch.setenv("DRONE_ENV_TOKEN", f"{SECRET} 1")
+    monkeypatch.setenv("HF_TOKEN", SECRET)
+    monkeypatch.setenv("API_BASE_URL", url)
+    (empty_folder / ".env").write_text(f"OPENAI_API_KEY={SECRET}\n")
+    for arguments in (["--json"], []):
+        assert main(["doctor", "--port", "0", *arguments]) == 0
+        captured = capsys.readouterr()
+        assert "settings" in captured.out
+        assert SECRET not in captured.out + captured.err
+
+
+def test_without_the_extras_nothing_is_broken(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drone_env.commands.diagnosis.find_spec", lambda name: None)
+    monkeypatch.setattr("drone_env.commands.diagnosis._unmet", lambda r: r.name if r.name == "fastapi" else None)
+    status, found = diagnosis(capsys)
+    assert status == 0
+    assert {name for name in ("server", "llm", "torch") if found[name]["status"] == "absent"} == {
+        "server", "llm", "torch"
+    }  # fmt: skip
+    assert found["all"]["facts"] == {"missing": ["fastapi"]}
+    assert found["train"]["status"] == "ok"

@@ -1,0 +1,101 @@
+"""What is known of the finished episodes of a task, with optima that are worked out meanwhile."""
+
+from pathlib import Path
+
+import pytest
+
+from drone_env.episodes.analysis import FinishedRow, analyse
+from drone_env.episodes.store import Store
+from drone_env.planning.optimal import solve
+from tests.unit.stores import eventually, flown
+
+
+def test_an_empty_analysis_knows_nothing(store: Store) -> None:
+    analysis = store.analysis("hard")
+    assert (analysis.task, analysis.episodes_total, analysis.episodes, analysis.deliveries) == (
+        "hard_delivery",
+        0,
+        0,
+        0,
+    )
+    unknown = ("average_reward", "average_score", "success_rate", "success_trend", "average_steps", "mean_regret")
+    assert [getattr(analysis, name) for name in unknown] == [None] * len(unknown)
+    assert set(analysis.action_distribution.values()) == {0.0}
+
+
+@pytest.mark.parametrize("task", ["easy", "hard", "skyline_easy"])
+def test_an_analysis_counts_what_was_flown(task: str, store: Store) -> None:
+    flights = [flown(task, seed, actions) for seed, actions in enumerate(["4", "0", None, None, "0123", None])]
+    for flight in flights:
+        store.add_episode(flight, "someone")
+    store.add_episode(flown("medium"), "someone else, elsewhere")
+    analysis = store.analysis(task, patience=240)
+    n = len(flights)
+    assert (analysis.episodes, analysis.episodes_total, analysis.regret_episodes) == (n, n, n)
+    assert analysis.average_reward == pytest.approx(sum(flight.reward_total for flight in flights) / n)
+    assert analysis.average_score == pytest.approx(sum(flight.score for flight in flights) / n)
+    assert analysis.average_steps == pytest.approx(sum(flight.steps for flight in flights) / n)
+    assert analysis.deliveries == sum(flight.deliveries_done for flight in flights)
+    assert analysis.average_deliveries == pytest.approx(analysis.deliveries / n)
+    assert analysis.success_rate == sum(flight.success for flight in flights) / n
+    newer, older = (sum(flight.success for flight in half) for half in (flights[3:], flights[:3]))
+    assert analysis.success_trend == (newer - older) / 3
+    actions = [action for flight in flights for action in flight.actions]
+    assert analysis.action_distribution == {
+        name: actions.count(number) / len(actions)
+        for number, name in enumerate(["UP", "DOWN", "LEFT", "RIGHT", "WAIT"])
+    }
+    regrets = [solve(task, flight.seed).score - flight.score for flight in flights]
+    assert analysis.mean_regret == pytest.approx(sum(regrets) / n, abs=1e-12)
+    assert min(regrets) == 0 < max(regrets)
+
+
+def test_an_analysis_looks_at_the_newest(store: Store) -> None:
+    for actions in ("4", None, None):
+        store.add_episode(flown(actions=actions), "someone")
+    newest = store.analysis("easy", last=2, patience=240)
+    assert (newest.episodes_total, newest.episodes, newest.success_rate, newest.success_trend) == (3, 2, 1, 0)
+    assert newest.mean_regret == 0
+    assert store.analysis("easy", last=2**70).success_rate == 2 / 3
+
+
+def test_an_analysis_does_not_wait_for_optima_and_has_them_later(store: Store) -> None:
+    for seed in range(200):
+        store.add_episode(flown("hard", seed, "4"), "someone")
+    first = store.analysis("hard", patience=0)
+    assert first.episodes == 200
+    assert first.regret_episodes < 200
+    eventually(lambda: store.analysis("hard", patience=0).regret_episodes == 200)
+    assert store.analysis("hard").mean_regret == pytest.approx(
+        sum(solve("hard", seed).score - 0.01 for seed in range(200)) / 200
+    )
+
+
+def test_closing_stops_the_solving(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        for seed in range(200):
+            store.add_episode(flown("hard", seed, "4"), "someone")
+        store.analysis("hard", patience=0)
+    with Store(tmp_path) as store:
+        assert store.analysis("hard", patience=240).regret_episodes == 200
+
+
+def test_maps_too_large_to_be_solved_are_left_out_of_regret() -> None:
+    rows = [
+        FinishedRow(1.0, 0.5, 10, 0, "battery_dead", "4" * 10, True, None, 1),
+        FinishedRow(3.0, 0.9, 5, 1, "delivered", "01234", True, 1.0 - 1 / 16, 2),
+        FinishedRow(3.0, 0.9, 5, 1, "delivered", "01234", False, None, 3),
+    ]
+    analysis = analyse("easy_delivery", 5, rows)
+    assert (analysis.episodes_total, analysis.episodes, analysis.regret_episodes) == (5, 3, 1)
+    assert analysis.mean_regret == pytest.approx(0.9375 - 0.9)
+    # The middle one of three belongs to neither half.
+    assert analysis.success_trend == -1
+    assert analysis.action_distribution["WAIT"] == 12 / 20
+
+
+def test_means_of_the_highest_and_lowest_scores_are_no_error() -> None:
+    for n in range(1, 300):
+        for score in (0.01, 0.99):
+            row = FinishedRow(score, score, 1, 1, "delivered", "4", True, score, 1)
+            assert analyse("easy_delivery", n, [row] * n).average_score == pytest.approx(score)

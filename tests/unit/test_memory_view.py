@@ -1,0 +1,110 @@
+"""memory.json, the view of the last episodes."""
+
+import logging
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from drone_env.episodes.memory_view import MemoryView
+from drone_env.episodes.store import FILE_NAME, Store, StoredEpisode
+from tests.unit.stores import eventually, flown, view
+
+
+def test_the_view_is_there_from_the_start_and_ends_with_the_last_episode(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        assert view(tmp_path) == []
+        store.add_episode(flown(seed=1), "ace")
+        eventually(lambda: view(tmp_path) == store.latest(1))
+        store.add_episode(flown(seed=2), "ace")
+        expected = store.latest(9)[::-1]
+    assert view(tmp_path) == expected
+    assert sorted(path.name for path in tmp_path.iterdir()) == [FILE_NAME, "memory.json"]
+
+
+def test_the_view_holds_the_last_hundred_of_all_stores_on_the_folder(tmp_path: Path) -> None:
+    episode = flown()
+    with Store(tmp_path) as first, Store(tmp_path) as second:
+        for number in range(130):
+            (first, second)[number % 2].add_episode(episode, f"ace {number}")
+        expected = first.latest(100)[::-1]
+        eventually(lambda: view(tmp_path) == expected)
+    with Store(tmp_path):
+        assert view(tmp_path) == expected
+    assert [stored.record.agent for stored in expected] == [f"ace {number}" for number in range(30, 130)]
+
+
+def test_an_older_view_that_overwrites_a_newer_one_is_put_right(tmp_path: Path) -> None:
+    path = tmp_path / "memory.json"
+    stored = [StoredEpisode.of(f"{number:016x}", flown(), "ace") for number in range(3)]
+    kept = list(enumerate(stored[:1], 1))
+    overtaken = threading.Event()
+
+    def newer(after: int, n: int) -> list[tuple[int, StoredEpisode]]:
+        found = kept[after:][-n:]
+        if len(kept) == 2 and not overtaken.is_set():
+            # Another process stores one more, and writes its view, before this one writes what it has just read.
+            overtaken.set()
+            kept.append((3, stored[2]))
+            MemoryView(path, lambda after, n: kept[after:][-n:]).close()
+            assert view(tmp_path) == stored
+        return found
+
+    memory_view = MemoryView(path, newer)
+    assert view(tmp_path) == stored[:1]
+    kept.append((2, stored[1]))
+    memory_view.refresh()
+    memory_view.close()
+    assert overtaken.is_set()
+    assert view(tmp_path) == stored
+
+
+def test_a_view_that_was_lost_or_spoilt_is_made_anew(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        store.add_episode(flown(), "ace")
+    whole = view(tmp_path)
+    for spoil in (Path.unlink, lambda path: path.write_text("{")):
+        spoil(tmp_path / "memory.json")
+        Store(tmp_path).close()
+        assert view(tmp_path) == whole
+
+
+def test_an_episode_counts_as_stored_even_where_the_view_cannot_be_written(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "memory.json").mkdir()
+    with caplog.at_level(logging.WARNING), Store(tmp_path) as store:
+        episode_id = store.add_episode(flown(), "ace")
+        assert store.episode(episode_id).id == episode_id
+    assert "memory.json could not be written" in caplog.text
+    assert [path for path in tmp_path.iterdir() if path.suffix == ".part"] == []
+
+
+def test_a_view_that_cannot_be_read_is_logged_and_tried_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    store = Store(tmp_path)
+    store.add_episode(flown(), "ace")
+    eventually(lambda: len(view(tmp_path)) == 1)
+    with store._database.writing() as connection:
+        connection.execute(
+            "UPDATE episodes SET record = replace(record, '\"format_version\":2', '\"format_version\":3')"
+        )
+        connection.execute("UPDATE episodes SET number = number + 1")
+    store._view.refresh()
+    eventually(lambda: "version 3 is newer than 2" in caplog.text)
+    with store._database.writing() as connection:
+        connection.execute(
+            "UPDATE episodes SET record = replace(record, '\"format_version\":3', '\"format_version\":2')"
+        )
+    second = store.add_episode(flown(), "ace")
+    store.close()
+    assert view(tmp_path)[-1].id == second
+
+
+def test_leftovers_of_killed_processes_are_removed_but_not_what_is_being_written(tmp_path: Path) -> None:
+    old, fresh = tmp_path / "memory.json.1-2.part", tmp_path / "memory.json.3-4.part"
+    for path in (old, fresh):
+        path.write_text("[")
+    os.utime(old, (0, 0))
+    Store(tmp_path).close()
+    assert (old.exists(), fresh.exists()) == (False, True)

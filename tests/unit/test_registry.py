@@ -1,0 +1,115 @@
+"""Tasks and reward profiles that are registered from outside the package."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from decimal import Decimal
+from pathlib import Path
+
+import gymnasium
+import pytest
+
+import drone_env
+from drone_env.core.actions import Event
+from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import InvalidTaskError
+from drone_env.evaluation import episodes_key, run_episodes
+from drone_env.graders import GRADERS
+from drone_env.models import DroneState
+from drone_env.planning.optimal import solve
+from drone_env.registry import register_reward_profile, register_task
+
+PLUGIN = """
+from dataclasses import replace
+from drone_env import get_task, register_task
+hop = replace(get_task("easy"), id="hop", short_name="hop", grader="drone_env.graders:grade_hop")
+register_task(replace(hop, width=5, height=5))
+"""
+GRADER = "drone_env.graders:grade_courier"
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def courier() -> Iterator[TaskConfig]:
+    task = replace(get_task("medium"), id="courier", short_name="courier", grader=GRADER, width=8, height=8)
+    yield register_task(task)
+    del TASKS[task.id], GRADERS[task.id], gymnasium.registry[task.gym_id]
+
+
+def test_a_registered_task_is_known_everywhere(courier: TaskConfig) -> None:
+    assert get_task("courier") is get_task(GRADER) is courier
+    env = gymnasium.make("DroneDelivery-Courier-v1")
+    observation, _ = env.reset(seed=7)
+    assert observation["grid"].shape == (8, 8)
+    envs = gymnasium.make_vec("DroneDelivery-Courier-v1", num_envs=3)
+    assert envs.reset(seed=7)[0]["grid"].shape == (3, 8, 8)
+    results = run_episodes(episodes_key("courier", "optimal", range(7, 9)))
+    assert results.scores[0] == solve("courier", 7).score > 0.9
+
+
+def test_its_grader_can_be_imported_by_its_id(courier: TaskConfig) -> None:
+    from drone_env.graders import grade_courier  # type: ignore[attr-defined]
+
+    episode = Episode("courier")
+    episode.reset(7)
+    for action in solve("courier", 7).actions:
+        episode.step(action)
+    assert grade_courier(DroneState.of(episode)) == GRADERS["courier"](DroneState.of(episode)) == episode.score
+
+
+def test_registering_again_changes_nothing_and_names_cannot_be_taken(courier: TaskConfig) -> None:
+    assert register_task(courier) is TASKS["courier"]
+    grade_easy = GRADERS["easy_delivery"]
+    register_task(get_task("easy"))
+    assert GRADERS["easy_delivery"] is grade_easy
+    for names in ({"id": "courier"}, {"short_name": "easy"}, {"grader": "drone_env.graders:grade_hard"}):
+        fresh = {"id": "other", "short_name": "other", "grader": "drone_env.graders:grade_other", "width": 9, **names}
+        with pytest.raises(InvalidTaskError, match="already names the task"):
+            register_task(replace(courier, **fresh))
+    assert "other" not in TASKS
+
+
+def test_a_registered_profile_pays_by_its_name() -> None:
+    profile = RewardProfile(id="parcels", summary="a parcel pays", events=((Event.DELIVERY, Decimal(3)),))
+    try:
+        assert drone_env.register_reward_profile(profile) is profile
+        episode = Episode("easy", "parcels")
+        episode.reset(14)
+        assert [episode.step(action) for action in solve("easy", 14).actions] == [0, 0, 3]
+        with pytest.raises(InvalidTaskError, match="another one of this name"):
+            register_reward_profile(replace(profile, summary="another"))
+        with pytest.raises(InvalidTaskError, match="another one of this name"):
+            register_reward_profile(replace(profile, id="tiered"))
+    finally:
+        REWARD_PROFILES.pop("parcels", None)
+
+
+@pytest.mark.parametrize("command", [["fly", "--task", "hop", "--agent", "optimal"], ["solve", "--task", "hop"]])
+def test_the_command_line_imports_the_modules_it_is_told(command: list[str], tmp_path: Path) -> None:
+    (tmp_path / "hops.py").write_text(PLUGIN)
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}", "DRONE_ENV_PLUGINS": "hops"}
+    run = [sys.executable, "-m", "drone_env.cli", *command, "--seed", "7"]
+    done = subprocess.run(run, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "hop" in done.stdout
+    missing = subprocess.run(
+        run, env={**environment, "DRONE_ENV_PLUGINS": "hops, nowhere"}, capture_output=True, text=True, check=False
+    )
+    assert missing.returncode == 2
+    assert missing.stderr.startswith("drone-env: DRONE_ENV_PLUGINS takes modules")
+    assert "'nowhere'" in missing.stderr
+
+
+def test_the_server_knows_a_registered_task(courier: TaskConfig, tmp_path: Path) -> None:
+    from starlette.testclient import TestClient
+
+    from drone_env.server.app import create_app
+    from drone_env.server.settings import Settings
+
+    with TestClient(create_app(Settings(data=tmp_path))) as client:
+        assert "courier" in [task["id"] for task in client.get("/tasks").json()["tasks"]]
+        assert client.post("/reset", json={"task_name": "courier", "seed": 7}).json()["grid_width"] == 8

@@ -1,0 +1,225 @@
+"""Sessions, rows of the store."""
+
+import sqlite3
+import stat
+from typing import Any
+
+import pytest
+
+from drone_env.core.state_manager import Episode
+from drone_env.episodes.record import record_of
+from drone_env.episodes.store import FILE_NAME, Store
+from drone_env.errors import (
+    CapacityError,
+    EpisodeError,
+    InvalidValueError,
+    NoSessionError,
+    SessionGoneError,
+    StoreError,
+    UnknownNameError,
+)
+from drone_env.planning.optimal import solve
+from tests.unit.stores import finish_in, flown, flying, opened
+
+
+def test_a_session_is_flown_to_its_end_and_flown_again(store: Store) -> None:
+    session_id = opened(store, "medium_delivery")
+    for expected in ("medium_delivery", "easy_delivery"):
+        episode = store.read_session(session_id).fly()
+        for action in solve(expected, episode.seed).actions:
+            with store.session(session_id) as row:
+                assert row.actions == tuple(episode.actions)
+                episode.step(action)
+                row.append(action)
+                if episode.ended:
+                    row.finish(episode)
+        row = store.read_session(session_id)
+        assert row.episode_id is not None
+        assert store.latest(1)[0].id == row.episode_id
+        assert store.episode(row.episode_id).record == record_of(episode, "someone")
+        with store.session(session_id) as row:
+            row.reset("easy", 1, 8, "aligned", "another")
+        row = store.read_session(session_id)
+        assert (row.task, row.seed, row.reward_profile, row.agent) == ("easy_delivery", 8, "aligned", "another")
+        assert (row.actions, row.episode_id) == ((), None)
+        with store.session(session_id) as row:
+            row.reset("easy", 1, 8, "tiered", "someone")
+
+
+def test_a_session_that_flies_anew_stands_where_it_stood(store: Store) -> None:
+    session_id = opened(store, "hard_delivery")
+    episode = flying("hard", steps=3)
+    with store.session(session_id) as row:
+        for action in episode.actions:
+            row.append(action)
+    assert store.read_session(session_id).fly().get_state() == episode.get_state()
+
+
+def test_ids_are_long_random_and_kept_from_others(store: Store) -> None:
+    ids = {opened(store) for _ in range(50)}
+    assert len(ids) == 50
+    assert all(len(session_id) >= 32 for session_id in ids)
+    assert stat.S_IMODE((store.folder / FILE_NAME).stat().st_mode) == 0o600
+    assert not any(session_id in (store.folder / "memory.json").read_text() for session_id in ids)
+
+
+def test_nothing_is_kept_of_a_block_that_fails(store: Store) -> None:
+    session_id = opened(store)
+    episode = flown(actions="4")
+    with pytest.raises(InvalidValueError), store.session(session_id) as row:
+        finish_in(row, episode, next_seed=-1)
+    assert store.read_session(session_id).actions == ()
+    assert store.latest(1) == []
+    with store.session(session_id) as row:
+        row.append(1)
+    assert store.read_session(session_id).actions == (1,)
+
+
+def test_a_full_disk_keeps_nothing_and_says_so(store: Store) -> None:
+    session_id = opened(store)
+    with store.session(session_id) as row:
+        row.append(1)
+    with store._database.writing() as connection:
+        pages = connection.execute("PRAGMA page_count").fetchone()[0]
+        connection.execute(f"PRAGMA max_page_count = {pages}")
+    episode = flown("hard", actions="4")
+    stored: list[str] = []
+    with pytest.raises(StoreError, match="full"):
+        stored.extend(store.add_episode(episode, "ace") for _ in range(100))
+    assert [kept.id for kept in store.episodes()] == stored
+    with pytest.raises(StoreError, match="full"), store.session(session_id) as row:
+        finish_in(row, episode)
+    assert store.read_session(session_id).actions == (1,)
+    assert [kept.id for kept in store.episodes()] == stored
+
+
+@pytest.mark.parametrize("action", [-1, 5, True, 1.0, "UP", None])
+def test_only_actions_are_appended(action: Any, store: Store) -> None:
+    session_id = opened(store)
+    with pytest.raises(InvalidValueError, match="0 UP"), store.session(session_id) as row:
+        row.append(action)
+    assert store.read_session(session_id).actions == ()
+
+
+def test_after_the_end_there_is_nothing_to_append_or_finish(store: Store) -> None:
+    session_id = opened(store)
+    episode = flown(actions="4")
+    with store.session(session_id) as row:
+        finish_in(row, episode)
+        with pytest.raises(EpisodeError, match="already"):
+            row.finish(episode)
+    with pytest.raises(EpisodeError, match="reset"), store.session(session_id) as row:
+        row.append(4)
+    assert len(store.latest(9)) == 1
+
+
+@pytest.mark.parametrize(
+    ("episode", "error", "message"),
+    [
+        (flying(), EpisodeError, "has not ended"),
+        (flown(seed=8, actions="4"), InvalidValueError, "this is an episode of"),
+        (flown(actions="4", profile="score"), InvalidValueError, "this is an episode of"),
+        (flown("medium", actions="4"), InvalidValueError, "this is an episode of"),
+        (flown(actions="0"), InvalidValueError, "which are not the 60 of this episode"),
+    ],
+)
+def test_only_its_own_finished_episode_finishes_a_session(
+    episode: Episode, error: type[Exception], message: str, store: Store
+) -> None:
+    session_id = opened(store)
+    with store.session(session_id) as row:
+        for _ in range(60):
+            row.append(4)
+        with pytest.raises(error, match=message):
+            row.finish(episode)
+    assert store.latest(1) == []
+
+
+@pytest.mark.parametrize(
+    ("flight", "error"),
+    [
+        (("extreme", 1, 7, "tiered"), UnknownNameError),
+        (("easy", 2, 7, "tiered"), UnknownNameError),
+        (("easy", 1, 7, "mine"), UnknownNameError),
+        (("easy", 1, -1, "tiered"), InvalidValueError),
+        (("easy", 1, 2**53, "tiered"), InvalidValueError),
+        (("easy", 1, 7, "tiered", "two\nlines"), InvalidValueError),
+        (("easy", 1, 7, "tiered", "\ud800"), InvalidValueError),
+    ],
+)
+def test_a_session_flies_only_what_can_be_flown(flight: tuple[Any, ...], error: type[Exception], store: Store) -> None:
+    agent = flight[4] if len(flight) > 4 else "someone"
+    with pytest.raises(error):
+        store.open_session(*flight[:4], agent=agent, capacity=9)
+    assert store.count_sessions() == 0
+    session_id = opened(store)
+    before = store.read_session(session_id)
+    with store.session(session_id) as row, pytest.raises(error):
+        row.reset(*flight)
+    assert vars(store.read_session(session_id)) == vars(before) | {
+        "touched_at": store.read_session(session_id).touched_at
+    }
+
+
+def test_there_is_room_for_so_many(store: Store) -> None:
+    ids = [opened(store, capacity=3) for _ in range(3)]
+    with pytest.raises(CapacityError, match="all 3 sessions are taken"):
+        opened(store, capacity=3)
+    assert store.count_sessions() == 3
+    store.end_session(ids[0])
+    opened(store, capacity=3)
+    assert store.count_sessions() == 3
+
+
+@pytest.mark.parametrize("session_id", ["", "nobody", "\ud800", "ä", "' OR 1=1"])
+def test_a_session_that_never_was(session_id: str, store: Store) -> None:
+    opened(store)
+    with pytest.raises(NoSessionError), store.session(session_id):
+        pytest.fail("the block must not be entered")
+    for call in (store.read_session, store.end_session):
+        with pytest.raises(NoSessionError):
+            call(session_id)
+
+
+def test_an_ended_session_is_gone_for_every_store(store: Store) -> None:
+    session_id = opened(store)
+    store.end_session(session_id)
+    with Store(store.folder) as other:
+        for one in (store, other):
+            with pytest.raises(SessionGoneError), one.session(session_id):
+                pytest.fail("the block must not be entered")
+            for call in (one.read_session, one.end_session):
+                with pytest.raises(SessionGoneError):
+                    call(session_id)
+
+
+def test_idle_sessions_expire_and_used_ones_do_not(store: Store) -> None:
+    idle, used = opened(store), opened(store)
+    assert store.expire_sessions(60) == []
+    with sqlite3.connect(store.folder / FILE_NAME) as connection:
+        connection.execute("UPDATE sessions SET touched_at = touched_at - 100")
+    connection.close()
+    with store.session(used):
+        pass
+    assert store.expire_sessions(60) == [idle]
+    with pytest.raises(SessionGoneError):
+        store.read_session(idle)
+    assert store.read_session(used).id == used
+    with sqlite3.connect(store.folder / FILE_NAME) as connection:
+        connection.execute("UPDATE gone_sessions SET gone_at = gone_at - 8 * 24 * 3600")
+    connection.close()
+    assert store.expire_sessions(60) == []
+    with pytest.raises(NoSessionError):
+        store.read_session(idle)
+
+
+def test_a_block_inside_a_block_is_an_error_and_no_deadlock(store: Store) -> None:
+    session_id = opened(store)
+    with store.session(session_id) as row:
+        row.append(4)
+        with pytest.raises(StoreError, match="inside another"), store.session(session_id):
+            pytest.fail("the block must not be entered")
+        with pytest.raises(StoreError, match="inside another"):
+            opened(store)
+        assert store.read_session(session_id).actions == ()
+    assert store.read_session(session_id).actions == (4,)
