@@ -115,7 +115,7 @@ def test_p5_the_package_and_its_lock() -> None:
 
 
 def test_p6_tests_and_coverage(tmp_path: Path) -> None:
-    """tests/test_env.py and tests/test_api.py pass, and tell how much of the code they cover"""
+    """pytest runs tests/test_env.py and tests/test_api.py, and tells how much of the code they cover"""
     report = tmp_path / "coverage.json"
     files = ("tests/test_env.py", "tests/test_api.py")
     # Those that take no time: all of them are run beside this one.
