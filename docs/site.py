@@ -4,10 +4,12 @@ import re
 from pathlib import Path
 from typing import Any
 
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
 OF_THE_ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+OTHER_FILE = re.compile(r"\[([^\]]+)\]\(\.\./([^)#]+)\)")
 TARGET = re.compile(r"(?<=\]\()([^)#:\s]+)(?=[)#])")
 
 
@@ -20,10 +22,16 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links from other pages to those of the root."""
+    """Links from other pages to those of the root; other files of the repository are named, not linked."""
     for name, target in OF_THE_ROOT.items():
         markdown = markdown.replace(f"](../{name}", f"]({target}")
-    return markdown
+    return OTHER_FILE.sub(_named, markdown)
+
+
+def _named(link: re.Match[str]) -> str:
+    if not (ROOT / link[2]).exists():
+        raise PluginError(f"there is no {link[2]}, which a page links to")
+    return link[1]
 
 
 def _from_docs(link: re.Match[str]) -> str:

@@ -8,7 +8,7 @@ import math
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -42,7 +42,7 @@ def run_trial(job: dict[str, Any]) -> None:
     folder = SweepFolder(Path(job["out"]))
     if not folder.path.is_dir():
         raise InvalidValueError(f"this machine has no {folder.path}: a sweep's folder lies where all machines see it")
-    tune_report: Any = tune.report
+    tune_report = cast(Any, tune.report)
     train_trial(folder, Trial(*job["trial"]), job["until"], job["checkpoint_seconds"], tune_report)
 
 
