@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard bench-install wheels-check evidence docs-data screenshots format clean
+.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features bench-capacity bench-cluster
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -29,6 +29,10 @@ demo: .venv/.base
 
 test: .venv/.dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+# What was promised, feature by feature, and whether its test passes.
+features: .venv/.dev
+	$(BIN)/python -m pytest -q -n auto --dist loadfile --features tests/features
 
 # Lint, formatting, types.
 check: .venv/.dev
@@ -79,17 +83,43 @@ bench-install: .venv/.dev
 wheels-check: .venv/.dev
 	$(BIN)/python tests/package/installed.py $(ARGS)
 
+# What a session and a step cost the server, its store and nginx; some minutes, and needs nginx.
+bench-capacity: .venv/.dev
+	$(BIN)/python benchmarks/capacity.py $(ARGS)
+
+# Evaluation on a Ray cluster of several nodes on this machine beside the plain run; ARGS="--maps 100000" for all.
+bench-cluster: .venv/.dev
+	$(BIN)/python benchmarks/cluster.py $(ARGS)
+
 # Train all standard tasks with three seeds each and fly the test maps; takes an hour, and goes on where it was stopped.
 evidence: .venv/.dev
 	$(BIN)/python benchmarks/training_runs.py $(ARGS)
 
+# The documentation as a site in build/site. (The variable silences what its theme prints about itself.)
+docs: .venv/.dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
+
 # The generated pages, tables and pictures of docs/; takes minutes.
-docs-data: .venv/.base
+docs-data: .venv/.dev
+	$(BIN)/python docs/tables.py
 	$(BIN)/python docs/generate.py
 
 # The pictures of the dashboard in docs/images, taken in the system's chromium.
 screenshots: .venv/.dev
 	$(BIN)/python docs/screenshots.py
+
+# Build the container and record it in data/docker_build.log; BUILDER=podman or buildah, ARGS for more of its options.
+BUILDER ?= docker
+image: .venv/.base
+	$(BIN)/python tools/build_image.py --builder $(BUILDER) $(ARGS)
+
+# Build it and prove that it works: hardened, restarted, stopped, flown; docker or podman.
+image-check: .venv/.dev
+	$(BIN)/python tools/check_image.py --builder $(BUILDER) $(ARGS)
+
+# Stage the folder that becomes a Hugging Face Space, in build/space.
+space: .venv/.base
+	$(BIN)/python tools/stage_space.py $(ARGS)
 
 format: .venv/.dev
 	$(BIN)/ruff check --fix .

@@ -12,9 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
+from tables import between, numbers
+
 from drone_env.agents.pathqnet import shipped_network
-from drone_env.core.actions import Event
-from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import split_seeds
 from drone_env.core.state_manager import Episode
@@ -36,39 +36,6 @@ AUDITED = {
 }
 """How many test maps the audits of a task run over."""
 BEGIN, END = "<!-- audits: written by generate.py -->", "<!-- end of audits -->"
-
-
-def numbers(task: TaskConfig) -> str:
-    """The table of a task's numbers."""
-    drain = ", ".join(f"{units} above a {CELL_KINDS[kind].name}" for kind, units in task.drain)
-    blocked = ", ".join(sorted(CELL_KINDS[kind].name for kind in task.impassable)) or "nothing"
-    streets = f"every {task.street_spacing} cells" if task.street_spacing else "none: everything lies anywhere"
-    charging = f"{task.pads} pads, {task.charge_rate} units a WAIT" if task.pads else "none"
-    counts = "always" if not task.efficiency_needs_all else "only when everything is delivered"
-    events = (e.name.lower() for e in Event if e not in (Event.DELIVERY, Event.NONE))
-    others: dict[float, list[str]] = {}
-    for event in events:
-        others.setdefault(getattr(task, f"r_{event}"), []).append(event)
-    other = "everything else" if len(others) == 1 else None
-    rewards = [f"{task.r_delivery} for a delivery"] + [f"{r} for {other or ', '.join(e)}" for r, e in others.items()]
-    rows = {
-        "Names": f"`{task.id}`" + (f", `{task.short_name}`" if task.short_name != task.id else ""),
-        "Gymnasium": f"`drone_env:{task.gym_id}`",
-        "Grader": f"`{task.grader}`",
-        "Grid": f"{task.width} x {task.height}",
-        "Parcels": str(task.deliveries),
-        "Buildings, trees, obstacles": f"{task.buildings}, {task.trees}, {task.obstacles}",
-        "Impassable": blocked,
-        "Streets": streets,
-        "Steps": str(task.max_steps),
-        "Battery": f"{task.battery_capacity} units",
-        "A step drains": f"1 unit; {drain}" if drain else "1 unit",
-        "Charging": charging,
-        "Battery and steps left score": counts,
-        "Rewards (`tiered`)": "; ".join(rewards),
-        "Telemetry": f"{task.telemetry_size} values",
-    }
-    return "| | |\n|---|---|\n" + "".join(f"| {name} | {value} |\n" for name, value in rows.items())
 
 
 def figures(task: TaskConfig) -> str:
@@ -114,7 +81,8 @@ def write_tasks() -> None:
     for task in TASKS.values():
         picture(task)
         shown = f"![A best flight on {task.id}](images/{task.id}.png)"
-        parts.append(f"## {task.id}\n\n{shown}\n\n{numbers(task)}\n{figures(task)}")
+        begin, end = between(task.id)
+        parts.append(f"## {task.id}\n\n{shown}\n\n{begin}\n\n{numbers(task)}\n\n{end}\n\n{figures(task)}")
     (DOCS / "tasks.md").write_text("\n".join(parts), encoding="utf-8")
 
 

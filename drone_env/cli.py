@@ -21,6 +21,7 @@ from drone_env.commands.play import play
 from drone_env.commands.replay import replay
 from drone_env.commands.serve import serve
 from drone_env.commands.solve import solve
+from drone_env.commands.sweep import sweep
 from drone_env.commands.train import train_command
 from drone_env.errors import DroneEnvError
 from drone_env.registry import load_plugins
@@ -33,8 +34,8 @@ DESCRIPTION = (
 def _app(arguments: Sequence[str]) -> SubcommandApp:
     app = SubcommandApp()
     train = train_command(arguments)
-    commands = (fly, evaluate, solve, audit, train, infer, leaderboard, play, replay, analyse_flight, dataset, serve)
-    for command in (*commands, doctor):
+    commands = (fly, evaluate, solve, audit, train, sweep, infer, leaderboard, play, replay, analyse_flight, dataset)
+    for command in (*commands, serve, doctor):
         app.command(command)
     return app
 

@@ -30,6 +30,7 @@ __all__ = ["DroneDeliveryClient", "DroneEnvClient", "ServerError"]
 
 DEFAULT_URL = "http://localhost:8000"
 NO_CONTENT = 204
+BROKEN = (httpx.ReadError, httpx.RemoteProtocolError, httpx.WriteError)
 
 
 class ServerError(DroneEnvError):
@@ -66,6 +67,7 @@ class DroneEnvClient:
         self._http = http or httpx.Client(base_url=base_url, timeout=timeout, headers=headers)
         self.session_id: str | None = None
         """The session; set it to go on with another client's."""
+        self._known: tuple[str, int] | None = None  # the session that was reset here, and its step_count
 
     def __enter__(self) -> Self:
         return self
@@ -111,12 +113,22 @@ class DroneEnvClient:
         """
         given = {"task_name": task_name, "seed": seed, "reward_profile": reward_profile, "agent": agent}
         answer = self._call("POST", "/reset", {name: value for name, value in given.items() if value is not None})
-        self.session_id = answer.pop("session_id")
+        self.session_id = session = str(answer.pop("session_id"))
+        self._known = session, answer["step_count"]
         return answer
 
     def step(self, direction: str) -> dict[str, Any]:
-        """Fly one action, `UP`, `DOWN`, `LEFT`, `RIGHT` or `WAIT`, and return the observation."""
-        return self._call("POST", "/step", {"direction": direction})
+        """Fly one action, `UP`, `DOWN`, `LEFT`, `RIGHT` or `WAIT`, and return the observation.
+
+        In a session that this client has reset, an action whose answer was lost may be sent again: it is flown once. If
+        another client has stepped the session meanwhile, the step is refused; `state` brings this one up to date.
+        """
+        known = self._known
+        if known is None or known[0] != self.session_id:
+            return self._call("POST", "/step", {"direction": direction})
+        answer = self._call("POST", "/step", {"direction": direction}, {"X-Step-Count": str(known[1])})
+        self._known = known[0], answer["step_count"]
+        return answer
 
     def end_session(self) -> None:
         """End the session, so that its place on the server is free. An episode that has not ended is dropped."""
@@ -125,7 +137,10 @@ class DroneEnvClient:
 
     def state(self) -> dict[str, Any]:
         """The full state of the episode."""
-        return self._call("GET", "/state")
+        answer = self._call("GET", "/state")
+        if self._known is not None and self._known[0] == self.session_id:
+            self._known = self._known[0], answer["step_count"]
+        return answer
 
     def grade(self, task_name: str) -> dict[str, Any]:
         """The graded score of the episode, which must be of this task."""
@@ -168,16 +183,32 @@ class DroneEnvClient:
                 )
         return {"task": task, "steps": observation["step_count"], **observation}
 
-    def _call(self, method: str, path: str, body: dict[str, Any] | None = None) -> dict[str, Any]:
-        """Send a request and return its JSON.
+    def _call(
+        self, method: str, path: str, body: dict[str, Any] | None = None, more: dict[str, str] | None = None
+    ) -> dict[str, Any]:
+        """Send a request and return its JSON. Where the connection breaks, it is sent once more if that is harmless.
+
+        Args:
+            method: GET is harmless.
+            path: Where to.
+            body: To be sent as JSON.
+            more: Headers of a request that is harmless to send twice.
 
         Raises:
             ServerError: if there is no answer, one that tells a problem, or one that is not a JSON object.
         """
-        headers = {} if self.session_id is None else {"X-Session-Id": self.session_id}
+        headers = {} if more is None else dict(more)
+        if self.session_id is not None:
+            headers["X-Session-Id"] = self.session_id
         answer: Any
         try:
-            response = self._http.request(method, path, json=body, headers=headers)
+            try:
+                response = self._http.request(method, path, json=body, headers=headers)
+            except BROKEN:
+                # The other side had closed the connection while it lay idle, as nginx does when it is reloaded.
+                if method != "GET" and more is None:
+                    raise
+                response = self._http.request(method, path, json=body, headers=headers)
         except httpx.HTTPError as error:
             raise ServerError(0, "no_answer", f"{method} {path}: {error or type(error).__name__}") from error
         try:

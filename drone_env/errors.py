@@ -13,6 +13,7 @@
     ├── NoSessionError        (also a LookupError)  a session that never was
     ├── SessionGoneError      (also a LookupError)  a session that has ended or expired
     ├── CapacityError         (also a RuntimeError) one more session than there is room for
+    ├── ClusterError          (also a RuntimeError) a cluster that cannot be reached, or whose nodes differ
     └── EndpointError         (also a RuntimeError) an endpoint of language models that refuses every call
 
 Each message says what was given and what is allowed.
@@ -80,6 +81,10 @@ class SessionGoneError(DroneEnvError, LookupError):
 
 class CapacityError(DroneEnvError, RuntimeError):
     """As many sessions are open as are allowed."""
+
+
+class ClusterError(DroneEnvError, RuntimeError):
+    """A cluster that cannot be reached, refuses, or has nodes with another version of this package."""
 
 
 class EndpointError(DroneEnvError, RuntimeError):

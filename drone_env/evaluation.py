@@ -118,11 +118,19 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
     )
 
 
-def run_in_chunks(key: EpisodesKey, chunk: int = 10_000) -> Iterator[EpisodeResults]:
-    """The episodes of a key in pieces of `chunk`, for progress bars; `concatenate` puts them together."""
+PIECE = 1000
+"""Episodes that are flown together by the command line, on whatever engine."""
+
+
+def pieces_of(key: EpisodesKey, size: int = PIECE) -> list[EpisodesKey]:
+    """The keys of neighbouring pieces of at most `size` episodes each."""
     start, stop = key.seeds
-    for first in range(start, stop, chunk):
-        yield run_episodes(key._replace(seeds=(first, min(first + chunk, stop))))
+    return [key._replace(seeds=(first, min(first + size, stop))) for first in range(start, stop, size)]
+
+
+def run_in_chunks(key: EpisodesKey, chunk: int = PIECE) -> Iterator[EpisodeResults]:
+    """The episodes of a key in pieces of `chunk`, for progress bars; `concatenate` puts them together."""
+    return map(run_episodes, pieces_of(key, chunk))
 
 
 def concatenate(pieces: Sequence[EpisodeResults]) -> EpisodeResults:
@@ -180,7 +188,7 @@ class _Flights(NamedTuple):
     deliveries: npt.NDArray[np.int32]
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _fly_optimally(task: TaskConfig, start: int, stop: int) -> _Flights | None:
     """The optimum of each map, None where one is too large; kept, since every agent is compared with it."""
     try:
@@ -205,8 +213,14 @@ def _fly_together(task: TaskConfig, agent: BatchAgent, seeds: npt.NDArray[np.int
     batch = Batch(task, n)
     batch.reset(seeds)
     agent.reset_batch(seeds)
+    stateless = getattr(agent, "stateless", False)
+    actions = np.zeros(n, np.int64)
     while flying.any():
-        batch.step(agent.act_batch(batch.grids, batch.telemetry))
+        if stateless:
+            actions[flying] = agent.act_batch(batch.grids[flying], batch.telemetry[flying])
+        else:
+            actions = agent.act_batch(batch.grids, batch.telemetry)
+        batch.step(actions)
         # Episodes that ended earlier fly on, over other maps: only the first end counts.
         first = flying[batch.ended]
         ended = batch.ended[first]

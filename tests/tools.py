@@ -3,6 +3,7 @@
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import NoReturn
 
@@ -32,3 +33,8 @@ def path_of_python(version: str) -> str | None:
 def _version(python: str) -> str:
     code = "import sys; print('%d.%d' % sys.version_info[:2])"
     return subprocess.run([python, "-c", code], capture_output=True, text=True, check=False).stdout.strip()
+
+
+def find_uv() -> str:
+    """Path of uv, beside the interpreter or on the path."""
+    return shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv") or missing_tool("uv")

@@ -17,6 +17,7 @@ AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
     "optimal": OptimalAgent,
     "pathqnet": PathQNetAgent,
 }
+"""What makes each agent for a task, by its name."""
 NETWORK_PREFIX = "pathqnet:"
 
 

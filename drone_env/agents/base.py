@@ -28,7 +28,10 @@ class Agent(Protocol):
 
 @runtime_checkable
 class BatchAgent(Protocol):
-    """An agent that can also fly N episodes of its task together, and then chooses as it would for each alone."""
+    """An agent that can also fly N episodes of its task together, and then chooses as it would for each alone.
+
+    One that holds no state for each episode says so by `stateless = True`: it may be shown those alone that still fly.
+    """
 
     def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
         """Forget the last episodes; `seeds`, int64[N], are the numbers of the maps."""

@@ -34,6 +34,8 @@ class PathQNetAgent:
         UnsupportedTaskError: if no network is shipped with the task.
     """
 
+    stateless = True
+
     def __init__(self, task: TaskConfig, network: Path | None = None) -> None:
         path = shipped_network(task) if network is None else network
         if network is None and not path.is_file():

@@ -15,6 +15,7 @@ SHORT_NAMES = [task.short_name for task in TASKS.values()]
 TaskName = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 AgentName = Annotated[str, tyro.conf.arg(metavar="|".join(AGENTS))]
 ProfileName = Annotated[str, tyro.conf.arg(metavar="|".join(REWARD_PROFILES))]
+ClusterAddress = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PORT")]
 Seed = Annotated[int | None, tyro.conf.arg(metavar="N")]
 
 

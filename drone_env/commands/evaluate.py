@@ -1,9 +1,11 @@
 """`drone-env evaluate`: agents side by side on the same maps, beside the exact optimum."""
 
+import contextlib
 import json as json_format
 import sys
+from collections.abc import Generator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich import box
@@ -12,11 +14,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from drone_env.agents import AGENTS
-from drone_env.commands.arguments import SHORT_NAMES, parse_seeds
+from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, parse_seeds
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation import EpisodeResults, EpisodesKey, concatenate, episodes_key, run_in_chunks, summarise
+from drone_env.evaluation import EpisodeResults, EpisodesKey, episodes_key, summarise
+from drone_env.evaluation_folder import Engine, ResultsFolder, evaluate_keys, local_engine
 from drone_env.files import replacing
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
@@ -34,6 +37,9 @@ def evaluate(
     seeds: SeedRange = None,
     json: JsonFile = None,
     checkpoint: Path | None = None,
+    out: Path | None = None,
+    engine: Literal["local", "ray"] = "local",
+    address: ClusterAddress = None,
 ) -> None:
     """Fly many maps with several agents and compare them, each beside the exact optimum of the same maps.
 
@@ -51,6 +57,10 @@ def evaluate(
         seeds: Fly the maps from A up to and not including B instead of a split's.
         checkpoint: Fly `pathqnet` by the network in this file (.npz) instead of the shipped one.
         json: Write the figures to this file; - prints only the JSON on standard output.
+        out: Keep the results of each 1,000 maps in this folder as they arrive; the same command goes on from there.
+        engine: Fly in this process, or on a Ray cluster (extra `cluster`); the figures are the same.
+        address: The cluster: local starts one on this machine (if nothing is said), auto joins the one that runs here,
+            HOST:PORT joins that one.
     """
     if seeds is not None and (split is not None or episodes is not None):
         raise InvalidValueError("--seeds names the maps itself: give it without --split and --episodes")
@@ -70,7 +80,18 @@ def evaluate(
     named = [t for name in task for t in (TASKS.values() if name == "all" else [get_task(name)])]
     keys = {t: {agent: episodes_key(t, agent, maps, chosen_split) for agent in agents} for t in dict.fromkeys(named)}
 
-    report = {"tasks": {t.id: _evaluate_task(t, of_agent) for t, of_agent in keys.items()}}
+    if address is not None and engine != "ray":
+        raise InvalidValueError("--address names a cluster: give it with --engine ray")
+    all_keys = [key for of_agent in keys.values() for key in of_agent.values()]
+    folder = None if out is None else ResultsFolder(out, all_keys)
+    try:
+        with _engine(engine, address) as chosen_engine:
+            results = _fly_all(all_keys, chosen_engine, folder)
+    except KeyboardInterrupt:
+        if out is not None:
+            print(f"interrupted; to go on, give the same options with --out {out}", file=sys.stderr)
+        raise
+    report = {"tasks": {t.id: _report_task(t, of_agent, results) for t, of_agent in keys.items()}}
     text = json_format.dumps(report, indent=2) + "\n"
     if json == "-":
         sys.stdout.write(text)
@@ -81,26 +102,45 @@ def evaluate(
     Console(width=None if sys.stdout.isatty() else 120).print(_table(report))
 
 
-def _evaluate_task(task: TaskConfig, keys: dict[str, EpisodesKey]) -> dict[str, Any]:
-    key = next(iter(keys.values()))
-    start, stop = key.seeds
-    summaries: dict[str, Any] = {}
+@contextlib.contextmanager
+def _engine(name: str, address: str | None) -> Generator[Engine, None, None]:
+    if name == "local":
+        yield local_engine
+        return
+    from drone_env.cluster.connect import LOCAL, connect
+
+    with connect(address or LOCAL):
+        from drone_env.cluster.episodes import fly_on_nodes
+
+        yield fly_on_nodes
+
+
+def _fly_all(
+    keys: list[EpisodesKey], engine: Engine, folder: ResultsFolder | None
+) -> dict[EpisodesKey, EpisodeResults]:
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        for agent, agent_key in keys.items():
-            bar = progress.add_task(f"{task.short_name} {agent}", total=stop - start)
-            pieces: list[EpisodeResults] = []
-            for piece in run_in_chunks(agent_key):
-                pieces.append(piece)
-                progress.advance(bar, len(piece.seeds))
-            summaries[agent] = summarise(concatenate(pieces))
+        bar = progress.add_task("maps", total=sum(key.seeds[1] - key.seeds[0] for key in keys))
+
+        def arrived(piece: EpisodeResults) -> None:
+            name = f"{get_task(piece.key.task).short_name} {piece.key.agent}"
+            progress.update(bar, advance=len(piece.seeds), description=name)
+
+        return evaluate_keys(keys, engine, folder, arrived)
+
+
+def _report_task(
+    task: TaskConfig, keys: dict[str, EpisodesKey], results: dict[EpisodesKey, EpisodeResults]
+) -> dict[str, Any]:
+    key = next(iter(keys.values()))
+    start, stop = key.seeds
     return {
         "version": task.version,
         "split": key.split,
         "seeds": [start, stop],
         "episodes": stop - start,
-        "agents": summaries,
+        "agents": {agent: summarise(results[agent_key]) for agent, agent_key in keys.items()},
     }
 
 

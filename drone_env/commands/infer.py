@@ -7,14 +7,17 @@ import json as json_format
 import sys
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from drone_env.commands.arguments import SHORT_NAMES, ProfileName, parse_seeds
+from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileName, parse_seeds
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, MissingPackageError
+
+if TYPE_CHECKING:
+    from drone_env.llm import runner
 
 ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
@@ -49,6 +52,8 @@ def infer(
     tries: int = 6,
     backoff: float = 1.0,
     longest_wait: float = 120.0,
+    requests_per_minute: Number = None,
+    tokens_per_minute: Number = None,
     max_calls: Whole = None,
     max_tokens: Whole = None,
     max_seconds: Number = None,
@@ -62,6 +67,8 @@ def infer(
     moves: bool = True,
     use_image: bool = False,
     server: str | None = None,
+    engine: Literal["local", "ray"] = "local",
+    address: ClusterAddress = None,
 ) -> int:
     """Let a language model of any OpenAI-compatible endpoint fly, and say what it is worth.
 
@@ -97,6 +104,9 @@ def infer(
         tries: How often a call is tried that meets 408, 409, 429, 5xx or a network failure.
         backoff: Seconds below which the first wait is drawn; the bound doubles each time, up to 30 s.
         longest_wait: A call whose endpoint asks for a longer wait in seconds (Retry-After) has failed.
+        requests_per_minute: The most requests a minute, retries counted in, evenly spaced.
+        tokens_per_minute: The most tokens a minute. What an answer takes is known when it is there; until then it
+            counts as the average so far.
         max_calls: Stop after so many requests, retries counted in.
         max_tokens: Stop when so many tokens have been used.
         max_seconds: Stop after so many seconds.
@@ -111,6 +121,10 @@ def infer(
         use_image: Start the Docker image LOCAL_IMAGE_NAME and fly in its server. Each of its observations must be the
             one that the rules here give.
         server: Fly in the server at this address, in the same way.
+        engine: Fly in this process, or on the nodes of a Ray cluster (extra `cluster`), which share one budget and one
+            run folder.
+        address: The cluster: local starts one on this machine (if nothing is said), auto joins the one that runs here,
+            HOST:PORT joins that one.
     """
     try:
         from drone_env.llm import run_folder, runner
@@ -171,6 +185,10 @@ def infer(
     prices = None if price_prompt is None or price_completion is None else Prices(price_prompt, price_completion)
     if use_image and server is not None:
         raise InvalidValueError("--use-image starts a server itself: give it without --server")
+    if use_image and engine == "ray":
+        raise InvalidValueError("--use-image starts a server on this machine alone: give --server with --engine ray")
+    if address is not None and engine != "ray":
+        raise InvalidValueError("--address names a cluster: give it with --engine ray")
     options = runner.Options(
         concurrency=concurrency,
         timeout=timeout,
@@ -179,6 +197,8 @@ def infer(
         retries=runner.RetryPolicy(tries, backoff, longest_wait),
         cache=cache,
         server=server,
+        requests_per_minute=requests_per_minute,
+        tokens_per_minute=tokens_per_minute,
     )
     folder = run_folder.RunFolder(out or _new_folder(config.model, config_task.short_name), config, resume)
     try:
@@ -186,8 +206,9 @@ def infer(
             if use_image:
                 url = stack.enter_context(running_image(settings.local_image_name))
                 options = dataclasses.replace(options, server=url)
+            run = runner.run if engine == "local" else _on_cluster(stack, address)
             observer = stack.enter_context(ConsoleObserver())
-            result = asyncio.run(runner.run(config, folder, token, options, observer))
+            result = asyncio.run(run(config, folder, token, options, observer))
         if report:
             from drone_env.llm.report import report as figures_of
             from drone_env.llm.report import write_report
@@ -204,6 +225,15 @@ def infer(
         print(line, file=sys.stderr)
     print(f"run: {folder.path}", file=sys.stderr)
     return runner.EXIT_STATUS[result.verdict]
+
+
+def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "runner.Run":
+    from drone_env.cluster.connect import LOCAL, connect
+
+    stack.enter_context(connect(address or LOCAL))
+    from drone_env.cluster.flights import run_on_nodes
+
+    return run_on_nodes
 
 
 def _new_folder(model: str, task: str) -> Path:

@@ -100,6 +100,7 @@ REWARD_PROFILES: dict[str, RewardProfile] = {
         RewardProfile(id="score", summary="the graded score at the end, nothing else", pays_score=True),
     )
 }
+"""Every profile of the package, by its id."""
 
 
 def get_reward_profile(name: str | RewardProfile) -> RewardProfile:

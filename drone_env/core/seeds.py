@@ -38,6 +38,7 @@ SPLITS: dict[str, Split] = {
     "validation": Split(1 << 52, (1 << 52) + (1 << 51)),
     "test": Split((1 << 52) + (1 << 51), N_SEEDS),
 }
+"""The ranges of seeds, by the name of the split."""
 
 
 def wrap64(x: int) -> int:

@@ -243,6 +243,7 @@ TASKS: dict[str, TaskConfig] = {
         ),
     )
 }
+"""Every task in its current version, by its id."""
 
 
 PAST_TASKS: tuple[TaskConfig, ...] = ()

@@ -11,6 +11,7 @@ GRADERS: dict[str, Grader] = {task.id: make_grader(task.id) for task in TASKS.va
     "medium_delivery": grade_medium,
     "hard_delivery": grade_hard,
 }
+"""Every grader, by the id of its task."""
 
 __all__ = ["GRADERS", "Grader", "grade", "grade_easy", "grade_hard", "grade_medium", "make_grader"]
 

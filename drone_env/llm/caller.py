@@ -2,41 +2,22 @@
 
 import time
 from dataclasses import dataclass
-from typing import Protocol
 
 from tenacity import AsyncRetrying, RetryCallState, stop_after_attempt
 from tenacity.retry import retry_if_exception
 from tenacity.stop import stop_base
 from tenacity.wait import wait_random_exponential
 
-from drone_env.errors import DroneEnvError, EndpointError, InvalidValueError
+from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer, read_answer
-from drone_env.llm.cache import AnswerCache
-from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.config import RunConfig, digest
+from drone_env.llm.desk import Desk
 from drone_env.llm.endpoint import Endpoint, TryFailedError
-from drone_env.llm.limits import LimitReachedError, Spending
-from drone_env.llm.pilot import CallFailedError
+from drone_env.llm.limits import LimitReachedError
 from drone_env.llm.prompt import ChatMessage
-from drone_env.llm.transcript import Call, CallKey, Failure, Transcript
+from drone_env.llm.transcript import Call, CallKey, Failure
 
 LONGEST_BACKOFF = 30.0
-
-
-class StoppedError(DroneEnvError):
-    """The run is being stopped: this flight is left where it is."""
-
-
-class Watcher(Protocol):
-    """Is told what happens."""
-
-    def called(self, call: Call) -> None:
-        """A call was made."""
-        ...
-
-    def waiting(self, seconds: float, reason: str) -> None:
-        """A try failed; the next one comes after so many seconds."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -69,60 +50,43 @@ class _AsksTooMuch(stop_base):
 
 
 class Caller:
-    """Makes the calls of a run.
+    """Makes the calls of flights, through the desk of their run.
 
-    Attributes:
-        fatal: Why no further call makes sense; None while they do.
+    Args:
+        config: The run.
+        plan: Whether whole routes are asked for.
+        endpoint: Where requests are sent.
+        desk: The desk of the run.
+        policy: How often a call is tried.
     """
 
-    def __init__(
-        self,
-        config: RunConfig,
-        plan: bool,
-        endpoint: Endpoint,
-        transcript: Transcript,
-        spending: Spending,
-        gate: AdaptiveGate,
-        policy: RetryPolicy,
-        cache: AnswerCache | None,
-        watcher: Watcher,
-    ) -> None:
-        self.fatal: EndpointError | None = None
+    def __init__(self, config: RunConfig, plan: bool, endpoint: Endpoint, desk: Desk, policy: RetryPolicy) -> None:
         self._config = config
         self._plan = plan
         self._endpoint = endpoint
-        self._transcript = transcript
-        self._spending = spending
-        self._gate = gate
+        self._desk = desk
         self._policy = policy
-        self._cache = cache
-        self._watcher = watcher
-        self._any_answer = any(call.answer is not None for call in transcript.calls)
+        self._ends = float("inf")
 
     async def ask(self, key: CallKey, messages: list[ChatMessage]) -> Answer:
         """The answer of a call.
 
         Raises:
-            CallFailedError: if none came after all retries, or `fatal` says why none can come.
+            CallFailedError: if none came after all retries.
             LimitReachedError: if the run may spend no more.
             StoppedError: if the run is being stopped for the sake of another call.
             InvalidValueError: if the transcript holds another request under this key.
         """
         request = digest({"body": self._endpoint.body, "messages": messages})
-        known = self._transcript.answered.get(key)
-        if known is not None and known.answer is not None:
-            if known.request_digest != request:
-                raise InvalidValueError(f"{self._transcript.path}: call {key} asks something else than this run would")
-            return known.answer
-        if self.fatal is not None:
-            raise StoppedError("the run is being stopped")
         seed, repeat = self._config.flight(key.flight)
         # A repeat is another draw from the model, and so is a repair: only equal ones share an answer.
         cache_key = digest([self._config.base_url, request, repeat, key.attempt])
-        cached = self._cache.get(cache_key) if self._cache else None
+        answer, cached = await self._desk.known(key, request, cache_key)
+        if answer is not None and not cached:
+            return answer
         failures: list[Failure] = []
         started = time.monotonic()
-        answer, failed = cached, None
+        failed: TryFailedError | LimitReachedError | None = None
         if answer is None:
             try:
                 answer, started = await self._try(key, messages, failures)
@@ -142,30 +106,17 @@ class Caller:
             failures=failures,
             latency=0.0 if cached else time.monotonic() - started,
             at=time.time(),
-            cached=cached is not None,
+            cached=cached,
         )
         if answer is not None or failures:
-            call = self._transcript.append(call)
-            self._spending.add(call, counted=call.requests)
-            self._watcher.called(call)
-        if failed is not None:
-            self._fail(failed)
-        if call.answer is None:
-            raise AssertionError("a call without an answer has failed")
-        self._any_answer = True
-        if self._cache and cached is None:
-            self._cache.put(cache_key, call.answer)
-        return call.answer
-
-    def _fail(self, failed: TryFailedError | LimitReachedError) -> None:
+            call = await self._desk.record(call, cache_key)
         if isinstance(failed, LimitReachedError):
             raise failed
-        if self.fatal is not None:
-            raise StoppedError("the run is being stopped")
-        # What the very first call is refused for, such as a parameter that the model does not take, holds for all.
-        if failed.fatal or (not self._any_answer and 400 <= failed.status < 500 and not failed.retried):
-            self.fatal = EndpointError(f"{self._endpoint.host} answers {failed.status}: {failed.reason}")
-        raise CallFailedError(str(failed))
+        if failed is not None:
+            await self._desk.failed(failed.status, failed.reason, failed.retried, failed.fatal)
+        if call.answer is None:
+            raise AssertionError("a call without an answer has failed")
+        return call.answer
 
     async def _try(self, key: CallKey, messages: list[ChatMessage], failures: list[Failure]) -> tuple[Answer, float]:
         """The answer and when its request was sent; all failed tries are noted in `failures`."""
@@ -174,12 +125,12 @@ class Caller:
         def wait(state: RetryCallState) -> float:
             asked = _failure(state).retry_after
             # Behind the end of the run's time nothing is sent: there is nothing to wait for.
-            return min(backoff(state) if asked is None else asked, self._spending.seconds_left)
+            return min(backoff(state) if asked is None else asked, max(0.0, self._ends - time.monotonic()))
 
         def note(state: RetryCallState) -> None:
             failed, waited = _failure(state), state.next_action.sleep if state.next_action else 0.0
             failures.append(Failure(status=failed.status, reason=failed.reason, waited=waited))
-            self._watcher.waiting(waited, str(failed))
+            self._desk.waiting(waited, str(failed))
 
         retrying = AsyncRetrying(
             retry=retry_if_exception(lambda error: isinstance(error, TryFailedError) and error.retried),
@@ -195,20 +146,19 @@ class Caller:
             raise
 
     async def _send(self, key: CallKey, messages: list[ChatMessage]) -> tuple[Answer, float]:
-        async with self._gate.passing():
-            if self.fatal is not None:
-                raise StoppedError("the run is being stopped")
-            self._spending.take_request()
-            sent_at = time.monotonic()
-            try:
-                answer = await self._endpoint.ask(messages, str(key))
-            except TryFailedError as failed:
-                if failed.retried:
-                    pause = min(failed.retry_after or 0.0, self._policy.longest_wait, self._spending.seconds_left)
-                    self._gate.overloaded(sent_at, pause)
-                raise
-            self._gate.succeeded()
-            return answer, sent_at
+        self._ends = await self._desk.enter(key) + time.monotonic()
+        sent_at = time.monotonic()
+        try:
+            answer = await self._endpoint.ask(messages, str(key))
+        except TryFailedError as failed:
+            pause = min(failed.retry_after or 0.0, self._policy.longest_wait)
+            await self._desk.leave(key, answered=False, overloaded=failed.retried, pause=pause)
+            raise
+        except BaseException:
+            await self._desk.leave(key, answered=False)
+            raise
+        await self._desk.leave(key, answered=True)
+        return answer, sent_at
 
 
 def _failure(state: RetryCallState) -> TryFailedError:

@@ -1,7 +1,6 @@
 """The folder of a run: what it is, its transcript, and what follows from that. One process at a time writes to it."""
 
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,14 +9,11 @@ from typing_extensions import Self
 
 from drone_env.episodes.record import record_of
 from drone_env.errors import InvalidValueError
-from drone_env.files import replacing
+from drone_env.files import lock_file, replacing
 from drone_env.llm.answers import OUTCOMES, Outcome
 from drone_env.llm.config import RunConfig
 from drone_env.llm.pilot import Flight, Status
 from drone_env.models import Count, Message, Score
-
-if sys.platform != "win32":
-    import fcntl
 
 CONFIG, TRANSCRIPT, EPISODES, RESULTS = "run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl"
 
@@ -154,11 +150,7 @@ def _begun(path: Path) -> bool:
 
 def _lock(path: Path) -> int | None:
     """Keep other processes out until the returned file is closed, or this process dies."""
-    descriptor = os.open(path / "lock", os.O_RDWR | os.O_CREAT, 0o600)
-    if sys.platform != "win32":
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(descriptor)
-            raise InvalidValueError(f"another process is working on the run in {path}") from None
-    return descriptor
+    try:
+        return lock_file(path / "lock")
+    except BlockingIOError:
+        raise InvalidValueError(f"another process is working on the run in {path}") from None

@@ -8,18 +8,21 @@ from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
+from urllib.parse import urlsplit
 
 from drone_env.core.actions import Action
 from drone_env.episodes.log_lines import end_line, start_line, step_line
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import OUTCOMES
 from drone_env.llm.cache import AnswerCache
-from drone_env.llm.caller import Caller, RetryPolicy, StoppedError, Watcher
+from drone_env.llm.caller import Caller, RetryPolicy
 from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.config import RunConfig
+from drone_env.llm.desk import LocalDesk, StoppedError, Watcher
 from drone_env.llm.endpoint import Endpoint
 from drone_env.llm.image import ServerFlight
 from drone_env.llm.limits import Limits, Prices, Spending
+from drone_env.llm.pace import Pace
 from drone_env.llm.pilot import Flight, fly, mission_of
 from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
 from drone_env.llm.transcript import Transcript
@@ -41,6 +44,7 @@ class Options:
         retries: How often a call is tried.
         cache: Folder of answers to share between runs.
         server: Address of a server that flies along.
+        requests_per_minute, tokens_per_minute: What the endpoint is sent at most; None for no limit.
     """
 
     concurrency: int = 64
@@ -50,8 +54,11 @@ class Options:
     retries: RetryPolicy = field(default_factory=RetryPolicy)
     cache: Path | None = None
     server: str | None = None
+    requests_per_minute: float | None = None
+    tokens_per_minute: float | None = None
 
     def __post_init__(self) -> None:
+        Pace(self.requests_per_minute, self.tokens_per_minute)
         if not 1 <= self.concurrency <= 10_000:
             raise InvalidValueError(f"--concurrency must be 1 to 10000, got {self.concurrency}")
         if not 0 < self.timeout < float("inf"):
@@ -86,6 +93,10 @@ class RunResult:
     verdict: Verdict
     reason: str
     flights: list[Flight]
+
+
+Run = Callable[[RunConfig, RunFolder, str | None, Options, Observer], Coroutine[Any, Any, RunResult]]
+"""How a run is flown: `run`, or the same on a cluster."""
 
 
 def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> tuple[Verdict, str]:
@@ -125,11 +136,9 @@ async def run(
         stack.callback(transcript.close)
         # Also when interrupted: what was flown is then there to be seen.
         stack.callback(lambda: folder.write_flights(flights, config.model))
-        for call in transcript.calls:
-            spending.add(call)
+        desk = open_desk(config, transcript, spending, gate, options, observer)
         endpoint = Endpoint(config, token, prompt.plan, options.timeout)
-        cache = None if options.cache is None else AnswerCache(options.cache)
-        caller = Caller(config, prompt.plan, endpoint, transcript, spending, gate, options.retries, cache, observer)
+        caller = Caller(config, prompt.plan, endpoint, desk, options.retries)
         observer.started(config, spending, gate)
 
         async def fly_one(index: int) -> bool:
@@ -146,19 +155,37 @@ async def run(
             if flight.turns != ["budget_stop"]:
                 flights.append(flight)
                 observer.flown(flight)
-            return caller.fatal is None
+            return desk.fatal is None
 
         try:
-            await _all(config.flights, options.concurrency, fly_one)
+            await do_all(config.flights, options.concurrency, fly_one)
         finally:
             await endpoint.close()
-    flights.sort(key=lambda flight: flight.index)
-    fatal = None if caller.fatal is None else str(caller.fatal)
-    verdict, reason = verdict_of(config.flights, [flight.status for flight in flights], fatal)
-    return RunResult(verdict, reason, flights)
+    return result_of(config, flights, None if desk.fatal is None else str(desk.fatal))
 
 
-async def _all(n: int, at_once: int, work: Callable[[int], Coroutine[Any, Any, bool]]) -> None:
+def open_desk(
+    config: RunConfig,
+    transcript: Transcript,
+    spending: Spending,
+    gate: AdaptiveGate,
+    options: Options,
+    watcher: Watcher,
+) -> LocalDesk:
+    """The desk of a run, inside of a running event loop."""
+    cache = None if options.cache is None else AnswerCache(options.cache)
+    pace = Pace(options.requests_per_minute, options.tokens_per_minute)
+    return LocalDesk(urlsplit(config.base_url).netloc, transcript, spending, gate, pace, cache, watcher)
+
+
+def result_of(config: RunConfig, flights: list[Flight], fatal: str | None) -> RunResult:
+    """The result of a run from its flights, in any order."""
+    ordered = sorted(flights, key=lambda flight: flight.index)
+    verdict, reason = verdict_of(config.flights, [flight.status for flight in ordered], fatal)
+    return RunResult(verdict, reason, ordered)
+
+
+async def do_all(n: int, at_once: int, work: Callable[[int], Coroutine[Any, Any, bool]]) -> None:
     """Do `work(0)` to `work(n - 1)`, so many at once, until one says to stop or fails."""
     numbers = iter(range(n))
     stop = asyncio.Event()

@@ -6,6 +6,7 @@ it. A process that dies while it writes leaves at most a cut last line, whose ca
 
 import json
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
@@ -16,6 +17,9 @@ from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
 from drone_env.llm.prompt import ChatMessage
 from drone_env.models import Count, Message
+
+if sys.platform != "win32":
+    import fcntl
 
 SHORTEST_SECRET = 8
 """Shorter tokens, such as the `x` that local servers are content with, are no secrets: they are parts of words."""
@@ -77,7 +81,8 @@ class Transcript:
 
     Raises:
         OSError: if it cannot be opened.
-        InvalidValueError: if a line is no call; the message says which.
+        InvalidValueError: if a line is no call; the message says which. Or if another process writes to it, such as
+            one on a cluster whose driver has just died.
     """
 
     def __init__(self, path: Path, secret: str | None = None) -> None:
@@ -86,6 +91,7 @@ class Transcript:
         self.calls: list[Call] = []
         self._file = path.open("ab+", buffering=0)
         try:
+            self._keep_others_out()
             self._read()
         except BaseException:
             self._file.close()
@@ -119,6 +125,13 @@ class Transcript:
         if not self._file.closed:
             os.fsync(self._file.fileno())
             self._file.close()
+
+    def _keep_others_out(self) -> None:
+        if sys.platform != "win32":
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InvalidValueError(f"another process writes to {self.path}") from None
 
     def _read(self) -> None:
         end = 0

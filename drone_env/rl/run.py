@@ -4,6 +4,7 @@ import csv
 import math
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
@@ -169,6 +170,9 @@ class Run:
             self.stopped = True
             print("\nstopping after this step; once more to stop at once", file=sys.stderr)
 
+        if threading.current_thread() is not threading.main_thread():
+            yield  # signals reach the main thread alone, and whoever runs there decides
+            return
         before = signal.signal(signal.SIGINT, stop)
         try:
             yield

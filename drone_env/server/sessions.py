@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from drone_env.core.state_manager import Episode
 from drone_env.episodes.sessions import SessionRow
 from drone_env.episodes.store import Store
-from drone_env.errors import CapacityError, NoSessionError, SessionGoneError
+from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import DroneAction, observation_fields
 from drone_env.server.flight import start_of
 from drone_env.server.schemas import ResetOptions
@@ -116,14 +116,29 @@ class Sessions:
             episode.reset(start.seed)
             return Stepped(observation_fields(episode), None)
 
-    def step(self, session: str, action: DroneAction) -> Stepped:
+    def step(self, session: str, action: DroneAction, after: int | None = None) -> Stepped:
         """Fly one action. What it returns is kept: the step, and the finished episode if it was the last.
+
+        Args:
+            session: The session.
+            action: The action.
+            after: How many steps the sender knows of. The step that comes after these is flown once, however often it
+                is sent, and the same is returned each time; None flies it in any case.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
+            EpisodeError: if the session stands at another step than `after`, and not because of this action.
         """
         with self.stepping(session) as (row, episode):
+            flown = len(row.actions)
+            if after is not None and after != flown:
+                if after == flown - 1 and row.actions[-1] == action.action:
+                    return Stepped(observation_fields(episode), episode.reward_last)
+                raise EpisodeError(
+                    f"this action is to follow step {after}, and the session has flown {flown} steps: GET /state tells "
+                    "where it stands"
+                )
             reward = fly(row, episode, action.action)
             return Stepped(observation_fields(episode), reward)
 

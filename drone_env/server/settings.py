@@ -1,4 +1,4 @@
-"""The configuration of the server, from the environment. `docs/server.md` shows it as a table."""
+"""The configuration of the server, from the environment. `docs/configuration.md` shows it as a table."""
 
 import os
 from difflib import get_close_matches

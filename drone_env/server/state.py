@@ -16,6 +16,7 @@ from drone_env.server.settings import Settings
 
 COOKIE = "drone_env_session"
 HEADER = "X-Session-Id"
+STEP_HEADER = "X-Step-Count"
 LONGEST_ID = 200
 
 
@@ -108,6 +109,20 @@ def needed_session(named: Annotated[str | None, Depends(named_session)]) -> str:
     return named
 
 
+def known_steps(
+    x_step_count: Annotated[
+        int | None,
+        Header(
+            ge=0,
+            description="The `step_count` that this action follows: it is then flown once, however often it is sent.",
+        ),
+    ] = None,
+) -> int | None:
+    """How many steps of the episode the sender of an action knows of; None where it does not say."""
+    return x_step_count
+
+
 SharedParts = Annotated[Shared, Depends(shared_of)]
 NamedSession = Annotated[str | None, Depends(named_session)]
 SessionId = Annotated[str, Depends(needed_session)]
+KnownSteps = Annotated[int | None, Depends(known_steps)]

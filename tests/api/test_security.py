@@ -9,11 +9,10 @@ from starlette.websockets import WebSocketDisconnect
 
 from drone_env.errors import InvalidValueError
 from drone_env.server.app import create_app
-from drone_env.server.settings import Settings, load_settings, misspelt_variables, settings_table
+from drone_env.server.settings import Settings, load_settings, misspelt_variables
 from drone_env.server.strict_json import MAX_DEPTH, parse_json
 
 JSON = {"Content-Type": "application/json"}
-DOCS = Path(__file__).parents[2] / "docs" / "server.md"
 
 
 def app_with(tmp_path: Path, **settings: Any) -> TestClient:
@@ -190,6 +189,3 @@ class TestSettings:
         monkeypatch.setenv(f"DRONE_ENV_{name}", value)
         with pytest.raises(InvalidValueError, match=f"DRONE_ENV_{name}: "):
             load_settings()
-
-    def test_the_documentation_has_their_table(self) -> None:
-        assert settings_table() in DOCS.read_text(encoding="utf-8")

@@ -51,15 +51,6 @@ def test_look_at_the_flight_annotates_it(page: Page) -> None:
     expect(page.locator("#step-counter")).to_contain_text("Step 3 of 60")
 
 
-def test_easy_medium_hard_easy(page: Page) -> None:
-    page.goto("/?task=easy&seed=13&pilot=optimal")
-    fly(page)
-    for level in ("Medium", "Hard", "Easy"):
-        results(page).get_by_role("button", name=f"Next: {level}").click()
-        expect(page.get_by_role("radio", name=level, exact=True)).to_be_checked()
-    results(page)
-
-
 def test_it_goes_on_by_itself_until_that_is_switched_off(tabs: Tabs) -> None:
     page = tabs.open("/", go=False)
     page.clock.install()

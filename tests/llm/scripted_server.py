@@ -1,9 +1,10 @@
 """An OpenAI-compatible server that does as it is told: `python scripted_server.py PORT`.
 
-`POST /NAME/script` opens an endpoint at `/NAME/v1`; its body holds `log` (a file), `pilot` (perfect, greedy, plan, or a
-text to answer with), `repair` (the same, for repair prompts), `latency` in seconds, and `faults`: a list of
-[first, last, fault] by the number of the request from 0, where the first that covers it holds. Each request is a line
-in the log before it is answered, and a second line when the answer has been written.
+`POST /NAME/script` opens an endpoint at `/NAME/v1`; its body holds `log` (a file), `pilot` (perfect, greedy, plan, able
+for perfect or greedy by what the prompt tells, or a text to answer with), `repair` (the same, for repair prompts),
+`latency` in seconds, and `faults`: a list of [first, last, fault] by the number of the request from 0, where the first
+that covers it holds. Each request is a line in the log before it is answered, and a second line when the answer has
+been written.
 """
 
 import asyncio
@@ -34,6 +35,8 @@ def tour(text: str, budget: int) -> list[Action]:
 
 
 def reply(pilot: str, prompt: str) -> str:
+    if pilot == "able":
+        pilot = "perfect" if "Parcels to deliver:" in prompt else "greedy"
     if pilot == "perfect":
         return tour(prompt, number(prompt, r"(\d+) units"))[0].name
     if pilot == "plan":

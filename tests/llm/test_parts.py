@@ -16,10 +16,8 @@ from drone_env.llm.answers import Answer, read_answer
 from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.config import RunConfig, Sampling
 from drone_env.llm.prompt import VALUES, Flown, first_messages, get_prompt, prompt_ids, read_prompt
-from drone_env.llm.settings import InferenceSettings, load_settings, models_table, settings_table, token_for
+from drone_env.llm.settings import InferenceSettings, load_settings, token_for
 from drone_env.models import DroneObservation
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize(
@@ -260,11 +258,3 @@ def test_the_gate_grows_with_answers_and_halves_under_load() -> None:
         assert gate.active == 0
 
     asyncio.run(crowd())
-
-
-def test_the_documentation_has_the_tables() -> None:
-    text = (ROOT / "docs" / "llm.md").read_text(encoding="utf-8")
-    assert settings_table() in text
-    assert models_table() in text
-    example = (ROOT / ".env.example").read_text(encoding="utf-8")
-    assert all(name.upper() in example for name in InferenceSettings.model_fields)

@@ -109,12 +109,6 @@ def check_graders(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_check_graders_passes_on_our_manifest() -> None:
-    result = check_graders()
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert result.stdout.splitlines()[-2:] == ["Summary: 3 valid graders found.", "LOCAL CHECK PASSED."]
-
-
 @pytest.mark.parametrize(
     ("manifest", "complaint"),
     [

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[2] / "drone_env"
-HEAVY = ("numba", "torch", "openenv", "fastapi", "pydantic", "PIL", "pygame")
+HEAVY = ("numba", "torch", "openenv", "fastapi", "pydantic", "PIL", "pygame", "ray")
 ALLOWED_IN_CORE = {"numpy", "numba", *sys.stdlib_module_names}
 
 # Each floor may import from the floors below it, and from its own.
@@ -19,9 +19,10 @@ FLOORS = [
     {"core"},
     {"planning", "models", "reward_file"},
     {"agents", "graders", "episodes"},
-    {"analysis", "datasets", "envs", "evaluation", "registry", "rl"},
+    {"analysis", "datasets", "envs", "evaluation", "evaluation_folder", "registry", "rl"},
     {"server"},
     {"client", "llm", "openenv_client"},
+    {"cluster"},
     {"commands", "cli"},
 ]
 

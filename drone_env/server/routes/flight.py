@@ -27,7 +27,7 @@ from drone_env.server.schemas import (
     StepRequest,
     StepResult,
 )
-from drone_env.server.state import COOKIE, HEADER, NamedSession, SessionId, SharedParts
+from drone_env.server.state import COOKIE, HEADER, KnownSteps, NamedSession, SessionId, SharedParts
 
 router = APIRouter(tags=["flight"])
 SESSION_ERRORS = answers(409, 410, 422, 503)
@@ -75,14 +75,19 @@ def reset(
 
 @router.post("/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | answers(400, 413, 415))
 def step(
-    shared: SharedParts, session: SessionId, body: Annotated[StepRequest, Body(openapi_examples=_examples(STEPS))]
+    shared: SharedParts,
+    session: SessionId,
+    after: KnownSteps,
+    body: Annotated[StepRequest, Body(openapi_examples=_examples(STEPS))],
 ) -> Response:
     """Fly one action.
 
     `{"direction": "UP"}` is answered with a `DroneObservation`; OpenEnv's `{"action": {"direction": "UP"}}` with
     `{"observation", "reward", "done"}`. After the end of the episode nothing changes, and `message` says so.
+
+    With `X-Step-Count` an action is not flown twice: sent again after a lost answer, it is answered as it was.
     """
-    stepped = shared.sessions.step(session, body.chosen)
+    stepped = shared.sessions.step(session, body.chosen, after)
     return _json(stepped.fields if body.action is None else openenv_result(stepped.fields, stepped.reward))
 
 

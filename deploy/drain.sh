@@ -1,0 +1,30 @@
+#!/usr/bin/env bash
+# Take a server out from behind nginx without breaking a session, or put it back.
+#
+#   drain.sh out 127.0.0.1:8001     new requests go elsewhere; returns when its last WebSocket has ended
+#   drain.sh in 127.0.0.1:8001
+#
+# SERVERS names the list of servers (/etc/nginx/drone-env-servers.conf), NGINX_COMMAND how nginx is called (nginx), WAIT for how
+# many seconds to wait (3600). Exits with 1 where connections are left by then. Runs where nginx runs, and needs `ss`.
+set -euo pipefail
+SERVERS=${SERVERS:-/etc/nginx/drone-env-servers.conf} NGINX_COMMAND=${NGINX_COMMAND:-nginx} WAIT=${WAIT:-3600}
+if [[ $# -ne 2 || ($1 != in && $1 != out) || ! $2 =~ ^[0-9A-Za-z.:-]+$ ]]; then
+  sed -n '2,8s/^# \?//p' "$0" >&2
+  exit 2
+fi
+grep -q "^server $2 " "$SERVERS" || { echo "drain.sh: $SERVERS has no line 'server $2 ...'" >&2; exit 2; }
+sed -i "/^server $2 /s/ down;/;/" "$SERVERS"
+if [[ $1 == out ]]; then
+  sed -i "/^server $2 /s/;/ down;/" "$SERVERS"
+fi
+# Tried first: a reload of a broken configuration goes on with the old one, and says so only in the log.
+$NGINX_COMMAND -t -q
+$NGINX_COMMAND -s reload
+[[ $1 == in ]] && exit
+sleep 1  # the old workers of nginx finish what they have begun
+for ((waited = 1; waited < WAIT; waited++)); do
+  [[ -z $(ss -Htn state established dst "$2") ]] && exit
+  sleep 1
+done
+echo "drain.sh: after $WAIT s there still are connections to $2" >&2
+exit 1

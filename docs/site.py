@@ -1,0 +1,30 @@
+"""What MkDocs calls: the pages that stand in the repository's root belong to the site as well."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[1]
+OF_THE_ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+TARGET = re.compile(r"(?<=\]\()([^)#:\s]+)(?=[)#])")
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add them, with links that lead from where they stand on the site."""
+    for name, page in OF_THE_ROOT.items():
+        text = (ROOT / name).read_text(encoding="utf-8")
+        files.append(File.generated(config, page, content=TARGET.sub(_from_docs, text)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Links from other pages to those of the root."""
+    for name, target in OF_THE_ROOT.items():
+        markdown = markdown.replace(f"](../{name}", f"]({target}")
+    return markdown
+
+
+def _from_docs(link: re.Match[str]) -> str:
+    return OF_THE_ROOT.get(link[1], link[1].removeprefix("docs/"))

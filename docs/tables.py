@@ -1,0 +1,141 @@
+"""Write the tables of the documentation that follow from the code, and the diagram of its imports: takes seconds.
+
+python docs/tables.py            writes them between their markers, and docs/images/imports.svg
+python docs/tables.py --check    changes nothing, and names what is not up to date
+"""
+
+import sys
+from pathlib import Path
+
+from imports import diagram
+
+from drone_env.core.actions import Event
+from drone_env.core.cells import CELL_KINDS
+from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.llm import settings as of_models
+from drone_env.server import settings as of_server
+
+DOCS = Path(__file__).parent
+STANDARD = [task for task in TASKS.values() if task.battery_capacity == task.max_steps]
+SPECIAL = (Event.NONE, Event.DELIVERY)
+
+
+def table(rows: list[list[str]]) -> str:
+    """Rows as a table in Markdown; the first one is its head."""
+    lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in rows]
+    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
+
+
+def kinds() -> str:
+    """The kinds of cells."""
+    rows = [[str(int(cell)), kind.name, kind.emoji, kind.effect] for cell, kind in CELL_KINDS.items()]
+    return table([["id", "name", "", "on the map"], *rows])
+
+
+def standard_tasks() -> str:
+    """The three standard tasks side by side."""
+    rows: dict[str, list[str]] = {"": [f"`{task.id}`" for task in STANDARD]}
+    for task in STANDARD:
+        other = {getattr(task, f"r_{event.name.lower()}") for event in Event if event not in SPECIAL}
+        assert len(other) == 1, "the standard tasks pay the same for every event but a delivery"
+        cells = {
+            "grid": f"{task.width} x {task.height}",
+            "buildings / trees / obstacles": f"{task.buildings} / {task.trees} / {task.obstacles}",
+            "deliveries": str(task.deliveries),
+            "max_steps = battery capacity": str(task.max_steps),
+            "reward of a delivery": f"{task.r_delivery:.2f}",
+            "reward of every other event": f"{other.pop():.2f}",
+            "grader": f"`{task.grader}`",
+        }
+        for name, cell in cells.items():
+            rows.setdefault(name, []).append(cell)
+    return table([[name, *cells] for name, cells in rows.items()])
+
+
+def environments() -> str:
+    """Every task under its Gymnasium id."""
+    head = ["Gymnasium id", "grid", "parcels", "steps", "battery", "telemetry"]
+    rows = [
+        [
+            f"`{task.gym_id}`",
+            f"{task.width} x {task.height}",
+            str(task.deliveries),
+            str(task.max_steps),
+            str(task.battery_capacity),
+            f"{task.telemetry_size} values",
+        ]
+        for task in TASKS.values()
+    ]
+    return table([head, *rows])
+
+
+def numbers(task: TaskConfig) -> str:
+    """The table of a task's numbers."""
+    drain = ", ".join(f"{units} above a {CELL_KINDS[kind].name}" for kind, units in task.drain)
+    blocked = ", ".join(sorted(CELL_KINDS[kind].name for kind in task.impassable)) or "nothing"
+    streets = f"every {task.street_spacing} cells" if task.street_spacing else "none: everything lies anywhere"
+    charging = f"{task.pads} pads, {task.charge_rate} units a WAIT" if task.pads else "none"
+    counts = "always" if not task.efficiency_needs_all else "only when everything is delivered"
+    events = (e.name.lower() for e in Event if e not in SPECIAL)
+    others: dict[float, list[str]] = {}
+    for event in events:
+        others.setdefault(getattr(task, f"r_{event}"), []).append(event)
+    other = "everything else" if len(others) == 1 else None
+    rewards = [f"{task.r_delivery} for a delivery"] + [f"{r} for {other or ', '.join(e)}" for r, e in others.items()]
+    rows = {
+        "": "",
+        "Names": f"`{task.id}`" + (f", `{task.short_name}`" if task.short_name != task.id else ""),
+        "Gymnasium": f"`drone_env:{task.gym_id}`",
+        "Grader": f"`{task.grader}`",
+        "Grid": f"{task.width} x {task.height}",
+        "Parcels": str(task.deliveries),
+        "Buildings, trees, obstacles": f"{task.buildings}, {task.trees}, {task.obstacles}",
+        "Impassable": blocked,
+        "Streets": streets,
+        "Steps": str(task.max_steps),
+        "Battery": f"{task.battery_capacity} units",
+        "A step drains": f"1 unit; {drain}" if drain else "1 unit",
+        "Charging": charging,
+        "Battery and steps left score": counts,
+        "Rewards (`tiered`)": "; ".join(rewards),
+        "Telemetry": f"{task.telemetry_size} values",
+    }
+    return table([[name, cell] for name, cell in rows.items()])
+
+
+def tables() -> dict[tuple[str, str], str]:
+    """Every table, by its page and its name."""
+    of_tasks = {("tasks.md", task.id): numbers(task) for task in TASKS.values()}
+    return {
+        ("rules.md", "kinds"): kinds(),
+        ("rules.md", "standard tasks"): standard_tasks(),
+        ("gymnasium.md", "environments"): environments(),
+        ("configuration.md", "settings of the server"): of_server.settings_table(),
+        ("configuration.md", "settings of language models"): of_models.settings_table(),
+        ("llm.md", "models"): of_models.models_table(),
+        **of_tasks,
+    }
+
+
+def between(name: str) -> tuple[str, str]:
+    """The markers that a table stands between."""
+    return f"<!-- {name}: written by tables.py -->", f"<!-- end of {name} -->"
+
+
+def changes() -> dict[Path, str]:
+    """The files that are not up to date, and what they should hold."""
+    files: dict[Path, str] = {DOCS / "images" / "imports.svg": diagram()}
+    for (page, name), text in tables().items():
+        path = DOCS / page
+        begin, end = between(name)
+        before, rest = files.get(path, path.read_text(encoding="utf-8")).split(begin)
+        files[path] = f"{before}{begin}\n\n{text}\n\n{end}{rest.split(end)[1]}"
+    return {path: text for path, text in files.items() if not path.is_file() or path.read_text("utf-8") != text}
+
+
+if __name__ == "__main__":
+    stale = changes()
+    if "--check" in sys.argv[1:]:
+        sys.exit("\n".join(f"{path} is not up to date: run docs/tables.py" for path in stale) or None)
+    for path, text in stale.items():
+        path.write_text(text, encoding="utf-8")

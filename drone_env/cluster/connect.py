@@ -1,0 +1,88 @@
+"""The one place where Ray is started or joined: always with a token, never with usage statistics."""
+
+import logging
+import os
+import secrets
+import socket
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from drone_env.errors import ClusterError, InvalidValueError, MissingPackageError
+
+LOCAL, AUTO = "local", "auto"
+CONNECT_SECONDS = 10
+TOKEN_FILE = Path(".ray") / "auth_token"
+
+
+@contextmanager
+def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, None, None]:
+    """Ray, from here to the end of the `with`.
+
+    Token authentication is on unless RAY_AUTH_MODE says `disabled`. A cluster that is started here has the token that
+    RAY_AUTH_TOKEN, RAY_AUTH_TOKEN_PATH or ~/.ray/auth_token names, else one of this process alone; it ends with the
+    `with`.
+
+    Args:
+        address: `local` starts a cluster of this machine alone, `auto` joins the one that runs on this machine or at
+            RAY_ADDRESS, HOST:PORT joins that one.
+        cpus: Of a cluster that is started here; the machine's if nothing is said.
+
+    Raises:
+        MissingPackageError: if Ray is not installed.
+        InvalidValueError: if this process is connected already, or `cpus` is below 1 or given for another's cluster.
+        ClusterError: if there is no cluster at the address, or it refuses the token.
+    """
+    if cpus is not None and (address != LOCAL or cpus < 1):
+        raise InvalidValueError(f"cpus are those of a cluster that is started here, 1 or more; got {cpus}")
+    # Read by Ray when it is imported, and handed on to all processes that it starts.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_AUTH_MODE", "token")
+    # How Ray will behave in future; it warns of it otherwise.
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    if address == LOCAL and not _has_token():
+        # Ray keeps the first token that it has read as long as the process lives.
+        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
+    try:
+        import ray
+        from ray.exceptions import AuthenticationError, RayError
+    except ModuleNotFoundError as error:
+        if error.name != "ray":
+            raise
+        raise MissingPackageError("ray", "cluster") from None
+    if ray.is_initialized():
+        raise InvalidValueError("this process is connected to a cluster already")
+    if address not in (LOCAL, AUTO):
+        _check_reachable(address)
+    started: dict[str, Any] = {"num_cpus": cpus, "include_dashboard": False} if address == LOCAL else {}
+    try:
+        ray.init(address, log_to_driver=False, logging_level=logging.WARNING, **started)
+    except AuthenticationError as error:
+        wanted = "set RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH to its token"
+        raise ClusterError(f"the cluster at {address} refuses: {wanted} ({error.message})") from None
+    except (ConnectionError, RayError, RuntimeError, ValueError) as error:
+        raise ClusterError(
+            f"cannot join the cluster at {address}: it does not answer, or has another token than RAY_AUTH_TOKEN or "
+            f"RAY_AUTH_TOKEN_PATH: {error}"
+        ) from None
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _check_reachable(address: str) -> None:
+    """Ray itself would try for minutes where nobody listens."""
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal():
+        raise InvalidValueError(f"--address takes local, auto or HOST:PORT, got {address!r}")
+    try:
+        socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()
+    except (OSError, OverflowError) as error:
+        raise ClusterError(f"there is no cluster to be reached at {address}: {error}") from None
+
+
+def _has_token() -> bool:
+    named = any(os.environ.get(name) for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
+    return named or (Path.home() / TOKEN_FILE).is_file()

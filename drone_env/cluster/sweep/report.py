@@ -1,0 +1,137 @@
+"""The figures of a sweep: each setting over its seeds, each trial with the command that trains it alone."""
+
+import json
+import statistics
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from drone_env.cluster.sweep.bootstrap import Interval, bootstrap
+from drone_env.cluster.sweep.config import SweepConfig, Trial
+from drone_env.cluster.sweep.folder import SweepFolder, TrialState
+from drone_env.core.seeds import split_seeds
+from drone_env.evaluation import episodes_key, run_episodes, summarise
+from drone_env.files import replacing
+
+
+def sweep_report(folder: SweepFolder, config: SweepConfig) -> dict[str, Any]:
+    """The figures of a sweep, as JSON values; what is not known is null.
+
+    `test` of a setting is over the seeds that finished: mean score and ratio to the optimum of the same test maps,
+    each with the 95 % bootstrap interval over seeds and maps. Settings that were stopped early have none, and are
+    told by their validation scores where they were stopped; they come after the others. A trial that failed counts in
+    nothing, and its setting says how many seeds are behind its figures.
+    """
+    decisions = folder.stopped()
+    stopped_at = {setting: decision.episodes for decision in decisions for setting in decision.stopped}
+    trials: list[dict[str, Any]] = []
+    settings: list[dict[str, Any]] = []
+    for setting, values in enumerate(config.settings):
+        states = {trial: folder.state(trial) for trial in config.trials() if trial.setting == setting}
+        at = stopped_at.get(setting)
+        trials += [_trial(folder, config, trial, state, at) for trial, state in states.items()]
+        finished = [state for state in states.values() if state.status == "finished"]
+        settings.append(
+            {
+                "setting": setting,
+                "label": config.label(setting),
+                "values": values,
+                "stopped_at": at,
+                "seeds": config.seeds,
+                "seeds_finished": len(finished),
+                "seeds_failed": sum(state.status == "failed" for state in states.values()),
+                "validation": {
+                    str(decision.episodes): decision.values[str(setting)]
+                    for decision in decisions
+                    if str(setting) in decision.values
+                },
+                "test": None if at is not None else _test(finished),
+            }
+        )
+    count = Counter(trial["status"] for trial in trials)
+    optima = [trial["validation_optimum"] for trial in trials if trial["validation_optimum"] is not None]
+    greedy = summarise(run_episodes(episodes_key(config.task, "greedy", split_seeds("test", config.test_maps), "test")))
+    return {
+        "format": "drone_env/sweep-report",
+        "config": config.model_dump(mode="json"),
+        "common": config.common(),
+        "trials_by_status": {name: count[name] for name in ("finished", "stopped", "failed", "unfinished")},
+        "validation_optimum": optima[0] if optima else None,
+        "greedy": {"score": greedy["mean_score"], "ratio": greedy["score_ratio"]},
+        "settings": sorted(settings, key=_rank),
+        "trials": trials,
+    }
+
+
+def write_report(folder: SweepFolder, figures: dict[str, Any]) -> None:
+    """Write `report.json`, `report.md` and the plots into the sweep's folder, each whole or not at all.
+
+    Raises:
+        OSError: if they cannot be written.
+    """
+    from drone_env.cluster.sweep.plots import draw_plots
+    from drone_env.cluster.sweep.tables import markdown
+
+    draw_plots(figures, folder.path)
+    texts = {
+        "report.json": json.dumps(figures, indent=2, allow_nan=False) + "\n",
+        "report.md": markdown(figures),
+    }
+    for name, text in texts.items():
+        with replacing(folder.path / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+
+def _trial(
+    folder: SweepFolder, config: SweepConfig, trial: Trial, state: TrialState, stopped_at: int | None
+) -> dict[str, Any]:
+    stopped = state.status == "unfinished" and stopped_at is not None
+    test = state.test
+    return {
+        "name": trial.name,
+        "setting": trial.setting,
+        "seed": trial.seed,
+        "status": "stopped" if stopped else state.status,
+        "stopped_at": stopped_at if stopped else None,
+        "error": state.error,
+        "parts": len(folder.parts(trial)),
+        "episodes": state.episodes,
+        "steps": state.steps,
+        "updates": state.updates,
+        "seconds": state.seconds,
+        "curve": state.curve,
+        "validation_score": state.validation_score,
+        "validation_optimum": state.validation_optimum,
+        "network": state.network,
+        "test_score": None if test is None else statistics.fmean(test.scores),
+        "test_ratio": None
+        if test is None or test.optima is None
+        else statistics.fmean(test.scores) / statistics.fmean(test.optima),
+        "test_success": None if test is None else test.success_rate,
+        "command": config.command(trial),
+    }
+
+
+def _test(finished: list[TrialState]) -> dict[str, Any] | None:
+    flown = [state.test for state in finished if state.test is not None]
+    if not flown:
+        return None
+    scores, optima = np.array([test.scores for test in flown]), flown[0].optima
+    return {
+        "score": _interval(bootstrap(scores)),
+        "ratio": None if optima is None else _interval(bootstrap(scores, np.array(optima))),
+        "seed_scores": [statistics.fmean(test.scores) for test in flown],
+        "optimum": None if optima is None else statistics.fmean(optima),
+        "success": statistics.fmean(test.success_rate for test in flown),
+    }
+
+
+def _interval(interval: Interval) -> dict[str, Any]:
+    return {"mean": interval.mean, "ci95": [interval.low, interval.high]}
+
+
+def _rank(setting: dict[str, Any]) -> tuple[float, float, float]:
+    """Best first: the finished by score, then those without figures, the later stopped first, then by validation."""
+    test, last = setting["test"], max(setting["validation"].values(), default=0.0)
+    return (-test["score"]["mean"], 0, 0) if test else (1, -(setting["stopped_at"] or 0), -last)

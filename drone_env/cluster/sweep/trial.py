@@ -1,0 +1,147 @@
+"""What a worker does: train one trial up to so many episodes, and judge the network when it is finished.
+
+A trial's own checkpoint is all that it goes on from, so it does not matter who trains it, or how often a worker dies.
+"""
+
+import hashlib
+import math
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drone_env.agents.network import load_network
+from drone_env.cluster.nodes import check_identity
+from drone_env.cluster.sweep.config import SweepConfig, Trial
+from drone_env.cluster.sweep.folder import MapScores, SweepFolder, TrialState
+from drone_env.core.seeds import split_seeds
+from drone_env.errors import InvalidValueError
+from drone_env.evaluation import episodes_key, run_episodes
+from drone_env.rl.run import Run, StopTraining
+from drone_env.rl.trainer import Progress
+
+Report = Callable[[dict[str, Any]], None]
+
+
+def run_trial(job: dict[str, Any]) -> None:
+    """Train the trial that a job of Ray Tune names; reports to Tune at every validation and at the end.
+
+    Args:
+        job: `out`, the sweep's folder; `trial`, [setting, seed]; `until`, episodes to train to; `checkpoint_seconds`;
+            `identity`, what the driver's package is.
+
+    Raises:
+        ClusterError: if this machine's package is not the driver's.
+        InvalidValueError: if this machine does not see the sweep's folder.
+    """
+    from ray import tune
+
+    check_identity(job["identity"])
+    folder = SweepFolder(Path(job["out"]))
+    if not folder.path.is_dir():
+        raise InvalidValueError(f"this machine has no {folder.path}: a sweep's folder lies where all machines see it")
+    tune_report: Any = tune.report
+    train_trial(folder, Trial(*job["trial"]), job["until"], job["checkpoint_seconds"], tune_report)
+
+
+def train_trial(folder: SweepFolder, trial: Trial, until: int, checkpoint_seconds: float, report: Report) -> None:
+    """Train a trial up to a rung, or to its end, and write how it stands. What is done already is not done again.
+
+    Whatever goes wrong in training is the trial's result, with its error.
+
+    Args:
+        folder: The sweep's folder.
+        trial: Which trial.
+        until: How many episodes.
+        checkpoint_seconds: Seconds between two checkpoints.
+        report: Called with `episodes`, `validation` and `optimum` at every validation.
+    """
+    with folder.training(trial) as place:
+        state = folder.state(trial)
+        if state.status != "unfinished" or str(until) in state.rungs:
+            return
+        config = folder.config()
+        try:
+            run = Run(config.training(trial, checkpoint_seconds), place, place)
+            folder.note_part(trial, run.trainer.episodes)
+            _train(run, until, report)
+            state = _state(run, state, until)
+            if run.trainer.episodes >= run.config.episodes:
+                state = _judged(state, config, run)
+        except Exception as error:
+            if type(error).__module__.startswith("ray."):
+                raise  # the cluster's trouble, not the trial's
+            last = traceback.format_exception_only(type(error), error)[-1].strip()
+            state = folder.state(trial).model_copy(update={"status": "failed", "error": last})
+        folder.set_state(trial, state)
+
+
+def network_digest(path: Path) -> str:
+    """SHA-256 of an exported network's parameters, by name, 16 hex digits."""
+    hashed = hashlib.sha256()
+    for name, array in sorted(load_network(path).parameters.items()):
+        hashed.update(name.encode() + b"\0" + np.ascontiguousarray(array).tobytes())
+    return hashed.hexdigest()[:16]
+
+
+def best_until(history: Sequence[Progress], episodes: int) -> float:
+    """The best validation score on the log up to its first line at or after so many episodes."""
+    best = -math.inf
+    for line in history:
+        if not math.isnan(line.validation):
+            best = max(best, line.validation)
+        if line.episode >= episodes:
+            break
+    return best
+
+
+def _train(run: Run, until: int, report: Report) -> None:
+    """Train to the first line of the log at or after so many episodes; not at all where that is done."""
+    history, every = run.trainer.history, run.config.validation_every
+    if run.trainer.episodes >= run.config.episodes or (history and history[-1].episode >= until):
+        return
+    reported = run.trainer.episodes
+
+    def show(line: Progress) -> None:
+        nonlocal reported
+        if line.episode // every > reported // every or line.episode >= until:
+            reported = line.episode
+            report({"episodes": line.episode, "validation": line.validation, "optimum": line.validation_optimum})
+        if line.episode >= until:
+            raise StopTraining
+
+    run.train(show)
+
+
+def _state(run: Run, before: TrialState, until: int) -> TrialState:
+    trainer, every = run.trainer, run.config.validation_every
+    curve: list[tuple[int, float]] = []
+    for line in trainer.history:
+        due = line.episode // every > (curve[-1][0] // every if curve else 0) or line.episode == run.config.episodes
+        if due and not math.isnan(line.validation):
+            curve.append((line.episode, line.validation))
+    return TrialState(
+        rungs={**before.rungs, str(until): best_until(trainer.history, until)},
+        episodes=trainer.episodes,
+        steps=trainer.steps,
+        updates=trainer.updates,
+        seconds=round(run.seconds, 1),
+        curve=curve,
+        validation_score=trainer.best_score,
+        validation_optimum=trainer.validator.optimum,
+    )
+
+
+def _judged(state: TrialState, config: SweepConfig, run: Run) -> TrialState:
+    """The state with how the best network flies the test maps."""
+    key = episodes_key(config.task, f"pathqnet:{run.network}", split_seeds("test", config.test_maps), "test")
+    flown = run_episodes(key)
+    solved = not np.isnan(flown.optimal_scores).any()
+    test = MapScores(
+        scores=flown.scores.tolist(),
+        optima=flown.optimal_scores.tolist() if solved else None,
+        success_rate=float(flown.success.mean()),
+    )
+    return state.model_copy(update={"status": "finished", "network": network_digest(run.network), "test": test})

@@ -1,0 +1,120 @@
+"""A step whose answer was lost is sent again: it is flown once."""
+
+from typing import Any
+
+import httpx
+import pytest
+from starlette.testclient import TestClient
+
+from drone_env.client import DroneEnvClient, ServerError
+from drone_env.planning.optimal import solve
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
+
+Header = dict[str, str]
+
+
+def step(client: TestClient, session: Header, direction: str, after: object) -> Any:
+    return client.post("/step", json={"direction": direction}, headers={**session, "X-Step-Count": str(after)})
+
+
+def test_a_step_that_is_sent_again_is_flown_once_and_answered_as_before(client: TestClient, session: Header) -> None:
+    first = step(client, session, "UP", 0)
+    assert first.json()["step_count"] == 1
+    assert step(client, session, "UP", 0).content == first.content
+    assert step(client, session, "UP", 1).json()["step_count"] == 2
+
+
+def test_so_is_the_last_step_of_an_episode_and_in_openenvs_form(client: TestClient) -> None:
+    session = {"X-Session-Id": client.post("/reset", json={"task_name": "medium", "seed": 9}).json()["session_id"]}
+    actions = solve("medium", 9).actions
+    for count, action in enumerate(actions):
+        body, headers = {"action": {"direction": action.name}}, {**session, "X-Step-Count": str(count)}
+        answers = [client.post("/step", json=body, headers=headers).json() for _ in range(2)]
+        assert answers[0] == answers[1]
+    assert answers[0]["done"]
+    assert client.get("/analyse/medium").json()["episodes_total"] == 1
+
+
+@pytest.mark.parametrize(("direction", "after"), [("DOWN", 0), ("UP", 2), ("UP", 7)])
+def test_a_step_that_follows_another_one_is_refused_and_changes_nothing(
+    client: TestClient, session: Header, direction: str, after: int
+) -> None:
+    step(client, session, "UP", 0)
+    answer = step(client, session, direction, after)
+    assert (answer.status_code, answer.json()["code"]) == (409, "wrong_moment")
+    assert f"to follow step {after}, and the session has flown 1 steps" in answer.json()["detail"]
+    assert client.get("/state", headers=session).json()["step_count"] == 1
+
+
+@pytest.mark.parametrize("after", ["-1", "one", "1.5"])
+def test_a_count_that_is_none_is_refused(client: TestClient, session: Header, after: str) -> None:
+    answer = step(client, session, "UP", after)
+    assert answer.status_code == 422
+    assert "X-Step-Count" in answer.json()["detail"] or "x-step-count" in answer.json()["detail"]
+
+
+def test_another_server_on_the_folder_answers_the_step_that_a_dead_one_has_taken(settings: dict[str, Any]) -> None:
+    with TestClient(create_app(Settings(**settings))) as dead, TestClient(create_app(Settings(**settings))) as other:
+        session = {"X-Session-Id": dead.post("/reset", json={"task_name": "hard", "seed": 7}).json()["session_id"]}
+        for count, direction in enumerate(["UP", "UP", "WAIT", "LEFT"]):
+            lost = step(dead, session, direction, count)
+            assert step(other, session, direction, count).content == lost.content
+
+
+class LosesAnswers:
+    """A client whose answers to steps are lost once each."""
+
+    def __init__(self, client: TestClient) -> None:
+        self.client = client
+
+    def request(self, method: str, path: str, **what: Any) -> Any:
+        if path == "/step":
+            assert self.client.request(method, path, **what).status_code == 200
+        return self.client.request(method, path, **what)
+
+
+def test_the_client_may_send_its_steps_again(client: TestClient) -> None:
+    with DroneEnvClient(http=LosesAnswers(client)) as drone:
+        drone.reset("hard", seed=7)
+        assert [drone.step("WAIT")["step_count"] for _ in range(3)] == [1, 2, 3]
+
+
+class ClosesConnections:
+    """A client whose first requests meet a closed connection."""
+
+    def __init__(self, client: TestClient) -> None:
+        self.client = client
+        self.sent: list[str] = []
+
+    def request(self, method: str, path: str, **what: Any) -> Any:
+        self.sent.append(path)
+        if self.sent.count(path) == 1:
+            raise httpx.RemoteProtocolError("Server disconnected without sending a response.")
+        return self.client.request(method, path, **what)
+
+
+def test_the_client_sends_again_what_met_a_closed_connection_where_that_is_harmless(client: TestClient) -> None:
+    http = ClosesConnections(client)
+    with DroneEnvClient(http=http) as drone:
+        with pytest.raises(ServerError, match="Server disconnected"):
+            drone.reset("hard", seed=7)
+        drone.reset("hard", seed=7)
+        assert drone.step("WAIT")["step_count"] == 1
+        assert drone.state()["step_count"] == 1
+        other = DroneEnvClient(http=ClosesConnections(client))
+        other.session_id = drone.session_id
+        with pytest.raises(ServerError, match="Server disconnected"):
+            other.step("WAIT")
+    assert http.sent == ["/reset", "/reset", "/step", "/step", "/state", "/state", "/session"]
+
+
+def test_a_client_whose_session_another_has_stepped_is_told(client: TestClient) -> None:
+    owner, other = DroneEnvClient(http=client), DroneEnvClient(http=client)
+    owner.reset("hard", seed=7)
+    other.session_id = owner.session_id
+    assert [other.step("WAIT")["step_count"] for _ in range(2)] == [1, 2]
+    with pytest.raises(ServerError, match="to follow step 0, and the session has flown 2"):
+        owner.step("UP")
+    assert owner.state()["step_count"] == 2
+    assert owner.step("UP")["step_count"] == 3

@@ -1,0 +1,130 @@
+"""Several servers on one data folder behind nginx, as `deploy` has it."""
+
+import os
+import shlex
+import shutil
+import subprocess
+import time
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+
+from tests.api.serving import ROOT, Server, free_port
+from tests.tools import missing_tool
+
+DEPLOY = ROOT / "deploy"
+COMMAND = ["-m", "drone_env.cli", "serve"]
+FAILURES = "max_fails=2 fail_timeout=5s"
+
+
+class Nginx:
+    """A running nginx with the configuration of `deploy`.
+
+    Args:
+        folder: For its files; must be there.
+        ports: Those of the servers.
+        failures: When a server counts as failed.
+    """
+
+    def __init__(self, folder: Path, ports: Iterable[int], failures: str = FAILURES) -> None:
+        if shutil.which("nginx") is None:
+            missing_tool("nginx")
+        self.command = ["nginx", "-e", str(folder / "error.log"), "-p", str(folder), "-c", "nginx.conf"]
+        self.servers = folder / "drone-env-servers.conf"
+        port = free_port()
+        self.url = f"http://127.0.0.1:{port}"
+        shutil.copytree(DEPLOY, folder, dirs_exist_ok=True)
+        self.servers.write_text("".join(f"server 127.0.0.1:{each} {failures};\n" for each in ports), encoding="utf-8")
+        site, main = folder / "drone-env.conf", folder / "nginx.conf"
+        listen, text = "listen 127.0.0.1:8080;", site.read_text(encoding="utf-8")
+        assert text.count(listen) == 1
+        site.write_text(text.replace(listen, f"listen 127.0.0.1:{port};"), encoding="utf-8")
+        # pytest's folders belong to whoever runs the tests, and root's nginx would have workers of another user.
+        user = "user root;\n" if os.geteuid() == 0 else ""
+        main.write_text(user + main.read_text(encoding="utf-8"), encoding="utf-8")
+        self.process = subprocess.Popen([*self.command, "-g", "daemon off;"])
+        try:
+            self._wait(folder / "error.log")
+        except BaseException:
+            self.close()
+            raise
+
+    def _wait(self, log: Path) -> None:
+        deadline = time.monotonic() + 30
+        with httpx.Client() as client:
+            while time.monotonic() < deadline:
+                try:
+                    client.get(f"{self.url}/health")
+                    return
+                except httpx.HTTPError:
+                    time.sleep(0.05)
+        raise AssertionError(f"nginx did not answer: {log.read_text(encoding='utf-8')}")
+
+    def drain(self, which: str, port: int) -> "subprocess.Popen[bytes]":
+        """`deploy/drain.sh out` or `in`, running."""
+        if shutil.which("ss") is None:
+            missing_tool("ss")
+        variables = {"SERVERS": str(self.servers), "NGINX_COMMAND": shlex.join(self.command), "WAIT": "200"}
+        return subprocess.Popen([str(DEPLOY / "drain.sh"), which, f"127.0.0.1:{port}"], env={**os.environ, **variables})
+
+    def close(self) -> None:
+        """End it."""
+        self.process.terminate()
+        self.process.wait(timeout=30)
+
+
+class Cluster:
+    """Running servers, and nginx before them.
+
+    Args:
+        folder: For the data and nginx's files; must be there.
+        count: How many servers.
+        settings: Of each server, without the prefix.
+    """
+
+    def __init__(self, folder: Path, count: int, settings: dict[str, str]) -> None:
+        self.folder = folder
+        self.settings = settings
+        self.servers: dict[int, Server] = {}
+        # Kept connections would count as sessions of the server when it is drained.
+        self._direct = httpx.Client(limits=httpx.Limits(max_keepalive_connections=0))
+        ports = {free_port() for _ in range(count)}
+        assert len(ports) == count
+        self.nginx = Nginx(folder, sorted(ports))
+        self.url = self.nginx.url
+        try:
+            for port in sorted(ports):
+                self.start(port)
+        except BaseException:
+            self.close()
+            raise
+
+    def answered(self, port: int, path: str) -> int:
+        """How many of the last 200 requests that a server has answered were for `path`."""
+        requests = self._direct.get(f"{self.servers[port].url}/terminal_logs").json()["requests"]
+        return sum(request["path"] == path for request in requests)
+
+    def start(self, port: int) -> Server:
+        """Start the server of a port, also again."""
+        self.servers[port] = Server(COMMAND, self.folder / "data", port, self.settings)
+        return self.servers[port]
+
+    def close(self) -> None:
+        """End all of it."""
+        self._direct.close()
+        self.nginx.close()
+        for server in self.servers.values():
+            if server.process.poll() is None:
+                server.kill()
+
+
+@contextmanager
+def cluster(folder: Path, count: int, **settings: str) -> Generator[Cluster, None, None]:
+    """Servers behind nginx for the time of the block."""
+    running = Cluster(folder, count, settings)
+    try:
+        yield running
+    finally:
+        running.close()

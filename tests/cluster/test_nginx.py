@@ -1,0 +1,188 @@
+"""Several servers behind nginx, configured as in `deploy`: one is killed, one is drained."""
+
+import asyncio
+import json
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.cluster.forgetful import Forgetful
+from tests.cluster.serving import Cluster, Nginx, cluster
+from tests.cluster.sessions import Client, HttpSession, SocketSession, fly_all
+
+SERVERS = 3
+HTTP, SOCKETS = 150, 150
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    folder = tmp_path_factory.mktemp("cluster")
+    with cluster(folder, SERVERS, CAPACITY="1000", ALLOWED_HOSTS="localhost,127.0.0.1") as found:
+        yield found
+
+
+def test_callers_see_a_server(running: Cluster) -> None:
+    with httpx.Client(base_url=running.url) as client:
+        opened = client.post("/reset", json={"seed": 7}, headers={"X-Forwarded-Proto": "https"})
+        assert "Secure" not in opened.headers["Set-Cookie"]  # what nginx knows counts, not what callers say
+        assert "nginx/" not in opened.headers["Server"]
+        assert opened.headers["X-Content-Type-Options"] == "nosniff"
+        # The cookie is enough to be found again.
+        steps = [client.post("/step", json={"direction": "WAIT"}).json()["step_count"] for _ in range(9)]
+        assert steps == list(range(1, 10))
+        too_large = client.post("/reset", content=b" " * 100_000, headers={"Content-Type": "application/json"})
+        assert (too_large.status_code, too_large.json()["code"]) == (413, "too_large")
+        assert client.get("/health", headers={"Host": "elsewhere.example"}).json()["code"] == "host"
+        own, foreign = running.url, "http://elsewhere.example"
+        assert client.get("/tasks", headers={"Origin": own}).status_code == 200
+        assert client.get("/tasks", headers={"Origin": foreign}).json()["code"] == "origin"
+
+
+def test_a_session_stays_with_its_server(running: Cluster) -> None:
+    with httpx.Client(base_url=running.url) as client:
+        before = {port: running.answered(port, "/path_history") for port in running.servers}
+        session = {"X-Session-Id": client.post("/reset").json()["session_id"]}
+        for _ in range(9):
+            client.get("/path_history", headers=session)
+        after = {port: running.answered(port, "/path_history") for port in running.servers}
+    assert sorted(after[port] - before[port] for port in after) == [0, 0, 9]
+
+
+def test_the_request_log_comes_as_it_is_written(running: Cluster) -> None:
+    events = {"Accept": "text/event-stream"}
+    with httpx.stream("GET", f"{running.url}/terminal_logs", headers=events, timeout=30) as answer:
+        for port in running.servers:
+            running.answered(port, "")
+        for line in answer.iter_lines():
+            if line.startswith("data: ") and json.loads(line.removeprefix("data: "))["path"] == "/terminal_logs":
+                break
+
+
+def test_a_step_that_a_server_took_before_it_died_is_not_taken_twice(running: Cluster, tmp_path: Path) -> None:
+    real = next(iter(running.servers))
+
+    async def fly(url: str) -> int:
+        async with Client(running.url) as client:
+            sessions = [HttpSession(client, 6000 + seed, counts=seed % 2 > 0) for seed in range(16)]
+            await asyncio.gather(*[session.open() for session in sessions])
+            async with Client(url, at_once=1) as broken:
+                for session in sessions:
+                    session.steps = broken
+                for _ in range(4):
+                    await fly_all(sessions, 1)
+            await asyncio.gather(*[session.check() for session in sessions])
+            assert {session.reference.episode.steps for session in sessions} == {4}
+            return sum(session.unanswered for session in sessions)
+
+    with Forgetful(real) as forgetful, closing(Nginx(tmp_path, [forgetful.port, real], "max_fails=0")) as nginx:
+        unanswered = asyncio.run(fly(nginx.url))
+        # Without the count, nginx says that it does not know; with it, nobody hears of it.
+        assert 0 < unanswered < forgetful.taken
+
+
+def test_a_server_is_killed_among_300_sessions_and_comes_back(running: Cluster) -> None:
+    killed = next(iter(running.servers))
+
+    async def all_of_it() -> None:
+        async with Client(running.url) as client:
+            # Every tenth does not say which step it sends.
+            http = [HttpSession(client, seed, counts=seed % 10 > 0) for seed in range(HTTP)]
+            sockets = [SocketSession(running.url, 1000 + seed) for seed in range(SOCKETS)]
+            await asyncio.gather(*[session.open() for session in http])
+            for session in sockets:
+                await session.open()
+            steps = 0
+
+            def kill_in_the_middle() -> None:
+                nonlocal steps
+                steps += 1
+                if steps == (HTTP + SOCKETS) * 3:
+                    running.servers[killed].kill()
+
+            await asyncio.gather(fly_all(http, 6, kill_in_the_middle), fly_all(sockets, 12, kill_in_the_middle))
+            assert running.servers[killed].process.poll() is not None
+            await asyncio.gather(*[session.check() for session in http])
+            assert not sum(session.broken for session in http)
+            # Those of the killed server, a third of them, and no other.
+            lost = [session for session in sockets if session.lost]
+            assert len(lost) == SOCKETS // SERVERS
+
+            running.start(killed)
+            again = [SocketSession(running.url, 2000 + seed) for seed in range(len(lost))]
+            for _ in range(40):
+                await fly_all(http[:20], 1)
+                if running.answered(killed, "/step"):
+                    break
+                await asyncio.sleep(0.5)
+            else:
+                pytest.fail("the server that came back is not used")
+            for session in again:
+                await session.open()
+            whole = [session for session in sockets if not session.lost] + again
+            await asyncio.gather(fly_all(whole, 2), *[session.check() for session in http])
+            assert not [session for session in whole if session.lost]
+            await asyncio.gather(*[session.close() for session in again])
+            # It had the fewest.
+            assert running.answered(killed, "/ws") == len(again)
+            await asyncio.gather(*[session.close() for session in whole])
+
+    asyncio.run(all_of_it())
+
+
+def test_a_server_is_drained_and_no_session_breaks(running: Cluster) -> None:
+    drained = next(iter(running.servers))
+
+    async def ends(process: "asyncio.Future[int]", http: list[HttpSession]) -> int:
+        while not process.done():
+            await fly_all(http, 1)
+            await asyncio.sleep(0.1)
+        return await process
+
+    async def all_of_it() -> None:
+        async with Client(running.url) as client:
+            http = [HttpSession(client, 3000 + seed, counts=True) for seed in range(12)]
+            sockets = [SocketSession(running.url, 4000 + seed) for seed in range(6)]
+            await asyncio.gather(*[session.open() for session in [*http, *sockets]])
+            draining = running.nginx.drain("out", drained)
+            waiting = asyncio.ensure_future(asyncio.to_thread(draining.wait))
+            await asyncio.gather(fly_all(http, 10), fly_all(sockets, 40))
+            later = [SocketSession(running.url, 5000 + seed) for seed in range(6)]
+            await asyncio.sleep(2)
+            assert draining.poll() is None, "there still are sockets"
+            before = running.answered(drained, "/step")
+            await asyncio.gather(*[session.open() for session in later])
+            await asyncio.gather(fly_all(http, 5), fly_all(sockets, 5), fly_all(later, 5))
+            assert running.answered(drained, "/step") == before
+            await asyncio.gather(*[session.close() for session in sockets])
+            assert await ends(waiting, http) == 0
+            await asyncio.to_thread(running.servers[drained].stop)
+            await asyncio.gather(fly_all(http, 5), fly_all(later, 5))
+            assert not [session for session in [*sockets, *later] if session.lost]
+
+            running.start(drained)
+            assert running.nginx.drain("in", drained).wait(30) == 0
+            for _ in range(20):
+                await fly_all(http, 1)
+                if running.answered(drained, "/step"):
+                    break
+                await asyncio.sleep(0.5)
+            else:
+                pytest.fail("the server that was put back is not used")
+            await asyncio.gather(*[session.check() for session in http])
+            # A reload of nginx closes connections that lie idle: each can break one request.
+            assert sum(session.broken for session in http) <= 2 * len(http)
+            await asyncio.gather(*[session.close() for session in later])
+
+    asyncio.run(all_of_it())
+
+
+def test_where_no_server_answers_that_is_told_as_json(running: Cluster) -> None:
+    for server in running.servers.values():
+        if server.process.poll() is None:
+            server.kill()
+    answer = httpx.post(f"{running.url}/step", json={"direction": "UP"}, headers={"X-Step-Count": "0"})
+    assert (answer.status_code, answer.json()["code"]) == (502, "no_server")
+    assert answer.headers["Retry-After"] == "1"

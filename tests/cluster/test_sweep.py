@@ -1,0 +1,278 @@
+"""Sweeps: what is tried, what is stopped, and that nothing is lost or done twice, whatever is killed."""
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drone_env.agents.network import load_network
+from drone_env.cli import main
+from drone_env.cluster.sweep.bootstrap import bootstrap
+from drone_env.cluster.sweep.config import SweepConfig, Trial, make_config
+from drone_env.cluster.sweep.driver import is_done, outstanding, retry_failed
+from drone_env.cluster.sweep.folder import SweepFolder, TrialState
+from drone_env.cluster.sweep.halving import decide, remaining, rungs
+from drone_env.cluster.sweep.report import sweep_report, write_report
+from drone_env.cluster.sweep.settings import settings_of
+from drone_env.cluster.sweep.trial import network_digest, train_trial
+from drone_env.errors import InvalidValueError, UnknownNameError
+
+SMALL = (
+    "num_envs=8", "batch_size=16", "replay_size=400", "learning_starts=50", "steps_per_update=8", "validation_every=10",
+    "validation_maps=5", "log_every=5",
+)  # fmt: skip
+
+
+def sweep_of(*sets: str, seeds: int = 1, early_stopping: bool = True) -> SweepConfig:
+    return make_config("easy", "fast", settings_of([*SMALL, *sets]), seeds, 1, early_stopping, 20)
+
+
+def do_nothing(*_: object) -> None:
+    """A callback."""
+
+
+# What is tried
+
+
+def test_a_grid_has_every_combination_with_the_types_of_training() -> None:
+    assert settings_of(["lr=1e-3,3e-4", "double=true,false", "loss=mse", "steps-per-update=8"]) == [
+        {"learning_rate": lr, "double": double, "loss": "mse", "steps_per_update": 8.0}
+        for lr in (1e-3, 3e-4)
+        for double in (True, False)
+    ]
+    assert settings_of([]) == [{}]
+
+
+@pytest.mark.parametrize(
+    ("sets", "message"),
+    [
+        (["speed=1"], "unknown setting 'speed'; allowed: .*batch_size.* lr,"),
+        (["batch_size=3.5"], "batch_size cannot be '3.5'"),
+        (["loss=l1"], "loss cannot be 'l1'.*'huber' or 'mse'"),
+        (["gamma=nan"], "gamma"),
+        (["gamma"], "NAME=VALUE"),
+        (["gamma=0.9", "gamma=0.8"], "gamma is set twice"),
+        (["seed=1"], "--seeds"),
+        (["task=hard"], "--task"),
+        (["lr=loguniform(1e-5,1e-3)"], "--samples"),
+        (["lr=loguniform(0,1e-3)"], "above 0"),
+        (["double=uniform(0,1)"], "double"),
+        (["gamma=" + ",".join(["0.5"] * 101), "tau=" + ",".join(["0.5"] * 101)], "more than 10000"),
+    ],
+)
+def test_what_cannot_be_set_is_refused(sets: list[str], message: str) -> None:
+    with pytest.raises((UnknownNameError, InvalidValueError), match=message):
+        settings_of(sets)
+
+
+def test_drawn_settings_lie_in_their_ranges_and_are_the_same_again() -> None:
+    texts = ["lr=loguniform(1e-5,1e-3)", "batch_size=uniform(32,64)", "loss=huber,mse"]
+    drawn = settings_of(texts, samples=200)
+    assert drawn == settings_of(texts, samples=200) != settings_of(texts, samples=200, samples_seed=1)
+    rates = np.array([setting["learning_rate"] for setting in drawn], float)
+    assert 1e-5 < rates.min() < rates.max() < 1e-3
+    assert 0.3 < (rates < 1e-4).mean() < 0.7  # as many in the lower decade as in the upper
+    sizes = {setting["batch_size"] for setting in drawn}
+    assert all(isinstance(size, int) and 32 <= size <= 64 for size in sizes)
+    assert {setting["loss"] for setting in drawn} == {"huber", "mse"}
+
+
+def test_every_trial_is_checked_before_the_first_is_trained() -> None:
+    with pytest.raises(InvalidValueError, match="gamma must be in"):
+        sweep_of("gamma=0.9,1.5")
+    with pytest.raises(InvalidValueError, match="there twice"):
+        sweep_of("lr=1e-3,0.001")
+    with pytest.raises(InvalidValueError, match=r"different episodes.*--no-early-stopping"):
+        sweep_of("episodes=100,200")
+    assert len(sweep_of("episodes=100,200", early_stopping=False).trials()) == 2
+
+
+def test_the_command_lists_the_trials_and_trains_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "sweep"
+    sets = ["--set", "lr=1e-3,3e-4", "--set", "double=false", "--out", str(out)]
+    assert main(["sweep", "--task", "easy", "--seeds", "2", *sets, "--dry-run"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split("\t")[0] for line in lines] == [f"setting{i}-seed{j}" for i in range(2) for j in range(2)]
+    assert "--seed 1 --num-threads 1 --learning-rate 0.0003 --no-double" in lines[3]
+    assert not out.exists()
+    assert main(["sweep", *sets, "--resume"]) == 2
+    assert "no sweep in" in capsys.readouterr().err
+
+
+# What is stopped
+
+
+def test_the_worse_half_of_the_settings_is_stopped_with_all_its_seeds(tmp_path: Path) -> None:
+    config = sweep_of("episodes=100", "lr=1e-3,5e-4,2e-4,1e-4", seeds=3)
+    folder = SweepFolder(tmp_path / "sweep")
+    folder.begin(config)
+    assert rungs(config) == [30, 50]
+    # The best seed of all belongs to setting 2, whose mean is not.
+    values = {0: (0.5, 0.6, 0.7), 1: (0.2, 0.3, 0.4), 2: (0.1, 0.2, 0.9), 3: (0.5, 0.5, 0.5)}
+    for setting, scores in values.items():
+        for seed, score in enumerate(scores):
+            folder.set_state(Trial(setting, seed), TrialState(rungs={"30": score}))
+    decision = decide(folder, config, 30)
+    assert decision.stopped == [1, 2]
+    assert remaining(config, folder.stopped()) == [0, 3]
+    assert {trial.setting for trial in outstanding(folder, config, 50)} == {0, 3}
+    # What was decided stands, whatever is known later.
+    folder.set_state(Trial(1, 0), TrialState(rungs={"30": 0.99}))
+    assert decide(folder, config, 30) == decision
+    assert decide(folder, config, 50).stopped == []  # nobody has got there
+    assert rungs(sweep_of("episodes=100", "lr=1e-3,5e-4", early_stopping=False)) == []
+
+
+# What is made of it
+
+
+def test_the_interval_covers_seeds_and_maps() -> None:
+    rng = np.random.default_rng(0)
+    covered = 0
+    for _ in range(50):
+        scores = 0.5 + 0.1 * rng.standard_normal((12, 1)) + 0.1 * rng.standard_normal(40)
+        interval = bootstrap(scores)
+        assert interval.low < interval.mean < interval.high
+        covered += interval.low <= 0.5 <= interval.high
+    assert 42 <= covered <= 50
+    ratio = bootstrap(np.full((2, 3), 0.45), np.full(3, 0.9))
+    assert ratio == pytest.approx((0.5, 0.5, 0.5))
+
+
+def test_a_trial_that_fails_is_reported_with_its_error_and_counts_in_nothing(tmp_path: Path) -> None:
+    config = sweep_of("episodes=20", seeds=2)
+    folder = SweepFolder(tmp_path / "sweep")
+    folder.begin(config)
+    broken = folder.folder(Trial(0, 1))
+    broken.mkdir(parents=True)
+    (broken / "easy.pth").write_bytes(b"not a checkpoint")
+    for trial in config.trials():
+        train_trial(folder, trial, 20, 60, do_nothing)
+    assert is_done(folder, config)
+    figures = sweep_report(folder, config)
+    assert figures["trials_by_status"] == {"finished": 1, "stopped": 0, "failed": 1, "unfinished": 0}
+    (setting,) = figures["settings"]
+    assert (setting["seeds_finished"], setting["seeds_failed"], len(setting["test"]["seed_scores"])) == (1, 1, 1)
+    assert "cannot be read: cut short" in figures["trials"][1]["error"]
+    write_report(folder, figures)
+    text = (folder.path / "report.md").read_text()
+    assert "| setting0-seed1 | 0 | drone_env.errors.CheckpointError: " in text
+    # It is not tried again unless somebody says so, and what is finished stays as it is.
+    finished = folder.state(Trial(0, 0))
+    for trial in config.trials():
+        train_trial(folder, trial, 20, 60, do_nothing)
+    assert [len(folder.parts(trial)) for trial in config.trials()] == [1, 0]
+    retry_failed(folder, config)
+    (broken / "easy.pth").unlink()
+    assert outstanding(folder, config, 20) == [Trial(0, 1)]
+    train_trial(folder, Trial(0, 1), 20, 60, do_nothing)
+    assert folder.state(Trial(0, 1)).status == "finished"
+    assert folder.state(Trial(0, 0)) == finished
+
+
+def test_a_folder_keeps_to_its_sweep(tmp_path: Path) -> None:
+    folder = SweepFolder(tmp_path / "sweep")
+    folder.begin(sweep_of("gamma=0.9"))
+    folder.begin(sweep_of("gamma=0.9"))
+    with pytest.raises(
+        InvalidValueError, match=r"another configuration: settings: .*0.9.* is now .*0.8.*; seeds: 1 is"
+    ):
+        folder.begin(sweep_of("gamma=0.8", seeds=2))
+    with folder.driving(), pytest.raises(InvalidValueError, match="another process is driving"), folder.driving():
+        pass
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "letter.txt").write_text("dear")
+    with pytest.raises(InvalidValueError, match="holds other things"):
+        SweepFolder(tmp_path / "other").begin(sweep_of())
+
+
+# What is killed
+
+
+def drive(out: Path, address: str) -> "subprocess.Popen[bytes]":
+    """A driver in a process of its own."""
+    sets = [word for text in (*SMALL, "episodes=80", "lr=1e-3,1e-6") for word in ("--set", text)]
+    command = [sys.executable, "-m", "drone_env.cli", "sweep", "--task", "easy", "--seeds", "1", *sets,
+               "--no-early-stopping", "--test-maps", "20", "--checkpoint-seconds", "0.1",
+               "--address", address, "--out", str(out)]  # fmt: skip
+    with (out.parent / "driver.log").open("ab") as log:
+        return subprocess.Popen(command, stdout=log, stderr=log)
+
+
+def wait_until(driver: "subprocess.Popen[bytes]", holds: Callable[[], bool], seconds: float = 240) -> None:
+    """Wait while the driver runs."""
+    until = time.monotonic() + seconds
+    while not holds():
+        assert driver.poll() is None, f"the driver ended with {driver.returncode}"
+        assert time.monotonic() < until, f"waited for {seconds} seconds"
+        time.sleep(0.01)
+
+
+@pytest.mark.timeout(1200)
+def test_killed_drivers_and_workers_change_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cluster: Any
+) -> None:
+    """A worker is killed, then the driver; the same command ends the sweep with the networks of uninterrupted runs."""
+    out = tmp_path / "sweep"
+    folder = SweepFolder(out)
+    driver = drive(out, cluster.address)
+    try:
+        log, checkpoint = (folder.folder(Trial(0, 0)) / name for name in ("train.log", "easy.pth"))
+        wait_until(driver, lambda: log.exists() and "episode=10 " in log.read_text())
+        logged = log.stat().st_mtime
+        wait_until(driver, lambda: checkpoint.exists() and checkpoint.stat().st_mtime > logged)
+        os.kill(folder.parts(Trial(0, 0))[-1]["pid"], signal.SIGKILL)
+        wait_until(driver, lambda: len(folder.parts(Trial(0, 0))) == 2)
+    finally:
+        driver.kill()
+        driver.wait()
+    config = folder.config()
+    assert not is_done(folder, config)
+    before = {trial: folder.state(trial) for trial in config.trials()}
+
+    driver = drive(out, cluster.address)
+    try:
+        assert driver.wait(540) == 0, (tmp_path / "driver.log").read_text()
+    finally:
+        driver.kill()
+        driver.wait()
+    figures = json.loads((out / "report.json").read_text())
+    assert figures["trials_by_status"] == {"finished": 2, "stopped": 0, "failed": 0, "unfinished": 0}
+    for trial, state in before.items():
+        assert state.status == "unfinished" or folder.state(trial) == state
+        # Each episode is on the log once, and no part began before what an earlier one had kept.
+        lines = [line.split()[0] for line in (folder.folder(trial) / "train.log").read_text().splitlines()]
+        assert lines == [f"episode={n}" for n in range(5, 81, 5)]
+        begun = [part["episodes"] for part in folder.parts(trial)]
+        assert begun == sorted(begun)
+        assert begun[0] == 0
+    assert folder.parts(Trial(0, 0))[1]["episodes"] >= 10
+    assert figures["trials"][0]["parts"] >= 3
+    for name in ("report.md", "curves.png", "scores.png"):
+        assert (out / name).stat().st_size > 500
+    assert not list(out.glob("tune-*"))
+
+    # The command of the report trains the same network alone.
+    monkeypatch.chdir(tmp_path)
+    words = shlex.split(figures["trials"][0]["command"])
+    assert words[:2] == ["python", "train.py"]
+    assert main(["train", *words[2:]]) == 0
+    alone, own = Path("alone/setting0-seed0/easy.npz"), folder.folder(Trial(0, 0)) / "easy.npz"
+    assert network_digest(alone) == network_digest(own) == figures["trials"][0]["network"]
+    assert load_network(alone).metadata["updates"] == figures["trials"][0]["updates"]
+
+    # A finished sweep is only told again: nothing is trained, and no cluster is asked for.
+    parts = {trial: folder.parts(trial) for trial in config.trials()}
+    driver = drive(out, "127.0.0.1:1")
+    assert driver.wait(120) == 0
+    assert {trial: folder.parts(trial) for trial in config.trials()} == parts
+    assert json.loads((out / "report.json").read_text()) == figures

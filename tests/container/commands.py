@@ -1,0 +1,43 @@
+"""Commands that stand in for those that tests cannot have, on a path of their own."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+def linter(name: str) -> str | None:
+    """A linter of the `dev` extra, which stands beside the interpreter, or the system's."""
+    return shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
+
+
+class Commands:
+    """A folder of commands that is the whole `PATH`, so that nothing else is found.
+
+    Args:
+        folder: Where they are made.
+        real: Commands of the system that are there too.
+    """
+
+    def __init__(self, folder: Path, *real: str) -> None:
+        self.folder = folder
+        folder.mkdir()
+        for name in ("bash", "sleep", *real):
+            found = shutil.which(name)
+            assert found is not None, f"these tests need {name}"
+            (folder / name).symlink_to(found)
+
+    def add(self, name: str, script: str) -> None:
+        """A command that is a script for bash."""
+        command = self.folder / name
+        command.write_text(f"#!{shutil.which('bash')}\n{script}\n", encoding="utf-8")
+        command.chmod(0o755)
+
+    def run(self, *command: str, cwd: Path = ROOT, **variables: str) -> "subprocess.CompletedProcess[str]":
+        """Run a command with these commands alone."""
+        environment = {"PATH": str(self.folder), "HOME": str(self.folder), **variables}
+        return subprocess.run(
+            command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=60, check=False
+        )

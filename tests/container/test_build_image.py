@@ -1,0 +1,107 @@
+"""Builds are recorded, whatever becomes of them. Docker is a script here: what is tested is the record."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from .commands import ROOT, Commands
+
+TOOL = str(ROOT / "tools" / "build_image.py")
+DOCKER = """
+case "$1 $2" in
+  "context show") echo desktop-linux ;;
+  "image inspect") echo linux/arm64 ;;
+  build*) echo "build: $*"; sleep "${BUILD_SECONDS:-0}"; exit "${BUILD_STATUS:-0}" ;;
+esac
+"""
+RECORD = re.compile(
+    r"BUILD_LOG: drone_env\nSTATUS: (COMPLETED|FAILED)\nDURATION: \d+m \d+s\nREVISION: (\S+)\nPLATFORM: (\S+)\n"
+    r"BUILDER: (.+)\nTIMESTAMP: \d{4}-\d\d-\d\d \d\d:\d\d:\d\d\n-{40}\n"
+)
+
+
+@pytest.fixture
+def docker(tmp_path: Path) -> Commands:
+    commands = Commands(tmp_path / "bin", "git")
+    commands.add("docker", DOCKER)
+    return commands
+
+
+def records(log: Path) -> list[tuple[str, ...]]:
+    """(status, revision, platform, builder) of each record; there is nothing else in the log."""
+    text = log.read_text(encoding="utf-8")
+    assert RECORD.sub("", text) == ""
+    return [match.groups() for match in RECORD.finditer(text)]
+
+
+def test_a_build_is_recorded(docker: Commands, tmp_path: Path) -> None:
+    log = tmp_path / "data" / "docker_build.log"
+    done = docker.run(sys.executable, TOOL, "--log", str(log), "--build-arg", "BASE=mine")
+    assert done.returncode == 0, done.stderr
+    assert f"build: build --tag drone-env --build-arg BASE=mine {ROOT}" in done.stdout
+    ((status, revision, platform, builder),) = records(log)
+    assert (status, platform, builder) == ("COMPLETED", "linux/arm64", "desktop-linux")
+    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert head.startswith(revision.removesuffix("-dirty"))
+
+
+def test_a_failed_build_is_recorded_and_fails(docker: Commands, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    docker.run(sys.executable, TOOL, "--log", str(log))
+    done = docker.run(sys.executable, TOOL, "--log", str(log), BUILD_STATUS="3")
+    assert done.returncode == 3
+    assert [status for status, *_ in records(log)] == ["COMPLETED", "FAILED"]
+
+
+def test_a_build_that_is_stopped_is_recorded_as_failed(docker: Commands, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    environment = {"PATH": str(docker.folder), "BUILD_SECONDS": "30"}
+    process = subprocess.Popen([sys.executable, "-u", TOOL, "--log", str(log)], env=environment, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith(b"build:")
+    os.kill(process.pid, signal.SIGTERM)
+    started = time.monotonic()
+    assert process.wait(timeout=20) == 130
+    assert time.monotonic() - started < 20
+    process.stdout.close()
+    assert [status for status, *_ in records(log)] == ["FAILED"]
+
+
+def test_builds_side_by_side_are_all_recorded(docker: Commands, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    with ThreadPoolExecutor(6) as pool:
+        done = list(pool.map(lambda _: docker.run(sys.executable, TOOL, "--log", str(log)).returncode, range(6)))
+    assert done == [0] * 6
+    assert len(records(log)) == 6
+
+
+def test_outside_of_git_the_revision_is_unknown(docker: Commands, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    done = docker.run(sys.executable, TOOL, "--log", str(log), "--context", str(tmp_path))
+    assert done.returncode == 0
+    assert records(log)[0][1] == "unknown"
+
+
+def test_the_revision_is_the_one_that_the_build_began_with(docker: Commands, tmp_path: Path) -> None:
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=me", "-c", "user.email=me@example.org"]
+    subprocess.run([*git, "init", "--quiet"], check=True)
+    subprocess.run([*git, "commit", "--quiet", "--allow-empty", "--message", "first"], check=True)
+    first = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout
+    docker.add("docker", f"[ $1 = build ] && {' '.join(git)} commit --quiet --allow-empty --message second")
+    docker.run(sys.executable, TOOL, "--log", str(tmp_path / "log"), "--context", str(tmp_path))
+    assert first.startswith(records(tmp_path / "log")[0][1])
+
+
+def test_without_the_builder_nothing_is_recorded(docker: Commands, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    done = docker.run(sys.executable, TOOL, "--log", str(log), "--builder", "podman")
+    assert done.returncode == 2
+    assert "podman is not installed; --builder takes docker, podman, buildah, here is: docker" in done.stderr
+    assert not log.exists()

@@ -1,0 +1,82 @@
+"""The Dockerfile as a text; `make image-check` builds it and proves the image."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.api.serving import Server, free_port
+from tests.tools import missing_tool
+
+from .commands import ROOT, linter
+
+START = ["python", "drone_env/server/app.py", "--host", "0.0.0.0", "--port", "8000"]
+
+
+def instructions(dockerfile: Path) -> list[tuple[str, str]]:
+    """(instruction, the rest) in order, without comments, with continued lines joined."""
+    text = re.sub(r"^\s*#.*\n", "", dockerfile.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    lines = text.replace("\\\n", " ").splitlines()
+    return [(line.split(None, 1)[0], line.split(None, 1)[1].strip()) for line in lines if line.strip()]
+
+
+def only(name: str) -> str:
+    """The one instruction of this name."""
+    (found,) = [rest for instruction, rest in instructions(ROOT / "Dockerfile") if instruction == name]
+    return found
+
+
+def test_hadolint_finds_nothing() -> None:
+    hadolint = linter("hadolint") or missing_tool("hadolint")
+    done = subprocess.run([hadolint, "Dockerfile"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "")
+
+
+def test_it_starts_as_documented() -> None:
+    assert json.loads(only("CMD")) == START
+    assert only("EXPOSE") == "8000"
+    assert only("USER") == "1000:1000"
+
+
+def test_it_declares_no_volume() -> None:
+    # OpenEnv's validator refuses an image with one.
+    assert "VOLUME" not in [name for name, _ in instructions(ROOT / "Dockerfile")]
+
+
+def test_the_stages_share_a_base_that_can_be_chosen() -> None:
+    known = instructions(ROOT / "Dockerfile")
+    assert known[0] == ("ARG", "BASE=python:3.12-slim-bookworm")
+    assert [rest for name, rest in known if name == "FROM"] == ["${BASE} AS dependencies", "${BASE}"]
+
+
+def test_the_sources_do_not_invalidate_the_dependencies() -> None:
+    known = instructions(ROOT / "Dockerfile")
+    first_stage = known[: [i for i, (name, _) in enumerate(known) if name == "FROM"][1]]
+    assert [rest for name, rest in first_stage if name == "COPY"] == ["pyproject.toml uv.lock ./"]
+
+
+def test_what_it_copies_is_there_and_not_ignored() -> None:
+    copied = [rest.split()[:-1] for name, rest in instructions(ROOT / "Dockerfile") if name == "COPY"]
+    named = {source for sources in copied if not sources[0].startswith("--from") for source in sources}
+    kept = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    assert named == kept
+    assert [source for source in named if not (ROOT / source).exists()] == []
+
+
+def health_command(port: int) -> list[str]:
+    """The HEALTHCHECK as it stands, of a server on another port."""
+    command = json.loads(only("HEALTHCHECK").partition(" CMD ")[2])
+    assert command[0] == "python"
+    assert "127.0.0.1:8000/health" in command[2]
+    return [sys.executable, "-S", "-c", command[2].replace(":8000", f":{port}")]
+
+
+def test_the_healthcheck_tells_a_well_server(server: Server) -> None:
+    port = int(server.url.rpartition(":")[2])
+    assert subprocess.run(health_command(port), check=False).returncode == 0
+
+
+def test_the_healthcheck_tells_a_server_that_is_gone() -> None:
+    done = subprocess.run(health_command(free_port()), capture_output=True, check=False)
+    assert done.returncode != 0

@@ -1,0 +1,134 @@
+"""The staged Space, from a clean export of the repository, by OpenEnv's own checks."""
+
+import json
+import runpy
+import subprocess
+import sys
+import tarfile
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+import yaml
+from openenv.cli.commands import push
+from openenv.validation import Level, run_validation
+
+from drone_env.client import DroneDeliveryClient, DroneEnvClient
+from tests.tools import missing_tool
+
+from .commands import ROOT
+from .test_dockerfile import START, instructions
+
+COLOURS = {"red", "yellow", "green", "blue", "indigo", "purple", "pink", "gray"}
+
+
+@pytest.fixture(scope="module")
+def export(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The repository as it is committed, without git."""
+    done = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, capture_output=True, check=False)
+    if done.returncode != 0:
+        missing_tool("a git checkout")
+    folder = tmp_path_factory.mktemp("export")
+    with tarfile.open(fileobj=BytesIO(done.stdout)) as archive:
+        archive.extractall(folder, filter="data")
+    return folder
+
+
+def stage(export: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "tools/stage_space.py", *arguments]
+    return subprocess.run(command, cwd=export, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def space(export: Path) -> Path:
+    done = stage(export)
+    assert done.returncode == 0, done.stderr
+    assert "staged in" in done.stdout
+    return export / "build" / "space"
+
+
+@pytest.fixture(scope="module")
+def pushed(space: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `openenv push` makes of it, and would upload."""
+    folder = tmp_path_factory.mktemp("pushed")
+    push._prepare_staging_directory(space, "drone-env", folder, push._load_ignore_patterns(space, None))
+    return folder
+
+
+def front_matter(page: Path) -> dict[str, object]:
+    """The settings of a Space, at the head of its page."""
+    empty, settings, text = page.read_text(encoding="utf-8").split("---\n", 2)
+    assert empty == ""
+    assert text.lstrip().startswith("# ")
+    return yaml.safe_load(settings)
+
+
+def test_openenv_push_takes_it(space: Path) -> None:
+    name, manifest = push._validate_openenv_directory(space)
+    assert name == "drone-env"
+    assert manifest["app"] == "drone_env.server.app:app"
+
+
+def test_openenv_push_leaves_the_page_and_the_start_as_they_are(pushed: Path) -> None:
+    assert front_matter(pushed / "README.md")["base_path"] == "/"
+    known = instructions(pushed / "Dockerfile")
+    assert [json.loads(rest) for name, rest in known if name == "CMD"] == [START]
+    assert ("ENV", "FORWARDED_ALLOW_IPS=*") in known
+    (health,) = [rest for name, rest in known if name == "HEALTHCHECK"]
+    assert "/health" in health
+
+
+def test_what_is_pushed_can_be_built(pushed: Path) -> None:
+    copied = [rest.split()[:-1] for name, rest in instructions(pushed / "Dockerfile") if name == "COPY"]
+    named = {source for sources in copied if not sources[0].startswith("--from") for source in sources}
+    assert [source for source in named if not (pushed / source).exists()] == []
+    sent = {file.relative_to(pushed) for file in (pushed / "drone_env").rglob("*") if file.is_file()}
+    tracked = subprocess.run(["git", "ls-files", "drone_env"], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert sent == {Path(line) for line in tracked.stdout.splitlines()}
+
+
+def test_the_manifest_passes_the_static_validation(space: Path) -> None:
+    report = run_validation(space, max_level=Level.STATIC)
+    assert report.verdict.value == "pass"
+
+
+def test_the_front_matter_is_what_the_hub_takes(space: Path) -> None:
+    settings = front_matter(space / "README.md")
+    manifest = yaml.safe_load((space / "openenv.yaml").read_text(encoding="utf-8"))
+    assert (settings["sdk"], settings["app_port"], settings["license"]) == ("docker", manifest["port"], "mit")
+    assert {settings["colorFrom"], settings["colorTo"]} <= COLOURS
+    assert len(str(settings["short_description"])) <= 60
+    assert settings["emoji"]
+    assert "openenv" in str(settings["tags"])
+
+
+def test_git_sends_binary_files_as_large_ones(space: Path) -> None:
+    # The Hub's git refuses others.
+    attributes = (space / ".gitattributes").read_text().splitlines()
+    large = {line.split()[0].removeprefix("*") for line in attributes if "filter=lfs" in line}
+    binary = {file.suffix for file in space.rglob("*") if file.is_file() and b"\0" in file.read_bytes()}
+    assert binary <= large
+    assert {".npz", ".woff2"} <= binary
+
+
+def test_its_clients_can_be_imported(space: Path) -> None:
+    for name in ("client", "__init__"):
+        found = runpy.run_path(str(space / f"{name}.py"))
+        assert (found["DroneEnvClient"], found["DroneDeliveryClient"]) == (DroneEnvClient, DroneDeliveryClient)
+
+
+def test_staging_again_replaces_all_but_git(space: Path, export: Path) -> None:
+    (space / ".git").mkdir()
+    (space / ".git" / "config").write_text("mine")
+    (space / "stale").write_text("old")
+    assert stage(export).returncode == 0
+    assert not (space / "stale").exists()
+    assert (space / ".git" / "config").read_text() == "mine"
+
+
+def test_a_folder_of_somebody_else_is_left_alone(export: Path, tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("mine")
+    done = stage(export, str(tmp_path))
+    assert done.returncode == 2
+    assert "was not staged by this command" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["precious"]

@@ -1,0 +1,179 @@
+"""The logic of `validate-submission.sh`: a real server or a failing one, and scripts in place of docker and openenv."""
+
+import subprocess
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import pytest
+
+from tests.api.serving import Server, free_port
+from tests.tools import missing_tool
+
+from .commands import ROOT, Commands, linter
+
+SCRIPT = str(ROOT / "validate-submission.sh")
+NEEDED = ("cat", "curl", "head", "mktemp", "rm", "sed", "tail", "timeout", "tr")
+BANNER = """
+========================================
+  All 3/3 checks passed!
+  Your submission is ready to submit.
+========================================
+"""
+GONE = "http://127.0.0.1:{}"
+
+
+@contextmanager
+def answering(status: int) -> Generator[str, None, None]:
+    """The address of a server that answers `POST /reset` with a status."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            right = (self.path, body, self.headers["Content-Type"]) == ("/reset", b"{}", "application/json")
+            self.send_response(status if right else 400)
+            self.end_headers()
+            self.wfile.write(b"this is\x00the answer")
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = HTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+@pytest.fixture
+def commands(tmp_path: Path) -> Commands:
+    """Docker and openenv that do all they are asked to."""
+    made = Commands(tmp_path / "bin", *NEEDED)
+    made.add("docker", 'echo "docker $*"')
+    made.add("openenv", 'echo "openenv $* in $PWD"')
+    return made
+
+
+@pytest.fixture
+def space() -> Generator[str, None, None]:
+    with answering(200) as url:
+        yield url
+
+
+def test_all_three_pass_with_the_real_server(commands: Commands, server: Server) -> None:
+    commands.add("docker", 'echo "$*" >> "$HOME/docker.log"')
+    commands.add("openenv", 'echo "$* $PWD" >> "$HOME/openenv.log"')
+    done = commands.run(SCRIPT, f"{server.url}/", str(ROOT))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.endswith(BANNER)
+    assert done.stdout.count("PASSED: ") == 3
+    assert (commands.folder / "docker.log").read_text().splitlines()[-1] == f"build --file {ROOT}/Dockerfile {ROOT}"
+    assert (commands.folder / "openenv.log").read_text() == f"validate {ROOT}\n"
+
+
+def failure(done: "subprocess.CompletedProcess[str]", passed: int = 2) -> str:
+    """The output of a run that failed, as it must."""
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert f"  {passed}/3 checks passed." in done.stdout
+    assert "3/3 checks passed!" not in done.stdout
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("status", "hint"),
+    [(404, "https://USER-NAME.hf.space, not the page"), (401, "private"), (503, "building, asleep"), (422, "")],
+)
+def test_a_space_that_refuses_fails_the_first_check(commands: Commands, status: int, hint: str) -> None:
+    with answering(status) as url:
+        shown = failure(commands.run(SCRIPT, url))
+    assert f"FAILED: it answers {status}: this isthe answer" in shown
+    assert hint in shown
+
+
+def test_a_space_that_is_gone_fails_the_first_check(commands: Commands) -> None:
+    assert "FAILED: no answer: curl:" in failure(commands.run(SCRIPT, GONE.format(free_port())))
+
+
+def test_without_docker_the_second_check_fails_and_the_third_is_run(space: str, commands: Commands) -> None:
+    (commands.folder / "docker").unlink()
+    shown = failure(commands.run(SCRIPT, space))
+    assert "FAILED: docker is not installed\n  Hint: https://docs.docker.com" in shown
+    assert "PASSED: openenv validate" in shown
+
+
+def test_a_docker_without_its_daemon_fails_the_second_check(space: str, commands: Commands) -> None:
+    commands.add("docker", '[ "$1" = info ] && echo "Cannot connect to the daemon" >&2; exit 1')
+    assert "does not work: Cannot connect to the daemon" in failure(commands.run(SCRIPT, space))
+
+
+def test_a_failed_build_shows_its_end(space: str, commands: Commands) -> None:
+    commands.add("docker", '[ "$1" = info ] && exit 0; echo "no such package" >&2; exit 7')
+    assert "  | no such package\n  FAILED: the build ended with status 7" in failure(commands.run(SCRIPT, space))
+
+
+def test_a_build_that_takes_too_long_fails(space: str, commands: Commands) -> None:
+    commands.add("docker", '[ "$1" = info ] && exit 0; sleep 30')
+    shown = failure(commands.run(SCRIPT, space, BUILD_TIMEOUT="1"))
+    assert "FAILED: the build takes longer than 1 s" in shown
+
+
+def test_a_folder_without_dockerfile_fails_the_second_check(space: str, commands: Commands, tmp_path: Path) -> None:
+    empty = tmp_path / "a folder"
+    empty.mkdir()
+    assert f"FAILED: there is no Dockerfile in {empty}" in failure(commands.run(SCRIPT, space, str(empty)))
+
+
+def test_podman_builds_if_it_is_chosen(space: str, commands: Commands) -> None:
+    (commands.folder / "docker").rename(commands.folder / "podman")
+    done = commands.run(SCRIPT, space, BUILDER="podman")
+    assert done.returncode == 0, done.stdout
+    assert "podman build ." in done.stdout
+
+
+def test_openenv_that_fails_or_is_missing_fails_the_third_check(space: str, commands: Commands) -> None:
+    commands.add("openenv", 'echo "FAIL static.manifest"; exit 1')
+    assert "  | FAIL static.manifest\n  FAILED: openenv validate" in failure(commands.run(SCRIPT, space))
+    (commands.folder / "openenv").unlink()
+    assert "pip install 'openenv>=0.10'" in failure(commands.run(SCRIPT, space))
+
+
+def test_all_may_fail(commands: Commands) -> None:
+    for name in ("docker", "openenv"):
+        (commands.folder / name).unlink()
+    failure(commands.run(SCRIPT, GONE.format(free_port())), passed=0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "variables", "said"),
+    [
+        ([], {}, "the URL of the Space is missing"),
+        (["user-name.hf.space"], {}, "must start with https:// or http://, got user-name.hf.space"),
+        (["https://x.hf.space", "/no/such/folder"], {}, "there is no folder /no/such/folder"),
+        (["https://x.hf.space", ".", "more"], {}, "at most two arguments are allowed, got 3"),
+        (["https://x.hf.space"], {"BUILDER": "make"}, "BUILDER must be docker or podman, got make"),
+        (["https://x.hf.space"], {"BUILD_TIMEOUT": "0"}, "a whole number of seconds, at least 1, got 0"),
+    ],
+)
+def test_a_wrong_call_is_told(commands: Commands, arguments: list[str], variables: dict[str, str], said: str) -> None:
+    done = commands.run(SCRIPT, *arguments, **variables)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert said in done.stderr
+    assert "Usage:" in done.stderr
+
+
+def test_help_is_shown(commands: Commands) -> None:
+    done = commands.run(SCRIPT, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("Usage: ./validate-submission.sh URL [DIR]")
+
+
+def test_the_script_is_clean() -> None:
+    shellcheck = linter("shellcheck") or missing_tool("shellcheck")
+    done = subprocess.run([shellcheck, SCRIPT], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "")

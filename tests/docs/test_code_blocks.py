@@ -1,0 +1,128 @@
+"""Each code block of the documentation is run, or says in an invisible comment why not: see CONTRIBUTING.md.
+
+The blocks of a page share a folder that looks like a checkout, and its Python blocks one namespace. One real server and
+one scripted endpoint of a language model stand in for those that the pages name.
+"""
+
+import contextlib
+import io
+import json
+import sys
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+import yaml
+
+from tests.api.serving import free_port, serving
+from tests.docs import shell
+from tests.docs.pages import PAGES, ROOT, Block, blocks
+
+# The scripted endpoint is that of the tests of language models.
+from tests.llm.conftest import VARIABLES, scripted_server  # noqa: F401
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+SHELL = ("bash", "sh", "console")
+DATA = {"json": json.loads, "toml": tomllib.loads, "yaml": yaml.safe_load}
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
+    """The address of a server, started when a page first needs it."""
+    with serving(tmp_path_factory.mktemp("pages") / "data") as running:
+        yield running.url
+
+
+@pytest.fixture
+def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """The address of an endpoint whose model flies well, whatever the prompt."""
+    address = f"{request.getfixturevalue('scripted_server')}/{tmp_path.name}"
+    script = {"log": str(tmp_path / "endpoint.jsonl"), "pilot": "able"}
+    httpx.post(f"{address}/script", json=script, timeout=60).raise_for_status()
+    return f"{address}/v1"
+
+
+class Page:
+    """The run of one page.
+
+    Args:
+        folder: Where its blocks are run.
+        request: Gives the servers, where the page needs one.
+        monkeypatch: Sets its environment.
+    """
+
+    def __init__(self, folder: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder = folder
+        self._request = request
+        self._monkeypatch = monkeypatch
+        self._names: dict[str, Any] = {"__name__": "__main__"}
+
+    def run(self, block: Block) -> None:
+        """Run a block, or check it where it says that it is not to be run."""
+        if block.output_of:
+            assert self._shell([block.output_of], block).stdout == block.text, block.where
+        elif block.language in SHELL:
+            chosen, skipped = shell.split_skipped(block)
+            for command in skipped:
+                shell.check(command, block.where, self._monkeypatch)
+            if chosen:
+                self._shell(chosen, block)
+        elif block.skipped:
+            raise AssertionError(f"{block.where}: only commands of a shell can be left out one by one")
+        elif block.language == "python" and block.not_run:
+            shell.check_python(block.text, block.where)
+        elif block.language == "python":
+            self._python(block)
+        elif block.language in DATA:
+            DATA[block.language](block.text)
+        else:
+            language = repr(block.language) if block.language else "a bare fence"
+            assert block.not_run or block.file, f"{block.where}: say in a comment above why {language} is not run"
+
+    def _shell(self, chosen: list[str], block: Block) -> Any:
+        script = shell.script_of(chosen, free_port)
+        variables = {"DRONE_ENV_DATA": str(self.folder / "data")}
+        if any(name in script for name in ("inference.py", "drone-env infer")):
+            url = self._request.getfixturevalue("endpoint")
+            variables |= {"API_BASE_URL": url, "OPENAI_API_KEY": "sk-of-the-test", "MODEL_NAME": "scripted"}
+        done = shell.run(self._addresses(script), self.folder, variables)
+        assert done.returncode == 0, f"{block.where}: exit status {done.returncode}\n{done.stdout}\n{done.stderr}"
+        return done
+
+    def _python(self, block: Block) -> None:
+        # So many empty lines above it that a traceback names the page's own line.
+        code = compile("\n" * block.line + self._addresses(block.text), block.where.partition(":")[0], "exec")
+        with contextlib.redirect_stdout(io.StringIO()):
+            exec(code, self._names)
+
+    def _addresses(self, text: str) -> str:
+        for address in ("http://localhost:8000", "http://127.0.0.1:8000"):
+            if address in text:
+                text = text.replace(address, self._request.getfixturevalue("server"))
+        return text
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_its_code_blocks_run(
+    page: Path, tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = blocks(page)
+    if not found:
+        return
+    folder = shell.checkout(tmp_path)
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DRONE_ENV_DATA", str(folder / "data"))
+    monkeypatch.chdir(folder)
+    for block in found:
+        if block.file:
+            (folder / block.file).write_text(block.text, encoding="utf-8")
+    run = Page(folder, request, monkeypatch)
+    for block in found:
+        run.run(block)

@@ -1,0 +1,94 @@
+"""What the documentation gets from the code is up to date, and the site is built from it without a warning."""
+
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from tests.docs.pages import ROOT, blocks
+
+FETCHING = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}
+OURS = re.compile(r"\bDRONE_ENV_[A-Z]+(?:_[A-Z]+)*\b")
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_MKDOCS_2_WARNING": "1"}
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_the_tables_and_the_diagram_are_up_to_date() -> None:
+    done = run("docs/tables.py", "--check")
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_variable_that_the_package_reads_is_documented() -> None:
+    page = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
+    read = {
+        name
+        for file in (ROOT / "drone_env").rglob("*.py")
+        for line in file.read_text(encoding="utf-8").splitlines()
+        if "environ" in line
+        for name in OURS.findall(line)
+    }
+    assert "DRONE_ENV_CACHE" in read
+    assert {name for name in read if f"`{name}`" not in page} == set()
+
+
+def test_the_map_of_the_code_names_files_that_exist() -> None:
+    tree = next(block.text for block in blocks(ROOT / "docs" / "architecture.md") if block.language == "text")
+    there = {file.name for file in (ROOT / "drone_env").rglob("*.py")}
+    named = set(re.findall(r"\b[a-z0-9_]+\.py\b", tree))
+    assert "dynamics.py" in named
+    assert named - there == set()
+
+
+class Fetched(HTMLParser):
+    """What a browser loads by itself for a page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        address = dict(attrs).get(FETCHING.get(tag, ""))
+        if address and dict(attrs).get("rel") != "canonical":
+            self.addresses.append(address)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site; a broken link or anchor, a page outside the navigation or a wrong docstring ends its making."""
+    folder = tmp_path_factory.mktemp("site")
+    done = run("-m", "mkdocs", "build", "--site-dir", str(folder))
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_the_site_is_whole_and_loads_nothing_from_elsewhere(site: Path) -> None:
+    pages = {page.relative_to(site).with_suffix(".md").as_posix() for page in site.rglob("*.html")}
+    sources = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
+    assert sources | {"index.md", "changelog.md", "contributing.md"} <= pages
+    for page in site.rglob("*.html"):
+        parser = Fetched()
+        parser.feed(page.read_text(encoding="utf-8"))
+        assert parser.addresses
+        assert [address for address in parser.addresses if "//" in address] == [], page
+    for style in (*site.rglob("*.css"), *site.rglob("*.svg")):
+        assert "url(http" not in style.read_text(encoding="utf-8"), style
+
+
+def test_the_reference_holds_what_the_package_offers(site: Path) -> None:
+    import drone_env
+
+    page = (site / "reference.html").read_text(encoding="utf-8")
+    missing = [
+        name
+        for name in drone_env.__all__
+        if name != "__version__" and f'id="drone_env.{drone_env._HOMES[name]}.{name}"' not in page
+    ]
+    assert missing == []
