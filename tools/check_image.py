@@ -168,9 +168,9 @@ def check_service(image: Image, volume: str) -> None:
         require(server.inside(*image.health_command()).returncode == 0, "the HEALTHCHECK passes")
         with DroneEnvClient(server.url) as client:
             print(f"seconds of the first flight: {fly(client, 'hard_delivery', 7):.2f}", flush=True)
-        flown: Any = DroneDeliveryClient(server.url).sync()
+        flown = cast(Any, DroneDeliveryClient(server.url).sync())
         with flown as env:
-            result: Any = env.reset(task_name="easy", seed=7)
+            result = env.reset(task_name="easy", seed=7)
             for action in solve("easy", 7).actions:
                 result = env.step(DroneAction.model_validate({"direction": action.name}))
         require(result.done, "OpenEnv's client flies a mission over the WebSocket")

@@ -49,7 +49,9 @@ class TrialState(Message):
     updates: Count = 0
     seconds: float = 0.0
     curve: list[tuple[int, float]] = Field(
-        default_factory=list[tuple[int, float]], strict=False, description="Episodes, and the score of the validation then."
+        default_factory=list[tuple[int, float]],
+        strict=False,
+        description="Episodes, and the score of the validation then.",
     )
     validation_score: float | None = None
     validation_optimum: float | None = None
