@@ -73,7 +73,7 @@ class ResultsFolder:
         if not path.exists():
             return None
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
                 results = EpisodeResults(key=key, **{name: file[name] for name in COLUMNS})
             whole = np.array_equal(results.seeds, np.arange(*key.seeds))
             if not whole or any(len(getattr(results, name)) != len(results.seeds) for name in COLUMNS):

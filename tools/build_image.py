@@ -38,6 +38,7 @@ def build(builder: str, tag: str, context: Path, log: Path, options: Sequence[st
     # The form of images that is the default of the other two has no place for a HEALTHCHECK.
     form = [] if builder == "docker" else ["--format", "docker"]
     command = [builder, "build", "--tag", tag, *form, *options, str(context)]
+    commit = revision(context)
     started = time.monotonic()
     try:
         status = subprocess.run(command, check=False).returncode
@@ -45,7 +46,7 @@ def build(builder: str, tag: str, context: Path, log: Path, options: Sequence[st
         status = 130
     seconds = time.monotonic() - started
     built = status == 0
-    append(log, record(built, seconds, revision(context), image_platform(builder, tag, built), name(builder)))
+    append(log, record(built, seconds, commit, image_platform(builder, tag, built), name(builder)))
     print(f"{'COMPLETED' if built else 'FAILED'} after {duration(seconds)}, recorded in {log}", flush=True)
     return status
 

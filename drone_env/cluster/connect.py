@@ -7,6 +7,7 @@ import socket
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from drone_env.errors import ClusterError, InvalidValueError, MissingPackageError
 
@@ -54,7 +55,7 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
         raise InvalidValueError("this process is connected to a cluster already")
     if address not in (LOCAL, AUTO):
         _check_reachable(address)
-    started = {"num_cpus": cpus, "include_dashboard": False} if address == LOCAL else {}
+    started: dict[str, Any] = {"num_cpus": cpus, "include_dashboard": False} if address == LOCAL else {}
     try:
         ray.init(address, log_to_driver=False, logging_level=logging.WARNING, **started)
     except AuthenticationError as error:

@@ -4,7 +4,7 @@ import dataclasses
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import ray
 from ray.exceptions import RayError, RayTaskError
@@ -41,7 +41,7 @@ def fly_on_nodes(keys: Sequence[EpisodesKey]) -> Iterator[EpisodeResults]:
             under_way[remote.remote(identity(), tuple(key), networks.get(key.agent))] = key
         if not under_way:
             return
-        done, _ = ray.wait(list(under_way))
+        done: list[Any] = cast(Any, ray).wait(list(under_way))[0]
         for reference in done:
             key = under_way.pop(reference)
             yield dataclasses.replace(_get(reference), key=key)
@@ -49,7 +49,7 @@ def fly_on_nodes(keys: Sequence[EpisodesKey]) -> Iterator[EpisodeResults]:
 
 def _get(reference: Any) -> EpisodeResults:
     try:
-        return ray.get(reference)
+        return cast(Any, ray).get(reference)
     except RayTaskError as error:
         cause: Any = error.cause
         if isinstance(cause, DroneEnvError):

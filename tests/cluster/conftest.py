@@ -16,7 +16,8 @@ STARTING = {
     "RAY_AUTH_MODE": "token",
     "RAY_AUTH_TOKEN": secrets.token_hex(32),
     "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_worker_niceness": "0",  # the tests beside them would starve the workers
+    # Ray's own is 15: on a machine that has other things to do its workers would hardly start.
+    "RAY_worker_niceness": "0",
 }
 
 

@@ -63,9 +63,9 @@ def test_a_node_killed_in_the_middle_changes_nothing(cluster: Any, tmp_path: Pat
     killer.join(60)
     cluster.add_node(num_cpus=1, object_store_memory=MEMORY)
     assert status == 0
-    assert killed[0] < len(contents(local))
+    assert killed[0] < len(contents(local / "results"))
     assert (on_ray / "figures.json").read_bytes() == (local / "figures.json").read_bytes()
-    flown, expected = contents(on_ray), contents(local)
+    flown, expected = contents(on_ray / "results"), contents(local / "results")
     assert flown.keys() == expected.keys()
     for name, arrays in expected.items():
         for ours, theirs in zip(flown[name], arrays, strict=True):

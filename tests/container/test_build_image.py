@@ -89,6 +89,16 @@ def test_outside_of_git_the_revision_is_unknown(docker: Commands, tmp_path: Path
     assert records(log)[0][1] == "unknown"
 
 
+def test_the_revision_is_the_one_that_the_build_began_with(docker: Commands, tmp_path: Path) -> None:
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=me", "-c", "user.email=me@example.org"]
+    subprocess.run([*git, "init", "--quiet"], check=True)
+    subprocess.run([*git, "commit", "--quiet", "--allow-empty", "--message", "first"], check=True)
+    first = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout
+    docker.add("docker", f"[ $1 = build ] && {' '.join(git)} commit --quiet --allow-empty --message second")
+    docker.run(sys.executable, TOOL, "--log", str(tmp_path / "log"), "--context", str(tmp_path))
+    assert first.startswith(records(tmp_path / "log")[0][1])
+
+
 def test_without_the_builder_nothing_is_recorded(docker: Commands, tmp_path: Path) -> None:
     log = tmp_path / "log"
     done = docker.run(sys.executable, TOOL, "--log", str(log), "--builder", "podman")

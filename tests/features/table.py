@@ -7,6 +7,7 @@ import re
 
 import pytest
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 ROWS = {"E": 10, "L": 7, "H": 14, "I": 3, "D": 5, "P": 7}
@@ -62,7 +63,7 @@ class FeatureTable:
             outcome = self.outcomes.get(feature, "missing")
             reason = self.reasons.get(feature, "") if feature in self.outcomes else "no test has its id"
             result = f"[{STYLES[outcome]}]{outcome}[/]" + (f": {reason}" if reason else "")
-            table.add_row(feature, self.texts.get(feature, "-"), result)
+            table.add_row(feature, escape(self.texts.get(feature, "-")), result)
         passed = list(self.outcomes.values()).count("passed")
         console = Console(width=None if Console().is_terminal else 150)
         console.print()
@@ -73,6 +74,6 @@ class FeatureTable:
 def reason_of(report: pytest.TestReport) -> str:
     """Why a test failed or was skipped, in a line."""
     if isinstance(report.longrepr, tuple):
-        return report.longrepr[2].removeprefix("Skipped: ")
+        return escape(report.longrepr[2].removeprefix("Skipped: "))
     crash = getattr(report.longrepr, "reprcrash", None)
-    return str(report.longrepr if crash is None else crash.message).splitlines()[0].replace("[", r"\[")
+    return escape(str(report.longrepr if crash is None else crash.message).splitlines()[0])

@@ -24,7 +24,7 @@ from tests.api.serving import ROOT, Server
 from tests.browser.flights import fill, flown
 
 TRAIN = [
-    "--task", "easy_delivery", "--preset", "original", "--steps-per-update", "16", "--validation-maps", "5",
+    "--task", "easy_delivery", "--preset", "original", "--steps-per-update", "64", "--validation-maps", "5",
     "--num-threads", "1",
 ]  # fmt: skip
 """The original's hyperparameters, but for how often it learns: a test has no time."""

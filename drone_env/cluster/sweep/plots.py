@@ -37,7 +37,7 @@ def _curves(figures: dict[str, Any]) -> Any:
 
     Only episodes at which every seed of the setting was validated; settings in the order of the report.
     """
-    figure, axes = _figure(8, 5.4)
+    figure, axes = _figure(8, 4.6 + 0.2 * min(len(figures["settings"]), MOST_CURVES))
     for colour, of in zip(COLOURS, figures["settings"][:MOST_CURVES], strict=False):
         curves = [dict(t["curve"]) for t in figures["trials"] if t["setting"] == of["setting"] and t["curve"]]
         if not curves:
@@ -46,9 +46,7 @@ def _curves(figures: dict[str, Any]) -> Any:
         episodes = sorted({episode for curve in curves for episode in curve if episode <= last})
         lines = np.array([np.interp(episodes, list(curve), list(curve.values())) for curve in curves])
         stopped = of["stopped_at"] is not None
-        label = _short(of, 70 if len(figures["settings"]) < 4 else 40) + (
-            f" (stopped at {of['stopped_at']:,})" if stopped else ""
-        )
+        label = _short(of, 70) + (f" (stopped at {of['stopped_at']:,})" if stopped else "")
         axes.plot(episodes, lines.mean(axis=0), "--" if stopped else "-", color=colour, label=label)
         axes.fill_between(episodes, lines.min(axis=0), lines.max(axis=0), color=colour, alpha=0.15, linewidth=0)
     if figures["validation_optimum"] is not None:
@@ -57,7 +55,7 @@ def _curves(figures: dict[str, Any]) -> Any:
     title = "Mean over seeds, shaded from the worst seed to the best" + (f"; {more} more not shown" * (more > 0))
     axes.set(xlabel="episodes", ylabel="validation score", title=title, ylim=(0, 1))
     axes.grid(alpha=0.3)
-    figure.legend(frameon=False, loc="outside lower left", ncols=1 if len(figures["settings"]) < 4 else 2, fontsize=9)
+    figure.legend(frameon=False, loc="outside lower left", fontsize=9)
     return figure
 
 

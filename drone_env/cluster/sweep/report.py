@@ -131,7 +131,7 @@ def _interval(interval: Interval) -> dict[str, Any]:
     return {"mean": interval.mean, "ci95": [interval.low, interval.high]}
 
 
-def _rank(setting: dict[str, Any]) -> tuple[float, float]:
-    """Best first: the finished by score, then those without figures, the later stopped first."""
-    test = setting["test"]
-    return (-test["score"]["mean"], 0) if test else (1, -(setting["stopped_at"] or 0))
+def _rank(setting: dict[str, Any]) -> tuple[float, float, float]:
+    """Best first: the finished by score, then those without figures, the later stopped first, then by validation."""
+    test, last = setting["test"], max(setting["validation"].values(), default=0.0)
+    return (-test["score"]["mean"], 0, 0) if test else (1, -(setting["stopped_at"] or 0), -last)

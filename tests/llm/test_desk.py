@@ -1,0 +1,109 @@
+"""The desk that all flights of a run ask: pace, places of flights that begin anew, answers that come twice."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drone_env.errors import InvalidValueError
+from drone_env.llm.answers import Answer
+from drone_env.llm.concurrency import AdaptiveGate
+from drone_env.llm.desk import LocalDesk, StoppedError
+from drone_env.llm.limits import Limits, Spending
+from drone_env.llm.pace import Pace
+from drone_env.llm.transcript import Call, CallKey, Transcript
+
+
+class Nobody:
+    """Watches nothing."""
+
+    def called(self, call: Call) -> None: ...
+
+    def waiting(self, seconds: float, reason: str) -> None: ...
+
+
+def call(text: str) -> Call:
+    answer = Answer(text=text, prompt_tokens=10, completion_tokens=1)
+    return Call(
+        flight=0,
+        seed=0,
+        repeat=0,
+        turn=1,
+        attempt=1,
+        messages=[],
+        request_digest="x",
+        answer=answer,
+        outcome="ok",
+        latency=0.0,
+        at=0.0,
+    )
+
+
+def test_requests_and_tokens_a_minute() -> None:
+    async def seconds(pace: Pace, used: int) -> float:
+        began = time.monotonic()
+        for _ in range(6):
+            pace.used(used, await pace.turn(float("inf")))
+        await pace.turn(float("inf"))
+        return time.monotonic() - began
+
+    # Seven at 20 a second; one gap may be made up for.
+    assert asyncio.run(seconds(Pace(requests=1200), 0)) >= 5 * 0.05
+    # Six times 50 tokens at 1,000 a second.
+    assert asyncio.run(seconds(Pace(tokens=60_000), 50)) >= 6 * 0.05
+    assert asyncio.run(seconds(Pace(), 50)) < 5
+    for wrong in ({"requests": 0}, {"tokens": float("nan")}):
+        with pytest.raises(InvalidValueError, match="per-minute must be above 0"):
+            Pace(**wrong)
+
+
+def at_desk(path: Path, work: Callable[[LocalDesk, Spending, AdaptiveGate], Any]) -> Transcript:
+    async def run() -> Transcript:
+        transcript, spending, gate = Transcript(path), Spending(Limits(), None), AdaptiveGate(1)
+        await work(LocalDesk("host", transcript, spending, gate, Pace(), None, Nobody()), spending, gate)
+        transcript.close()
+        return transcript
+
+    return asyncio.run(run())
+
+
+def test_a_flight_that_begins_anew_frees_its_place(tmp_path: Path) -> None:
+    async def work(desk: LocalDesk, spending: Spending, gate: AdaptiveGate) -> None:
+        lost, waiting = CallKey(0, 1, 1), CallKey(1, 1, 1)
+        await desk.enter(lost)
+        # The other one waits for the only place, and its process dies as well.
+        orphan = asyncio.ensure_future(desk.enter(waiting))
+        await asyncio.sleep(0)
+        await desk.known(waiting, "x", "y")
+        await desk.known(lost, "x", "y")
+        with pytest.raises(StoppedError, match="begun anew"):
+            await orphan
+        for key in (lost, waiting):
+            await asyncio.wait_for(desk.enter(key), 5)
+            await desk.leave(key, answered=True)
+        assert (gate.active, spending.requests) == (0, 3)
+
+    at_desk(tmp_path / "calls.jsonl", work)
+
+
+def test_of_two_answers_to_one_call_the_first_counts_and_both_are_paid(tmp_path: Path) -> None:
+    async def work(desk: LocalDesk, spending: Spending, gate: AdaptiveGate) -> None:
+        for text in ("UP", "DOWN"):
+            recorded = await desk.record(call(text), "y")
+            assert recorded.answer is not None
+            assert recorded.answer.text == "UP"
+        assert spending.tokens == 22
+
+    transcript = at_desk(tmp_path / "calls.jsonl", work)
+    assert len(transcript.path.read_text().splitlines()) == 1
+
+
+def test_one_process_at_a_time_writes_a_transcript(tmp_path: Path) -> None:
+    first = Transcript(tmp_path / "calls.jsonl")
+    with pytest.raises(InvalidValueError, match="another process writes"):
+        Transcript(tmp_path / "calls.jsonl")
+    first.close()
+    Transcript(tmp_path / "calls.jsonl").close()
