@@ -148,7 +148,7 @@ def check(command: str, where: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _simple_commands(command: str) -> Iterator[list[str]]:
     """The words of each simple command in a line; what stands between them is dropped."""
-    lexer = shlex.shlex(command, posix=True, punctuation_chars=True)
+    lexer = shlex.shlex(command.replace("\\\n", " "), posix=True, punctuation_chars=True)
     lexer.whitespace_split = True
     words: list[str] = []
     for word in lexer:
