@@ -11,9 +11,16 @@ from typing import Any
 
 from drone_env.errors import ClusterError, InvalidValueError, MissingPackageError
 
+log = logging.getLogger(__name__)
+
 LOCAL, AUTO = "local", "auto"
 CONNECT_SECONDS = 10
+STARTS = 3
+"""How often to try to start a cluster: Ray gives its processes 15 s, which is too few on a busy machine."""
 TOKEN_FILE = Path(".ray") / "auth_token"
+
+
+QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.WARNING}
 
 
 @contextmanager
@@ -32,7 +39,7 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
     Raises:
         MissingPackageError: if Ray is not installed.
         InvalidValueError: if this process is connected already, or `cpus` is below 1 or given for another's cluster.
-        ClusterError: if there is no cluster at the address, or it refuses the token.
+        ClusterError: if there is no cluster at the address, it refuses the token, or none can be started.
     """
     if cpus is not None and (address != LOCAL or cpus < 1):
         raise InvalidValueError(f"cpus are those of a cluster that is started here, 1 or more; got {cpus}")
@@ -55,9 +62,11 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
         raise InvalidValueError("this process is connected to a cluster already")
     if address not in (LOCAL, AUTO):
         _check_reachable(address)
-    started: dict[str, Any] = {"num_cpus": cpus, "include_dashboard": False} if address == LOCAL else {}
     try:
-        ray.init(address, log_to_driver=False, logging_level=logging.WARNING, **started)
+        if address == LOCAL:
+            _start(cpus)
+        else:
+            ray.init(address, **QUIET)
     except AuthenticationError as error:
         wanted = "set RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH to its token"
         raise ClusterError(f"the cluster at {address} refuses: {wanted} ({error.message})") from None
@@ -70,6 +79,23 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
         yield
     finally:
         ray.shutdown()
+
+
+def _start(cpus: int | None) -> None:
+    import ray
+
+    for left in reversed(range(STARTS)):
+        try:
+            ray.init(LOCAL, num_cpus=cpus, include_dashboard=False, **QUIET)
+            return
+        except Exception as error:
+            ray.shutdown()
+            # What Ray raises where its processes do not come up in time is an Exception and nothing more.
+            if type(error) is not Exception:
+                raise
+            if not left:
+                raise ClusterError(f"Ray could not be started on this machine in {STARTS} tries: {error}") from None
+            log.warning("Ray did not start in time, once more: %s", error)
 
 
 def _check_reachable(address: str) -> None:
