@@ -4,7 +4,7 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 BIN := .venv/bin
 
-.PHONY: demo test check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features bench-capacity bench-cluster
+.PHONY: demo test coverage check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features bench-capacity bench-cluster
 .DEFAULT_GOAL := demo
 
 .venv/.base: pyproject.toml
@@ -33,6 +33,10 @@ test: .venv/.dev
 # What was promised, feature by feature, and whether its test passes.
 features: .venv/.dev
 	$(BIN)/python -m pytest -q -n auto --dist loadfile --features tests/features
+
+# The tests once more, with a report of the lines that none of them runs: htmlcov/index.html. Compiled code is not counted.
+coverage: .venv/.dev
+	$(BIN)/python -m pytest -n auto --dist worksteal --cov --cov-report=term:skip-covered --cov-report=html
 
 # Lint, formatting, types.
 check: .venv/.dev
