@@ -29,6 +29,7 @@ DISTRIBUTION = "drone-env"
 SHIPPED = ("easy_delivery", "medium_delivery", "hard_delivery")
 """The tasks whose networks come with the package."""
 MEGABYTE = 1_000_000
+LAST_PORT = 65535
 DEFAULT_HOST, DEFAULT_PORT, DEFAULT_DATA = "127.0.0.1", 8000, Path("data")
 """What the server takes, where its package is not there to be asked."""
 
@@ -205,7 +206,8 @@ def _folders(data: Path) -> Iterator[Finding]:
 
 def _folder(name: str, folder: Path, holds: str) -> Finding:
     place = folder.absolute()
-    existing = next(parent for parent in (place, *place.parents) if parent.exists())
+    # `os.path`, as `Path.exists` raises where a parent may not be entered.
+    existing = next(parent for parent in (place, *place.parents) if os.path.exists(parent))
     facts: dict[str, object] = {"path": str(place), "exists": existing == place, "writable": False}
     try:
         # Rights alone do not tell: root may write anywhere, but not to a disk that is mounted read-only.
@@ -222,14 +224,14 @@ def _folder(name: str, folder: Path, holds: str) -> Finding:
 
 def _port(host: str, port: int) -> Finding:
     name = f"{host}:{port}"
+    if not 0 <= port <= LAST_PORT:  # some systems would look at the remainder, a port of their own
+        return Finding("port", name, "attention", f"a port is 0 to {LAST_PORT}", {"free": False})
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
             # As servers do: a connection that has just been closed does not take the port.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
-    except OverflowError:
-        return Finding("port", name, "attention", "a port is 0 to 65535", {"free": False})
     except OSError as error:
         taken = error.errno == errno.EADDRINUSE
         detail = "taken: give a server another with --port" if taken else f"cannot be listened on: {error.strerror}"

@@ -13,6 +13,8 @@ from drone_env.errors import InvalidValueError
 
 Listed = Annotated[tuple[str, ...], NoDecode]
 """Comma-separated in the environment."""
+READ_ELSEWHERE = {"DRONE_ENV_CACHE", "DRONE_ENV_PLUGINS"}
+"""Variables that a server heeds and that are no settings of it."""
 
 
 class Settings(BaseSettings):
@@ -80,7 +82,7 @@ def load_settings() -> Settings:
 
 def misspelt_variables() -> dict[str, str]:
     """Variables of the environment that look like one of ours and are none, and which one each looks like."""
-    known = {f"DRONE_ENV_{name.upper()}" for name in Settings.model_fields}
+    known = {f"DRONE_ENV_{name.upper()}" for name in Settings.model_fields} | READ_ELSEWHERE
     found = [name for name in os.environ if name.startswith("DRONE_ENV_") and name not in known]
     close = {name: get_close_matches(name, known, 1, 0.9) for name in found}
     return {name: matches[0] for name, matches in close.items() if matches}

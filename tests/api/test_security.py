@@ -181,6 +181,14 @@ class TestSettings:
         monkeypatch.setenv("DRONE_ENV_EXAMPLES", "9")
         assert misspelt_variables() == {"DRONE_ENV_TOKN": "DRONE_ENV_TOKEN"}
 
+    @pytest.mark.parametrize("name", ["DRONE_ENV_CACHE", "DRONE_ENV_PLUGINS"])
+    def test_those_that_are_read_elsewhere_are_known(self, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+        monkeypatch.setenv(name, "right")
+        assert misspelt_variables() == {}
+        misspelt = name[:-2] + name[-1]
+        monkeypatch.setenv(misspelt, "wrong")
+        assert misspelt_variables() == {misspelt: name}
+
     @pytest.mark.parametrize(
         ("name", "value"),
         [("PORT", "many"), ("CAPACITY", "0"), ("IDLE_SECONDS", "-1"), ("TOKEN", "a\u00e9"), ("TOKEN", "")],

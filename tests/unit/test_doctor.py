@@ -12,6 +12,7 @@ import pytest
 from drone_env import __version__
 from drone_env.agents.pathqnet import WEIGHTS
 from drone_env.cli import main
+from drone_env.commands.diagnosis import _folder
 
 SECRET = "hf_do_not_print_me"
 VARIABLES = ("HF_TOKEN", "OPENAI_API_KEY", "API_BASE_URL", "MODEL_NAME", "DRONE_TASK", "LOCAL_IMAGE_NAME")
@@ -60,6 +61,29 @@ def test_a_folder_that_cannot_be_written(capsys: pytest.CaptureFixture[str], emp
     status, found = diagnosis(capsys, "--data", "file/data")
     assert (status, found["data"]["status"]) == (1, "broken")
     assert str(empty_folder / "file" / "data") in found["data"]["detail"]
+
+
+def test_a_folder_that_may_not_be_entered(tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    (closed / "data").mkdir(parents=True)
+    closed.chmod(0)
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(65534)  # nothing is closed to root
+    try:
+        finding = _folder("data", closed / "data", "episodes")
+    finally:
+        os.seteuid(user)
+        closed.chmod(0o700)
+    assert (finding.status, finding.facts["writable"]) == ("broken", False)
+    assert "Permission denied" in finding.detail
+
+
+@pytest.mark.parametrize("port", [-1, 65536, 99999])
+def test_a_port_that_is_none(port: int, capsys: pytest.CaptureFixture[str]) -> None:
+    status, found = diagnosis(capsys, "--port", str(port))
+    finding = found[f"127.0.0.1:{port}"]
+    assert (status, finding["status"], finding["detail"]) == (0, "attention", "a port is 0 to 65535")
 
 
 def test_a_port_that_is_taken_is_no_defect(capsys: pytest.CaptureFixture[str]) -> None:
