@@ -139,6 +139,10 @@ def test_podman_builds_if_it_is_chosen(space: str, commands: Commands) -> None:
 def test_openenv_that_fails_or_is_missing_fails_the_third_check(space: str, commands: Commands) -> None:
     commands.add("openenv", 'echo "FAIL static.manifest"; exit 1')
     assert "  | FAIL static.manifest\n  FAILED: openenv validate" in failure(commands.run(SCRIPT, space))
+    skipped = 'for i in {1..20}; do echo "  SKIP  check.$i"; echo "          not written yet"; done'
+    commands.add("openenv", f'echo "  FAIL  run.it"; echo "          why"; {skipped}; echo "Verdict: FAIL"; exit 1')
+    told = "  |   FAIL  run.it\n  |           why\n  | Verdict: FAIL\n  FAILED: openenv validate"
+    assert told in failure(commands.run(SCRIPT, space))
     (commands.folder / "openenv").unlink()
     assert "pip install 'openenv>=0.10'" in failure(commands.run(SCRIPT, space))
 
