@@ -12,6 +12,12 @@ if [[ $# -ne 2 || ($1 != in && $1 != out) || ! $2 =~ ^[0-9A-Za-z.:-]+$ ]]; then
   sed -n '2,8s/^# \?//p' "$0" >&2
   exit 2
 fi
+if [[ ! $WAIT =~ ^[0-9]+$ ]]; then
+  echo "drain.sh: WAIT is a number of seconds, got '$WAIT'" >&2
+  exit 2
+fi
+# Without it nothing would be seen to wait for.
+command -v ss > /dev/null || { echo "drain.sh: ss is not installed (Debian's package iproute2)" >&2; exit 2; }
 grep -q "^server $2 " "$SERVERS" || { echo "drain.sh: $SERVERS has no line 'server $2 ...'" >&2; exit 2; }
 sed -i "/^server $2 /s/ down;/;/" "$SERVERS"
 if [[ $1 == out ]]; then
@@ -23,7 +29,8 @@ $NGINX_COMMAND -s reload
 [[ $1 == in ]] && exit
 sleep 1  # the old workers of nginx finish what they have begun
 for ((waited = 1; waited < WAIT; waited++)); do
-  [[ -z $(ss -Htn state established dst "$2") ]] && exit
+  connections=$(ss -Htn state established dst "$2")  # by itself: where ss fails, so does this
+  [[ -z $connections ]] && exit
   sleep 1
 done
 echo "drain.sh: after $WAIT s there still are connections to $2" >&2

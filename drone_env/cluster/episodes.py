@@ -10,7 +10,7 @@ import ray
 from ray.exceptions import RayError, RayTaskError
 
 from drone_env.agents import NETWORK_PREFIX
-from drone_env.cluster.nodes import check_identity, identity
+from drone_env.cluster.nodes import check_cpus, check_identity, identity
 from drone_env.errors import ClusterError, DroneEnvError
 from drone_env.evaluation import EpisodeResults, EpisodesKey, run_episodes
 
@@ -27,9 +27,10 @@ def fly_on_nodes(keys: Sequence[EpisodesKey]) -> Iterator[EpisodeResults]:
     not have the file.
 
     Raises:
-        ClusterError: if a node has another package than this one, or a piece failed on every try.
+        ClusterError: if no node offers a CPU, one has another package than this one, or a piece failed on every try.
         DroneEnvError: what `run_episodes` raises.
     """
+    check_cpus(1)
     files = {key.agent for key in keys if key.agent.startswith(NETWORK_PREFIX)}
     networks = {agent: ray.put(Path(agent.removeprefix(NETWORK_PREFIX)).read_bytes()) for agent in files}
     remote: Any = ray.remote(num_cpus=1, max_retries=TRIES)(_fly)

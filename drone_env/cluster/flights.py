@@ -144,32 +144,28 @@ class RemoteDesk:
 class Flyer:
     """Flies flights of a run on one node, many at once."""
 
-    def __init__(self, desk: Any, config: RunConfig, options: Options) -> None:
-        self._actor = desk
-        self._config = config
-        self._options = options
+    def __init__(self) -> None:
+        # Nothing is handed over here: Ray can make an actor anew only as long as it has what it was made from.
         self._opening = asyncio.Lock()
         self._caller: Caller | None = None
 
-    async def fly(self, driver: str, index: int) -> Flight | None:
+    async def fly(self, driver: str, desk: Any, config: RunConfig, options: Options, index: int) -> Flight | None:
         """A flight; None if the run is being stopped.
 
         Raises:
             ClusterError: if this node has another package than the driver.
         """
         check_identity(driver)
-        prompt = self._config.load_prompt()
+        prompt = config.load_prompt()
         async with self._opening:
             if self._caller is None:
-                secret: SecretStr | None = await _result(self._actor.token.remote())
+                secret: SecretStr | None = await _result(desk.token.remote())
                 token = None if secret is None else secret.get_secret_value()
-                endpoint = Endpoint(self._config, token, prompt.plan, self._options.timeout)
-                self._caller = Caller(
-                    self._config, prompt.plan, endpoint, RemoteDesk(self._actor), self._options.retries
-                )
-        server = None if self._options.server is None else ServerFlight(self._options.server)
+                endpoint = Endpoint(config, token, prompt.plan, options.timeout)
+                self._caller = Caller(config, prompt.plan, endpoint, RemoteDesk(desk), options.retries)
+        server = None if options.server is None else ServerFlight(options.server)
         try:
-            return await fly(mission_of(self._config, index), prompt, self._caller.ask, server)
+            return await fly(mission_of(config, index), prompt, self._caller.ask, server)
         except StoppedError:
             return None
         finally:
@@ -196,9 +192,6 @@ async def run_on_nodes(
     flyers = [
         _actor(
             Flyer,
-            options,
-            desk,
-            config,
             options,
             scheduling_strategy=NodeAffinitySchedulingStrategy(node["NodeID"], soft=True),
             num_cpus=0,
@@ -228,7 +221,9 @@ async def run_on_nodes(
             await asyncio.sleep(NEWS_SECONDS)
 
     async def fly_one(index: int) -> bool:
-        flight: Flight | None = await _result(flyers[index % len(flyers)].fly.remote(identity(), index))
+        flight: Flight | None = await _result(
+            flyers[index % len(flyers)].fly.remote(identity(), desk, config, options, index)
+        )
         # A flight that the limits did not let begin is not one.
         if flight is not None and flight.turns != ["budget_stop"]:
             flights.append(flight)
@@ -254,10 +249,10 @@ async def run_on_nodes(
     return result_of(config, flights, fatal)
 
 
-def _actor(kind: type, options: Options, *arguments: Any, **settings: Any) -> Any:
+def _actor(kind: type, options: Options, **settings: Any) -> Any:
     # All flights may ask at once, and the driver besides.
     remote: Any = cast(Any, ray).remote(max_concurrency=4 * options.concurrency + 100, **settings)(kind)
-    return remote.remote(*arguments)
+    return remote.remote()
 
 
 async def _result(reference: Awaitable[Any]) -> Any:

@@ -1,10 +1,11 @@
-"""Whether a node would do the same as the driver: equal sources, equal NumPy, equal Python."""
+"""Whether nodes can do the work, and the same as the driver: CPUs, equal sources, equal NumPy, equal Python."""
 
 import hashlib
 import platform
 import socket
 from functools import lru_cache
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -32,3 +33,17 @@ def check_identity(of_driver: str) -> None:
     """
     if identity() != of_driver:
         raise ClusterError(f"node {socket.gethostname()} has {identity()}, the driver has {of_driver}: make them equal")
+
+
+def check_cpus(needed: int) -> None:
+    """To be called by the driver, inside of `connect`: Ray would wait without a word for a node that is large enough.
+
+    Raises:
+        ClusterError: if no node offers so many CPUs.
+    """
+    import ray
+
+    nodes = [node for node in cast(list[dict[str, Any]], cast(Any, ray).nodes()) if node["Alive"]]
+    most = int(max((node["Resources"].get("CPU", 0) for node in nodes), default=0))
+    if most < needed:
+        raise ClusterError(f"no node of the cluster offers {needed} CPUs at once: the most that one has are {most}")

@@ -109,7 +109,7 @@ def _engine(name: str, address: str | None) -> Generator[Engine, None, None]:
         return
     from drone_env.cluster.connect import LOCAL, connect
 
-    with connect(address or LOCAL):
+    with connect(LOCAL if address is None else address):
         from drone_env.cluster.episodes import fly_on_nodes
 
         yield fly_on_nodes

@@ -230,7 +230,7 @@ def infer(
 def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "runner.Run":
     from drone_env.cluster.connect import LOCAL, connect
 
-    stack.enter_context(connect(address or LOCAL))
+    stack.enter_context(connect(LOCAL if address is None else address))
     from drone_env.cluster.flights import run_on_nodes
 
     return run_on_nodes

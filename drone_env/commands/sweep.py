@@ -121,8 +121,12 @@ def _sweep(
         )
 
     if not is_done(folder, config):
-        with connect(*cluster):
-            drive(folder, config, checkpoint_seconds, concurrent or 0, show)
+        try:
+            with connect(*cluster):
+                drive(folder, config, checkpoint_seconds, concurrent or 0, show)
+        except KeyboardInterrupt:
+            print(f"interrupted; to go on, give the same options with --out {folder.path}", file=sys.stderr)
+            raise
     figures = sweep_report(folder, config)
     write_report(folder, figures)
     count = figures["trials_by_status"]

@@ -92,7 +92,7 @@ def test_a_driver_without_the_token_is_refused(cluster: Any) -> None:
 
 def test_where_nobody_listens_and_what_is_no_address(capsys: pytest.CaptureFixture[str]) -> None:
     evaluate = ["evaluate", "--task", "easy", "--episodes", "1"]
-    for address, said in (("127.0.0.1:9", "no cluster"), ("here", "HOST:PORT")):
+    for address, said in (("127.0.0.1:9", "no cluster"), ("here", "HOST:PORT"), ("", "HOST:PORT")):
         assert main([*evaluate, "--engine", "ray", "--address", address]) == 2
         assert said in capsys.readouterr().err
     assert main([*evaluate, "--address", "auto"]) == 2

@@ -74,6 +74,11 @@ def test_what_cannot_be_set_is_refused(sets: list[str], message: str) -> None:
         settings_of(sets)
 
 
+def test_a_seed_to_draw_by_is_not_negative() -> None:
+    with pytest.raises(InvalidValueError, match="--samples-seed must be 0 or more, got -1"):
+        settings_of(["lr=loguniform(1e-5,1e-3)"], samples=2, samples_seed=-1)
+
+
 def test_drawn_settings_lie_in_their_ranges_and_are_the_same_again() -> None:
     texts = ["lr=loguniform(1e-5,1e-3)", "batch_size=uniform(32,64)", "loss=huber,mse"]
     drawn = settings_of(texts, samples=200)
@@ -195,15 +200,26 @@ def test_a_folder_keeps_to_its_sweep(tmp_path: Path) -> None:
         SweepFolder(tmp_path / "other").begin(sweep_of())
 
 
+def test_trials_that_no_node_has_the_cpus_for_are_refused(tmp_path: Path, cluster: Any) -> None:
+    driver = drive(tmp_path / "sweep", cluster.address, "--cpus-per-trial", "2")
+    try:
+        assert driver.wait(120) == 2
+    finally:
+        driver.kill()
+        driver.wait()
+    log = (tmp_path / "driver.log").read_text()
+    assert "no node of the cluster offers 2 CPUs at once: the most that one has are 1" in log
+
+
 # What is killed
 
 
-def drive(out: Path, address: str) -> "subprocess.Popen[bytes]":
+def drive(out: Path, address: str, *more: str) -> "subprocess.Popen[bytes]":
     """A driver in a process of its own."""
     sets = [word for text in (*SMALL, "episodes=80", "lr=1e-3,1e-6") for word in ("--set", text)]
     command = [sys.executable, "-m", "drone_env.cli", "sweep", "--task", "easy", "--seeds", "1", *sets,
                "--no-early-stopping", "--test-maps", "20", "--checkpoint-seconds", "0.1",
-               "--address", address, "--out", str(out)]  # fmt: skip
+               "--address", address, "--out", str(out), *more]  # fmt: skip
     with (out.parent / "driver.log").open("ab") as log:
         return subprocess.Popen(command, stdout=log, stderr=log)
 

@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from drone_env.cluster.nodes import identity
+from drone_env.cluster.nodes import check_cpus, identity
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import SweepFolder
 from drone_env.cluster.sweep.halving import decide, remaining, rungs
@@ -35,8 +35,10 @@ def drive(folder: SweepFolder, config: SweepConfig, checkpoint_seconds: float, c
         show: Called with a trial and what it reports.
 
     Raises:
+        ClusterError: if no node offers the CPUs of a trial.
         KeyboardInterrupt: if Ctrl-C ended it.
     """
+    check_cpus(config.cpus_per_trial)
     for left in folder.path.glob("tune-*"):
         shutil.rmtree(left, ignore_errors=True)
     for episodes in rungs(config):

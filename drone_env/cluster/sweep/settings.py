@@ -65,6 +65,8 @@ def settings_of(texts: Sequence[str], samples: int | None = None, samples_seed: 
     if samples is not None:
         if not 1 <= samples <= MOST_SETTINGS:
             raise InvalidValueError(f"--samples must be from 1 to {MOST_SETTINGS}, got {samples}")
+        if samples_seed < 0:
+            raise InvalidValueError(f"--samples-seed must be 0 or more, got {samples_seed}")
         rng = np.random.default_rng(samples_seed)
         drawn = [{axis.name: _drawn(axis, rng) for axis in axes} for _ in range(samples)]
         return [setting for i, setting in enumerate(drawn) if setting not in drawn[:i]]
