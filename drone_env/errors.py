@@ -64,7 +64,7 @@ class MissingPackageError(DroneEnvError, ImportError):
     """A package that only an extra installs; the message says how."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed: run pip install 'drone-env[{extra}]'")
+        super().__init__(f"{package} is not installed: run pip install -e '.[{extra}]' in the clone")
 
 
 class StoreError(DroneEnvError, OSError):

@@ -1,6 +1,6 @@
 """DQN in one file, in the manner of CleanRL: a dataclass is the command line, the algorithm reads top to bottom.
 
-    pip install 'drone-env[train]'
+    pip install -e '.[train]'
     python examples/cleanrl_dqn.py --total-timesteps 400000
 
 Measured: score 0.9774, optimum of the same 500 maps 0.9774, after 2.5 minutes of CPU time (PyTorch 2.13).

@@ -1,6 +1,6 @@
 """Evaluate a language model with `drone-env infer`: score beside the optimum, moves, calls, all in a run folder.
 
-    pip install 'drone-env[llm]'
+    pip install -e '.[llm]'
     python examples/llm_evaluation.py                                                 # a scripted model, no network
     python examples/llm_evaluation.py --base-url http://127.0.0.1:8080/v1 --model my-model --maps 100
 

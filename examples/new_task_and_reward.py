@@ -1,6 +1,6 @@
 """A task and a reward profile of your own, ten lines each: solved, flown, audited, and learned.
 
-    pip install 'drone-env[train]'
+    pip install -e '.[train]'
     python examples/new_task_and_reward.py
     python examples/new_task_and_reward.py --episodes 100 --maps 10      # short
 

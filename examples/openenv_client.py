@@ -1,6 +1,6 @@
 """OpenEnv's client over WebSocket: fly a mission on a server, and compare it with the exact optimum of its map.
 
-    pip install 'drone-env[server]'
+    pip install -e '.[server]'
     python examples/openenv_client.py                                  # starts a server of its own
     python examples/openenv_client.py --url http://127.0.0.1:8000      # or flies on one that runs
 

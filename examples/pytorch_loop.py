@@ -1,6 +1,6 @@
 """A plain PyTorch loop: an actor and a critic, 64 drones, eight steps at a time (A2C).
 
-    pip install 'drone-env[train]'
+    pip install -e '.[train]'
     python examples/pytorch_loop.py --total-timesteps 1000000
 
 Measured: score 0.9712, optimum of the same 500 maps 0.9774, after 56 seconds of CPU time (PyTorch 2.13). It samples its

@@ -1,6 +1,6 @@
 """Stable-Baselines3's PPO on 64 drones at once, judged by score beside the exact optimum.
 
-    pip install 'drone-env[train]' stable-baselines3
+    pip install -e '.[train]' stable-baselines3
     python examples/sb3_ppo.py --total-timesteps 500000
 
 Measured with these settings over the first 200 validation maps: score 0.948, optimum 0.977 (docs/sb3.md; PyTorch 2.13).

@@ -101,10 +101,10 @@ def _start(cpus: int | None) -> None:
 def _check_reachable(address: str) -> None:
     """Ray itself would try for minutes where nobody listens."""
     host, _, port = address.rpartition(":")
-    if not host or not port.isdecimal():
+    if not host or "/" in host or not port.isdecimal():
         raise InvalidValueError(f"--address takes local, auto or HOST:PORT, got {address!r}")
     try:
-        socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()
+        socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_SECONDS).close()
     except (OSError, OverflowError) as error:
         raise ClusterError(f"there is no cluster to be reached at {address}: {error}") from None
 

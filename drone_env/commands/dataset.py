@@ -34,7 +34,7 @@ def dataset(
     For imitation learning, offline reinforcement learning and process rewards: states, actions, rewards, V*, Q* of all
     actions, the set of optimal actions, and regret. The same arguments give the same rows. The folder holds
     steps.parquet, a Minari data set and a README.md that explains every column; it is there whole or not at all. A
-    progress bar goes to standard error. Needs pip install 'drone-env[data]'.
+    progress bar goes to standard error. Needs the extra `data`.
 
     Example: drone-env dataset --task hard --maps 1000 --out hard-steps
 

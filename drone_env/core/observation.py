@@ -1,10 +1,24 @@
-"""What an agent sees beside the grid, written into buffers that the caller owns."""
+"""What an agent sees; all but the grid is written into buffers that the caller owns."""
+
+from typing import TypedDict
+
+import numpy as np
+import numpy.typing as npt
 
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.obstacles import collision
 from drone_env.core.rules import BATTERY, CELL, NOWHERE, STEPS, TARGET, Buffer, FloatBuffer, Rules
 
 FREE = int(Event.NONE)
+
+
+class Observation(TypedDict):
+    """What an agent acts on."""
+
+    grid: npt.NDArray[np.uint8]
+    """uint8[height, width] of cell ids; the drone's id hides what lies below it."""
+    telemetry: npt.NDArray[np.float32]
+    """float32[5] (or 6): see `write_telemetry`."""
 
 
 def write_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:

@@ -3,14 +3,14 @@
 import operator
 import secrets
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, SupportsIndex, TypedDict
+from typing import Any, NamedTuple, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.core import dynamics
 from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
-from drone_env.core.observation import open_actions, write_telemetry
+from drone_env.core.observation import Observation, open_actions, write_telemetry
 from drone_env.core.rewards import RewardProfile, get_reward_profile, interpreted_rewards
 from drone_env.core.rules import (
     BATTERY,
@@ -36,15 +36,6 @@ from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import EpisodeError, InvalidValueError
 
 ALLOWED_ACTIONS = ", ".join(f"{int(action)} {action.name}" for action in Action)
-
-
-class Observation(TypedDict):
-    """What an agent acts on."""
-
-    grid: npt.NDArray[np.uint8]
-    """uint8[height, width] of cell ids; the drone's id hides what lies below it."""
-    telemetry: npt.NDArray[np.float32]
-    """float32[5] (or 6): see `observation.write_telemetry`."""
 
 
 class PathStep(NamedTuple):

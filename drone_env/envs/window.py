@@ -67,7 +67,9 @@ class Window:
         try:
             import pygame
         except ImportError as error:
-            raise DependencyNotInstalled('pygame is not installed, run `pip install "drone-env[human]"`') from error
+            raise DependencyNotInstalled(
+                'pygame is not installed, run `pip install -e ".[human]"` in the clone'
+            ) from error
         pygame.display.init()
         pygame.display.set_caption(self.caption)
         self._pygame, self._clock = pygame, pygame.time.Clock()

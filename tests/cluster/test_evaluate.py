@@ -119,7 +119,7 @@ def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys:
     monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.setenv("RAY_AUTH_TOKEN", "none is made")
     assert main(["evaluate", "--task", "easy", "--episodes", "1", "--engine", "ray"]) == 2
-    assert "pip install 'drone-env[cluster]'" in capsys.readouterr().err
+    assert "pip install -e '.[cluster]'" in capsys.readouterr().err
 
 
 def test_a_node_with_another_package_is_refused() -> None:

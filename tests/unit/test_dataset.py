@@ -304,7 +304,7 @@ def test_a_missing_package_is_said_before_anything_is_flown(
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setattr(build, "fly_map", None)
-    with pytest.raises(MissingPackageError, match=r"pip install 'drone-env\[data\]'"):
+    with pytest.raises(MissingPackageError, match=r"pip install -e '\.\[data\]'"):
         build_dataset(dataset_config("easy", range(2)), tmp_path / "set", (format_,))
     assert list(tmp_path.iterdir()) == []
 

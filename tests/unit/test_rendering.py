@@ -385,7 +385,7 @@ class TestWindow:
     def test_missing_pygame_is_named(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "pygame", None)
         window = Window()
-        with pytest.raises(DependencyNotInstalled, match=r'pip install "drone-env\[human\]"'):
+        with pytest.raises(DependencyNotInstalled, match=r'pip install -e "\.\[human\]"'):
             window.show(np.zeros((20, 30, 3), np.uint8))
         assert not window.is_open
         window.close()
