@@ -36,7 +36,7 @@ features: .venv/.dev
 
 # The tests once more, with a report of the lines that none of them runs: htmlcov/index.html. Compiled code is not counted.
 coverage: .venv/.dev
-	$(BIN)/python -m pytest -n auto --dist worksteal --cov --cov-report=term:skip-covered --cov-report=html
+	$(BIN)/python -m pytest -n auto --dist worksteal --cov --cov-fail-under=90 --cov-report=term:skip-covered --cov-report=html
 
 # Lint, formatting, types.
 check: .venv/.dev

@@ -105,5 +105,5 @@ def test_the_command_line_knows_the_task(endpoint: Start, tmp_path: Path) -> Non
 def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "inspect_ai", None)
     monkeypatch.delitem(sys.modules, "drone_env.llm.inspect_task", raising=False)
-    with pytest.raises(MissingPackageError, match=r"drone-env\[inspect\]"):
+    with pytest.raises(MissingPackageError, match=r"-e .\.\[inspect\]"):
         import drone_env.llm.inspect_task  # noqa: F401

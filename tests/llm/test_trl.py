@@ -69,7 +69,7 @@ def test_bad_rows_and_directions_are_told() -> None:
 
 def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "datasets", None)
-    with pytest.raises(MissingPackageError, match=r"drone-env\[trl\]"):
+    with pytest.raises(MissingPackageError, match=r"-e .\.\[trl\]"):
         training_maps()
 
 

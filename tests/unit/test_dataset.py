@@ -314,7 +314,7 @@ def test_a_minari_that_would_lose_cells_is_refused(tmp_path: Path, monkeypatch: 
     import minari
 
     monkeypatch.setattr(minari, "__version__", "0.5.3")
-    with pytest.raises(MissingPackageError, match=r"0\.5\.4 or newer.*0\.5\.3.*drone-env\[data\]"):
+    with pytest.raises(MissingPackageError, match=r"0\.5\.4 or newer.*0\.5\.3.*-e .\.\[data\]"):
         build_dataset(dataset_config("easy", range(2)), tmp_path / "set", ("minari",))
     assert list(tmp_path.iterdir()) == []
 
