@@ -10,6 +10,7 @@ every command ended with 0.
 
 import argparse
 import contextlib
+import json
 import os
 import re
 import shlex
@@ -71,12 +72,12 @@ def background(command: list[str], port: int, **options: object) -> Iterator[Non
 
 
 def scripted_endpoint(clone: Path, stack: contextlib.ExitStack, environment: dict[str, str]) -> str:
-    """A language model that flies greedily; its base URL."""
+    """A language model that flies well, whatever the prompt; its base URL."""
     port = free_port()
     python = str(clone / ".venv/bin/python")
     command = [python, "tests/llm/scripted_server.py", str(port)]
     stack.enter_context(background(command, port, cwd=clone, env=environment))
-    body = f'{{"log": "{clone}/stranger.log", "pilot": "greedy", "repair": "greedy", "latency": 0, "faults": []}}'
+    body = json.dumps({"log": str(clone / "stranger.log"), "pilot": "able"})
     urllib.request.urlopen(f"http://127.0.0.1:{port}/stranger/script", body.encode()).close()
     return f"http://127.0.0.1:{port}/stranger/v1"
 
