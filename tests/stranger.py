@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -59,9 +59,9 @@ def wait_for(port: int, process: "subprocess.Popen[bytes]") -> None:
 
 
 @contextlib.contextmanager
-def background(command: list[str], port: int, **options: object) -> Iterator[None]:
+def background(command: list[str], port: int, cwd: Path, env: dict[str, str]) -> Generator[None, None, None]:
     """A command that serves, until the end of the `with`."""
-    process = subprocess.Popen(command, start_new_session=True, **options)  # type: ignore[call-overload]
+    process = subprocess.Popen(command, cwd=cwd, env=env, start_new_session=True)
     try:
         wait_for(port, process)
         yield
