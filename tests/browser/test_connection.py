@@ -29,6 +29,17 @@ def test_two_tabs_fly_two_missions_at_once(tabs: Tabs, server: Server) -> None:
         expect_frame(page, frames(server.url, record)[-1], capacity)
 
 
+def test_a_page_that_goes_gives_its_sessions_back_without_a_complaint(tabs: Tabs) -> None:
+    page = tabs.open("/?task=easy&seed=7")
+    seed = page.get_by_role("spinbutton", name="Map")
+    expect(seed).to_have_value("7")
+    expect(page.locator("#step-counter")).to_contain_text("Step 0")
+    page.evaluate("window.dispatchEvent(new PageTransitionEvent('pagehide', { persisted: false }))")
+    # Answered after the sessions were given back, in order.
+    page.get_by_role("button", name="New map").click()
+    expect(seed).not_to_have_value("7")
+
+
 def test_a_killed_server_comes_back_and_the_mission_goes_on_from_its_step(browser: Browser, tmp_path: Path) -> None:
     data, port = tmp_path / "data", free_port()
     flight = flown("hard", 7, "greedy")

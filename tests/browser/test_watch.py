@@ -26,7 +26,9 @@ def test_it_waits_for_start_and_shows_each_step_as_the_server_has_it(page: Page,
         expect_frame(page, frame, 100)
         expect(page.locator("#events li").first).to_contain_text(frame["message"])
     page.get_by_text("Raw telemetry").click()
-    raw = json.loads(page.locator("#raw-frame").inner_text())
+    shown = page.locator("#raw-frame")
+    expect(shown).not_to_be_empty()
+    raw = json.loads(shown.inner_text())
     known = {name: value for name, value in flight[3].items() if name not in ("value", "regret")}
     assert {name: raw[name] for name in known} == known
 

@@ -149,6 +149,8 @@ export class Fleet extends EventTarget {
 
   begin({ missions, playing, speed }) {
     this.asked = null;
+    // The answer to `end`: this page is about to go.
+    if (!missions.length) return;
     const { players } = this.context;
     players.forEach((player, i) => {
       const flight = missions[i];
