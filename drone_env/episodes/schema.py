@@ -57,6 +57,12 @@ MIGRATIONS: tuple[str, ...] = (
         gone_at REAL NOT NULL
     ) WITHOUT ROWID;
     """,
+    # 2. Who opens a session counts all, and looks for idle ones and finished ones while nobody else writes.
+    """
+    CREATE INDEX sessions_by_use ON sessions (touched_at);
+    CREATE INDEX finished_sessions_by_use ON sessions (touched_at) WHERE episode_id IS NOT NULL;
+    CREATE INDEX gone_sessions_by_time ON gone_sessions (gone_at);
+    """,
 )
 
 

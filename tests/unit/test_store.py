@@ -241,6 +241,20 @@ def test_a_migration_that_fails_changes_nothing(tmp_path: Path) -> None:
     connection.close()
 
 
+def test_a_store_of_the_first_version_keeps_what_is_in_it(tmp_path: Path) -> None:
+    connection = sqlite3.connect(tmp_path / FILE_NAME, isolation_level=None)
+    migrate(connection, tmp_path / FILE_NAME, MIGRATIONS[:1])
+    now = time.time()
+    values = [(name, "easy_delivery", 1, 7, "tiered", "someone", "03", None, now, now - age)
+              for name, age in (("new", 0), ("idle", 900))]  # fmt: skip
+    connection.executemany("INSERT INTO sessions VALUES (?,?,?,?,?,?,?,?,?,?)", values)
+    connection.close()
+    with Store(tmp_path) as store:
+        assert store.read_session("new").actions == (0, 3)
+        assert store.expire_sessions(600) == ["idle"]
+        assert store.count_sessions() == 1
+
+
 def test_many_may_open_a_new_folder_at_once(tmp_path: Path) -> None:
     errors: list[BaseException] = []
     start = threading.Barrier(8)
