@@ -82,12 +82,12 @@ class Shared:
         self.requests.close()
 
 
-def shared_of(request: Request) -> Shared:
+async def shared_of(request: Request) -> Shared:
     """The parts of the server that answers a request."""
     return request.app.state.shared
 
 
-def named_session(
+async def named_session(
     x_session_id: Annotated[
         str | None,
         Header(max_length=LONGEST_ID, description="The session, as `/reset` gave it; goes before the cookie."),
@@ -98,7 +98,7 @@ def named_session(
     return x_session_id or drone_env_session or None
 
 
-def needed_session(named: Annotated[str | None, Depends(named_session)]) -> str:
+async def needed_session(named: Annotated[str | None, Depends(named_session)]) -> str:
     """The session that a request names.
 
     Raises:
@@ -109,7 +109,7 @@ def needed_session(named: Annotated[str | None, Depends(named_session)]) -> str:
     return named
 
 
-def known_steps(
+async def known_steps(
     x_step_count: Annotated[
         int | None,
         Header(
