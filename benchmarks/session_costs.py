@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import multiprocessing
 import os
 import time
 from collections.abc import Iterable
@@ -222,8 +223,12 @@ async def sockets(
 
 
 def episode_bytes(task: str, count: int) -> float:
-    """Bytes of an episode in flight, from the memory of this process."""
+    """Bytes of an episode in flight, from the memory of a process of its own."""
+    with multiprocessing.get_context("spawn").Pool(1) as process:
+        return process.apply(_episode_bytes, (task, count))
 
+
+def _episode_bytes(task: str, count: int) -> float:
     def flown(seed: int) -> Episode:
         episode = Episode(task)
         episode.reset(seed)

@@ -8,8 +8,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.api.serving import Server, serving
 from tests.browser.flights import fill, flown
-from tests.browser.tabs import PATIENCE_MS, Tabs, find_chromium, launched
-from tests.tools import missing_tool
+from tests.browser.tabs import PATIENCE_MS, Tabs, needed_browser
 
 expect.set_options(timeout=PATIENCE_MS)
 MARKUP = '<img src=x onerror="document.title=1"><b>bold</b>'
@@ -22,10 +21,7 @@ TRAINING = ["episode 1 reward 3.25 success 0", f"episode 2 {MARKUP}", "episode 3
 # Of the package, not of the session: while Playwright runs, no other test of this process can run an event loop.
 @pytest.fixture(scope="package")
 def browser() -> Generator[Browser, None, None]:
-    path = find_chromium()
-    if path is None:
-        missing_tool("chromium (apt-get install chromium)")
-    with launched(path) as running:
+    with needed_browser() as running:
         yield running
 
 

@@ -8,6 +8,8 @@ from typing import Any
 
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Response, sync_playwright
 
+from tests.tools import missing_tool
+
 WIDE = {"width": 1440, "height": 900}
 NARROW = {"width": 390, "height": 844}
 PATIENCE_MS = 15_000
@@ -27,6 +29,13 @@ def launched(path: str) -> Generator[Browser, None, None]:
         browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
         yield browser
         browser.close()
+
+
+@contextmanager
+def needed_browser() -> Generator[Browser, None, None]:
+    """The same of the machine's own chromium; a test that finds none is skipped, or fails."""
+    with launched(find_chromium() or missing_tool("chromium (apt-get install chromium)")) as browser:
+        yield browser
 
 
 class Tabs:

@@ -10,18 +10,14 @@ from playwright.sync_api import Browser, Page, expect
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames
 from tests.browser.stage import counter, expect_frame, fixed, fly, percent, pixels, results, view
-from tests.browser.tabs import PATIENCE_MS, Tabs, find_chromium, launched
-from tests.tools import missing_tool
+from tests.browser.tabs import PATIENCE_MS, Tabs, needed_browser
 
 expect.set_options(timeout=PATIENCE_MS)
 
 
 @pytest.fixture(scope="module")
 def browser() -> Generator[Browser, None, None]:
-    path = find_chromium()
-    if path is None:
-        missing_tool("chromium (apt-get install chromium)")
-    with launched(path) as running:
+    with needed_browser() as running:
         yield running
 
 
