@@ -7,11 +7,12 @@ A module registers them when it is imported:
     register_reward_profile(RewardProfile("parcels", "a parcel pays", events=((Event.DELIVERY, Decimal(1)),)))
 
 `gymnasium.make("my_module:DroneDelivery-Courier-v1")` imports `my_module` first; the command line and the server import
-what `DRONE_ENV_PLUGINS` names.
+what `DRONE_ENV_PLUGINS` names, and so do the nodes of a cluster.
 """
 
 import os
 from importlib import import_module
+from types import ModuleType
 
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.tasks import PAST_TASKS, TASKS, TaskConfig
@@ -56,14 +57,19 @@ def register_reward_profile(profile: RewardProfile) -> RewardProfile:
     return profile
 
 
-def load_plugins() -> None:
-    """Import the modules that `DRONE_ENV_PLUGINS` names, comma-separated, in order.
+def plugin_names() -> str:
+    """What `DRONE_ENV_PLUGINS` names, comma-separated; empty for nothing."""
+    return os.environ.get(PLUGINS, "")
+
+
+def load_plugins(names: str | None = None) -> list[ModuleType]:
+    """Import the modules that `names` lists, comma-separated, in order; `DRONE_ENV_PLUGINS` if nothing is said.
 
     Raises:
         InvalidValueError: if there is no such module.
     """
-    for name in filter(None, (part.strip() for part in os.environ.get(PLUGINS, "").split(","))):
-        try:
-            import_module(name)
-        except ModuleNotFoundError as error:
-            raise InvalidValueError(f"{PLUGINS} takes modules that Python finds, comma-separated: {error}") from None
+    parts = (plugin_names() if names is None else names).split(",")
+    try:
+        return [import_module(name) for name in map(str.strip, parts) if name]
+    except ModuleNotFoundError as error:
+        raise InvalidValueError(f"{PLUGINS} takes modules that Python finds, comma-separated: {error}") from None

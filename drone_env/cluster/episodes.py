@@ -10,7 +10,7 @@ import ray
 from ray.exceptions import RayError, RayTaskError
 
 from drone_env.agents import NETWORK_PREFIX
-from drone_env.cluster.nodes import check_cpus, check_identity, identity
+from drone_env.cluster.nodes import Driver, check_cpus, check_node, this_driver
 from drone_env.errors import ClusterError, DroneEnvError
 from drone_env.evaluation import EpisodeResults, EpisodesKey, run_episodes
 
@@ -34,12 +34,12 @@ def fly_on_nodes(keys: Sequence[EpisodesKey]) -> Iterator[EpisodeResults]:
     files = {key.agent for key in keys if key.agent.startswith(NETWORK_PREFIX)}
     networks = {agent: ray.put(Path(agent.removeprefix(NETWORK_PREFIX)).read_bytes()) for agent in files}
     remote: Any = ray.remote(num_cpus=1, max_retries=TRIES)(_fly)
-    waiting = iter(keys)
+    driver, waiting = this_driver(), iter(keys)
     under_way: dict[Any, EpisodesKey] = {}
     while True:
         most = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
         while len(under_way) < most and (key := next(waiting, None)) is not None:
-            under_way[remote.remote(identity(), tuple(key), networks.get(key.agent))] = key
+            under_way[remote.remote(driver, tuple(key), networks.get(key.agent))] = key
         if not under_way:
             return
         done: list[Any] = cast(Any, ray).wait(list(under_way))[0]
@@ -60,8 +60,8 @@ def _get(reference: Any) -> EpisodeResults:
         raise ClusterError(f"a piece was lost, {TRIES} times flown again: {error}") from None
 
 
-def _fly(driver: str, fields: tuple[Any, ...], network: bytes | None) -> EpisodeResults:
-    check_identity(driver)
+def _fly(driver: Driver, fields: tuple[Any, ...], network: bytes | None) -> EpisodeResults:
+    check_node(driver)
     key = EpisodesKey(*fields)
     if network is None:
         return run_episodes(key)

@@ -21,7 +21,7 @@ from pydantic import SecretStr
 from ray.exceptions import RayError, RayTaskError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from drone_env.cluster.nodes import check_identity, identity
+from drone_env.cluster.nodes import Driver, check_node, this_driver
 from drone_env.errors import ClusterError, DroneEnvError
 from drone_env.llm.caller import Caller
 from drone_env.llm.concurrency import AdaptiveGate
@@ -149,13 +149,13 @@ class Flyer:
         self._opening = asyncio.Lock()
         self._caller: Caller | None = None
 
-    async def fly(self, driver: str, desk: Any, config: RunConfig, options: Options, index: int) -> Flight | None:
+    async def fly(self, driver: Driver, desk: Any, config: RunConfig, options: Options, index: int) -> Flight | None:
         """A flight; None if the run is being stopped.
 
         Raises:
             ClusterError: if this node has another package than the driver.
         """
-        check_identity(driver)
+        check_node(driver)
         prompt = config.load_prompt()
         async with self._opening:
             if self._caller is None:
@@ -222,7 +222,7 @@ async def run_on_nodes(
 
     async def fly_one(index: int) -> bool:
         flight: Flight | None = await _result(
-            flyers[index % len(flyers)].fly.remote(identity(), desk, config, options, index)
+            flyers[index % len(flyers)].fly.remote(this_driver(), desk, config, options, index)
         )
         # A flight that the limits did not let begin is not one.
         if flight is not None and flight.turns != ["budget_stop"]:

@@ -1,38 +1,69 @@
-"""Whether nodes can do the work, and the same as the driver: CPUs, equal sources, equal NumPy, equal Python."""
+"""Whether nodes can do the work, and the same as the driver: CPUs, equal sources, plugins, NumPy and Python."""
 
 import hashlib
 import platform
 import socket
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, cast
+from types import ModuleType
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from drone_env import __version__
-from drone_env.errors import ClusterError
+from drone_env.errors import ClusterError, InvalidValueError
+from drone_env.registry import load_plugins, plugin_names
+
+
+class Driver(NamedTuple):
+    """What every node must have as the driver has it."""
+
+    identity: str
+    plugins: str
+    """Modules that register tasks and reward profiles, comma-separated."""
+
+
+def this_driver() -> Driver:
+    """What this process has.
+
+    Raises:
+        InvalidValueError: if a module that `DRONE_ENV_PLUGINS` names does not exist.
+    """
+    plugins = plugin_names()
+    return Driver(_identity(plugins), plugins)
 
 
 @lru_cache(maxsize=1)
-def identity() -> str:
-    """What must be equal everywhere: versions, and a digest of all that this package ships."""
+def _identity(plugins: str) -> str:
+    """Versions, and a digest of all that this package ships and of the plugins' files."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*")):
         if file.suffix in (".py", ".npz", ".toml"):
             digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes())
     minor = ".".join(platform.python_version_tuple()[:2])
-    return f"drone-env {__version__} ({digest.hexdigest()[:16]}), NumPy {np.__version__}, Python {minor}"
+    own = f"drone-env {__version__} ({digest.hexdigest()[:16]}), NumPy {np.__version__}, Python {minor}"
+    return ", ".join([own, *map(_plugin, load_plugins(plugins))])
 
 
-def check_identity(of_driver: str) -> None:
-    """To be called first on a node.
+def _plugin(module: ModuleType) -> str:
+    content = Path(module.__file__).read_bytes() if module.__file__ else b""
+    return f"{module.__name__} ({hashlib.sha256(content).hexdigest()[:16]})"
+
+
+def check_node(driver: Driver) -> None:
+    """To be called first on a node: imports the driver's plugins, and compares.
 
     Raises:
-        ClusterError: if its package is not the driver's.
+        ClusterError: if its package is not the driver's, or a plugin is missing or another.
     """
-    if identity() != of_driver:
-        raise ClusterError(f"node {socket.gethostname()} has {identity()}, the driver has {of_driver}: make them equal")
+    here = socket.gethostname()
+    try:
+        mine = _identity(driver.plugins)
+    except InvalidValueError as error:
+        raise ClusterError(f"node {here} lacks a plugin of the driver's: {error}") from None
+    if mine != driver.identity:
+        raise ClusterError(f"node {here} has {mine}, the driver has {driver.identity}: make them equal")
 
 
 def check_cpus(needed: int) -> None:

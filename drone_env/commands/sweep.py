@@ -78,12 +78,12 @@ def sweep(
     config = make_config(task, preset, settings, seeds, cpus_per_trial, early_stopping, test_maps)
     config.training(config.trials()[0], checkpoint_seconds)
     folder = SweepFolder(out)
+    if resume and not (out / CONFIG).exists():
+        raise InvalidValueError(f"--resume: there is no sweep in {out}")
     if dry_run:
         for trial in config.trials():
             print(f"{trial.name}\t{config.label(trial.setting)}\t{config.command(trial)}")
         return 0
-    if resume and not (out / CONFIG).exists():
-        raise InvalidValueError(f"--resume: there is no sweep in {out}")
     _check_packages()
     with folder.driving():
         folder.begin(config)
@@ -113,12 +113,11 @@ def _sweep(
         retry_failed(folder, config)
 
     def show(trial: Any, result: dict[str, Any]) -> None:
-        print(
-            f"{trial.name} ({config.label(trial.setting)}): {result['episodes']} episodes, "
-            f"validation {result['validation']:.4f} of {result['optimum']:.4f}",
-            file=sys.stderr,
-            flush=True,
-        )
+        if "failed" in result:
+            told = f"failed: {result['failed']}"
+        else:
+            told = f"{result['episodes']} episodes, validation {result['validation']:.4f} of {result['optimum']:.4f}"
+        print(f"{trial.name} ({config.label(trial.setting)}): {told}", file=sys.stderr, flush=True)
 
     if not is_done(folder, config):
         try:

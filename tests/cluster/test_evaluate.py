@@ -16,7 +16,7 @@ import pytest
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.cli import main
 from drone_env.cluster.connect import connect
-from drone_env.cluster.nodes import check_identity, identity
+from drone_env.cluster.nodes import check_node, this_driver
 from drone_env.core.tasks import get_task
 from drone_env.errors import ClusterError
 from tests.llm.conftest import ROOT
@@ -123,9 +123,36 @@ def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys:
 
 
 def test_a_node_with_another_package_is_refused() -> None:
-    check_identity(identity())
+    driver = this_driver()
+    check_node(driver)
     with pytest.raises(ClusterError, match="make them equal"):
-        check_identity(identity().replace("drone-env", "drone-env 0.0"))
+        check_node(driver._replace(identity=driver.identity.replace("drone-env", "drone-env 0.0")))
+
+
+def test_a_task_of_a_plugin_is_flown_on_nodes_that_have_the_plugin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cluster: Any
+) -> None:
+    task = "replace(get_task('easy'), id='hops', short_name='hops', grader='drone_env.graders:grade_hops')"
+    (tmp_path / "cluster_hops.py").write_text(
+        "from dataclasses import replace\nfrom drone_env.core.tasks import get_task\n"
+        f"from drone_env.registry import register_task\nregister_task({task})\n"
+    )
+    monkeypatch.setenv("DRONE_ENV_PLUGINS", "cluster_hops")
+    command = [sys.executable, "-m", "drone_env.cli", "evaluate", "--task", "hops", "--seeds", "0:40", "--agents",
+               "greedy", "--json", "-"]  # fmt: skip
+    on_ray = [*command, "--engine", "ray", "--address", cluster.address]
+
+    def run(words: list[str], **options: Any) -> "subprocess.CompletedProcess[str]":
+        return subprocess.run(words, capture_output=True, text=True, check=False, **options)
+
+    # The nodes look into the folder that the driver was started in, and were themselves started without this path.
+    refused = run(on_ray, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(tmp_path)})
+    assert refused.returncode == 2
+    assert "lacks a plugin of the driver's" in refused.stderr
+    assert "cluster_hops" in refused.stderr
+    local, far = run(command, cwd=tmp_path), run(on_ray, cwd=tmp_path)
+    assert (local.returncode, far.returncode) == (0, 0), far.stderr
+    assert far.stdout == local.stdout
 
 
 def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -160,8 +160,10 @@ def test_a_trial_that_fails_is_reported_with_its_error_and_counts_in_nothing(tmp
     broken = folder.folder(Trial(0, 1))
     broken.mkdir(parents=True)
     (broken / "easy.pth").write_bytes(b"not a checkpoint")
+    told: list[dict[str, Any]] = []
     for trial in config.trials():
-        train_trial(folder, trial, 20, 60, do_nothing)
+        train_trial(folder, trial, 20, 60, told.append)
+    assert ["cut short" in result["failed"] for result in told if "failed" in result] == [True]
     assert is_done(folder, config)
     figures = sweep_report(folder, config)
     assert figures["trials_by_status"] == {"finished": 1, "stopped": 0, "failed": 1, "unfinished": 0}

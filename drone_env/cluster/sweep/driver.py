@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from drone_env.cluster.nodes import check_cpus, identity
+from drone_env.cluster.nodes import check_cpus, this_driver
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import SweepFolder
 from drone_env.cluster.sweep.halving import decide, remaining, rungs
@@ -79,7 +79,7 @@ def _train_all(
     if not trials:
         return
     out = str(folder.path.resolve())
-    shared = {"out": out, "until": until, "checkpoint_seconds": checkpoint_seconds, "identity": identity()}
+    shared = {"out": out, "until": until, "checkpoint_seconds": checkpoint_seconds, "driver": this_driver()}
     with tempfile.TemporaryDirectory(prefix="tune-", dir=out) as notes:
         errors = _tune(shared, trials, config.cpus_per_trial, concurrent, notes, show)
     for trial, error in errors.items():
@@ -104,7 +104,7 @@ def _tune(
 
     class Shown(tune.Callback):
         def on_trial_result(self, iteration: int, trials: Any, trial: Any, result: dict[str, Any], **info: Any) -> None:
-            if "episodes" in result:
+            if "episodes" in result or "failed" in result:
                 show(Trial(*trial.config["trial"]), result)
 
     def name(trial: Any) -> str:

@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 
 from drone_env.agents.network import load_network
-from drone_env.cluster.nodes import check_identity
+from drone_env.cluster.nodes import check_node
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import MapScores, SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
@@ -30,7 +30,7 @@ def run_trial(job: dict[str, Any]) -> None:
 
     Args:
         job: `out`, the sweep's folder; `trial`, [setting, seed]; `until`, episodes to train to; `checkpoint_seconds`;
-            `identity`, what the driver's package is.
+            `driver`, the `Driver` of the sweep.
 
     Raises:
         ClusterError: if this machine's package is not the driver's.
@@ -38,7 +38,7 @@ def run_trial(job: dict[str, Any]) -> None:
     """
     from ray import tune
 
-    check_identity(job["identity"])
+    check_node(job["driver"])
     folder = SweepFolder(Path(job["out"]))
     if not folder.path.is_dir():
         raise InvalidValueError(f"this machine has no {folder.path}: a sweep's folder lies where all machines see it")
@@ -56,7 +56,8 @@ def train_trial(folder: SweepFolder, trial: Trial, until: int, checkpoint_second
         trial: Which trial.
         until: How many episodes.
         checkpoint_seconds: Seconds between two checkpoints.
-        report: Called with `episodes`, `validation` and `optimum` at every validation.
+        report: Called with `episodes`, `validation` and `optimum` at every validation; with `failed`, the error, where
+            training goes wrong.
     """
     with folder.training(trial) as place:
         state = folder.state(trial)
@@ -76,6 +77,8 @@ def train_trial(folder: SweepFolder, trial: Trial, until: int, checkpoint_second
             last = traceback.format_exception_only(type(error), error)[-1].strip()
             state = folder.state(trial).model_copy(update={"status": "failed", "error": last})
         folder.set_state(trial, state)
+        if state.status == "failed":
+            report({"failed": state.error})
 
 
 def network_digest(path: Path) -> str:
