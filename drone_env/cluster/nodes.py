@@ -3,10 +3,11 @@
 import hashlib
 import platform
 import socket
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -15,7 +16,8 @@ from drone_env.errors import ClusterError, InvalidValueError
 from drone_env.registry import load_plugins, plugin_names
 
 
-class Driver(NamedTuple):
+@dataclass(frozen=True)
+class Driver:
     """What every node must have as the driver has it."""
 
     identity: str

@@ -1,5 +1,6 @@
 """Evaluation on a Ray cluster: the figures of the local run, whatever happens to nodes."""
 
+import dataclasses
 import json
 import os
 import shutil
@@ -126,7 +127,7 @@ def test_a_node_with_another_package_is_refused() -> None:
     driver = this_driver()
     check_node(driver)
     with pytest.raises(ClusterError, match="make them equal"):
-        check_node(driver._replace(identity=driver.identity.replace("drone-env", "drone-env 0.0")))
+        check_node(dataclasses.replace(driver, identity=driver.identity.replace("drone-env", "drone-env 0.0")))
 
 
 def test_a_task_of_a_plugin_is_flown_on_nodes_that_have_the_plugin(

@@ -55,7 +55,8 @@ def _curves(figures: dict[str, Any]) -> Any:
     title = "Mean over seeds, shaded from the worst seed to the best" + (f"; {more} more not shown" * (more > 0))
     axes.set(xlabel="episodes", ylabel="validation score", title=title, ylim=(0, 1))
     axes.grid(alpha=0.3)
-    figure.legend(frameon=False, loc="outside lower left", fontsize=9)
+    if axes.get_legend_handles_labels()[0]:
+        figure.legend(frameon=False, loc="outside lower left", fontsize=9)
     return figure
 
 
