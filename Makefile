@@ -13,9 +13,11 @@ BIN := .venv/bin
 	$(BIN)/python -m pip install --quiet --editable .
 	touch $@
 
+# So many packages that a current pip saves a minute, and compiling only what is imported another one.
 .venv/.dev: .venv/.base
-	$(BIN)/python -m pip install --quiet $(TORCH)
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --no-compile $(TORCH)
+	$(BIN)/python -m pip install --quiet --no-compile --editable '.[dev]'
 	touch $@
 
 # Fly the trained network, compare the agents on every task (no network is shipped for skyline), draw one mission.
