@@ -13,7 +13,7 @@ BIN := .venv/bin
 	$(BIN)/python -m pip install --quiet --editable .
 	touch $@
 
-# So many packages that a current pip saves a minute, and compiling only what is imported another one.
+# A current pip resolves so many packages faster; Python compiles what is imported, and the rest need never be.
 .venv/.dev: .venv/.base
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --no-compile $(TORCH)

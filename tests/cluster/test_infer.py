@@ -59,11 +59,9 @@ def test_two_nodes_keep_the_rate_and_fly_as_one(cluster: Any, endpoint: Callable
     assert answers == [{**call, "failures": None} for call in without_times(local)]
     assert most_at_once(together) <= 4
     sent = [request["at"] for request in together.requests()]
-    # 600 a minute are 10 a second, over however long a time, and one more is the slot that may be made up for. What was
-    # let through evenly arrives in bunches where the machine is busy: 0.3 s are allowed for.
-    for i, first in enumerate(sent):
-        for count, last in enumerate(sent[i:], 1):
-            assert count <= 10 * (last - first + 0.3) + 2
+    for i, at in enumerate(sent):
+        # 600 a minute are 10 a second; one more is the slot that may be made up for.
+        assert sum(at <= other < at + 1.0 for other in sent[i:]) <= 12
     ports = {request["headers"]["authorization"] for request in together.requests()}
     assert ports == {f"Bearer {TOKEN}"}
     again = together.infer(*flights, "--resume", folder=on_ray.folder)

@@ -22,16 +22,8 @@ from tests.parity.test_compiled import CUSTOM
 STEPS = int(os.environ.get("DRONE_ENV_PARITY_STEPS", "1000000"))
 """Steps in all, over every combination of task, profile and mode."""
 ALL_TASKS = {**TASKS, **{name: CUSTOM[name] for name in ("drain", "pads", "impassable")}}
+SHARE = STEPS // (len(ALL_TASKS) * len(REWARD_PROFILES) * 2)
 N = 64
-COMBINATIONS = len(REWARD_PROFILES) * 2
-LEAST = 1_000_000 // (len(ALL_TASKS) * COMBINATIONS)
-"""Steps of each combination at the least; enough for flights to end in the largest task."""
-
-
-def share(task: TaskConfig) -> int:
-    """Steps of each combination with this task: a quarter in the skyline tasks, which plain Python flies far slower."""
-    weights = {known: 0.25 if known.id.startswith("skyline") else 1.0 for known in ALL_TASKS.values()}
-    return max(LEAST, int(STEPS / COMBINATIONS * weights[task] / sum(weights.values())))
 
 
 class Reference:
@@ -123,7 +115,7 @@ def test_compiled_together_and_interpreted_one_by_one_agree_to_the_last_bit(
         reference.reset(i, seed)
     reference.assert_equals(batch)
     ended = flown = 0
-    while flown < share(task):
+    while flown < SHARE:
         # Straight legs reach further than single random steps.
         actions = rng.integers(N_ACTIONS, size=N)
         for _ in range(rng.integers(1, 4)):

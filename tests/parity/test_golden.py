@@ -24,13 +24,13 @@ from tests.tools import find_python, missing_tool
 
 ROOT = Path(__file__).parents[2]
 GOLDEN: Hashes = json.loads(GOLDEN_FILE.read_text(encoding="utf-8"))
-INTERPRETED = N_SEEDS if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else N_FIRST
+ELSEWHERE = N_SEEDS if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else N_FIRST
 
 
 def hashes_from_another_process(python: str, **environment: str) -> dict[str, Any]:
     """What `golden.py` prints under this interpreter."""
     done = subprocess.run(
-        [python, "-W", "error", str(ROOT / "tests/parity/golden.py"), "--seeds", str(INTERPRETED)],
+        [python, "-W", "error", str(ROOT / "tests/parity/golden.py"), "--seeds", str(ELSEWHERE)],
         env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
         capture_output=True,
         text=True,
@@ -40,8 +40,8 @@ def hashes_from_another_process(python: str, **environment: str) -> dict[str, An
     return json.loads(done.stdout)
 
 
-def expected_interpreted() -> dict[str, Any]:
-    if INTERPRETED == N_SEEDS:
+def expected_elsewhere() -> dict[str, Any]:
+    if ELSEWHERE == N_SEEDS:
         return GOLDEN
     return {name: {**hashes["first"], "first": hashes["first"]} for name, hashes in GOLDEN.items()}
 
@@ -63,7 +63,7 @@ def test_names_every_standard_task_of_version_1() -> None:
 
 
 def test_in_this_process() -> None:
-    assert golden_hashes(interpreted_backend(), golden_seeds(INTERPRETED)) == expected_interpreted()
+    assert golden_hashes(interpreted_backend(), golden_seeds(N_SEEDS)) == GOLDEN
 
 
 def test_compiled() -> None:
@@ -72,10 +72,10 @@ def test_compiled() -> None:
 
 @pytest.mark.parametrize("hash_seed", ["0", "12345"])
 def test_whatever_the_hash_seed_of_the_process(hash_seed: str) -> None:
-    assert hashes_from_another_process(sys.executable, PYTHONHASHSEED=hash_seed) == expected_interpreted()
+    assert hashes_from_another_process(sys.executable, PYTHONHASHSEED=hash_seed) == expected_elsewhere()
 
 
 @pytest.mark.parametrize("version", ["3.10", "3.13"])
 def test_on_another_python_without_numba(version: str, pytestconfig: pytest.Config) -> None:
     python = python_without_numba(version, pytestconfig.cache.mkdir(f"golden-python-{version}"))
-    assert hashes_from_another_process(python) == expected_interpreted()
+    assert hashes_from_another_process(python) == expected_elsewhere()
