@@ -32,9 +32,9 @@ demo: .venv/.base
 test: .venv/.dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
-# What was promised, feature by feature, and whether its test passes.
+# What was promised, feature by feature, and whether its tests pass.
 features: .venv/.dev
-	$(BIN)/python -m pytest -q -n auto --dist loadfile --features tests/features
+	$(BIN)/python -m pytest -q -n auto --dist loadfile --features
 
 # The tests once more, with a report of the lines that none of them runs: htmlcov/index.html. Compiled code is not counted.
 coverage: .venv/.dev

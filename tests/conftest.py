@@ -1,6 +1,40 @@
-"""What all tests share."""
+"""What all tests share: which features they speak for, and what is said of tools that are missing."""
 
 import os
 
+import pytest
+
+from tests.feature_table import FEATURES, FeatureTable
+from tests.tools import install_command, missing_in
+
 # The tests run side by side: threads that wait for each other must not spin on cores that others need.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--features", action="store_true", help="run what speaks for a feature, and print the table")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # The processes of pytest-xdist hand their reports on to the one that prints.
+    if config.getoption("--features") and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(FeatureTable(), "feature-table")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    for item in items:
+        spoken_for = [feature for mark in item.iter_markers("feature") for feature in mark.args]
+        unknown = [feature for feature in spoken_for if feature not in FEATURES]
+        if unknown:
+            raise pytest.UsageError(f"{item.nodeid}: there is no feature {unknown[0]!r}")
+        item.user_properties.extend(("feature", feature) for feature in spoken_for)
+    if config.getoption("--features"):
+        items[:] = [item for item in items if any(name == "feature" for name, _ in item.user_properties)]
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    skipped = terminalreporter.stats.get("skipped", [])
+    missing = missing_in(str(report.longrepr) for report in skipped)
+    if missing:
+        terminalreporter.write_line(f"{len(skipped)} tests skipped; missing: {', '.join(missing)}")
+        terminalreporter.write_line(f"To run them: {install_command(missing)}")

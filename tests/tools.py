@@ -1,13 +1,19 @@
 """What tests need from the machine that they run on."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
+
+
+PACKAGES = {"chromium": "chromium", "nginx": "nginx-light", "ss": "iproute2"}
+"""Debian's packages of the programs that tests need."""
 
 
 def missing_tool(name: str) -> NoReturn:
@@ -15,6 +21,16 @@ def missing_tool(name: str) -> NoReturn:
     if os.environ.get("DRONE_ENV_REQUIRE_TOOLS") == "1":
         pytest.fail(f"missing tool: {name}")
     pytest.skip(f"missing tool: {name}")
+
+
+def missing_in(reasons: Iterable[str]) -> list[str]:
+    """The tools for want of which tests were skipped, by what pytest tells of them."""
+    return sorted({found[1] for reason in reasons if (found := re.search(r"missing tool: ([^'\n]+)", reason))})
+
+
+def install_command(tools: Iterable[str]) -> str:
+    """The command that brings them, where Debian has them."""
+    return f"apt-get install {' '.join(PACKAGES.get(tool, tool) for tool in tools)}"
 
 
 def find_python(version: str) -> str:

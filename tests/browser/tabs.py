@@ -34,7 +34,7 @@ def launched(path: str) -> Generator[Browser, None, None]:
 @contextmanager
 def needed_browser() -> Generator[Browser, None, None]:
     """The same of the machine's own chromium; a test that finds none is skipped, or fails."""
-    with launched(find_chromium() or missing_tool("chromium (apt-get install chromium)")) as browser:
+    with launched(find_chromium() or missing_tool("chromium")) as browser:
         yield browser
 
 

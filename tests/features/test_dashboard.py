@@ -32,6 +32,7 @@ def page(browser: Browser, server: Server) -> Generator[Page, None, None]:
     assert tabs.unexpected() == []
 
 
+@pytest.mark.feature("D1")
 def test_d1_watch_the_network_fly(page: Page, server: Server) -> None:
     """Live map and telemetry; reset, start, pause, single steps of the neural network; request and training logs"""
     flight = frames(server.url, flown("hard", 14, "pathqnet"))
@@ -56,6 +57,7 @@ def test_d1_watch_the_network_fly(page: Page, server: Server) -> None:
     expect(page.get_by_role("log", name="Training")).to_contain_text("episode=1 reward=0.25")
 
 
+@pytest.mark.feature("D2")
 @pytest.mark.parametrize(
     ("seed", "pilot", "heading", "efficiency"),
     # 3 of 60 steps: 75 + 15 * 57 / 60 + 10 * 57 / 60 = 98.75. Nothing delivered in 60 steps: 0.
@@ -69,6 +71,7 @@ def test_d2_mission_results(page: Page, seed: int, pilot: str, heading: str, eff
     expect(results(page).locator("#result-efficiency")).to_have_text(efficiency)
 
 
+@pytest.mark.feature("D3")
 def test_d3_easy_medium_hard_easy(page: Page) -> None:
     """The results lead on from Easy to Medium to Hard, and to Easy again"""
     page.goto("/?task=easy&seed=13&pilot=optimal")
@@ -79,6 +82,7 @@ def test_d3_easy_medium_hard_easy(page: Page) -> None:
     results(page)
 
 
+@pytest.mark.feature("D4")
 def test_d4_technical_specifications(page: Page, server: Server) -> None:
     """Technical specifications: the three levels side by side, sizes and rewards as /tasks tells them"""
     levels = httpx.get(f"{server.url}/tasks").json()["tasks"][:3]
@@ -93,6 +97,7 @@ def test_d4_technical_specifications(page: Page, server: Server) -> None:
         assert shown[row] == [f"{level[name]:.2f}" for level in levels]
 
 
+@pytest.mark.feature("D5")
 def test_d5_analysis_on_completion(page: Page, server: Server) -> None:
     """The results show the analysis of all flights so far: mean reward, success trend, how often each action"""
     page.goto("/?task=medium&seed=11&pilot=greedy")

@@ -29,6 +29,7 @@ def run(*command: str, cwd: Path = ROOT) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.feature("P1")
 @pytest.mark.filterwarnings("default::DeprecationWarning")
 def test_p1_the_manifest(tmp_path: Path) -> None:
     """openenv.yaml names app, port, tasks and graders, and openenv validate passes"""
@@ -49,6 +50,7 @@ def test_p1_the_manifest(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
 
 
+@pytest.mark.feature("P2")
 def test_p2_the_container(tmp_path: Path) -> None:
     """A Dockerfile of two stages with a HEALTHCHECK on port 8000; each build is recorded in data/docker_build.log"""
     told = instructions(ROOT / "Dockerfile")
@@ -73,6 +75,7 @@ def test_p2_the_container(tmp_path: Path) -> None:
     assert [value for name, value in fields if name == "STATUS"] == ["COMPLETED", "FAILED"]
 
 
+@pytest.mark.feature("P3")
 def test_p3_validate_submission(server: Server, tmp_path: Path) -> None:
     """validate-submission.sh URL [DIR] checks Space, docker build and openenv validate: All 3/3 checks passed!"""
     commands = Commands(tmp_path / "bin", *NEEDED)
@@ -89,6 +92,7 @@ def test_p3_validate_submission(server: Server, tmp_path: Path) -> None:
     assert any("Invoke-RestMethod -Method Post" in block and "openenv validate" in block for block in powershell)
 
 
+@pytest.mark.feature("P4")
 def test_p4_check_graders() -> None:
     """python check_graders.py finds, calls and checks the graders of the manifest"""
     done = run(sys.executable, "check_graders.py")
@@ -96,6 +100,7 @@ def test_p4_check_graders() -> None:
     assert done.stdout.splitlines()[-2:] == ["Summary: 3 valid graders found.", "LOCAL CHECK PASSED."]
 
 
+@pytest.mark.feature("P5")
 def test_p5_the_package_and_its_lock() -> None:
     """pyproject.toml and uv.lock agree: uv sync and pip install -e ".[dev]" install what is needed"""
     exported = run(find_uv(), "export", "--frozen", "--offline", "--extra", "dev", "--no-emit-project", "--no-hashes")
@@ -114,6 +119,7 @@ def test_p5_the_package_and_its_lock() -> None:
             assert version(requirement.name) in requirement.specifier, requirement
 
 
+@pytest.mark.feature("P6")
 def test_p6_tests_and_coverage(tmp_path: Path) -> None:
     """pytest runs tests/test_env.py and tests/test_api.py, and tells how much of the code they cover"""
     report = tmp_path / "coverage.json"
@@ -134,6 +140,7 @@ def test_p6_tests_and_coverage(tmp_path: Path) -> None:
     assert covered["summary"]["percent_covered"] > 40
 
 
+@pytest.mark.feature("P7")
 def test_p7_licence_and_guides() -> None:
     """The MIT licence, a guide for contributors, and one for pushing to the Hugging Face Hub"""
     texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in ("LICENSE", "CONTRIBUTING.md", "README.md")}

@@ -34,6 +34,7 @@ def started(task: str, seed: int, profile: str = "tiered") -> Episode:
     return episode
 
 
+@pytest.mark.feature("E1")
 def test_e1_maps_come_from_a_seeded_generator() -> None:
     """Maps are generated from a seed or a PyTorch generator: the same one gives the same map"""
 
@@ -51,6 +52,7 @@ def test_e1_maps_come_from_a_seeded_generator() -> None:
     assert generate_city_map("hard_delivery", first.seed + 1).grid.tolist() != first.grid.tolist()
 
 
+@pytest.mark.feature("E2")
 def test_e2_seven_cell_types_with_emoji_name_and_effect() -> None:
     """A city of seven cell types; each has an emoji, a name and an effect, and the legend tells them"""
     episode, seen = started("medium_delivery", 7), set[str]()
@@ -66,6 +68,7 @@ def test_e2_seven_cell_types_with_emoji_name_and_effect() -> None:
         assert (told, bool(effect)) == (name, True)
 
 
+@pytest.mark.feature("E3")
 def test_e3_five_actions_and_walls_that_hold() -> None:
     """UP, DOWN, LEFT, RIGHT and WAIT; a move off the grid is penalised and the drone stays"""
     for action, (dx, dy) in {"UP": (0, -1), "DOWN": (0, 1), "LEFT": (-1, 0), "RIGHT": (1, 0), "WAIT": (0, 0)}.items():
@@ -79,6 +82,7 @@ def test_e3_five_actions_and_walls_that_hold() -> None:
     assert (episode.position, episode.event.name, episode.steps) == ((9, 3), "WALL", 5)
 
 
+@pytest.mark.feature("E4")
 def test_e4_an_observation_has_all_fields(server: Server) -> None:
     """A DroneObservation has 20 typed fields, from the emoji grid to the legend, documented in OpenAPI"""
     assert list(DroneObservation.model_fields) == OBSERVATION
@@ -93,6 +97,7 @@ def test_e4_an_observation_has_all_fields(server: Server) -> None:
     assert DroneObservation.model_validate_json(json.dumps(answer)) == DroneObservation.of(started("hard", 7))
 
 
+@pytest.mark.feature("E5")
 def test_e5_actions_observations_and_states_are_models() -> None:
     """DroneAction, DroneObservation and DroneState are Pydantic models; a state has the path_history"""
     episode = started("easy_delivery", 14)
@@ -108,6 +113,7 @@ def test_e5_actions_observations_and_states_are_models() -> None:
         DroneAction.model_validate({"direction": "SIDEWAYS"})
 
 
+@pytest.mark.feature("E6")
 @pytest.mark.parametrize("name", TIERED)
 def test_e6_three_tasks_with_their_numbers(name: str) -> None:
     """Three tasks, easy_delivery, medium_delivery and hard_delivery, with the numbers of the specification"""
@@ -121,6 +127,7 @@ def test_e6_three_tasks_with_their_numbers(name: str) -> None:
     assert others | {task.r_battery_dead, task.r_wall, task.r_blocked} == {r_other}
 
 
+@pytest.mark.feature("E7")
 def test_e7_rewards_add_up_and_are_clamped() -> None:
     """A step pays base + 0.05 per cell nearer to the target, between 0.01 and 0.99; profiles tiered and composite"""
     # Map 14: the drone at (6, 3), the parcel at (5, 1), roads in between.
@@ -138,6 +145,7 @@ def test_e7_rewards_add_up_and_are_clamped() -> None:
     assert medium.reward_total == pytest.approx(sum(rewards))
 
 
+@pytest.mark.feature("E8")
 def test_e8_the_battery_drains_and_collisions_are_seen() -> None:
     """Each step drains the battery and an empty one ends the flight; buildings, trees and obstacles are noticed"""
     episode = started("easy_delivery", 14)
@@ -156,6 +164,7 @@ def test_e8_the_battery_drains_and_collisions_are_seen() -> None:
         assert (episode.position, episode.event.name) == ((x, y), name)
 
 
+@pytest.mark.feature("E9")
 def test_e9_graders_score_a_state() -> None:
     """Graders easy, medium and hard score a DroneState or its dictionary, from 0.01 to 0.99, by one formula"""
     for level in ("easy", "medium", "hard"):
@@ -178,6 +187,7 @@ def test_e9_graders_score_a_state() -> None:
     assert [GRADERS["easy_delivery"](DroneState.of(flight)) for flight in (best, worst)] == [0.99, 0.01]
 
 
+@pytest.mark.feature("E10")
 def test_e10_openenvs_client_drives_it(server: Server) -> None:
     """DroneDeliveryEnvironment is an OpenEnv Environment, and OpenEnv's own client flies it"""
     from openenv.core.env_server.interfaces import Environment

@@ -15,6 +15,7 @@ from tests.llm.conftest import TOKEN, VARIABLES, Endpoint, environment
 Start = Callable[..., Endpoint]
 
 
+@pytest.mark.feature("I1")
 def test_i1_settings_of_the_environment_or_env_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """HF_TOKEN, OPENAI_API_KEY, API_BASE_URL, MODEL_NAME, DRONE_TASK, LOCAL_IMAGE_NAME from the environment or .env"""
     for name in VARIABLES:
@@ -35,6 +36,7 @@ def test_i1_settings_of_the_environment_or_env_file(tmp_path: Path, monkeypatch:
     assert all(name.upper() in example and name.upper() in VARIABLES for name in InferenceSettings.model_fields)
 
 
+@pytest.mark.feature("I2")
 def test_i2_log_lines_to_the_byte(endpoint: Start, tmp_path: Path) -> None:
     """python inference.py prints [START], [STEP] and [END] lines and nothing else; success is all delivered"""
     variables = {"API_BASE_URL": endpoint(pilot="greedy").url, "MODEL_NAME": "mine", "OPENAI_API_KEY": TOKEN}
@@ -52,6 +54,7 @@ def test_i2_log_lines_to_the_byte(endpoint: Start, tmp_path: Path) -> None:
     assert waiting.out.endswith("[END] success=false steps=60 score=0.010 rewards=" + ",".join(["0.10"] * 60) + "\n")
 
 
+@pytest.mark.feature("I3")
 def test_i3_the_prompt_asks_for_one_word(endpoint: Start) -> None:
     """The prompt names role, goal, actions, asks for one uppercase word; tells position, battery, target, distance"""
     scripted = endpoint(pilot="greedy")

@@ -30,6 +30,7 @@ TRAIN = [
 """The original's hyperparameters, but for how often it learns: a test has no time."""
 
 
+@pytest.mark.feature("L1")
 def test_l1_the_network_is_as_drawn() -> None:
     """PathQNet: a convolutional map encoder and a dense head with LayerNorm, for maps of any size"""
     shapes = {name: tuple(tensor.shape) for name, tensor in PathQNet().state_dict().items() if name.endswith("weight")}
@@ -51,6 +52,7 @@ def test_l1_the_network_is_as_drawn() -> None:
         assert PathQNet()(grids, torch.rand(3, 5)).shape == (3, 5)
 
 
+@pytest.mark.feature("L2")
 def test_l2_five_values_of_telemetry() -> None:
     """Telemetry: x/width, y/height, battery, target x/width, target y/height"""
     env = gymnasium.make("drone_env:DroneDelivery-Easy-v1")
@@ -60,6 +62,7 @@ def test_l2_five_values_of_telemetry() -> None:
     np.testing.assert_allclose(observation["telemetry"], [0.5, 0.3, 59 / 60, 0.5, 0.1], rtol=1e-6)
 
 
+@pytest.mark.feature("L3")
 def test_l3_exploration_decays_by_both_schedules() -> None:
     """EpsilonGreedyPolicy decays linearly, 1.0 to 0.05 in 5000 steps; the training loop by 0.995 per episode"""
     policy = EpsilonGreedyPolicy(eps_start=1.0, eps_end=0.05, decay_steps=5000)
@@ -74,6 +77,7 @@ def test_l3_exploration_decays_by_both_schedules() -> None:
     assert [epsilon(episode) for episode in (0, 1, 2, 1000)] == pytest.approx([1.0, 0.995, 0.995**2, 0.05])
 
 
+@pytest.mark.feature("L4")
 def test_l4_train_py_trains_with_the_originals_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """python train.py --task TASK --episodes N [--gpu] trains a DQN; the preset original has the first numbers"""
     assert (ORIGINAL.gamma, ORIGINAL.batch_size, ORIGINAL.learning_rate) == (0.99, 64, 1e-4)
@@ -113,6 +117,7 @@ def lines(server: Server, tmp_path_factory: pytest.TempPathFactory) -> list[int]
     return seen
 
 
+@pytest.mark.feature("L5")
 def test_l5_checkpoints_and_automatic_resume(
     server: Server, lines: list[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -129,6 +134,7 @@ def test_l5_checkpoints_and_automatic_resume(
     assert load_checkpoint(checkpoint)["counters"][2] == 2
 
 
+@pytest.mark.feature("L6")
 def test_l6_a_live_log_and_a_memory_of_100_episodes(server: Server, lines: list[int], tmp_path: Path) -> None:
     """data/train.log grows while it trains, /logs shows it; data/memory.json holds the last 100 episodes"""
     assert lines == sorted(lines)
@@ -141,6 +147,7 @@ def test_l6_a_live_log_and_a_memory_of_100_episodes(server: Server, lines: list[
     assert [episode["record"]["seed"] for episode in memory] == list(range(2, 102))
 
 
+@pytest.mark.feature("L7")
 @pytest.mark.parametrize("task", ["easy_delivery", "medium_delivery", "hard_delivery"])
 def test_l7_predict_asks_the_shipped_network(server: Server, task: str) -> None:
     """POST /predict tells the next action of the trained network, on a fresh install"""

@@ -74,6 +74,7 @@ def fly(http: httpx.Client, *directions: str) -> dict[str, Any]:
     return answer.json()
 
 
+@pytest.mark.feature("H1")
 def test_h1_post_reset(http: httpx.Client) -> None:
     """POST /reset starts an episode of a task on the map of a seed, and answers a DroneObservation"""
     answer = http.post("/reset", json={"task_name": "easy_delivery", "seed": 14})
@@ -86,6 +87,7 @@ def test_h1_post_reset(http: httpx.Client) -> None:
     assert http.post("/reset", json={"task_name": "nowhere"}).status_code in (404, 422)
 
 
+@pytest.mark.feature("H2")
 def test_h2_post_step(flying: httpx.Client) -> None:
     """POST /step flies one action and answers a DroneObservation"""
     observation = DroneObservation.model_validate_json(json.dumps(fly(flying, "LEFT")))
@@ -95,6 +97,7 @@ def test_h2_post_step(flying: httpx.Client) -> None:
     assert flying.post("/step", json={"direction": "SIDEWAYS"}).status_code == 422
 
 
+@pytest.mark.feature("H3")
 def test_h3_get_state(flying: httpx.Client) -> None:
     """GET /state tells the full DroneState of the session's episode"""
     fly(flying, "LEFT", "UP")
@@ -103,6 +106,7 @@ def test_h3_get_state(flying: httpx.Client) -> None:
     assert (state.step_count, state.battery_steps_remaining, state.outcome) == (2, 58, "flying")
 
 
+@pytest.mark.feature("H4")
 def test_h4_get_grade(flying: httpx.Client) -> None:
     """GET /grade/{task_name} grades the session's episode"""
     fly(flying, *BEST)
@@ -111,6 +115,7 @@ def test_h4_get_grade(flying: httpx.Client) -> None:
     assert flying.get("/grade/nowhere").status_code == 404
 
 
+@pytest.mark.feature("H5")
 def test_h5_get_analyse(http: httpx.Client) -> None:
     """GET /analyse/{task_name} sums up the stored history: reward, success and its trend, steps, deliveries, actions"""
     # Nobody else here flies medium: what is stored is what the fixture put there.
@@ -129,6 +134,7 @@ def test_h5_get_analyse(http: httpx.Client) -> None:
     assert told["action_distribution"]["WAIT"] == pytest.approx(actions.count("WAIT") / len(actions))
 
 
+@pytest.mark.feature("H6")
 def test_h6_get_path_history(flying: httpx.Client) -> None:
     """GET /path_history tells the episode's trajectory, step by step"""
     fly(flying, *BEST)
@@ -140,6 +146,7 @@ def test_h6_get_path_history(flying: httpx.Client) -> None:
     ]
 
 
+@pytest.mark.feature("H7")
 def test_h7_get_memory_logs(flying: httpx.Client) -> None:
     """GET /memory_logs tells the last 5 finished episodes"""
     fly(flying, *BEST)
@@ -149,6 +156,7 @@ def test_h7_get_memory_logs(flying: httpx.Client) -> None:
     assert newest["reward_total"] == pytest.approx(1.29)
 
 
+@pytest.mark.feature("H8")
 def test_h8_get_logs(http: httpx.Client, server: Server) -> None:
     """GET /logs tells the last 50 lines of the training log, data/train.log"""
     log = server.data / "train.log"
@@ -156,6 +164,7 @@ def test_h8_get_logs(http: httpx.Client, server: Server) -> None:
     assert get(http, "/logs")["lines"] == [f"episode={i}" for i in range(150, 200)]
 
 
+@pytest.mark.feature("H9")
 def test_h9_get_terminal_logs(http: httpx.Client) -> None:
     """GET /terminal_logs tells the HTTP requests: as JSON, or live as server-sent events"""
     assert http.get("/nowhere-to-be-found").status_code == 404
@@ -168,6 +177,7 @@ def test_h9_get_terminal_logs(http: httpx.Client) -> None:
         assert next(one for one in lines if one["number"] > last["number"] + 1)["path"] == "/health"
 
 
+@pytest.mark.feature("H10")
 def test_h10_get_tasks_and_graders(http: httpx.Client) -> None:
     """GET /tasks and GET /graders tell the tasks with their numbers, and the graders"""
     tasks = {task["id"]: task for task in get(http, "/tasks")["tasks"]}
@@ -181,11 +191,13 @@ def test_h10_get_tasks_and_graders(http: httpx.Client) -> None:
         assert callable(getattr(import_module(module), name))
 
 
+@pytest.mark.feature("H11")
 def test_h11_get_health(http: httpx.Client) -> None:
     """GET /health says that the server is healthy, and its version"""
     assert get(http, "/health") == {"status": "healthy", "version": drone_env.__version__}
 
 
+@pytest.mark.feature("H12")
 def test_h12_get_the_dashboard(http: httpx.Client) -> None:
     """GET / is the dashboard, and all its files are there"""
     page = http.get("/")
@@ -196,6 +208,7 @@ def test_h12_get_the_dashboard(http: httpx.Client) -> None:
     assert {file: http.get(f"/{file}").status_code for file in files} == dict.fromkeys(files, 200)
 
 
+@pytest.mark.feature("H13")
 @pytest.mark.parametrize(
     "command",
     [
@@ -215,6 +228,7 @@ def test_h13_three_ways_to_start_it(tmp_path: Path, command: str) -> None:
         assert httpx.post(f"{server.url}/reset", json={"seed": 14}).status_code == 200
 
 
+@pytest.mark.feature("H14")
 def test_h14_the_python_client(server: Server) -> None:
     """DroneEnvClient drives it from Python, and python -m drone_env.client URL flies a smoke mission"""
 
