@@ -35,8 +35,9 @@ from benchmarks.session_costs import (  # noqa: E402
     time_http,
 )
 from benchmarks.store_costs import StoreFigures, measure_store  # noqa: E402
-from tests.api.serving import Server, free_port  # noqa: E402
+from tests.api.serving import Server  # noqa: E402
 from tests.cluster.serving import COMMAND, Nginx  # noqa: E402
+from tests.tools import reserved_port  # noqa: E402
 
 MILLION = 1_000_000
 
@@ -47,7 +48,7 @@ def served(capacity: int) -> Generator[tuple[Server, Nginx], None, None]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         settings = {"CAPACITY": str(capacity), "IDLE_SECONDS": "86400"}
-        server = Server(COMMAND, folder / "data", free_port(), settings)
+        server = Server(COMMAND, folder / "data", reserved_port(), settings)
         try:
             with closing(Nginx(folder, [int(server.url.rpartition(":")[2])])) as nginx:
                 yield server, nginx

@@ -3,6 +3,7 @@
 import os
 import re
 import shutil
+import socket
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -10,7 +11,6 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
-
 
 PACKAGES = {"chromium": "chromium", "nginx": "nginx-light", "ss": "iproute2"}
 """Debian's packages of the programs that tests need."""
@@ -54,3 +54,19 @@ def _version(python: str) -> str:
 def find_uv() -> str:
     """Path of uv, beside the interpreter or on the path."""
     return shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv") or missing_tool("uv")
+
+
+_RESERVED: list[socket.socket] = []
+
+
+def reserved_port() -> int:
+    """A port of this machine for a server of the tests, kept from all others as long as this process lives.
+
+    It is bound and not listened on, so that the kernel gives it to nobody who asks for any port, and whoever names it
+    may listen there, also again (as all servers do, with SO_REUSEADDR).
+    """
+    sock = socket.socket()
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    sock.bind(("127.0.0.1", 0))
+    _RESERVED.append(sock)
+    return sock.getsockname()[1]

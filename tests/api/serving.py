@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -12,14 +11,9 @@ from pathlib import Path
 
 import httpx
 
+from tests.tools import reserved_port
+
 ROOT = Path(__file__).parents[2]
-
-
-def free_port() -> int:
-    """A port that nobody listened on a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 class Server:
@@ -69,7 +63,10 @@ class Server:
     def stop(self) -> None:
         """Ask it to end, and wait."""
         self.process.terminate()
-        self.process.wait(timeout=30)
+        try:
+            self.process.wait(timeout=60)
+        finally:
+            self.kill()
 
 
 @contextmanager
@@ -77,7 +74,7 @@ def serving(
     data: Path, command: tuple[str, ...] = ("drone_env/server/app.py",), port: int | None = None, **settings: str
 ) -> Generator[Server, None, None]:
     """A server for the time of the block."""
-    server = Server(list(command), data, port or free_port(), settings)
+    server = Server(list(command), data, port or reserved_port(), settings)
     try:
         yield server
     finally:

@@ -12,7 +12,8 @@ import pytest
 import websockets.sync.client as websockets_client
 
 from drone_env.core.tasks import TASKS
-from tests.api.serving import Server, free_port, serving
+from tests.api.serving import Server, serving
+from tests.tools import reserved_port
 
 COMMANDS = int(os.environ.get("DRONE_ENV_FRAMES", "2000")) // 4
 Message = dict[str, Any]
@@ -25,7 +26,7 @@ def server(tmp_path: Path) -> Generator[Server, None, None]:
 
 
 def test_a_killed_server_gives_the_mission_back(tmp_path: Path) -> None:
-    port = free_port()
+    port = reserved_port()
     url = f"ws://127.0.0.1:{port}/live"
 
     def ask(socket: Any, kind: str, answer: str, **fields: Any) -> Message:

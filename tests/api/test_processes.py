@@ -26,7 +26,8 @@ from drone_env.core.tasks import TASKS
 from drone_env.episodes.record import replay
 from drone_env.episodes.store import Store
 from drone_env.planning.optimal import solve
-from tests.api.serving import ROOT, Server, free_port, serving
+from tests.api.serving import ROOT, Server, serving
+from tests.tools import reserved_port
 
 KILLS = int(os.environ.get("DRONE_ENV_KILLS", "4"))
 FRAMES = int(os.environ.get("DRONE_ENV_FRAMES", "2000"))
@@ -67,7 +68,7 @@ def test_it_answers_within_three_seconds_of_cpu_and_loads_neither_gradio_nor_ope
 
 
 def test_the_smoke_flight_fails_where_there_is_no_server() -> None:
-    command = [sys.executable, "-m", "drone_env.client", f"http://127.0.0.1:{free_port()}"]
+    command = [sys.executable, "-m", "drone_env.client", f"http://127.0.0.1:{reserved_port()}"]
     run = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     assert run.returncode == 1
     assert run.stderr.startswith("drone_env.client: GET /health: ")
@@ -153,7 +154,7 @@ class Pilot(threading.Thread):
 
 
 def test_nothing_acknowledged_is_lost_when_the_server_is_killed(tmp_path: Path) -> None:
-    data, port = tmp_path / "data", free_port()
+    data, port = tmp_path / "data", reserved_port()
     server = Server(["drone_env/server/app.py"], data, port, {})
     finished: list[tuple[int, float]] = []
     carried: list[Pilot] = [Pilot(server.url, number) for number in range(4)]

@@ -6,10 +6,11 @@ from pathlib import Path
 from playwright.sync_api import Browser, expect
 
 from drone_env.episodes.store import Store
-from tests.api.serving import Server, free_port, serving
+from tests.api.serving import Server, serving
 from tests.browser.flights import flown, frames
 from tests.browser.stage import counter, expect_frame, fastest, fly, results
 from tests.browser.tabs import Tabs
+from tests.tools import reserved_port
 
 TOKEN = "let-me-in"
 
@@ -41,7 +42,7 @@ def test_a_page_that_goes_gives_its_sessions_back_without_a_complaint(tabs: Tabs
 
 
 def test_a_killed_server_comes_back_and_the_mission_goes_on_from_its_step(browser: Browser, tmp_path: Path) -> None:
-    data, port = tmp_path / "data", free_port()
+    data, port = tmp_path / "data", reserved_port()
     flight = flown("hard", 7, "greedy")
     with serving(data, port=port) as server:
         tabs = Tabs(browser, server.url)

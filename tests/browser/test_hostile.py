@@ -9,11 +9,12 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.api.serving import Server, free_port, serving
+from tests.api.serving import Server, serving
 from tests.browser.flights import fill, flown
 from tests.browser.stage import fly, view
 from tests.browser.tabs import NARROW, WIDE, Tabs
 from tests.browser.test_history import drawn
+from tests.tools import reserved_port
 
 GREEDY = "/?task=easy&seed=5&pilot=greedy"
 
@@ -120,7 +121,7 @@ def test_the_history_of_all_tasks_charts_what_was_flown(browser: Browser, tmp_pa
 def test_a_token_cannot_be_escaped_from_and_the_history_comes_when_the_server_does(
     browser: Browser, tmp_path: Path
 ) -> None:
-    data, port = tmp_path / "data", free_port()
+    data, port = tmp_path / "data", reserved_port()
     with serving(data, port=port, TOKEN="let-me-in") as server:
         tabs = Tabs(browser, server.url)
         tabs.expect("401|WebSocket connection to|ERR_CONNECTION_REFUSED")

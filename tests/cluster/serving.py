@@ -11,8 +11,8 @@ from pathlib import Path
 
 import httpx
 
-from tests.api.serving import ROOT, Server, free_port
-from tests.tools import missing_tool
+from tests.api.serving import ROOT, Server
+from tests.tools import missing_tool, reserved_port
 
 DEPLOY = ROOT / "deploy"
 COMMAND = ["-m", "drone_env.cli", "serve"]
@@ -33,7 +33,7 @@ class Nginx:
             missing_tool("nginx")
         self.command = ["nginx", "-e", str(folder / "error.log"), "-p", str(folder), "-c", "nginx.conf"]
         self.servers = folder / "drone-env-servers.conf"
-        port = free_port()
+        port = reserved_port()
         self.url = f"http://127.0.0.1:{port}"
         shutil.copytree(DEPLOY, folder, dirs_exist_ok=True)
         self.servers.write_text("".join(f"server 127.0.0.1:{each} {failures};\n" for each in ports), encoding="utf-8")
@@ -90,7 +90,7 @@ class Cluster:
         self.servers: dict[int, Server] = {}
         # Kept connections would count as sessions of the server when it is drained.
         self._direct = httpx.Client(limits=httpx.Limits(max_keepalive_connections=0))
-        ports = {free_port() for _ in range(count)}
+        ports = {reserved_port() for _ in range(count)}
         assert len(ports) == count
         self.nginx = Nginx(folder, sorted(ports))
         self.url = self.nginx.url

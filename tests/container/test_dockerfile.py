@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.api.serving import Server, free_port
-from tests.tools import missing_tool
+from tests.api.serving import Server
+from tests.tools import missing_tool, reserved_port
 
 from .commands import ROOT, linter
 
@@ -78,5 +78,5 @@ def test_the_healthcheck_tells_a_well_server(server: Server) -> None:
 
 
 def test_the_healthcheck_tells_a_server_that_is_gone() -> None:
-    done = subprocess.run(health_command(free_port()), capture_output=True, check=False)
+    done = subprocess.run(health_command(reserved_port()), capture_output=True, check=False)
     assert done.returncode != 0

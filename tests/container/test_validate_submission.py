@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.api.serving import Server, free_port
-from tests.tools import missing_tool
+from tests.api.serving import Server
+from tests.tools import missing_tool, reserved_port
 
 from .commands import ROOT, Commands, linter
 
@@ -97,7 +97,7 @@ def test_a_space_that_refuses_fails_the_first_check(commands: Commands, status: 
 
 
 def test_a_space_that_is_gone_fails_the_first_check(commands: Commands) -> None:
-    assert "FAILED: no answer: curl:" in failure(commands.run(SCRIPT, GONE.format(free_port())))
+    assert "FAILED: no answer: curl:" in failure(commands.run(SCRIPT, GONE.format(reserved_port())))
 
 
 def test_without_docker_the_second_check_fails_and_the_third_is_run(space: str, commands: Commands) -> None:
@@ -150,7 +150,7 @@ def test_openenv_that_fails_or_is_missing_fails_the_third_check(space: str, comm
 def test_all_may_fail(commands: Commands) -> None:
     for name in ("docker", "openenv"):
         (commands.folder / name).unlink()
-    failure(commands.run(SCRIPT, GONE.format(free_port())), passed=0)
+    failure(commands.run(SCRIPT, GONE.format(reserved_port())), passed=0)
 
 
 @pytest.mark.parametrize(

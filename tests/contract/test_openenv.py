@@ -32,7 +32,8 @@ from drone_env.server.grid_world_environment import (
 )
 from drone_env.server.schemas import WireState
 from drone_env.server.settings import Settings
-from tests.api.serving import ROOT, Server, free_port, serving
+from tests.api.serving import ROOT, Server, serving
+from tests.tools import reserved_port
 
 STANDARD = ["easy_delivery", "medium_delivery", "hard_delivery"]
 
@@ -250,7 +251,7 @@ class LocalProcesses:
         return "sha256:" + "0" * 64
 
     def start(self, spec: Any) -> "LocalProcess":
-        return LocalProcess(Server(["drone_env/server/app.py"], self.data, free_port(), {}))
+        return LocalProcess(Server(["drone_env/server/app.py"], self.data, reserved_port(), {}))
 
 
 class LocalProcess:

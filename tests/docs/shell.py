@@ -84,16 +84,16 @@ def split_skipped(block: Block) -> tuple[list[str], list[str]]:
     return [command for command in every if command not in skipped], skipped
 
 
-def script_of(chosen: list[str], free_port: Callable[[], int]) -> str:
+def script_of(chosen: list[str], reserved_port: Callable[[], int]) -> str:
     """A script that runs commands and stops at the first that does not do as it should.
 
     Args:
         chosen: The commands. One whose comment says `exit status N` has to end with that. One that serves is started
             in the background on a port of its own, which takes the place of port 8000 in all of them.
-        free_port: Gives a port.
+        reserved_port: Gives a port.
     """
     lines = ["set -euo pipefail", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT"]
-    port = free_port() if any(command.startswith(SERVERS) for command in chosen) else None
+    port = reserved_port() if any(command.startswith(SERVERS) for command in chosen) else None
     for written in chosen:
         command = written if port is None else written.replace(":8000", f":{port}")
         lines.append(f"echo {shlex.quote('+ ' + command)} >&2")

@@ -16,12 +16,13 @@ import httpx
 import pytest
 import yaml
 
-from tests.api.serving import free_port, serving
+from tests.api.serving import serving
 from tests.docs import shell
 from tests.docs.pages import PAGES, ROOT, Block, blocks
 
 # The scripted endpoint is that of the tests of language models.
 from tests.llm.conftest import VARIABLES, scripted_server  # noqa: F401
+from tests.tools import reserved_port
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -86,7 +87,7 @@ class Page:
             assert block.not_run or block.file, f"{block.where}: say in a comment above why {language} is not run"
 
     def _shell(self, chosen: list[str], block: Block) -> Any:
-        script = shell.script_of(chosen, free_port)
+        script = shell.script_of(chosen, reserved_port)
         variables = {"DRONE_ENV_DATA": str(self.folder / "data")}
         if any(name in script for name in ("inference.py", "drone-env infer")):
             url = self._request.getfixturevalue("endpoint")

@@ -14,7 +14,7 @@ import httpx
 import pytest
 
 from drone_env.cli import main
-from tests.api.serving import free_port
+from tests.tools import reserved_port
 
 ROOT = Path(__file__).parents[2]
 TOKEN = "sk-test-0123456789"
@@ -93,7 +93,7 @@ class Endpoint:
 @pytest.fixture(scope="session")
 def scripted_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
     """The address of the process that all scripted endpoints are in."""
-    port = free_port()
+    port = reserved_port()
     log = tmp_path_factory.mktemp("scripted") / "errors.log"
     with log.open("wb") as errors:
         process = subprocess.Popen(

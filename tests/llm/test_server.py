@@ -8,13 +8,14 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.api.serving import Server, free_port
+from tests.api.serving import Server
+from tests.tools import reserved_port
 
 from .conftest import Endpoint
 
 
 def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path) -> None:
-    server = Server(["-m", "drone_env.cli", "serve"], tmp_path / "data", free_port(), {})
+    server = Server(["-m", "drone_env.cli", "serve"], tmp_path / "data", reserved_port(), {})
     try:
         done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--server", server.url)
         assert done.status == 0, done.err
@@ -27,7 +28,7 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
 
 def test_a_server_that_is_none_is_an_error(endpoint: Callable[..., Endpoint]) -> None:
     scripted = endpoint(pilot="greedy")
-    done = scripted.infer("--seeds", "14:15", "--server", f"http://127.0.0.1:{free_port()}")
+    done = scripted.infer("--seeds", "14:15", "--server", f"http://127.0.0.1:{reserved_port()}")
     assert (done.status, done.out) == (2, "")
     assert "did not fly" in done.err
     assert scripted.requests() == []
