@@ -44,7 +44,7 @@ FEATURES = {
     "I2": "python inference.py prints [START], [STEP] and [END] lines and nothing else; success is all delivered",
     "I3": "The prompt names role, goal, actions, asks for one uppercase word; tells battery, target, distance",
     "D1": "Live map and telemetry; reset, start, pause, single steps of the neural network; request and training logs",
-    "D2": "Mission Results pop up on success and on failure, with the efficiency: 75 % parcels, 15 % battery, 10 % steps",
+    "D2": "Mission Results pop up on success and on failure, with efficiency: 75 % parcels, 15 % battery, 10 % steps",
     "D3": "The results lead on from Easy to Medium to Hard, and to Easy again",
     "D4": "Technical specifications: the three levels side by side, sizes and rewards as /tasks tells them",
     "D5": "The results show the analysis of all flights so far: mean reward, success trend, how often each action",
