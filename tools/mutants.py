@@ -71,7 +71,7 @@ class Mutant:
 
     def judge(self, status: int | None, output: str) -> None:
         """Note what the tests' exit status (None where they did not end) and output say."""
-        failed = FAILED.search(output)
+        failed = FAILED.search(output.rpartition("short test summary info")[2])
         self.output = output
         if status == 0:
             self.verdict, self.by = "survived", self.why
