@@ -261,7 +261,7 @@ def test_the_flat_observation_holds_planes_and_telemetry() -> None:
 def test_the_text_observation_shows_the_map() -> None:
     env = TextObservation(make(IDS[2]))
     text, _ = env.reset(seed=2)
-    assert text.count("📦") + text.count("🎯") >= 5
+    assert (text.count("📦"), text.count("🎯"), text.count("🚁")) == (4, 1, 1)
     assert env.observation_space.contains(text)
 
 

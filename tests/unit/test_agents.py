@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drone_env.agents import AGENTS, make_agent
-from drone_env.agents.pathqnet import shipped_network
+from drone_env.agents.pathqnet import CHUNK, PathQNetAgent, shipped_network
 from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
 from drone_env.core.state_manager import Episode
@@ -120,6 +120,16 @@ def test_together_the_agents_choose_as_they_do_alone(name: str, task: TaskConfig
         assert episode.ended
         if name == "optimal":
             assert episode.score == solve(task, seed).score
+
+
+def test_the_network_flies_more_maps_than_it_takes_at_a_time() -> None:
+    batch = Batch("easy", CHUNK + 3)
+    batch.reset(np.arange(CHUNK + 3))
+    agent = PathQNetAgent(get_task("easy"))
+    chosen = agent.act_batch(batch.grids, batch.telemetry)
+    assert chosen.shape == (CHUNK + 3,)
+    for i in (0, CHUNK - 1, CHUNK, CHUNK + 2):
+        assert agent.act({"grid": batch.grids[i], "telemetry": batch.telemetry[i]}) == chosen[i]
 
 
 def test_together_the_optimal_agents_deliver_what_can_be_delivered() -> None:

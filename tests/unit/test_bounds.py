@@ -45,6 +45,11 @@ def greedy_score(episode: Episode) -> float:
         # Two parcels fit into nine steps; above, they are delivered and the flight is over after a single step.
         (LINE, {"max_steps": 9}, 1.6 / 3, 1.6 / 3 + 0.2 * 8 / 9),
         (LINE, {"max_steps": 9, "efficiency_needs_all": True}, 1.6 / 3, 1.6 / 3),
+        # Nine parcels and an early end would score more than ten.
+        (["@012345678..9", "............."], {"max_steps": 20}, 0.8 + 0.2 * 8 / 20, 0.72 + 0.2 * 19 / 20),
+        # The parcel that the last step reaches is reached, one step farther it is not.
+        (["@..0", "...."], {"max_steps": 3}, 0.8, 0.8),
+        (["@..0", "...."], {"max_steps": 2}, 0.01, 0.2 * 1 / 2),
         # What charges may end full; the nearest target is chased without charging.
         (
             ["@.P...0", "......."],

@@ -95,6 +95,10 @@ class TestActionMask:
         assert toy_episode(drawing).action_mask().tolist() == [1, 1, 1, 1, 1]
         assert toy_episode(drawing, impassable=frozenset({kind})).action_mask().tolist() == [1, 1, 0, 1, 1]
 
+    def test_walls_and_impassable_cells_together(self) -> None:
+        episode = toy_episode(["@B", "0."], impassable=frozenset({Cell.BUILDING}))
+        assert episode.action_mask().tolist() == [0, 1, 0, 0, 1]
+
     def test_is_advice_and_never_enforced(self) -> None:
         episode = toy_episode(["@.", ".0"])
         assert fly(episode, "U") == [0.32]

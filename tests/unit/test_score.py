@@ -83,3 +83,12 @@ class TestScore:
         episode = toy_episode(["@P0", "..."], charge_rate=1, max_steps=5)
         fly(episode, "R")
         assert episode.counted_score() == 0.10  # full battery, out of steps
+
+
+class TestEfficiency:
+    def test_is_75_parts_parcels_15_battery_and_10_steps(self) -> None:
+        episode = toy_episode(["@0.1", "...."], max_steps=8, battery_capacity=10)
+        assert (episode.efficiency, episode.efficiency_shares) == (25, (0, 1, 1))
+        fly(episode, "R")
+        assert episode.efficiency_shares == (1 / 2, 9 / 10, 7 / 8)
+        assert episode.efficiency == pytest.approx(75 / 2 + 15 * 9 / 10 + 10 * 7 / 8)
