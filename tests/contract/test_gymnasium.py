@@ -219,7 +219,9 @@ def test_render_modes() -> None:
 
 def test_human_mode_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    import pygame
+
     monkeypatch.setitem(DroneDeliveryEnv.metadata, "render_fps", 1000)
     env = make(render_mode="human")
 

@@ -337,9 +337,10 @@ def pygame(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """pygame on a screen that is not there."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    module = pytest.importorskip("pygame")
-    yield module
-    module.display.quit()
+    import pygame
+
+    yield pygame
+    pygame.display.quit()
 
 
 class TestWindow:
