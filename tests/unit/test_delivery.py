@@ -46,6 +46,11 @@ class TestDelivery:
         fly(episode, "RR")
         assert (episode.deliveries_done, episode.target, episode.distance_to_target) == (1, (0, 1), 3)
 
+    def test_a_parcel_on_the_very_first_cell_is_delivered_like_any_other(self) -> None:
+        episode = toy_episode(["0@", ".1"])
+        fly(episode, "L")
+        assert episode.parcels == [(0, 0, True), (1, 1, False)]
+
     def test_first_target_is_the_nearest(self) -> None:
         episode = toy_episode(["0..@.1", "......"])
         assert (episode.target, episode.distance_to_target) == ((5, 0), 2)

@@ -92,6 +92,17 @@ class TestState:
         assert np.array_equal(episode.observation()["telemetry"], observation["telemetry"])
         assert fly(episode, "RRR") == onward
 
+    def test_a_snapshot_knows_whether_its_last_step_came_after_the_end(self) -> None:
+        episode = toy_episode(["@0", ".."])
+        seen = []
+        for _ in range(2):
+            fly(episode, "R")
+            seen.append((episode.get_state(), episode.message))
+        assert seen[0][1] != seen[1][1]
+        for state, message in seen:
+            episode.set_state(state)
+            assert episode.message == message
+
     def test_a_snapshot_does_not_follow_the_flight(self) -> None:
         episode = toy_episode(["@0.1", "...."])
         state = episode.get_state()
@@ -153,7 +164,7 @@ class TestState:
 
 
 class TestRefusedInput:
-    @pytest.mark.parametrize("action", [5, -1, 1.5, "UP", "0", None, [0]])
+    @pytest.mark.parametrize("action", [5, -1, 1.5, "UP", "0", None, [0], True, False])
     def test_invalid_action_leaves_the_state_as_it_was(self, action: Any) -> None:
         episode = toy_episode(["@.0", "..."])
         before = episode.get_state()
