@@ -48,7 +48,7 @@ def greedy_score(episode: Episode) -> float:
         # Nine parcels and an early end would score more than ten.
         (["@012345678..9", "............."], {"max_steps": 20}, 0.8 + 0.2 * 8 / 20, 0.72 + 0.2 * 19 / 20),
         # The parcel that the last step reaches is reached, one step farther it is not.
-        (["@..0", "...."], {"max_steps": 3}, 0.8, 0.8),
+        (["0@.12", "....."], {"max_steps": 3}, 0.8 / 3, 1.6 / 3 + 0.2 * 2 / 3),
         (["@..0", "...."], {"max_steps": 2}, 0.01, 0.2 * 1 / 2),
         # What charges may end full; the nearest target is chased without charging.
         (
@@ -56,6 +56,13 @@ def greedy_score(episode: Episode) -> float:
             {"max_steps": 20, "battery_capacity": 5, "charge_rate": 9},
             0.1 * 15 / 20,
             0.8 + 0.1 + 0.1 * 14 / 20,
+        ),
+        # Roads drain nothing, and for the bound above neither does the parcel's cell.
+        (
+            ["@..0", "...."],
+            {"max_steps": 20, "drain": ((Cell.ROAD, 0),)},
+            0.8 + 0.1 * 19 / 20 + 0.1 * 17 / 20,
+            0.8 + 0.1 + 0.1 * 17 / 20,
         ),
         # The building costs three units, which only the flight below pays.
         (
@@ -81,6 +88,9 @@ def test_from_the_middle_of_a_flight_and_after_its_end() -> None:
     assert episode.get_state() == before
     fly(episode, "RR")
     assert bounds(episode) == (episode.score, episode.score)
+    dead = toy_episode(["@..0", "...."], max_steps=20, battery_capacity=2)
+    fly(dead, "WW")
+    assert bounds(dead) == (dead.score, dead.score)
 
 
 @pytest.mark.parametrize("task", TASKS)
