@@ -2,6 +2,7 @@
 
 import pickle
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -128,6 +129,15 @@ def test_regret_of_a_flight_that_only_waits() -> None:
         assert not truncated
     assert (info["outcome"], info["score"]) == ("battery_dead", 0.01)
     assert info["regret"] == solve("easy", 3).score - 0.01
+
+
+def test_where_no_planner_knows_the_optimum_it_is_none() -> None:
+    task = replace(TASKS["skyline_hard"], id="vast", width=64, height=64, deliveries=14, max_steps=1)
+    env = DroneDeliveryEnv(task)
+    env.reset(seed=3)
+    *_, info = env.step(4)
+    assert (info["outcome"], info["score"]) == ("out_of_steps", 0.01)
+    assert [info[name] for name in ("optimal_score", "optimal_steps", "regret")] == [None] * 3
 
 
 def test_gymnasium_trains_on_aligned_unless_told_otherwise() -> None:

@@ -1,12 +1,14 @@
 """The one unit of evaluation and the figures made from it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drone_env.core.seeds import split_seeds
+from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.evaluation import EpisodeResults, concatenate, episodes_key, run_episodes, run_in_chunks, summarise
 from drone_env.evaluation_folder import ResultsFolder
@@ -61,6 +63,20 @@ def test_no_delivered_map_means_no_excess_steps() -> None:
     figures = summarise(run_episodes(episodes_key("hard", "random", range(2))))
     assert figures["success_rate"] == 0
     assert figures["mean_excess_steps"] is None
+
+
+def test_where_no_planner_knows_the_optimum_its_figures_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    vast = {"width": 64, "height": 64, "deliveries": 14, "max_steps": 2}
+    task = replace(TASKS["skyline_hard"], id="vast", short_name="vast", grader="drone_env.graders:vast", **vast)
+    monkeypatch.setitem(TASKS, "vast", task)
+    results = run_episodes(episodes_key("vast", "greedy", range(2)))
+    assert np.isnan(results.optimal_scores).all()
+    assert results.optimal_steps.tolist() == [-1, -1]
+    assert results.scores.tolist() == [0.01, 0.01]
+    figures = summarise(results)
+    unknown = ("mean_optimal_score", "score_ratio", "mean_regret", "mean_excess_steps")
+    assert [figures[name] for name in unknown] == [None] * 4
+    assert figures["mean_score"] == 0.01
 
 
 def test_a_single_episode_has_no_interval() -> None:
