@@ -183,6 +183,8 @@ def test_steps_outside_an_episode_need_a_reset() -> None:
         env.step(0)
     env.reset()
     env.step(0)
+    with pytest.raises(ResetNeeded, match="nothing to show"):
+        DroneDeliveryEnv(render_mode="ansi").render()
 
 
 @pytest.mark.parametrize("action", [5, -1, 1.0, "UP", None])

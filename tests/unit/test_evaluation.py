@@ -94,6 +94,18 @@ def test_a_key_from_another_configuration_is_refused() -> None:
         run_episodes(key._replace(version=99))
 
 
+def test_a_key_is_of_a_registered_task_and_of_its_split() -> None:
+    shorter = replace(TASKS["easy_delivery"], max_steps=50, battery_capacity=50)
+    with pytest.raises(InvalidValueError, match="register it first"):
+        episodes_key(shorter, "greedy", range(2))
+    with pytest.raises(InvalidValueError, match="are not of the split 'train'"):
+        episodes_key("easy", "greedy", range(2**52 - 1, 2**52 + 1), "train")
+    with pytest.raises(UnknownNameError, match="custom"):
+        episodes_key("easy", "greedy", range(2), "dev")
+    with pytest.raises(InvalidValueError, match="holds no seeds"):
+        run_episodes(episodes_key("easy", "greedy", range(2))._replace(seeds=(1, 1)))
+
+
 def test_keys_differ_where_task_or_agent_differ() -> None:
     hashes = {episodes_key(t, a, range(1)).config_hash for t in ("easy", "hard") for a in ("greedy", "random")}
     assert len(hashes) == 4
