@@ -20,7 +20,8 @@ from tests.toy import toy_episode
 
 SEED = 7
 AGENTS = ("random", "greedy", "optimal")
-EVERY_FLIGHT = [(task, agent) for task in TASKS for agent in AGENTS]
+EVERY_FLIGHT = [(task, agent) for task in TASKS for agent in AGENTS if task != "skyline_hard" or agent == "random"]
+"""The values of a map of skyline_hard take a second."""
 MAP = ["@.0", "..."]
 """Two steps to the only parcel. With 4 steps: V* is 0.8 + 0.2 * 2/4 = 0.9 at the start, each step lost costs 0.05."""
 
@@ -66,6 +67,9 @@ def test_a_blunder_by_hand() -> None:
     assert analysis.counts == {"best": 1, "good": 0, "inaccuracy": 0, "mistake": 2, "blunder": 1}
     assert (analysis.decisive, analysis.accuracy) == (3, 0)
     assert start.steps == 0
+    summary = [line.split() for line in analysis.summary_lines()]
+    assert ["mistake", "2", "0.10000", "?"] in summary
+    assert ["blunder", "1", "0.79000", "??"] in summary
 
 
 def test_the_only_move_by_hand() -> None:

@@ -21,11 +21,12 @@ from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.envs import figures, rendering
-from drone_env.envs.ansi import ROAD, TARGET, draw_text
+from drone_env.envs.ansi import ROAD, TARGET, WAY, draw_text, draw_tour
 from drone_env.envs.rendering import PALETTE, PANEL, TEXT, draw_mission, save_picture
 from drone_env.envs.window import Window
 from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.planning.greedy import greedy_action
+from tests.toy import toy_episode
 
 EASY = get_task("easy")
 HARD = get_task("hard")
@@ -87,8 +88,11 @@ def has_trail(picture: Picture, episode: Episode, x: float, y: float) -> bool:
 
 
 class TestPicture:
-    @pytest.mark.parametrize("task", [*TASKS.values(), SMALLEST, LARGEST, WIDEST, TALLEST], ids=lambda task: task.id)
-    @pytest.mark.parametrize("size", [96, 241, 720])
+    @pytest.mark.parametrize(
+        ("task", "size"),
+        [(EASY, 720), (EASY, 241), *((task, 96) for task in (*TASKS.values(), SMALLEST, LARGEST, WIDEST, TALLEST))],
+        ids=lambda value: getattr(value, "id", value),
+    )
     def test_shape_and_type(self, task: TaskConfig, size: int) -> None:
         picture = draw_mission(fresh(task), size)
         height, width, channels = picture.shape
@@ -123,8 +127,8 @@ class TestPicture:
         assert np.array_equal(draw_mission(episode, 200), draw_mission(fresh("medium", seed), 200))
 
     def test_every_kind_of_cell_looks_different(self) -> None:
-        episode = fresh(LARGEST)
-        picture = draw_mission(episode, 2000)
+        episode = fresh(replace(HARD, id="pads", pads=3))
+        picture = draw_mission(episode)
         grid = episode.grid()
         looks = {}
         for kind in (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERY, Cell.PAD, Cell.DRONE):
@@ -311,6 +315,11 @@ class TestText:
             at = rows[y].index(symbol)
             assert columns(rows[y][:at]) == 2 * x
 
+    def test_a_tour_is_drawn_over_roads_and_its_stops_are_numbered(self) -> None:
+        episode = toy_episode(["@.B", "0.1"])
+        passed = [(1, 0), (2, 0), (1, 1)]
+        assert draw_tour(episode, passed, [(2, 1), (0, 1)]) == f"🚁{WAY}🏢\n2 {WAY}1 "
+
     def test_tells_how_the_flight_stands(self) -> None:
         episode = fly(fresh("hard", 42), 7)
         *_, status, message = draw_text(episode).split("\n")
@@ -334,9 +343,10 @@ def pygame(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """pygame on a screen that is not there."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    module = pytest.importorskip("pygame")
-    yield module
-    module.display.quit()
+    import pygame
+
+    yield pygame
+    pygame.display.quit()
 
 
 class TestWindow:
