@@ -1,8 +1,8 @@
 """Each code block of the documentation is run, or says in an invisible comment why not: see CONTRIBUTING.md.
 
 What can be known of a block without running it is checked of all of them; running all is long. The blocks of a page
-share a folder that looks like a checkout, and its Python blocks one namespace. One real server and one scripted endpoint
-of a language model stand in for those that the pages name.
+share a folder that looks like a checkout, and its Python blocks one namespace. One real server and one scripted
+endpoint of a language model stand in for those that the pages name.
 """
 
 import contextlib
