@@ -17,7 +17,7 @@ from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.datasets import build
 from drone_env.datasets.build import build_dataset
-from drone_env.datasets.config import DatasetConfig, dataset_config
+from drone_env.datasets.config import FORMAT, DatasetConfig, dataset_config
 from drone_env.datasets.flights import chance, fly_map
 from drone_env.errors import InvalidValueError, MissingPackageError, TooLargeError, UnknownNameError
 from drone_env.planning import map_graph
@@ -169,6 +169,7 @@ def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
     assert all(field.metadata[b"description"] and not field.nullable for field in schema)
     about = json.loads(schema.metadata[b"drone_env"])
     assert about == config.as_json()
+    assert (about["format"], about["format_version"]) == (FORMAT, 1)
     assert (about["task"]["max_steps"], about["epsilon"], about["seeds"], about["split"]) == (160, 0.1, [0, 3], "train")
     assert about["reward_profile"]["shaping_gamma"] == "0.99"
     assert file.metadata.num_row_groups > 1
@@ -177,10 +178,13 @@ def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
 
 def test_row_groups_change_nothing_but_the_layout(tmp_path: Path) -> None:
     config = dataset_config("easy", range(5))
-    (tmp_path / "small").mkdir()
-    small, whole = made(tmp_path / "small", config, rows_per_group=1), made(tmp_path, config)
-    assert pyarrow.parquet.ParquetFile(small / "steps.parquet").metadata.num_row_groups == config.episodes
-    assert rows(small) == rows(whole)
+    whole, groups = made(tmp_path, config), []
+    for size in (1, 70):
+        (tmp_path / str(size)).mkdir()
+        folder = made(tmp_path / str(size), config, rows_per_group=size)
+        groups.append(pyarrow.parquet.ParquetFile(folder / "steps.parquet").metadata.num_row_groups)
+        assert rows(folder) == rows(whole)
+    assert groups[0] == config.episodes > groups[1] > 1
 
 
 def test_the_hash_changes_with_everything_that_decides_the_rows() -> None:
