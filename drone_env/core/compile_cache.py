@@ -74,9 +74,7 @@ def _private_folder() -> Path:
     folder = Path(tempfile.gettempdir()) / f"drone_env-{'user' if user is None else user}"
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
-    if user is not None and (
-        not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    ):
+    if user is not None and (found.st_uid != user or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
         raise PermissionError(f"{folder} is not a folder that this user alone can write")
     return folder
 

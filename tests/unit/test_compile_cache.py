@@ -152,16 +152,17 @@ def test_the_digest_is_of_all_sources_and_of_nothing_else(tmp_path: Path) -> Non
         file.write_bytes(file.read_bytes() + b"\n")
         seen.add(digest_of_sources(tmp_path))
         assert len(seen) == 1 + changed, file
-    sources[0].rename(sources[0].with_name("zzz.py"))
+    sources[-1].rename(sources[-1].with_suffix(".pz.py"))  # in the same place of the order
     assert digest_of_sources(tmp_path) not in seen
     assert digest_of_sources(tmp_path / "archive.zip") == ""
 
 
-@pytest.mark.parametrize("loaded", ["0123456789abcdef", ""])
-def test_sources_that_changed_since_they_were_loaded(
-    loaded: str, tmp_path: Path, chosen: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("loaded", "now"), [("0123456789abcdef", "fedcba9876543210"), ("", "")])
+def test_sources_that_changed_or_cannot_be_seen(
+    loaded: str, now: str, tmp_path: Path, chosen: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compile_cache, "LOADED", loaded)
+    monkeypatch.setattr(compile_cache, "digest_of_sources", lambda: now)
     with pytest.raises(FileNotFoundError, match="not those that this program began with"):
         cache_folder()
     assert load(tmp_path).twice(3) == 6
@@ -233,20 +234,32 @@ def test_two_processes_at_once(tmp_path: Path, chosen: Path) -> None:
 @pytest.fixture
 def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder for temporary files of a user whose own cache folder cannot be made."""
-    (tmp_path / "home").write_text("a file")
+    (tmp_path / "file").write_text("")
     monkeypatch.delenv("DRONE_ENV_CACHE")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("HOME", str(tmp_path / "file"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     return tmp_path / f"drone_env-{os.getuid()}"
 
 
-def test_without_a_home_it_is_kept_among_the_temporary_files(tmp_path: Path, temporary: Path) -> None:
+@pytest.mark.parametrize("home", ["not a folder", "read-only", "unknown"])
+def test_without_a_home_it_is_kept_among_the_temporary_files(
+    home: str, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if home == "read-only":  # root may write into folders that nobody may write into
+        monkeypatch.setenv("HOME", str(tmp_path))
+        monkeypatch.setattr(os, "access", lambda path, mode: False)
+    elif home == "unknown":
+        monkeypatch.setattr(Path, "home", raises_runtime_error)
     for expected in ((0, 1), (1, 0)):
-        twice = load(tmp_path).twice
+        twice = load(tmp_path / "kernels").twice
         assert (twice(3), counts(twice)) == (6, expected)
     assert temporary.stat().st_mode & 0o777 == 0o700
     assert files(temporary)[0].parent == temporary / compile_cache.LOADED
+
+
+def raises_runtime_error() -> Path:
+    raise RuntimeError("Could not determine home directory.")  # as `Path.home` does
 
 
 @pytest.mark.parametrize("whose", ["others may write", "another user's", "a link", "a file"])
