@@ -229,7 +229,7 @@ REQUESTS: dict[tuple[str, str], Any] = {
     ("post", "/{env_name}/task_range"): {**SPLIT, "start": 0, "stop": 1},
     ("delete", "/session"): None,
 }
-"""Every endpoint, and what it is asked with; a session is opened by the first, flown by the third, ended by the last."""
+"""Every endpoint, and what it is asked with, in this order: the first opens a session, the last ends it."""
 
 
 def test_every_endpoint_there_is_answers(http: TestClient) -> None:

@@ -95,6 +95,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     )
     app.state.shared = shared
     app.state.socket = socket
+    app.state.live = live
     install(app)
     protect(app, settings)
     app.add_middleware(LogRequests, log=shared.requests)
