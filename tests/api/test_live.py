@@ -269,8 +269,8 @@ def test_an_open_page_keeps_its_paused_mission(tmp_path: Path, clock: Clock, eve
         ({"type": "subscribe", "topics": ["passwords"]}, "invalid_request"),
     ],
 )
-def test_what_cannot_be_obeyed_is_told_and_changes_nothing(client: TestClient, frame: Any, code: str) -> None:
-    with client.websocket_connect("/live") as socket:
+def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestClient, frame: Any, code: str) -> None:
+    with shared_client.websocket_connect("/live") as socket:
         page = Page(socket)
         (shown,) = page.start("greedy")
         page.until("values")
@@ -280,7 +280,7 @@ def test_what_cannot_be_obeyed_is_told_and_changes_nothing(client: TestClient, f
         assert message["detail"]
         page.send("step")
         assert page.until("frames")["frames"][0]["frame"]["step"] == 1
-        state = client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()
+        state = shared_client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()
         assert state["step_count"] == 1
 
 
