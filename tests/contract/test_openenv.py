@@ -13,6 +13,7 @@ import yaml
 from openenv.cli.__main__ import app as command_line
 from openenv.cli._validation import validate_running_environment
 from openenv.core.env_server import create_fastapi_app
+from openenv.core.env_server.interfaces import Environment
 from openenv.core.generic_client import GenericEnvClient
 from openenv.validation import Level, run_validation
 from openenv.validation.types import ProviderCapability
@@ -142,8 +143,10 @@ def test_our_socket_sends_what_openenvs_own_server_sends(tmp_path: Path) -> None
 
 
 class TestEnvironment:
+    @pytest.mark.feature("E10")
     def test_an_episode(self) -> None:
         env = DroneDeliveryEnvironment("medium")
+        assert isinstance(env, Environment)
         observation = env.reset(seed=3)
         assert (env.state.task_name, env.state.seed, observation.reward) == ("medium_delivery", 3, None)
         assert uuid.UUID(env.state.episode_id)
