@@ -9,10 +9,13 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.client import DroneEnvClient
-from drone_env.episodes.store import FILE_NAME
-from drone_env.models import DroneObservation
+from drone_env.episodes.store import FILE_NAME, Store
+from drone_env.errors import NoSessionError
+from drone_env.models import DroneAction, DroneObservation
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
+from drone_env.server.schemas import ResetOptions
+from drone_env.server.sessions import Sessions
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 from tests.api.test_flight import flown
@@ -66,6 +69,7 @@ class TestSessions:
             assert client.request(method, path, json=body, headers=nothing).status_code == 409
         gone = client.request(method, path, json=body, headers={"X-Session-Id": "never"})
         assert (gone.status_code, gone.json()["code"]) == (410, "session_gone")
+        assert "POST /reset opens a session" in gone.json()["detail"]
         assert "POST /reset" in gone.json()["detail"]
 
     def test_a_reset_that_names_a_session_that_is_gone_opens_another(self, client: TestClient) -> None:
@@ -91,6 +95,22 @@ class TestSessions:
             assert (full.status_code, full.json()["code"]) == (503, "no_room")
             assert full.headers["Retry-After"] == "5"
             assert client.post("/reset", headers={"X-Session-Id": first}).status_code == 200
+
+    def test_no_more_episodes_are_kept_in_memory_than_sessions_may_be_open(self, tmp_path: Path) -> None:
+        with Store(tmp_path) as store:
+            sessions = Sessions(store, capacity=2, idle_seconds=900)
+            for number in range(5):
+                with pytest.raises(NoSessionError), sessions.reading(f"never {number}"):
+                    pytest.fail("the block must not be entered")
+                session, _ = sessions.reset(None, ResetOptions(seed=number))
+                sessions.step(session, DroneAction(direction="WAIT"))
+                assert len(sessions._live) <= 2
+                sessions.end(session)
+            first, second = (sessions.reset(None, ResetOptions(seed=7))[0] for _ in range(2))
+            for session in (first, second, first):
+                sessions.step(session, DroneAction(direction="WAIT"))
+            with sessions.reading(first) as episode:
+                assert episode.steps == 2
 
     def test_an_idle_session_ends_by_itself(
         self, tmp_path: Path, clock: Clock, eventually: Callable[..., None]
