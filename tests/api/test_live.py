@@ -31,6 +31,8 @@ class Page:
 
     def __init__(self, socket: WebSocketTestSession) -> None:
         self.socket = socket
+        self.ended: list[int] = []
+        """The missions that were told to have ended, while they flew by themselves."""
 
     def send(self, kind: str, **fields: Any) -> None:
         self.socket.send_text(json.dumps({"type": kind, **fields}))
@@ -54,6 +56,8 @@ class Page:
             message = json.loads(self.socket.receive_text())
             for moved in message["frames"] if message["type"] == "frames" else ():
                 frames.setdefault(moved["mission"], []).append(moved["frame"])
+            if message["type"] == "ended":
+                self.ended.append(message["mission"])
             if message["type"] == "playing" and not message["playing"]:
                 return frames
 
@@ -82,6 +86,7 @@ def test_a_race_is_what_the_agents_fly(client: TestClient, task: str) -> None:
         page.send("play", speed=60)
         assert page.until("playing")["playing"]
         frames = page.flight()
+        assert sorted(page.ended) == [0, 1, 2, 3]
     for number, pilot in enumerate(pilots):
         episode = flown(task, 7, pilot, "composite")
         assert names(frames[number]) == [Action(action).name for action in episode.actions]
@@ -314,12 +319,14 @@ def test_news_of_the_server(
         assert page.until("episodes")["episodes"] == []
         (settings["data"] / "train.log").write_text("<b>episode 1</b>\n")
         assert page.until("training")["lines"] == ["<b>episode 1</b>"]
-        header = {"X-Session-Id": client.post("/reset", json={"seed": 7, "agent": "<i>me</i>"}).json()["session_id"]}
-        observation = {"done": False}
-        while not observation["done"]:
-            observation = client.post("/step", headers=header, json={"direction": "WAIT"}).json()
-        (episode,) = page.until("episodes")["episodes"]
-        assert (episode["agent"], episode["steps"], episode["success"]) == ("<i>me</i>", 60, False)
+        for agent in ("<i>me</i>", "another"):
+            header = {"X-Session-Id": client.post("/reset", json={"seed": 7, "agent": agent}).json()["session_id"]}
+            observation = {"done": False}
+            while not observation["done"]:
+                observation = client.post("/step", headers=header, json={"direction": "WAIT"}).json()
+            # What was told before is not told again.
+            (episode,) = page.until("episodes")["episodes"]
+            assert (episode["agent"], episode["steps"], episode["success"]) == (agent, 60, False)
         assert episode["regret"] == episode["optimal_score"] - episode["score"]
         page.send("subscribe", topics=[])
         client.get("/health")

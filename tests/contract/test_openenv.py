@@ -33,6 +33,7 @@ from drone_env.server.grid_world_environment import (
     DroneEnvAction,
     DroneEnvObservation,
     DroneEnvState,
+    GradeRubric,
 )
 from drone_env.server.schemas import WireState
 from drone_env.server.settings import Settings
@@ -158,6 +159,19 @@ class TestEnvironment:
         assert env.rubric.last_score == observation.score == GRADERS["medium_delivery"](_plain(env.state))
         DroneEnvObservation.model_validate(observation.model_dump())
         assert env.step(DroneEnvAction(direction="UP")).reward == 0.0
+
+    def test_a_reset_resets_the_rubric(self) -> None:
+        class Counting(GradeRubric):
+            resets = 0
+
+            def reset(self) -> None:
+                self.resets += 1
+
+        env = DroneDeliveryEnvironment()
+        env.rubric = rubric = Counting()
+        for resets in (1, 2):
+            env.reset(seed=5)
+            assert rubric.resets == resets
 
     def test_asynchronously_it_does_the_same(self) -> None:
         async def fly() -> list[dict[str, Any]]:
