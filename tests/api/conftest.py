@@ -10,6 +10,7 @@ from starlette.testclient import TestClient
 
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
+from tests.api.serving import Server, serving
 
 
 @pytest.fixture
@@ -24,6 +25,42 @@ def client(settings: dict[str, Any]) -> Generator[TestClient, None, None]:
     with TestClient(create_app(Settings(**settings))) as running:
         running.cookies.jar.set_policy(_NoCookies())
         yield running
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server, None, None]:
+    """A server in a process of its own, for all tests that need no server to themselves."""
+    with serving(tmp_path_factory.mktemp("server") / "data", CAPACITY="2000") as running:
+        yield running
+
+
+class Clock:
+    """A clock that stands still until it is moved."""
+
+    def __init__(self) -> None:
+        self.now = time.time()
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture(scope="module")
+def shared_client(tmp_path_factory: pytest.TempPathFactory) -> Generator[TestClient, None, None]:
+    """The same of the usual settings, for all tests of a module that mind nothing but their own session."""
+    with TestClient(create_app(Settings(data=tmp_path_factory.mktemp("shared") / "data"))) as running:
+        running.cookies.jar.set_policy(_NoCookies())
+        yield running
+
+
+@pytest.fixture
+def shared_session(shared_client: TestClient) -> dict[str, str]:
+    """The header of a session of `shared_client` on easy map 7."""
+    return {"X-Session-Id": shared_client.post("/reset", json={"seed": 7}).json()["session_id"]}
 
 
 class _NoCookies:

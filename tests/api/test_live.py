@@ -21,6 +21,7 @@ from drone_env.planning.exact import ExactSolver
 from drone_env.server.app import create_app
 from drone_env.server.live.commands import MOST_MISSIONS
 from drone_env.server.settings import Settings
+from tests.api.conftest import Clock
 
 Message = dict[str, Any]
 
@@ -30,6 +31,8 @@ class Page:
 
     def __init__(self, socket: WebSocketTestSession) -> None:
         self.socket = socket
+        self.ended: list[int] = []
+        """The missions that were told to have ended, while they flew by themselves."""
 
     def send(self, kind: str, **fields: Any) -> None:
         self.socket.send_text(json.dumps({"type": kind, **fields}))
@@ -53,6 +56,8 @@ class Page:
             message = json.loads(self.socket.receive_text())
             for moved in message["frames"] if message["type"] == "frames" else ():
                 frames.setdefault(moved["mission"], []).append(moved["frame"])
+            if message["type"] == "ended":
+                self.ended.append(message["mission"])
             if message["type"] == "playing" and not message["playing"]:
                 return frames
 
@@ -81,6 +86,7 @@ def test_a_race_is_what_the_agents_fly(client: TestClient, task: str) -> None:
         page.send("play", speed=60)
         assert page.until("playing")["playing"]
         frames = page.flight()
+        assert sorted(page.ended) == [0, 1, 2, 3]
     for number, pilot in enumerate(pilots):
         episode = flown(task, 7, pilot, "composite")
         assert names(frames[number]) == [Action(action).name for action in episode.actions]
@@ -225,18 +231,25 @@ def test_without_a_seed_the_next_map_follows(client: TestClient) -> None:
         assert page.start("greedy", seed=None)[0]["mission"]["seed"] == episode.reset()
 
 
-@pytest.mark.parametrize("settings", [{"idle_seconds": 0.4}])
-def test_an_open_page_keeps_its_paused_mission(settings: dict[str, Any], tmp_path: Path) -> None:
-    with TestClient(create_app(Settings(data=tmp_path, **settings))) as client:
+def test_an_open_page_keeps_its_paused_mission(tmp_path: Path, clock: Clock, eventually: Callable[..., None]) -> None:
+    # Looked for every 0.25 s; idle by the test's clock alone.
+    app = create_app(Settings(data=tmp_path, idle_seconds=1), clock)
+    with TestClient(app) as client:
         with client.websocket_connect("/live") as socket:
-            page = Page(socket)
-            header = {"X-Session-Id": page.start("human")[0]["mission"]["session"]}
-            time.sleep(1.2)
+            session = Page(socket).start("human")[0]["mission"]["session"]
+            header = {"X-Session-Id": session}
+            for _ in range(3):
+                clock.now += 0.9
+
+                def is_kept() -> bool:
+                    used = app.state.shared.store.read_session(session).touched_at.timestamp()
+                    return used == pytest.approx(clock.now, abs=0.001)
+
+                eventually(is_kept)
             assert client.get("/state", headers=header).status_code == 200
-        deadline = time.monotonic() + 30
-        while client.get("/state", headers=header).status_code == 200:
-            assert time.monotonic() < deadline, "the session of a page that has gone is not ended"
-            time.sleep(0.1)
+        eventually(lambda: not app.state.live.cockpits)
+        clock.now += 1
+        eventually(lambda: client.get("/state", headers=header).status_code == 410)
 
 
 @pytest.mark.parametrize(
@@ -261,8 +274,8 @@ def test_an_open_page_keeps_its_paused_mission(settings: dict[str, Any], tmp_pat
         ({"type": "subscribe", "topics": ["passwords"]}, "invalid_request"),
     ],
 )
-def test_what_cannot_be_obeyed_is_told_and_changes_nothing(client: TestClient, frame: Any, code: str) -> None:
-    with client.websocket_connect("/live") as socket:
+def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestClient, frame: Any, code: str) -> None:
+    with shared_client.websocket_connect("/live") as socket:
         page = Page(socket)
         (shown,) = page.start("greedy")
         page.until("values")
@@ -272,7 +285,7 @@ def test_what_cannot_be_obeyed_is_told_and_changes_nothing(client: TestClient, f
         assert message["detail"]
         page.send("step")
         assert page.until("frames")["frames"][0]["frame"]["step"] == 1
-        state = client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()
+        state = shared_client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()
         assert state["step_count"] == 1
 
 
@@ -306,12 +319,14 @@ def test_news_of_the_server(
         assert page.until("episodes")["episodes"] == []
         (settings["data"] / "train.log").write_text("<b>episode 1</b>\n")
         assert page.until("training")["lines"] == ["<b>episode 1</b>"]
-        header = {"X-Session-Id": client.post("/reset", json={"seed": 7, "agent": "<i>me</i>"}).json()["session_id"]}
-        observation = {"done": False}
-        while not observation["done"]:
-            observation = client.post("/step", headers=header, json={"direction": "WAIT"}).json()
-        (episode,) = page.until("episodes")["episodes"]
-        assert (episode["agent"], episode["steps"], episode["success"]) == ("<i>me</i>", 60, False)
+        for agent in ("<i>me</i>", "another"):
+            header = {"X-Session-Id": client.post("/reset", json={"seed": 7, "agent": agent}).json()["session_id"]}
+            observation = {"done": False}
+            while not observation["done"]:
+                observation = client.post("/step", headers=header, json={"direction": "WAIT"}).json()
+            # What was told before is not told again.
+            (episode,) = page.until("episodes")["episodes"]
+            assert (episode["agent"], episode["steps"], episode["success"]) == (agent, 60, False)
         assert episode["regret"] == episode["optimal_score"] - episode["score"]
         page.send("subscribe", topics=[])
         client.get("/health")
