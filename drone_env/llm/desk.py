@@ -1,6 +1,5 @@
 """What all flights of a run share: its transcript, its cache, and what may be sent."""
 
-import time
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -8,6 +7,7 @@ from typing import NamedTuple, Protocol
 from drone_env.errors import DroneEnvError, EndpointError, InvalidValueError
 from drone_env.llm.answers import Answer
 from drone_env.llm.cache import AnswerCache
+from drone_env.llm.clock import Clock
 from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.limits import Spending
 from drone_env.llm.pace import Pace
@@ -110,6 +110,7 @@ class LocalDesk:
         pace: Pace,
         cache: AnswerCache | None,
         watcher: Watcher,
+        clock: Clock | None = None,
     ) -> None:
         self.fatal: EndpointError | None = None
         self._host = host
@@ -119,6 +120,7 @@ class LocalDesk:
         self._pace = pace
         self._cache = cache
         self._watcher = watcher
+        self._clock = clock or Clock()
         self._any_answer = any(call.answer is not None for call in transcript.calls)
         self._places: dict[int, _Place] = {}
         self._expected: dict[int, float] = {}
@@ -159,7 +161,7 @@ class LocalDesk:
             if self._places.get(flight) is place:
                 await self._free(flight)
             raise
-        place.sent_at, place.expected = time.monotonic(), expected
+        place.sent_at, place.expected = self._clock.now(), expected
         return self._spending.seconds_left
 
     async def leave(self, key: CallKey, answered: bool, overloaded: bool = False, pause: float = 0.0) -> None:
