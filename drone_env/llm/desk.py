@@ -200,8 +200,9 @@ class LocalDesk:
     async def failed(self, status: int, reason: str, retried: bool, fatal: bool) -> None:
         """See `Desk`."""
         self._check_going_on()
-        # What the very first call is refused for, such as a parameter that the model does not take, holds for all.
-        if fatal or (not self._any_answer and 400 <= status < 500 and not retried):
+        # What the very first call is refused for, such as a parameter that the model does not take, holds for all; and
+        # so does where it is sent on to.
+        if fatal or (not self._any_answer and 300 <= status < 500 and not retried):
             self.fatal = EndpointError(f"{self._host} answers {status}: {reason}")
         raise CallFailedError(f"{status or 'no answer'}: {reason}")
 
