@@ -66,7 +66,7 @@ def test_a_flight_that_begins_anew_frees_its_place(tmp_path: Path) -> None:
         with pytest.raises(StoppedError, match="begun anew"):
             await orphan
         for key in (lost, waiting):
-            await asyncio.wait_for(desk.enter(key), 5)
+            await asyncio.wait_for(desk.enter(key), 60)
             await desk.leave(key, answered=True)
         assert (gate.active, spending.requests) == (0, 3)
 
