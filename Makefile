@@ -69,7 +69,7 @@ $(ADAPTERS)/.made: $(VENV)/.dev
 adapters: $(ADAPTERS)/.made
 	$(ADAPTERS)/bin/python -m pytest tests/adapters
 
-# The tests with the oldest version of each dependency that pyproject.toml allows (but for PyTorch).
+# The tests with the oldest version of each dependency that pyproject.toml allows (but for PyTorch); old ones may warn.
 LOWEST := $(VENV)/lowest
 $(LOWEST)/.made: $(VENV)/.dev
 	test -x $(LOWEST)/bin/python || $(PYTHON) -m venv $(LOWEST)
@@ -78,7 +78,7 @@ $(LOWEST)/.made: $(VENV)/.dev
 	touch $@
 
 lowest: $(LOWEST)/.made
-	$(LOWEST)/bin/python -m pytest -n auto --dist worksteal
+	$(LOWEST)/bin/python -m pytest -W default -n auto --dist worksteal
 
 # Deliberate faults, one at a time: does a test of `make test` notice each?
 mutants: $(VENV)/.dev
