@@ -2,26 +2,31 @@
 PYTHON ?= python3
 # The tests need PyTorch; any build will do, so a smaller CPU build can be named here.
 TORCH ?= torch==2.13.0
-BIN := .venv/bin
+VENV ?= .venv
+BIN := $(VENV)/bin
+PYTEST := $(BIN)/python -m pytest
+# What was compiled once is kept: the tests start many processes, each of which would compile all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test coverage check adapters verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features bench-capacity bench-cluster
+.PHONY: demo test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features bench-capacity bench-cluster
 .DEFAULT_GOAL := demo
 
-.venv/.base: pyproject.toml
+$(VENV)/.base: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Python 3.10 or newer is needed; try: make PYTHON=python3.12")'
-	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable .
 	touch $@
 
-# A current pip resolves so many packages faster; Python compiles what is imported, and the rest need never be.
-.venv/.dev: .venv/.base
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --no-compile $(TORCH)
-	$(BIN)/python -m pip install --quiet --no-compile --editable '.[dev]'
+# PyTorch by pip, which knows of builds that lie on this machine; then the rest by uv, which takes what it finds installed.
+$(VENV)/.dev: $(VENV)/.base
+	@date +%s >$(VENV)/began
+	$(BIN)/python -m pip install --quiet --no-compile $(TORCH) 'uv>=0.9'
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --editable '.[dev]'
+	@echo "Development tools installed in $$(($$(date +%s) - $$(cat $(VENV)/began))) s"
 	touch $@
 
 # Fly the trained network, compare the agents on every task (no network is shipped for skyline), draw one mission.
-demo: .venv/.base
+demo: $(VENV)/.base
 	@echo "== One mission: the trained network over hard map 7 =="
 	@$(BIN)/drone-env fly --task hard --agent pathqnet --seed 7 --picture demo/mission.png
 	@echo
@@ -29,108 +34,133 @@ demo: .venv/.base
 	@$(BIN)/drone-env evaluate --task easy medium hard --agents random greedy pathqnet optimal --split test --episodes 100
 	@$(BIN)/drone-env evaluate --task skyline_easy skyline_medium skyline_hard --split test --episodes 100
 
-test: .venv/.dev
-	$(BIN)/python -m pytest -n auto --dist worksteal
+# Every behaviour; what is marked long is left to test-long.
+test: $(VENV)/.dev
+	$(PYTEST) -n auto --dist worksteal
+
+# What is marked long. One Ray cluster serves all tests that need one, so that they run one after another.
+test-long: $(VENV)/.dev
+	$(PYTEST) -m long -n auto --dist worksteal --ignore tests/cluster
+	$(PYTEST) -m long tests/cluster
 
 # What was promised, feature by feature, and whether its tests pass.
-features: .venv/.dev
-	$(BIN)/python -m pytest -q -n auto --dist loadfile --features
+features: $(VENV)/.dev
+	$(PYTEST) -q -n auto --features
 
-# The tests once more, with a report of the lines that none of them runs: htmlcov/index.html. Compiled code is not counted.
-coverage: .venv/.dev
-	$(BIN)/python -m pytest -n auto --dist worksteal --cov --cov-fail-under=90 --cov-report=term:skip-covered --cov-report=html
+# All tests, with a report of the lines that none of them runs: htmlcov/index.html. Compiled code is not counted.
+coverage: $(VENV)/.dev
+	$(PYTEST) -m '' -n auto --dist worksteal --ignore tests/cluster --cov --cov-report=
+	$(PYTEST) -m '' tests/cluster --cov --cov-append --cov-fail-under=93 --cov-report=term:skip-covered --cov-report=html
 
 # Lint, formatting, types.
-check: .venv/.dev
+check: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
 # What needs TRL and Inspect, in an environment of its own.
-.venv-adapters/.made: pyproject.toml
-	test -x .venv-adapters/bin/python || $(PYTHON) -m venv .venv-adapters
-	.venv-adapters/bin/python -m pip install --quiet $(TORCH)
-	.venv-adapters/bin/python -m pip install --quiet --editable '.[inspect,trl]' 'pytest>=8.3' 'pytest-timeout>=2.3'
+ADAPTERS := $(VENV)/adapters
+$(ADAPTERS)/.made: $(VENV)/.dev
+	test -x $(ADAPTERS)/bin/python || $(PYTHON) -m venv $(ADAPTERS)
+	$(ADAPTERS)/bin/python -m pip install --quiet --no-compile $(TORCH)
+	$(BIN)/uv pip install --quiet --python $(ADAPTERS)/bin/python --editable '.[inspect,trl]' 'pytest>=8.3' 'pytest-timeout>=2.3'
 	touch $@
 
-adapters: .venv-adapters/.made
-	.venv-adapters/bin/python -m pytest tests/llm/test_inspect.py tests/llm/test_trl.py
+adapters: $(ADAPTERS)/.made
+	$(ADAPTERS)/bin/python -m pytest tests/adapters
 
-# The same properties over many more cases; takes long.
-verify: .venv/.dev
-	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(BIN)/python -m pytest -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_store_processes.py tests/unit/test_rl.py
-	DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SOCKET_STEPS=1000000 DRONE_ENV_SCHEMA_EXAMPLES=200 $(BIN)/python -m pytest --timeout 36000 tests/api
-	DRONE_ENV_KILLS=50 DRONE_ENV_LATENCY=0.2 DRONE_ENV_LLM_MAPS=100 $(BIN)/python -m pytest --timeout 36000 tests/llm
+# The tests with the oldest version of each dependency that pyproject.toml allows (but for PyTorch); old ones may warn.
+LOWEST := $(VENV)/lowest
+$(LOWEST)/.made: $(VENV)/.dev
+	test -x $(LOWEST)/bin/python || $(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet --no-compile $(TORCH)
+	$(BIN)/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --editable '.[dev]'
+	touch $@
+
+lowest: $(LOWEST)/.made
+	$(LOWEST)/bin/python -m pytest -W default -n auto --dist worksteal
+
+# Deliberate faults, one at a time: does a test of `make test` notice each?
+mutants: $(VENV)/.dev
+	$(BIN)/python tools/mutants.py $(ARGS)
+
+# The campaigns: the same properties over many more cases, other Pythons, oldest dependencies, faults; takes hours.
+OTHER_PYTHON ?= python3.13
+verify: $(VENV)/.dev
+	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(PYTEST) -m '' -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_store_processes.py tests/unit/test_rl.py
+	DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SOCKET_STEPS=1000000 DRONE_ENV_SCHEMA_EXAMPLES=200 $(PYTEST) -m '' --timeout 36000 tests/api
+	DRONE_ENV_KILLS=50 DRONE_ENV_LATENCY=0.2 DRONE_ENV_LLM_MAPS=100 $(PYTEST) -m '' --timeout 36000 tests/llm
+	$(MAKE) coverage mutants adapters wheels-check lowest
+	$(MAKE) test VENV=$(VENV)/$(OTHER_PYTHON) PYTHON=$(OTHER_PYTHON)
 
 # The batched simulator beside its peers, in an environment of its own; make bench ARGS=--quick for a short run.
-bench: .venv/.base
+bench: $(VENV)/.base
 	$(BIN)/python benchmarks/simulator.py $(ARGS)
 	$(BIN)/python benchmarks/scalar_step.py
 
 # The server's WebSocket beside OpenEnv's echo environment.
-bench-server: .venv/.dev
+bench-server: $(VENV)/.dev
 	$(BIN)/python benchmarks/server.py $(ARGS)
 
 # The trainer beside Stable-Baselines3's DQN; takes half an hour.
-bench-training: .venv/.dev
+bench-training: $(VENV)/.dev
 	$(BIN)/python benchmarks/training.py $(ARGS)
 
 # Frames, first paint and weight of the dashboard, in the system's chromium.
-bench-dashboard: .venv/.dev
+bench-dashboard: $(VENV)/.dev
 	$(BIN)/python benchmarks/dashboard.py $(ARGS)
 
 # Seconds and megabytes from an empty environment to the first flight; the dependencies of the project's first version
 # beside it, resolved and not installed.
-bench-install: .venv/.dev
-	$(BIN)/python -m pip install --quiet uv
+bench-install: $(VENV)/.dev
 	$(BIN)/python benchmarks/install.py $(ARGS)
 
 # The wheel in an empty environment for each Python, with server and page; make wheels-check ARGS='--python 3.12'.
-wheels-check: .venv/.dev
+wheels-check: $(VENV)/.dev
 	$(BIN)/python tests/package/installed.py $(ARGS)
 
 # What a session and a step cost the server, its store and nginx; some minutes, and needs nginx.
-bench-capacity: .venv/.dev
+bench-capacity: $(VENV)/.dev
 	$(BIN)/python benchmarks/capacity.py $(ARGS)
 
 # Evaluation on a Ray cluster of several nodes on this machine beside the plain run; ARGS="--maps 100000" for all.
-bench-cluster: .venv/.dev
+bench-cluster: $(VENV)/.dev
 	$(BIN)/python benchmarks/cluster.py $(ARGS)
 
 # Train all standard tasks with three seeds each and fly the test maps; takes an hour, and goes on where it was stopped.
-evidence: .venv/.dev
+evidence: $(VENV)/.dev
 	$(BIN)/python benchmarks/training_runs.py $(ARGS)
 
 # The documentation as a site in build/site. (The variable silences what its theme prints about itself.)
-docs: .venv/.dev
+docs: $(VENV)/.dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 
 # The generated pages, tables and pictures of docs/; takes minutes.
-docs-data: .venv/.dev
+docs-data: $(VENV)/.dev
 	$(BIN)/python docs/tables.py
 	$(BIN)/python docs/generate.py
 
 # The pictures of the dashboard in docs/images, taken in the system's chromium.
-screenshots: .venv/.dev
+screenshots: $(VENV)/.dev
 	$(BIN)/python docs/screenshots.py
 
 # Build the container and record it in data/docker_build.log; BUILDER=podman or buildah, ARGS for more of its options.
 BUILDER ?= docker
-image: .venv/.base
+image: $(VENV)/.base
 	$(BIN)/python tools/build_image.py --builder $(BUILDER) $(ARGS)
 
 # Build it and prove that it works: hardened, restarted, stopped, flown; docker or podman.
-image-check: .venv/.dev
+image-check: $(VENV)/.dev
 	$(BIN)/python tools/check_image.py --builder $(BUILDER) $(ARGS)
 
 # Stage the folder that becomes a Hugging Face Space, in build/space.
-space: .venv/.base
+space: $(VENV)/.base
 	$(BIN)/python tools/stage_space.py $(ARGS)
 
-format: .venv/.dev
+format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf .venv .venv-bench .venv-adapters build dist demo htmlcov .coverage .coverage.* .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf .venv build dist demo htmlcov .coverage .coverage.* .pytest_cache .ruff_cache .hypothesis *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,6 +1,6 @@
 """How fast the batched simulator is, beside its peers and the machine's limits: make bench, or this file.
 
-It makes an environment of its own, `.venv-bench`, with this project and the peers in it, and runs itself there. All
+It makes an environment of its own, `.venv/bench`, with this project and the peers in it, and runs itself there. All
 contenders are timed in turn, round by round, so that whatever else runs on the machine meets all of them alike; the
 median of the rounds is printed.
 """
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from contenders import Contender
 
 ROOT = Path(__file__).resolve().parent.parent
-HOME = ROOT / ".venv-bench"
+HOME = ROOT / ".venv" / "bench"
 PYTHON = HOME / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 READY = HOME / "ready.json"
 
@@ -61,7 +61,7 @@ def prepare() -> None:
     """Make the environment, unless it is there and newer than the project's requirements."""
     if READY.exists() and READY.stat().st_mtime > (ROOT / "pyproject.toml").stat().st_mtime:
         return
-    print(f"making {HOME.name} with this project, MiniGrid and EnvPool ...", file=sys.stderr)
+    print(f"making {HOME} with this project, MiniGrid and EnvPool ...", file=sys.stderr)
     subprocess.run([sys.executable, "-m", "venv", str(HOME)], check=True)
     install = [str(PYTHON), "-m", "pip", "install", "-qq", "--disable-pip-version-check"]
     subprocess.run([*install, "--editable", str(ROOT), "minigrid"], check=True)

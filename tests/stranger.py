@@ -38,12 +38,6 @@ def commands(readme: str) -> list[str]:
     return [line for line in typed if shlex.split(line, comments=True)]
 
 
-def free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return sock.getsockname()[1]
-
-
 def wait_for(port: int, process: "subprocess.Popen[bytes]") -> None:
     """Until the process listens.
 
@@ -66,14 +60,19 @@ def background(command: list[str], port: int, cwd: Path, env: dict[str, str]) ->
         wait_for(port, process)
         yield
     finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGTERM)
-        process.wait(PATIENCE)
+        for sent in (signal.SIGTERM, signal.SIGKILL):
+            with contextlib.suppress(ProcessLookupError, subprocess.TimeoutExpired):
+                os.killpg(process.pid, sent)
+                process.wait(PATIENCE)
 
 
 def scripted_endpoint(clone: Path, stack: contextlib.ExitStack, environment: dict[str, str]) -> str:
     """A language model that flies well, whatever the prompt; its base URL."""
-    port = free_port()
+    # Bound and not listened on: the kernel gives it to nobody else.
+    reserved = stack.enter_context(socket.socket())
+    reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    reserved.bind(("127.0.0.1", 0))
+    port = reserved.getsockname()[1]
     python = str(clone / ".venv/bin/python")
     command = [python, "tests/llm/scripted_server.py", str(port)]
     stack.enter_context(background(command, port, cwd=clone, env=environment))
@@ -85,7 +84,8 @@ def scripted_endpoint(clone: Path, stack: contextlib.ExitStack, environment: dic
 def walk(clone: Path) -> list[tuple[str, float, int]]:
     """Type every command; what it was, its seconds and its exit status."""
     environment = {**os.environ, "PATH": f"{clone / '.venv/bin'}{os.pathsep}{os.environ['PATH']}"}
-    environment.pop("VIRTUAL_ENV", None)
+    for name in ("VIRTUAL_ENV", "PYTHONDONTWRITEBYTECODE"):
+        environment.pop(name, None)
     walked: list[tuple[str, float, int]] = []
     with contextlib.ExitStack() as stack:
         for command in commands((clone / "README.md").read_text(encoding="utf-8")):

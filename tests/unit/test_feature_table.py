@@ -1,11 +1,19 @@
 """The table of features itself: no promise is without a test, and it fails where one is."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 from tests.api.serving import ROOT
 from tests.feature_table import FEATURES
+
+
+def test_every_feature_is_spoken_for() -> None:
+    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py")]
+    assert {
+        feature for source in sources for feature in re.findall(r'mark\.feature\("(\w+)"', source)
+    } >= FEATURES.keys()
 
 
 def features(*arguments: str) -> "subprocess.CompletedProcess[str]":
