@@ -155,6 +155,11 @@ class TestSessions:
                 assert answer == DroneObservation.of(expected).model_dump(mode="json")
             assert one.post("/reset", json={"seed": 1}, headers=session).status_code == 200
             assert two.get("/state", headers=session).json()["seed"] == 1
+            # Begun anew on the same map, and flown as far, but otherwise.
+            one.post("/step", json={"direction": "UP"}, headers=session)
+            two.post("/reset", json={"seed": 1}, headers=session)
+            two.post("/step", json={"direction": "LEFT"}, headers=session)
+            assert [point["action"] for point in one.get("/state", headers=session).json()["path_history"]] == ["LEFT"]
 
 
 class TestEndOfSession:

@@ -1,14 +1,17 @@
 """Who may call, and with what."""
 
+import asyncio
 from pathlib import Path
 from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
+from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocketDisconnect
 
 from drone_env.errors import InvalidValueError
 from drone_env.server.app import create_app
+from drone_env.server.security import JsonBodies
 from drone_env.server.settings import Settings, load_settings, misspelt_variables
 from drone_env.server.strict_json import MAX_DEPTH, parse_json
 
@@ -62,6 +65,26 @@ class TestBodies:
         largest = b'{"seed": 1}'.ljust(65_536)
         assert client.post("/reset", content=largest, headers=JSON).status_code == 200
 
+    def test_a_body_that_comes_in_pieces_is_counted_whole(self) -> None:
+        # The client above puts the pieces together itself.
+        pieces = [b'{"agent": "', b"a" * 40_000, b"a" * 40_000, b'"}']
+        sent: list[Message] = []
+
+        async def receive() -> Message:
+            piece = pieces.pop(0)
+            return {"type": "http.request", "body": piece, "more_body": bool(pieces)}
+
+        async def send(message: Message) -> None:
+            sent.append(message)
+
+        async def behind(scope: Scope, receive: Receive, send: Send) -> None:
+            pytest.fail("the body was let through")
+
+        headers = [(b"transfer-encoding", b"chunked"), (b"content-type", b"application/json")]
+        scope = {"type": "http", "method": "POST", "path": "/reset", "headers": headers}
+        asyncio.run(JsonBodies(behind, 65_536)(scope, receive, send))
+        assert sent[0]["status"] == 413
+
 
 class TestStrictJson:
     def test_depth_is_counted(self) -> None:
@@ -87,6 +110,7 @@ class TestOrigins:
             ("http://page.example", False),
             ("https://page.example.evil", False),
             ("http://testserver.evil", False),
+            ("http://testserver:8001", False),
             ("http://evil/testserver", False),
             ("file://testserver", False),
             ("null", False),

@@ -196,6 +196,11 @@ def test_the_leaderboard_ranks_whole_runs_and_refuses_forged_ones(
 def test_a_record_that_does_not_replay_or_a_lost_flight_is_found(endpoint: Start) -> None:
     folder = endpoint(pilot="greedy").infer("--seeds", "14:16").folder
     episodes, flights = folder / "episodes.jsonl", folder / "flights.jsonl"
+    results = flights.read_text()
+    flights.write_text(results.replace('"waits":0', '"waits":1', 1))
+    with pytest.raises(InvalidValueError, match="flight 0 is not what the model's answers come to"):
+        verified_run(folder)
+    flights.write_text(results)
     whole = episodes.read_text()
     first, second = whole.splitlines()
     better = EpisodeRecord.model_validate_json(second).model_copy(update={"score": 0.99}).to_json()

@@ -40,6 +40,7 @@ def test_too_short_a_budget_delivers_as_many_as_it_can() -> None:
     parcels = [(0, 0), (9, 0), (3, 0)]
     assert shortest_tour((5, 0), parcels, budget=12) == [(3, 0), (0, 0)]
     assert shortest_tour((5, 0), parcels, budget=4) == [(3, 0)]
+    assert shortest_tour((5, 0), parcels, budget=2) == [(3, 0)]
     assert shortest_tour((5, 0), parcels, budget=1) == []
     assert shortest_tour((5, 0), [], budget=10) == []
 
