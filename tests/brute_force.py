@@ -2,18 +2,18 @@
 
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.core import compiled, score
 from drone_env.core.actions import N_ACTIONS
-from drone_env.core.compile_cache import cached_on_disk
+from drone_env.core.compile_cache import compiled_once
 from drone_env.core.rewards import get_reward_profile, tabulate_rewards
 from drone_env.core.rules import OUTCOME, tabulate
 from drone_env.core.state_manager import Episode, EpisodeState
 
 
+@compiled_once()
 def fly_every_action(
     rules: Any, rewards: Any, grids: Any, rows: Any, next_grids: Any, next_rows: Any, scores: Any
 ) -> None:
@@ -23,10 +23,6 @@ def fly_every_action(
         next_rows[k] = rows[k // N_ACTIONS]
         compiled.step(rules, rewards, next_grids[k], next_rows[k], k % N_ACTIONS)
         scores[k] = score.score(rules, next_rows[k])
-
-
-with cached_on_disk():
-    fly_every_action = numba.njit(cache=True)(fly_every_action)
 
 
 class BruteForce:

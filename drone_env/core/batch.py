@@ -13,7 +13,7 @@ from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Event, Outcome
-from drone_env.core.compile_cache import cached_on_disk, tell_before_compiling
+from drone_env.core.compile_cache import compiled_once, tell_before_compiling
 from drone_env.core.dynamics import reset as reset_episode
 from drone_env.core.dynamics import step as step_episode
 from drone_env.core.observation import (
@@ -95,6 +95,7 @@ def keep_final_observation(rules: Rules, buffers: Buffers, i: int, k: int) -> No
     write_telemetry(rules, buffers.rows[i], buffers.final_telemetry[k])
 
 
+@compiled_once(nogil=True, **compiled.OPTIONS)
 def reset_kernel(rules: Rules, buffers: Buffers, chosen: Any) -> None:
     """Begin the episodes whose numbers are in `chosen`, on the maps that stand in `seeds`."""
     for i in chosen:
@@ -103,6 +104,7 @@ def reset_kernel(rules: Rules, buffers: Buffers, chosen: Any) -> None:
         buffers.terminated[i] = False
 
 
+@compiled_once(nogil=True, **compiled.OPTIONS)
 def step_kernel(
     rules: Rules, rewards: Rewards, buffers: Buffers, actions: Any, start: int, stop: int, same_step: bool
 ) -> int:
@@ -136,6 +138,7 @@ def step_kernel(
     return n_ended
 
 
+@compiled_once(nogil=True, parallel=True)
 def step_kernel_threads(
     rules: Rules, rewards: Rewards, buffers: Buffers, actions: Any, bounds: Any, same_step: bool, n_ended: Any
 ) -> None:
@@ -144,6 +147,7 @@ def step_kernel_threads(
         n_ended[t] = step_kernel(rules, rewards, buffers, actions, bounds[t], bounds[t + 1], same_step)
 
 
+@compiled_once(nogil=True, **compiled.OPTIONS)
 def all_exist(actions: Any) -> bool:
     """Whether all of the actions, int64[N], are from 0 to 4."""
     allowed = True
@@ -154,12 +158,6 @@ def all_exist(actions: Any) -> bool:
 
 for rare in (begin, begin_next, keep_final, keep_final_observation):
     register_jitable(**compiled.OPTIONS)(rare)
-with cached_on_disk():
-    KERNEL: dict[str, Any] = {"nogil": True, "cache": True, **compiled.OPTIONS}
-    reset_kernel = numba.njit(**KERNEL)(reset_kernel)
-    all_exist = numba.njit(**KERNEL)(all_exist)
-    step_kernel = numba.njit(**KERNEL)(step_kernel)
-    step_kernel_threads = numba.njit(parallel=True, nogil=True, cache=True)(step_kernel_threads)
 
 
 def entry_point(kernel: Any, *arguments: Any) -> Any:

@@ -5,10 +5,10 @@ Importing this module costs Numba's import; compiling happens at the first call.
 
 from typing import Any
 
-import numba  # pyright: ignore[reportMissingTypeStubs]
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import drone, dynamics, grid_generator, observation, obstacles, rewards, score, seeds
+from drone_env.core.compile_cache import compiled_once
 
 COMPILED = (
     seeds.wrap64,
@@ -49,5 +49,5 @@ OPTIONS: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
 for function in COMPILED:
     register_jitable(forceinline=function not in RARE, **OPTIONS)(function)
 
-reset = numba.njit(**OPTIONS)(dynamics.reset)
-step = numba.njit(**OPTIONS)(dynamics.step)
+reset = compiled_once(**OPTIONS)(dynamics.reset)
+step = compiled_once(**OPTIONS)(dynamics.step)

@@ -8,7 +8,6 @@ maximiser takes the one that ends in the lowest score: a reward is *aligned* on 
 from dataclasses import dataclass
 from typing import Any
 
-import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
@@ -16,7 +15,7 @@ from numba.extending import register_jitable  # pyright: ignore
 from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
 from drone_env.core.cells import Cell
-from drone_env.core.compile_cache import cached_on_disk
+from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import distance
 from drone_env.core.dynamics import step
 from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, profile_for_discount, tabulate_rewards
@@ -66,6 +65,8 @@ def number_of(row: Any, parcels: Any, cell: int) -> int:
 register_jitable(**compiled.OPTIONS)(number_of)
 
 
+# It allocates two small arrays, so it needs the runtime that the other kernels do without.
+@compiled_once(nogil=True, error_model="numpy")
 def audit_kernel(
     rules: Rules,
     rewards: Rewards,
@@ -145,11 +146,6 @@ def audit_kernel(
                         values[now, units, delivered, target, cell] = best
                         lows[now, units, delivered, target, cell] = scores[choice]
                         choices[t, units, delivered, target, cell] = choice
-
-
-with cached_on_disk():
-    # It allocates two small arrays, so it needs the runtime that the other kernels do without.
-    audit_kernel = numba.njit(nogil=True, cache=True, error_model="numpy")(audit_kernel)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ Bellman, "On a routing problem", 1958: labels are corrected in sweeps over the m
 
 from typing import Any
 
-import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
@@ -13,7 +12,7 @@ from numba.extending import register_jitable  # pyright: ignore
 from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Action, Event
 from drone_env.core.cells import Cell
-from drone_env.core.compile_cache import cached_on_disk
+from drone_env.core.compile_cache import compiled_once
 from drone_env.core.obstacles import collision
 from drone_env.core.rules import Rules, tabulate
 from drone_env.core.tasks import TaskConfig
@@ -68,14 +67,11 @@ def cheapest_action(rules: Rules, grid: Any, start: int, costs: Any, first: Any)
 register_jitable(**compiled.OPTIONS)(cheapest_action)
 
 
+@compiled_once(nogil=True, **compiled.OPTIONS)
 def cheapest_kernel(rules: Rules, grids: Any, starts: Any, costs: Any, first: Any, actions: Any) -> None:
     """Write the action of each map."""
     for i in range(len(grids)):
         actions[i] = cheapest_action(rules, grids[i], starts[i], costs, first)
-
-
-with cached_on_disk():
-    cheapest_kernel = numba.njit(nogil=True, cache=True, **compiled.OPTIONS)(cheapest_kernel)
 
 
 def cheapest_actions(

@@ -10,13 +10,12 @@ A value is kept as the rank of a score among all scores that the task knows, whi
 from functools import lru_cache
 from typing import Any
 
-import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Action, Outcome
-from drone_env.core.compile_cache import cached_on_disk
+from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import units_left
 from drone_env.core.dynamics import outcome_of
 from drone_env.core.rules import BATTERY, CELL, DELIVERED_FLAG, PARCELS, STEPS, Rules, tabulate
@@ -38,6 +37,7 @@ FLYING = int(Outcome.FLYING)
 ANOTHER = "this episode cannot have come from the one that was solved: make a solver of its own"
 
 
+@compiled_once(nogil=True, **compiled.OPTIONS)
 def score_kernel(rules: Rules, scores: Any) -> None:
     """Write the score of every end into float64[deliveries + 1, capacity + 1, max_steps + 1]."""
     for deliveries in range(scores.shape[0]):
@@ -54,6 +54,7 @@ def score_kernel(rules: Rules, scores: Any) -> None:
                 )
 
 
+@compiled_once(nogil=True, **compiled.OPTIONS)
 def value_kernel(
     rules: Rules,
     leads_to: Any,
@@ -97,12 +98,6 @@ def value_kernel(
                         rank = np.int64(values[starts[t + 1] + (battery - lowest[t + 1]) * places + to])
                     best = max(best, rank)
                 values[starts[t] + j * places + place] = best
-
-
-with cached_on_disk():
-    KERNEL: dict[str, Any] = {"nogil": True, "cache": True, **compiled.OPTIONS}
-    score_kernel = numba.njit(**KERNEL)(score_kernel)
-    value_kernel = numba.njit(**KERNEL)(value_kernel)
 
 
 @lru_cache(maxsize=16)

@@ -7,7 +7,6 @@ delivers and what it drains depend on nothing else; battery and steps only decid
 
 from typing import Any, NamedTuple
 
-import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
@@ -15,7 +14,7 @@ from numba.extending import register_jitable  # pyright: ignore
 from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Outcome
 from drone_env.core.cells import Cell
-from drone_env.core.compile_cache import cached_on_disk
+from drone_env.core.compile_cache import compiled_once
 from drone_env.core.dynamics import choose_target, step
 from drone_env.core.rewards import RewardProfile, Rewards, tabulate_rewards
 from drone_env.core.rules import (
@@ -88,6 +87,7 @@ for function in (put_parcels, put_drone, delivered_set):
     register_jitable(**compiled.OPTIONS)(function)
 
 
+@compiled_once(nogil=True, **compiled.OPTIONS)
 def explore(rules: Rules, rewards: Rewards, grid: Any, row: Any, parcels: Any, leads_to: Any, drain: Any) -> None:
     """Fly every action from every place that the drone can be at.
 
@@ -117,10 +117,6 @@ def explore(rules: Rules, rewards: Rewards, grid: Any, row: Any, parcels: Any, l
                     put_parcels(rules, grid, row, parcels, delivered)
                     grid[cell] = under
                 drain[place, action] = units
-
-
-with cached_on_disk():
-    explore = numba.njit(nogil=True, cache=True, **compiled.OPTIONS)(explore)
 
 
 class MapGraph(NamedTuple):

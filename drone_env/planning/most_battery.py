@@ -7,12 +7,11 @@ flown after it, with as much battery left or more. One number for each (steps, p
 
 from typing import Any
 
-import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 
 from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Action, Outcome
-from drone_env.core.compile_cache import cached_on_disk
+from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import units_left
 from drone_env.core.dynamics import outcome_of
 from drone_env.core.rules import BATTERY, CELL, STEPS, Rules
@@ -24,6 +23,7 @@ from drone_env.planning.map_graph import done_counts, map_graph, require_memory
 FLYING = int(Outcome.FLYING)
 
 
+@compiled_once(nogil=True, **compiled.OPTIONS)
 def forward_kernel(
     rules: Rules, leads_to: Any, drain: Any, done: Any, start: int, steps: int, most: Any, came_from: Any, best: Any
 ) -> float:
@@ -72,10 +72,6 @@ def forward_kernel(
                     best[0] = t
                     best[1] = place * N_ACTIONS + action
     return highest
-
-
-with cached_on_disk():
-    forward_kernel = numba.njit(nogil=True, cache=True, **compiled.OPTIONS)(forward_kernel)
 
 
 def best_actions(episode: Episode) -> list[Action]:

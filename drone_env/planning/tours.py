@@ -2,17 +2,17 @@
 
 from typing import Any
 
-import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
-from drone_env.core.compile_cache import cached_on_disk
+from drone_env.core.compile_cache import compiled_once
 from drone_env.planning.held_karp import held_karp
 
 register_jitable(held_karp)
 
 
+@compiled_once(nogil=True)
 def plan_kernel(starts: Any, parcels: Any, budgets: Any, orders: Any) -> None:
     """Write the order of each map's tour into `orders`, -1 behind its end."""
     n = parcels.shape[1]
@@ -27,10 +27,6 @@ def plan_kernel(starts: Any, parcels: Any, budgets: Any, orders: Any) -> None:
         visited = held_karp(first, legs, n, budgets[k], lengths, orders[k])
         for i in range(visited, n):
             orders[k, i] = -1
-
-
-with cached_on_disk():
-    plan_kernel = numba.njit(nogil=True, cache=True)(plan_kernel)
 
 
 def plan_tours(

@@ -69,7 +69,7 @@ def test_the_core_imports_numpy_and_numba_alone() -> None:
         for name in imported_names(file)
         if name.partition(".")[0] not in ALLOWED_IN_CORE
         and not name.startswith("drone_env.core")
-        and name != "drone_env.errors"
+        and name not in ("drone_env.errors", "drone_env.files")
     }
     assert foreign == set()
 

@@ -1,0 +1,294 @@
+"""Compiled code that is kept: found again by content alone, and never that of other sources."""
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numba
+import pytest
+
+from drone_env.core import compile_cache
+from drone_env.core.compile_cache import KeptCode, cache_folder, compiled_once, digest_of_sources, tell_before_compiling
+from drone_env.errors import InvalidValueError
+
+PACKAGE = compile_cache.PACKAGE
+KERNEL = """
+from drone_env.core.compile_cache import compiled_once
+
+@compiled_once()
+def twice(x):
+    return 2 * x
+"""
+
+
+@pytest.fixture(autouse=True)
+def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty folder, which `DRONE_ENV_CACHE` names."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("DRONE_ENV_CACHE", str(folder))
+    tell_before_compiling.cache_clear()
+    yield folder
+    sys.modules.pop("kernels", None)
+
+
+def load(folder: Path, source: str = KERNEL) -> ModuleType:
+    """The source as the module `kernels` in this folder, loaded as by a new process."""
+    folder.mkdir(exist_ok=True)
+    file = folder / "kernels.py"
+    file.write_text(source)
+    spec = importlib.util.spec_from_file_location("kernels", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules["kernels"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def counts(dispatcher: Any) -> tuple[int, int]:
+    """(loaded, compiled)"""
+    stats = dispatcher.stats
+    return sum(stats.cache_hits.values()), sum(stats.cache_misses.values())
+
+
+def files(chosen: Path) -> list[Path]:
+    return sorted(file for file in chosen.rglob("*") if file.is_file())
+
+
+def test_an_equal_source_at_another_path_shares(tmp_path: Path, chosen: Path) -> None:
+    for place, expected in (("here", (0, 2)), ("there", (2, 0))):
+        twice = load(tmp_path / place).twice
+        assert (twice(3), twice(1.5)) == (6, 3.0)
+        assert counts(twice) == expected
+    assert [file.name.partition("-")[0] for file in files(chosen)] == ["kernels.twice"] * 2
+
+
+def test_another_source_at_the_same_path_does_not(tmp_path: Path) -> None:
+    assert load(tmp_path).twice(3) == 6
+    changed = load(tmp_path, KERNEL.replace("2 * x", "x + x + 0")).twice
+    assert (changed(3), counts(changed)) == (6, (0, 1))
+
+
+def test_one_function_with_two_sets_of_options(tmp_path: Path) -> None:
+    source = """
+from drone_env.core.compile_cache import compiled_once
+
+def divide(x, y):
+    return x / y
+
+strict, lax = compiled_once()(divide), compiled_once(error_model="numpy")(divide)
+"""
+    for place, expected in (("here", (0, 1)), ("there", (1, 0))):
+        module = load(tmp_path / place, source)
+        assert module.lax(1.0, 0.0) == float("inf")
+        with pytest.raises(ZeroDivisionError):
+            module.strict(1.0, 0.0)
+        assert counts(module.lax) == counts(module.strict) == expected
+
+
+def test_settings_of_numba_that_change_the_code(tmp_path: Path) -> None:
+    source = KERNEL.replace("2 * x", "x[5]")
+    array = import_module("numpy").zeros(1)
+    load(tmp_path, source).twice(array)
+    config: Any = import_module("numba.core.config")
+    before = config.BOUNDSCHECK
+    config.BOUNDSCHECK = 1
+    try:
+        checked = load(tmp_path, source).twice
+        with pytest.raises(IndexError):
+            checked(array)
+    finally:
+        config.BOUNDSCHECK = before
+
+
+def test_only_functions_of_a_module() -> None:
+    def local(x: int) -> int:
+        return x
+
+    for function in (local, lambda x: x, ModuleType.__repr__):
+        with pytest.raises(InvalidValueError, match="functions of a module"):
+            compiled_once()(function)
+
+
+def test_a_checkout_and_its_copy_share_and_a_change_does_not(tmp_path: Path, chosen: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    shutil.copytree(PACKAGE, elsewhere / "drone_env", ignore=shutil.ignore_patterns("static", "weights", "__pycache__"))
+    code = (
+        "import numpy; from drone_env.core import batch; batch.all_exist(numpy.zeros(3, int));"
+        "print(batch.__file__, sum(batch.all_exist.stats.cache_hits.values()))"
+    )
+
+    def hits(root: Path) -> int:
+        environment = {**os.environ, "PYTHONPATH": str(root)}
+        command = [sys.executable, "-c", code]
+        file, loaded = subprocess.check_output(command, cwd=tmp_path, env=environment, text=True).split()
+        assert Path(file) == root / "drone_env" / "core" / "batch.py"
+        return int(loaded)
+
+    assert hits(PACKAGE.parent) == 0
+    kept = files(chosen)
+    assert hits(elsewhere) == 1
+    assert files(chosen) == kept
+    with (elsewhere / "drone_env" / "core" / "score.py").open("a") as source:
+        source.write("\n")
+    assert hits(elsewhere) == 0
+
+
+def test_the_digest_is_of_all_sources_and_of_nothing_else(tmp_path: Path) -> None:
+    for part in ("core", "planning"):
+        shutil.copytree(PACKAGE / part, tmp_path / part, ignore=shutil.ignore_patterns("__pycache__"))
+    seen = {digest_of_sources(tmp_path)}
+    assert seen == {digest_of_sources(PACKAGE)}
+    sources = sorted(tmp_path.rglob("*.py"))
+    assert {file.name for file in sources} >= {"dynamics.py", "drone.py", "exact.py", "held_karp.py"}
+    for changed, file in enumerate(sources, start=1):
+        file.write_bytes(file.read_bytes() + b"\n")
+        seen.add(digest_of_sources(tmp_path))
+        assert len(seen) == 1 + changed, file
+    sources[-1].rename(sources[-1].with_suffix(".pz.py"))  # in the same place of the order
+    assert digest_of_sources(tmp_path) not in seen
+    assert digest_of_sources(tmp_path / "archive.zip") == ""
+
+
+@pytest.mark.parametrize(("loaded", "now"), [("0123456789abcdef", "fedcba9876543210"), ("", "")])
+def test_sources_that_changed_or_cannot_be_seen(
+    loaded: str, now: str, tmp_path: Path, chosen: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compile_cache, "LOADED", loaded)
+    monkeypatch.setattr(compile_cache, "digest_of_sources", lambda: now)
+    with pytest.raises(FileNotFoundError, match="not those that this program began with"):
+        cache_folder()
+    assert load(tmp_path).twice(3) == 6
+    assert files(chosen) == []
+
+
+def test_all_functions_of_the_package_are_kept() -> None:
+    found = {}
+    for file in [*(PACKAGE / "core").glob("*.py"), *(PACKAGE / "planning").glob("*.py")]:
+        module = import_module(f"drone_env.{file.parent.name}.{file.stem}")
+        for name, value in vars(module).items():
+            if isinstance(value, numba.core.dispatcher.Dispatcher):
+                found[name] = type(value._cache)
+    assert {"step", "reset", "step_kernel", "step_kernel_threads", "value_kernel", "plan_kernel"} <= set(found)
+    assert set(found.values()) == {KeptCode}
+
+
+@pytest.mark.parametrize("harm", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[:-1] + bytes([b[-1] ^ 1])])
+def test_a_damaged_file_counts_as_none(harm: Any, tmp_path: Path, chosen: Path) -> None:
+    assert load(tmp_path).twice(3) == 6
+    (file,) = files(chosen)
+    file.write_bytes(harm(file.read_bytes()))
+    for expected in ((0, 1), (1, 0)):
+        twice = load(tmp_path).twice
+        assert (twice(3), counts(twice)) == (6, expected)
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path, chosen: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    chosen.write_text("a file")
+    assert load(tmp_path).twice(3) == 6
+    tell_before_compiling()
+    tell_before_compiling()
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "not kept: " in told
+    assert str(chosen) in told
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path, chosen: Path) -> None:
+    twice = load(tmp_path).twice
+    shutil.rmtree(chosen)
+    assert twice(3) == 6
+    assert not chosen.exists()
+
+
+def test_what_is_told_before_compiling(tmp_path: Path, chosen: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tell_before_compiling()
+    assert f"a few seconds; kept in {chosen}" in capsys.readouterr().err
+    load(tmp_path).twice(3)
+    tell_before_compiling.cache_clear()
+    tell_before_compiling()
+    assert capsys.readouterr().err == ""
+
+
+def test_two_processes_at_once(tmp_path: Path, chosen: Path) -> None:
+    load(tmp_path)
+    code = (
+        "import os, kernels; child = os.fork(); values = [1.5, 3] if child else [3, 1.5];"
+        "assert [kernels.twice(x) for x in values] == [2 * x for x in values];"
+        "assert not child or os.waitpid(child, 0)[1] == 0"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    assert len(files(chosen)) == 2
+    twice = load(tmp_path).twice
+    assert (twice(3), twice(1.5), counts(twice)) == (6, 3.0, (2, 0))
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder for temporary files of a user whose own cache folder cannot be made."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.delenv("DRONE_ENV_CACHE")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path / "file"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path / f"drone_env-{os.getuid()}"
+
+
+@pytest.mark.parametrize("home", ["not a folder", "read-only", "unknown"])
+def test_without_a_home_it_is_kept_among_the_temporary_files(
+    home: str, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if home == "read-only":  # root may write into folders that nobody may write into
+        monkeypatch.setenv("HOME", str(tmp_path))
+        monkeypatch.setattr(os, "access", lambda path, mode: False)
+    elif home == "unknown":
+        monkeypatch.setattr(Path, "home", raises_runtime_error)
+    for expected in ((0, 1), (1, 0)):
+        twice = load(tmp_path / "kernels").twice
+        assert (twice(3), counts(twice)) == (6, expected)
+    assert temporary.stat().st_mode & 0o777 == 0o700
+    assert files(temporary)[0].parent == temporary / compile_cache.LOADED
+
+
+def raises_runtime_error() -> Path:
+    raise RuntimeError("Could not determine home directory.")  # as `Path.home` does
+
+
+@pytest.mark.parametrize("whose", ["others may write", "another user's", "a link", "a file"])
+def test_a_temporary_folder_that_others_can_write(
+    whose: str, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if whose == "a link":
+        (tmp_path / "elsewhere").mkdir(mode=0o700)
+        temporary.symlink_to(tmp_path / "elsewhere")
+    elif whose == "a file":
+        temporary.write_text("")
+    else:
+        temporary.mkdir(mode=0o700)
+    if whose == "others may write":
+        temporary.chmod(0o777)
+    elif whose == "another user's":
+        user = os.getuid() + 1
+        temporary = temporary.rename(tmp_path / f"drone_env-{user}")
+        monkeypatch.setattr(os, "getuid", lambda: user)
+    with pytest.raises(OSError, match=str(temporary)):
+        cache_folder()
+    assert load(tmp_path).twice(3) == 6
+    assert list(tmp_path.rglob("*.code")) == []
+
+
+def test_the_cache_folder_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DRONE_ENV_CACHE")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    assert cache_folder() == tmp_path / ".cache" / "drone_env" / compile_cache.LOADED
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    assert cache_folder() == tmp_path / "xdg" / "drone_env" / compile_cache.LOADED
