@@ -1,11 +1,39 @@
-"""The world in one sitting: maps, flight, battery, collisions, rewards and grading, through the public interface."""
+"""Physics and grading of the world through the public interface, with numbers by hand.
+
+Map 14 of easy_delivery: the drone starts at (6, 3), its parcel lies at (5, 1), roads in between.
+"""
+
+from importlib import import_module
+from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
+import torch
+from pydantic import BaseModel, ValidationError
 
 import drone_env
 from drone_env import GRADERS, TASKS, Action, DroneState, Episode, Outcome, generate_city_map, make_agent, solve
+from drone_env.models import DroneAction, DroneObservation
+
+CELL_TYPES = {
+    "🛣": "road", "🏢": "building", "🌳": "tree", "🚧": "obstacle", "📦": "delivery", "✅": "delivered", "🚁": "drone",
+}  # fmt: skip
+OBSERVATION = [
+    "grid", "cell_types", "grid_width", "grid_height", "drone_x", "drone_y", "battery", "battery_steps_remaining",
+    "deliveries_total", "deliveries_done", "current_target", "distance_to_target", "step_count", "max_steps",
+    "reward_last", "reward_total", "score", "done", "message", "legend",
+]  # fmt: skip
+
+
+def started(task: str, seed: int, profile: str = "tiered") -> Episode:
+    episode = Episode(task, profile)
+    episode.reset(seed)
+    return episode
+
+
+def fly(episode: Episode, actions: str) -> list[float]:
+    return [episode.step(Action[name]) for name in actions.split()]
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -19,31 +47,156 @@ def test_a_mission_from_map_to_grade(task: str) -> None:
     assert GRADERS[task](DroneState.of(episode)) == episode.score == solve(task, 7).score
 
 
-def test_the_battery_ends_a_flight_that_goes_nowhere() -> None:
-    episode = Episode("easy")
-    episode.reset(1)
-    for left in range(59, -1, -1):
-        episode.step(Action.WAIT)
-        assert episode.battery_units == left
-    assert episode.outcome is Outcome.BATTERY_DEAD
-    assert episode.score == 0.01
-
-
-def test_the_edge_of_the_city_stops_the_drone() -> None:
-    episode = Episode("easy")
-    episode.reset(1)
-    for _ in range(12):
-        episode.step(Action.UP)
-    x, y = episode.position
-    assert y == 0
-    assert episode.step(Action.UP) == pytest.approx(0.10)
-    assert episode.position == (x, 0)
-    assert episode.event.name == "WALL"
-
-
 @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
 def test_gymnasium_knows_every_task_by_import_alone(task: drone_env.TaskConfig) -> None:
     env = gymnasium.make(task.gym_id)
     observation, info = env.reset(seed=7)
     assert env.observation_space.contains(observation)
     assert info["seed"] == 7
+
+
+@pytest.mark.feature("E1")
+def test_maps_come_from_a_seeded_torch_generator() -> None:
+    def drawn(seed: int) -> list[list[int]]:
+        return generate_city_map("hard_delivery", torch.Generator().manual_seed(seed)).grid.tolist()
+
+    generator = torch.Generator().manual_seed(5)
+    before = generator.get_state()
+    first = generate_city_map("hard_delivery", generator)
+    assert first.grid.tolist() == drawn(5) != drawn(6)
+    assert generate_city_map("hard_delivery", generator).seed != first.seed
+    generator.set_state(before)
+    assert generate_city_map("hard_delivery", generator).grid.tolist() == first.grid.tolist()
+    assert generate_city_map("hard_delivery", first.seed).grid.tolist() == first.grid.tolist()
+    assert generate_city_map("hard_delivery", first.seed + 1).grid.tolist() != first.grid.tolist()
+
+
+@pytest.mark.feature("E2")
+def test_seven_cell_types_with_emoji_name_and_effect() -> None:
+    episode, seen = started("medium_delivery", 7), set[str]()
+    for action in solve("medium_delivery", 7).actions:
+        observation = DroneObservation.of(episode)
+        for row, names in zip(observation.grid, observation.cell_types, strict=True):
+            assert [CELL_TYPES[emoji] for emoji in row] == names
+            seen.update(names)
+        episode.step(action)
+    assert seen == set(CELL_TYPES.values())
+    for emoji, name in CELL_TYPES.items():
+        told, effect = observation.legend[emoji].split(": ", 1)
+        assert (told, bool(effect)) == (name, True)
+
+
+@pytest.mark.feature("E3")
+def test_five_actions_move_and_the_edge_of_the_city_holds() -> None:
+    for action, (dx, dy) in {"UP": (0, -1), "DOWN": (0, 1), "LEFT": (-1, 0), "RIGHT": (1, 0), "WAIT": (0, 0)}.items():
+        episode = started("easy_delivery", 14)
+        fly(episode, action)
+        assert episode.position == (6 + dx, 3 + dy)
+    episode = started("easy_delivery", 14)
+    fly(episode, "RIGHT RIGHT RIGHT")
+    assert fly(episode, "RIGHT RIGHT") == [0.10, 0.10]
+    assert (episode.position, episode.event.name, episode.steps) == ((9, 3), "WALL", 5)
+
+
+@pytest.mark.feature("E4")
+def test_an_observation_has_twenty_typed_fields_that_openapi_documents(tmp_path: Path) -> None:
+    from drone_env.server.app import create_app
+    from drone_env.server.settings import Settings
+
+    assert list(DroneObservation.model_fields) == OBSERVATION
+    documented = create_app(Settings(data=tmp_path)).openapi()["components"]["schemas"]["DroneObservation"]
+    assert list(documented["properties"]) == documented["required"] == OBSERVATION
+    for field in documented["properties"].values():
+        assert "description" in field
+        assert field.keys() & {"type", "anyOf"}
+    seen = DroneObservation.of(started("easy_delivery", 14))
+    assert (seen.drone_x, seen.drone_y, seen.current_target, seen.distance_to_target) == (6, 3, (5, 1), 3)
+    assert (seen.battery, seen.battery_steps_remaining, seen.step_count, seen.max_steps) == (1, 60, 0, 60)
+    assert (seen.deliveries_total, seen.deliveries_done, seen.score, seen.done) == (1, 0, 0.20, False)
+    assert list(seen.model_dump(mode="json")) == OBSERVATION
+
+
+@pytest.mark.feature("E5")
+def test_actions_observations_and_states_are_models() -> None:
+    episode = started("easy_delivery", 14)
+    action = DroneAction(direction="LEFT")
+    episode.step(action.action)
+    state = DroneState.of(episode)
+    (point,) = state.path_history
+    assert (point.action, point.x, point.y, point.reward) == ("LEFT", 5, 3, 0.15)
+    for message in (action, state, DroneObservation.of(episode)):
+        assert isinstance(message, BaseModel)
+        assert type(message).model_validate_json(message.model_dump_json()) == message
+    with pytest.raises(ValidationError, match="direction"):
+        DroneAction.model_validate({"direction": "SIDEWAYS"})
+
+
+@pytest.mark.feature("E7")
+@pytest.mark.parametrize(
+    ("profile", "paid"),
+    [
+        # 0.95 + 0.05 is clamped, and so is 0.05 - 0.05.
+        ("tiered", {"LEFT": 0.15, "RIGHT": 0.05, "WAIT": 0.10, "UP LEFT UP": 0.99}),
+        ("composite", {"LEFT": 0.10, "RIGHT": 0.01, "WAIT": 0.01, "UP LEFT UP": 0.99}),
+    ],
+)
+def test_a_step_pays_its_event_and_005_per_cell_nearer_within_its_bounds(profile: str, paid: dict[str, float]) -> None:
+    assert {flight: fly(started("easy_delivery", 14, profile), flight)[-1] for flight in paid} == paid
+
+
+@pytest.mark.feature("E7")
+def test_rewards_add_up_over_a_mission() -> None:
+    medium = started("medium_delivery", 14)
+    rewards = [medium.step(action) for action in solve("medium_delivery", 14).actions]
+    assert rewards.count(0.95) == 3  # 0.90 + 0.05 for each parcel
+    assert medium.reward_total == pytest.approx(sum(rewards))
+
+
+@pytest.mark.feature("E8")
+def test_each_step_drains_the_battery_and_an_empty_one_ends_the_flight() -> None:
+    episode = started("easy_delivery", 14)
+    for flown in range(1, 61):
+        assert not episode.ended
+        episode.step(Action.WAIT)
+        assert (episode.battery_units, episode.battery) == (60 - flown, (60 - flown) / 60)
+    assert (episode.outcome, episode.score) == (Outcome.BATTERY_DEAD, 0.01)
+
+
+@pytest.mark.feature("E8")
+@pytest.mark.parametrize(("kind", "name"), [(1, "BUILDING"), (2, "TREE"), (3, "OBSTACLE")])
+def test_the_drone_notices_what_it_is_above(kind: int, name: str) -> None:
+    city, episode = generate_city_map("hard_delivery", 7), started("hard_delivery", 7)
+    y, x = (int(places[0]) for places in (city.grid == kind).nonzero())
+    right, down = x - city.start[0], y - city.start[1]
+    moves = [Action.RIGHT if right > 0 else Action.LEFT] * abs(right)
+    for move in moves + [Action.DOWN if down > 0 else Action.UP] * abs(down):
+        episode.step(move)
+    assert (episode.position, episode.event.name) == ((x, y), name)
+
+
+@pytest.mark.feature("E9")
+@pytest.mark.parametrize("level", ["easy", "medium", "hard"])
+def test_graders_score_a_state_or_its_dictionary(level: str) -> None:
+    task = TASKS[f"{level}_delivery"]
+    grader = getattr(import_module(f"drone_env.graders.{level}"), f"grade_{level}")
+    module, _, name = task.grader.partition(":")
+    assert module == "drone_env.graders"
+    assert getattr(import_module(module), name) is grader is GRADERS[task.id]
+    episode = started(task.id, 14)
+    assert grader(DroneState.of(episode)) == 0.20  # nothing delivered: 0.2 * (0.5 * 1 + 0.5 * 1)
+    for action in solve(task.id, 14).actions:
+        episode.step(action)
+    state = DroneState.of(episode)
+    assert grader(state) == grader(state.model_dump(mode="json")) == solve(task.id, 14).score
+
+
+@pytest.mark.feature("E9")
+@pytest.mark.parametrize(
+    ("actions", "score"),
+    [("LEFT UP UP", 0.99), ("WAIT " * 60, 0.01), ("WAIT " * 57 + "LEFT UP UP", 0.80)],
+)
+def test_grades_lie_between_001_and_099(actions: str, score: float) -> None:
+    episode = started("easy_delivery", 14)
+    fly(episode, actions)
+    # 0.8 + 0.2 * 57 / 60 = 0.99, and 0 is clamped.
+    assert GRADERS["easy_delivery"](DroneState.of(episode)) == score

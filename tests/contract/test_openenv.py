@@ -95,6 +95,7 @@ def test_the_http_client_and_the_official_one_share_a_server(server: Server) -> 
         assert observation["step_count"] == 0
 
 
+@pytest.mark.feature("E10")
 def test_a_client_that_knows_nothing_of_us_flies_as_well(server: Server) -> None:
     with GenericEnvClient(server.url).sync() as env:
         env.reset(split="hard_delivery/test", index=3)

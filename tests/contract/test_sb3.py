@@ -50,7 +50,7 @@ def assert_same(got: Any, want: Any) -> None:
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+@pytest.mark.parametrize("task", [TASKS["easy_delivery"], TASKS["skyline_easy"]], ids=lambda task: task.id)
 def test_it_does_what_sb3s_own_vectorisation_of_single_drones_does(task: Any, form: str) -> None:
     ours = DroneDeliveryVecEnv(task, N, observation=form)
     theirs = DummyVecEnv([lambda: Monitor(FORMS[form](DroneDeliveryEnv(task)))] * N)
@@ -309,6 +309,7 @@ def mean_score(model: Any, form: str) -> float:
     return float(np.mean(list(scores.values())))
 
 
+@pytest.mark.long
 def test_ppo_learns_to_deliver() -> None:
     env = DroneDeliveryVecEnv("easy", 64, observation="flat")
     model = PPO(
@@ -337,8 +338,8 @@ def test_dqn_trains_on_the_dict() -> None:
     model = DQN(
         "MultiInputPolicy",
         env,
-        buffer_size=20_000,
-        learning_starts=2_000,
+        buffer_size=2_000,
+        learning_starts=500,
         batch_size=64,
         gradient_steps=4,
         train_freq=4,
@@ -346,8 +347,8 @@ def test_dqn_trains_on_the_dict() -> None:
         device="cpu",
     )
     before = [parameter.detach().clone() for parameter in model.q_net.parameters()]
-    model.learn(20_000)
-    assert model.num_timesteps >= 20_000
+    model.learn(2_000)
+    assert model.num_timesteps >= 2_000
     assert model.ep_info_buffer
     for parameter, old in zip(model.q_net.parameters(), before, strict=True):
         assert torch.isfinite(parameter).all()

@@ -28,7 +28,7 @@ def actions_of(step: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP], ids=lambda mode: mode.value)
-@pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+@pytest.mark.parametrize("task", [TASKS["easy_delivery"], TASKS["skyline_easy"]], ids=lambda task: task.id)
 def test_it_does_what_gymnasiums_own_vectorisation_does(task: Any, mode: AutoresetMode) -> None:
     ours = make(f"drone_env:{task.gym_id}", autoreset_mode=mode)
     theirs = SyncVectorEnv([lambda: DroneDeliveryEnv(task)] * N, autoreset_mode=mode)

@@ -1,7 +1,7 @@
 """Hashes of the maps and trajectories of the standard tasks: what must never change, on any platform or Python.
 
     python tests/parity/golden.py              print them, computed by plain Python
-    python tests/parity/golden.py --compiled   print them, computed by the compiled functions
+    python tests/parity/golden.py --compiled   print them, computed by the compiled batch
     python tests/parity/golden.py --write      make them the ones that the test expects
 
 Needs NumPy and Gymnasium, with `drone_env` on the path. A change of a hash means a new version of the task.
@@ -21,16 +21,17 @@ processes and other Pythons are asked for where there is little time.
 import argparse
 import hashlib
 import json
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.core import dynamics, observation, score
-from drone_env.core.rewards import REWARD_PROFILES, interpreted_rewards, tabulate_rewards
-from drone_env.core.rules import CELL, OUTCOME, PARCELS, UNDER, interpreted, row_size, tabulate
+from drone_env.core.rewards import REWARD_PROFILES, interpreted_rewards
+from drone_env.core.rules import CELL, OUTCOME, PARCELS, UNDER, interpreted, row_size
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import TASKS, TaskConfig
 
@@ -40,69 +41,8 @@ N_SEEDS = 1000
 N_FIRST = 150
 
 Hashes = dict[str, dict[str, Any]]
-
-
-class Backend(NamedTuple):
-    """One way of running the rules."""
-
-    tabulate: Callable[..., Any]
-    tabulate_rewards: Callable[..., Any]
-    buffer: Callable[..., Any]
-    """Turns an array into what the functions below take."""
-    reset: Callable[..., None]
-    fly_logging: Callable[..., int]
-    fly: Callable[..., int]
-
-
-def interpreted_backend() -> Backend:
-    fly_logging, fly = make_flights(dynamics.step, observation.write_telemetry, observation.open_actions, score.score)
-    return Backend(interpreted, interpreted_rewards, memoryview, dynamics.reset, fly_logging, fly)
-
-
-def compiled_backend() -> Backend:
-    from numba import njit
-
-    from drone_env.core import compiled
-
-    fly_logging, fly = make_flights(
-        compiled.step, njit(observation.write_telemetry), njit(observation.open_actions), njit(score.score)
-    )
-    return Backend(tabulate, tabulate_rewards, lambda array: array, compiled.reset, njit(fly_logging), njit(fly))
-
-
-def make_flights(
-    step: Callable[..., float],
-    write_telemetry: Callable[..., None],
-    open_actions: Callable[..., int],
-    score: Callable[..., float],
-) -> tuple[Callable[..., int], Callable[..., int]]:
-    """Two functions that fly to the end and return the number of steps: one logs every state, the other none."""
-
-    def fly_logging(
-        rules: Any, rewards: Any, grid: Any, row: Any, actions: Any, paid: Any,
-        grids: Any, telemetry: Any, masks: Any, scores: Any,
-    ) -> int:  # fmt: skip
-        n = 0
-        while True:
-            grids[n] = grid
-            write_telemetry(rules, row, telemetry[n])
-            mask = open_actions(rules, grid, row)
-            for action in range(5):
-                masks[n, action] = mask >> 8 * action & 1
-            scores[n] = score(rules, row)
-            if row[OUTCOME] != 0:
-                return n
-            paid[n] = step(rules, rewards, grid, row, actions[n])
-            n += 1
-
-    def fly(rules: Any, rewards: Any, grid: Any, row: Any, actions: Any, paid: Any) -> int:
-        n = 0
-        while row[OUTCOME] == 0:
-            paid[n] = step(rules, rewards, grid, row, actions[n])
-            n += 1
-        return n
-
-    return fly_logging, fly
+Way = Callable[[TaskConfig], Callable[[list[int]], Iterator[tuple[bytes, bytes]]]]
+"""Of a task, and then of seeds: the bytes of each map and of the flights over it."""
 
 
 def golden_seeds(count: int) -> list[int]:
@@ -127,57 +67,96 @@ def little(array: npt.NDArray[Any]) -> bytes:
     return array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
 
 
-class Flights:
-    """Maps and flights of one task under one backend, as bytes."""
+class Interpreted:
+    """Maps and flights of one task in plain Python, as bytes."""
 
-    def __init__(self, backend: Backend, task: TaskConfig) -> None:
-        self.backend = backend
-        self.rules = backend.tabulate(task)
-        self.rewards = [backend.tabulate_rewards(task, REWARD_PROFILES[name]) for name in PROFILES]
+    def __init__(self, task: TaskConfig) -> None:
+        self.task = task
+        self.rules = interpreted(task)
+        self.rewards = [interpreted_rewards(task, REWARD_PROFILES[name]) for name in PROFILES]
         self.grid = np.zeros(self.rules.cells, np.uint8)
         self.row = np.zeros(row_size(self.rules), np.uint16)
-        states = task.max_steps + 1
-        self.actions = np.zeros(states, np.int64)
-        self.paid = np.zeros(states, np.float64)
-        self.log = (
-            np.zeros((states, self.grid.size), np.uint8),
-            np.zeros((states, self.rules.telemetry_size), np.float32),
-            np.zeros((states, 5), np.int8),
-            np.zeros(states, np.float64),
-        )
-        self.buffers = [backend.buffer(array) for array in (self.grid, self.row, self.actions, self.paid)]
+        self.telemetry = np.zeros(self.rules.telemetry_size, np.float32)
+        self.state = memoryview(self.grid), memoryview(self.row)
 
-    def reset(self, seed: int) -> None:
-        self.backend.reset(self.rules, self.buffers[0], self.buffers[1], seed)
+    def __call__(self, seeds: list[int]) -> Iterator[tuple[bytes, bytes]]:
+        for seed in seeds:
+            dynamics.reset(self.rules, *self.state, seed)
+            yield map_bytes(self.grid, self.row), self.trajectory(seed)
 
-    def map_bytes(self, seed: int) -> bytes:
-        self.reset(seed)
-        self.grid[self.row[CELL]] = self.row[UNDER]
-        return little(self.grid) + little(self.row[[CELL]]) + little(self.row[PARCELS:])
+    def trajectory(self, seed: int) -> bytes:
+        actions = [pattern(seed, step) for step in range(self.task.max_steps)]
+        states = [self.observed()]
+        paid = []
+        for rewards in self.rewards:
+            dynamics.reset(self.rules, *self.state, seed)
+            for action in actions:
+                paid.append(dynamics.step(self.rules, rewards, *self.state, action))
+                if rewards is self.rewards[0]:
+                    states.append(self.observed())
+                if self.state[1][OUTCOME]:
+                    break
+        return b"".join([*(b"".join(column) for column in zip(*states, strict=True)), little(np.array(paid))])
 
-    def trajectory_bytes(self, seed: int) -> bytes:
-        self.actions[:] = [pattern(seed, step) for step in range(len(self.actions))]
-        first, *others = self.rewards
-        self.reset(seed)
-        steps = self.backend.fly_logging(self.rules, first, *self.buffers, *self.log)
-        parts = [little(array[: steps + 1]) for array in self.log]
-        parts.append(little(self.paid[:steps]))
-        for rewards in others:
-            self.reset(seed)
-            steps = self.backend.fly(self.rules, rewards, *self.buffers)
-            parts.append(little(self.paid[:steps]))
-        return b"".join(parts)
+    def observed(self) -> tuple[bytes, bytes, bytes, bytes]:
+        observation.write_telemetry(self.rules, self.state[1], memoryview(self.telemetry))
+        mask = observation.open_actions(self.rules, *self.state)
+        graded = score.score(self.rules, self.state[1])
+        return self.grid.tobytes(), little(self.telemetry), mask.to_bytes(8, "little")[:5], struct.pack("<d", graded)
 
 
-def golden_hashes(backend: Backend, seeds: list[int]) -> Hashes:
+class Compiled:
+    """The same maps and flights by the compiled batch, all seeds together."""
+
+    def __init__(self, task: TaskConfig) -> None:
+        self.task = task
+
+    def __call__(self, seeds: list[int]) -> Iterator[tuple[bytes, bytes]]:
+        from drone_env.core.batch import Batch
+
+        n, rules = len(seeds), interpreted(self.task)
+        actions = np.array([[pattern(seed, step) for seed in seeds] for step in range(self.task.max_steps)])
+        logs: list[list[Any]] = [[] for _ in range(5)]
+        for profile in PROFILES:
+            batch = Batch(self.task, n, profile)
+            batch.reset(np.array(seeds, np.int64))
+            paid, ends = [], np.zeros(n, np.int64)
+            for step, chosen in enumerate([*actions, None]):
+                if profile == PROFILES[0]:
+                    state = batch.get_state()
+                    graded = np.array([score.score(rules, row) for row in state["rows"].tolist()])
+                    masks = batch.copy_action_masks()
+                    for log, array in zip(
+                        logs, (state["grids"], state["telemetry"], masks, graded, state["rows"]), strict=True
+                    ):
+                        log.append(array)
+                if chosen is not None:
+                    batch.step(chosen)
+                    paid.append(batch.rewards.copy())
+                    ends[batch.terminated & (ends == 0)] = step + 1
+            logs.append(paid)
+        *states, rows = (np.array(log) for log in logs[:5])
+        payments = [np.array(log) for log in logs[5:]]
+        for i, steps in enumerate(ends.tolist()):
+            parts = [little(array[: steps + 1, i]) for array in states]
+            parts += [little(array[:steps, i]) for array in payments]
+            yield map_bytes(states[0][0, i], rows[0, i]), b"".join(parts)
+
+
+def map_bytes(grid: Any, row: Any) -> bytes:
+    uncovered = grid.copy()
+    uncovered[row[CELL]] = row[UNDER]
+    return little(uncovered) + little(row[[CELL]]) + little(row[PARCELS:])
+
+
+def golden_hashes(way: Way, seeds: list[int]) -> Hashes:
     hashes = {}
     for name, task in TASKS.items():
-        flights = Flights(backend, task)
         maps, trajectories = hashlib.sha256(), hashlib.sha256()
         first: dict[str, str] = {}
-        for n, seed in enumerate(seeds, 1):
-            maps.update(flights.map_bytes(seed))
-            trajectories.update(flights.trajectory_bytes(seed))
+        for n, (of_map, of_flight) in enumerate(way(task)(seeds), 1):
+            maps.update(of_map)
+            trajectories.update(of_flight)
             if n == N_FIRST:
                 first = {"maps": maps.hexdigest(), "trajectories": trajectories.hexdigest()}
         hashes[name] = {"maps": maps.hexdigest(), "trajectories": trajectories.hexdigest(), "first": first}
@@ -186,12 +165,12 @@ def golden_hashes(backend: Backend, seeds: list[int]) -> Hashes:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--compiled", action="store_true", help="run the compiled functions")
+    parser.add_argument("--compiled", action="store_true", help="run the compiled batch")
     parser.add_argument("--seeds", type=int, default=N_SEEDS, help="how many seeds to hash")
     parser.add_argument("--write", action="store_true", help=f"write {GOLDEN_FILE.name}")
     arguments = parser.parse_args()
-    backend = compiled_backend() if arguments.compiled else interpreted_backend()
-    text = json.dumps(golden_hashes(backend, golden_seeds(arguments.seeds)), indent=2)
+    way = Compiled if arguments.compiled else Interpreted
+    text = json.dumps(golden_hashes(way, golden_seeds(arguments.seeds)), indent=2)
     if arguments.write:
         GOLDEN_FILE.write_text(text + "\n", encoding="utf-8")
     print(text)

@@ -1,6 +1,7 @@
 """The batch, compiled, against single episodes, in plain Python: equal to the last bit, step by step."""
 
 import os
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,21 +10,45 @@ import pytest
 from drone_env.core import dynamics
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.batch import Batch
+from drone_env.core.cells import Cell
 from drone_env.core.observation import open_actions, write_telemetry
 from drone_env.core.rewards import REWARD_PROFILES, get_reward_profile, interpreted_rewards
 from drone_env.core.rules import DELIVERIES, OUTCOME, interpreted, row_size
 from drone_env.core.rules import STEPS as STEPS_TAKEN
 from drone_env.core.score import score
-from drone_env.core.seeds import next_seed
+from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.state_manager import Episode
-from drone_env.core.tasks import TASKS, TaskConfig
-from tests.parity.test_compiled import CUSTOM
+from drone_env.core.tasks import MAX_UNITS, TASKS, TaskConfig
 
-STEPS = int(os.environ.get("DRONE_ENV_PARITY_STEPS", "1000000"))
+STEPS = int(os.environ.get("DRONE_ENV_PARITY_STEPS", "250000"))
 """Steps in all, over every combination of task, profile and mode."""
-ALL_TASKS = {**TASKS, **{name: CUSTOM[name] for name in ("drain", "pads", "impassable")}}
-SHARE = STEPS // (len(ALL_TASKS) * len(REWARD_PROFILES) * 2)
-N = 64
+HARD = TASKS["hard_delivery"]
+CUSTOM = {
+    "drain": replace(HARD, drain=((Cell.TREE, 7), (Cell.BUILDING, 0), (Cell.DELIVERED, 3)), max_steps=90),
+    "pads": replace(
+        HARD, width=5, height=8, buildings=5, trees=4, obstacles=3, pads=9, charge_rate=6, battery_capacity=12
+    ),
+    "impassable": replace(
+        HARD, width=9, height=6, impassable=frozenset({Cell.BUILDING, Cell.OBSTACLE}), buildings=9, battery_capacity=99
+    ),
+}
+LARGEST = replace(
+    HARD,
+    width=64,
+    height=64,
+    deliveries=16,
+    buildings=900,
+    pads=900,
+    max_steps=MAX_UNITS,
+    battery_capacity=MAX_UNITS,
+    drain=((Cell.BUILDING, MAX_UNITS),),
+    charge_rate=MAX_UNITS,
+)
+ALL_TASKS = {**TASKS, **CUSTOM}
+PAIRS = [(task, profile) for task in ALL_TASKS for profile in REWARD_PROFILES]
+SHARE = STEPS // (len(PAIRS) * 2)
+N = 16
+EDGES = [edge for start, stop in SPLITS.values() for edge in (start, stop - 1)]
 
 
 class Reference:
@@ -40,9 +65,9 @@ class Reference:
         self.rewards = [0.0] * n
         self.terminated = [False] * n
         self.finals: list[dict[str, Any]] = []
-        rows = np.zeros((n, row_size(self.rules)), np.uint16)
+        self.rows = np.zeros((n, row_size(self.rules)), np.uint16)
         self.episodes = [
-            tuple(map(memoryview, arrays)) for arrays in zip(self.grids, rows, self.telemetry, strict=True)
+            tuple(map(memoryview, arrays)) for arrays in zip(self.grids, self.rows, self.telemetry, strict=True)
         ]
 
     def reset(self, i: int, seed: int) -> None:
@@ -84,6 +109,7 @@ class Reference:
     def assert_equals(self, batch: Batch) -> None:
         """Bit by bit: rewards and telemetry are compared as bytes, so that 0.0 is not -0.0."""
         assert batch.grids.tobytes() == self.grids.tobytes()
+        assert batch.get_state()["rows"].tobytes() == self.rows.tobytes()
         assert batch.telemetry.tobytes() == self.telemetry.tobytes()
         assert batch.action_masks.tobytes() == self.masks.view(np.int8)[:, :N_ACTIONS].tobytes()
         assert batch.seeds.tolist() == self.seeds
@@ -100,31 +126,39 @@ class Reference:
             assert batch.final_telemetry[k].tobytes() == final["telemetry"]
 
 
-@pytest.mark.parametrize("same_step", [False, True], ids=["next_step", "same_step"])
-@pytest.mark.parametrize("profile", REWARD_PROFILES)
-@pytest.mark.parametrize("task", ALL_TASKS.values(), ids=ALL_TASKS)
-def test_compiled_together_and_interpreted_one_by_one_agree_to_the_last_bit(
-    task: TaskConfig, profile: str, same_step: bool
-) -> None:
+def assert_parity(task: TaskConfig, profile: str, same_step: bool, steps: int, n: int = N) -> None:
+    """For so many steps, and until as many episodes have ended as fly together."""
     rng = np.random.default_rng(len(profile) + task.width)
-    batch = Batch(task, N, profile, same_step=same_step, num_threads=2 if same_step else 1)
-    reference = Reference(task, profile, same_step)
-    seeds = rng.integers(2**53, size=N)
+    batch = Batch(task, n, profile, same_step=same_step, num_threads=2 if same_step else 1)
+    reference = Reference(task, profile, same_step, n)
+    seeds = rng.integers(2**53, size=n)
+    seeds[: len(EDGES)] = EDGES
     batch.reset(seeds)
     for i, seed in enumerate(seeds.tolist()):
         reference.reset(i, seed)
     reference.assert_equals(batch)
     ended = flown = 0
-    while flown < SHARE:
+    while flown < steps or ended < n:
         # Straight legs reach further than single random steps.
-        actions = rng.integers(N_ACTIONS, size=N)
+        actions = rng.integers(N_ACTIONS, size=n)
         for _ in range(rng.integers(1, 4)):
             batch.step(actions)
             reference.step(actions.tolist())
             reference.assert_equals(batch)
-            flown += N
+            flown += n
             ended += len(reference.finals)
-    assert ended > 0
+
+
+@pytest.mark.parametrize("same_step", [False, True], ids=["next_step", "same_step"])
+@pytest.mark.parametrize(("task", "profile"), PAIRS)
+def test_compiled_together_and_interpreted_one_by_one_agree_to_the_last_bit(
+    task: str, profile: str, same_step: bool
+) -> None:
+    assert_parity(ALL_TASKS[task], profile, same_step, SHARE)
+
+
+def test_so_they_do_where_every_number_is_the_highest_allowed() -> None:
+    assert_parity(LARGEST, "aligned", True, SHARE, n=8)
 
 
 def test_the_single_episode_is_that_reference() -> None:

@@ -18,7 +18,7 @@ from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.models import DroneObservation, DroneState
 from tests.toy import TOY
 
-thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "1000")), deadline=None, derandomize=True)
+thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "300")), deadline=None, derandomize=True)
 
 STANDARD = st.sampled_from(sorted(TASKS)).map(TASKS.__getitem__)
 PROFILES = st.sampled_from(sorted(REWARD_PROFILES))

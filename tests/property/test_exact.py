@@ -166,8 +166,7 @@ def test_the_optimal_agent_makes_the_best_of_where_it_is_put(number: int) -> Non
 
 
 def test_the_small_tasks_have_every_mechanic() -> None:
-    episodes = [small_episode(number) for number in range(2000)]
-    tasks = [episode.task for episode in episodes]
+    tasks = [small_task(number) for number in range(2000)]
     assert {(task.uniform, task.efficiency_needs_all, task.street_spacing > 0) for task in tasks} == {
         (a, b, c) for a in (False, True) for b in (False, True) for c in (False, True)
     }

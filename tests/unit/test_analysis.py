@@ -20,7 +20,8 @@ from tests.toy import toy_episode
 
 SEED = 7
 AGENTS = ("random", "greedy", "optimal")
-EVERY_FLIGHT = [(task, agent) for task in TASKS for agent in AGENTS]
+EVERY_FLIGHT = [(task, agent) for task in TASKS for agent in AGENTS if task != "skyline_hard" or agent == "random"]
+"""The values of a map of skyline_hard take a second."""
 MAP = ["@.0", "..."]
 """Two steps to the only parcel. With 4 steps: V* is 0.8 + 0.2 * 2/4 = 0.9 at the start, each step lost costs 0.05."""
 

@@ -18,7 +18,6 @@ from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.episodes.record import load_record, replay
 from drone_env.errors import InvalidTaskError, InvalidValueError, TooLargeError, UnknownNameError
 from drone_env.planning.audit import HACKS, audit_map, audited_profile
-from drone_env.planning.bounds import bounds
 from drone_env.planning.optimal import solve
 from drone_env.reward_file import load_reward_profile, reward_profile_from
 
@@ -97,7 +96,7 @@ def test_rewards_that_pay_for_time_are_exploitable(task: str, profile: str, gamm
 @pytest.mark.parametrize("profile", ["aligned", "score"])
 @pytest.mark.parametrize("task", STANDARD)
 def test_rewards_that_pay_the_score_are_aligned(task: str, profile: str, gamma: float) -> None:
-    for seed in split_seeds("test", 1 if task == "hard" else 20):
+    for seed in split_seeds("test", {"easy": 20, "medium": 4, "hard": 1}[task]):
         audited = audit_map(task, seed, audited_profile(profile, gamma), gamma)
         assert audited.score == audited.optimum
         assert audited.maximum >= max(audited.returns.values()) - 1e-9
@@ -105,13 +104,12 @@ def test_rewards_that_pay_the_score_are_aligned(task: str, profile: str, gamma: 
 
 def test_shaping_for_another_discount_is_found_out() -> None:
     profile = audited_profile("aligned", 1.0, shaping_gamma=0.99)
-    audits = [audit_map("medium", seed, profile, 1.0) for seed in split_seeds("test", 30)]
-    assert not all(audited.aligned for audited in audits)
+    assert not all(audit_map("medium", seed, profile, 1.0).aligned for seed in split_seeds("test", 30))
 
 
 def test_waiting_pays_more_than_delivering_under_tiered() -> None:
     for task in STANDARD:
-        for seed in split_seeds("test", 1 if task == "hard" else 10):
+        for seed in split_seeds("test", {"easy": 10, "medium": 3, "hard": 1}[task]):
             returns = audit_map(task, seed, "tiered", 1.0).returns
             assert returns["stall"] > returns["honest"]
 
@@ -171,7 +169,8 @@ def test_a_flight_for_a_reward_of_ones_own_can_be_analysed_and_replayed(
 ) -> None:
     mine, worst = tmp_path / "mine.toml", tmp_path / "worst.json"
     mine.write_text(MINE)
-    assert cli.main(["audit", "--reward", str(mine), "--maps", "2", "--replay", str(worst)]) in (0, 1)
+    # Waiting costs nothing here, so the delivery may come with the last step.
+    assert cli.main(["audit", "--reward", str(mine), "--maps", "2", "--replay", str(worst)]) == 1
     assert cli.main(["analyse-flight", str(worst)]) == 0
     assert cli.main(["replay", str(worst)]) == 2
     assert "unknown reward profile 'mine'" in capsys.readouterr().err
@@ -263,7 +262,7 @@ def test_the_command_prints_json_alone(tmp_path: Path, capsys: pytest.CaptureFix
     path.write_text(MINE)
     status = cli.main(["audit", "--task", "easy", "--reward", str(path), "--maps", "2", "--gamma", "0.99", "--json"])
     report = json.loads(capsys.readouterr().out)
-    assert status == (0 if report["verdict"] == "aligned" else 1)
+    assert (status, report["verdict"], report["share_aligned"]) == (0, "aligned", 1)
     assert (report["reward"], report["maps"], report["gamma"]) == ("mine", 2, 0.99)
     assert set(report["mean_returns"]) == {"maximiser", "honest", *HACKS}
 
@@ -277,42 +276,3 @@ def test_the_command_refuses(arguments: list[str], capsys: pytest.CaptureFixture
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.startswith("drone-env: ")
-
-
-# Bounds
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_the_optimum_lies_between_its_bounds(task: str) -> None:
-    for seed in split_seeds("test", 5):
-        episode = Episode(task)
-        episode.reset(seed)
-        lower, upper = bounds(episode)
-        assert lower <= solve(task, seed).score <= upper
-
-
-@pytest.mark.parametrize("seed", range(60))
-def test_the_optimum_of_tiny_maps_lies_between_its_bounds(seed: int) -> None:
-    task = tiny_task(random.Random(seed))
-    episode = Episode(task)
-    episode.reset(seed)
-    lower, upper = bounds(episode)
-    assert lower <= solve(task, seed).score <= upper
-
-
-def test_a_map_too_large_to_solve_still_has_bounds(capsys: pytest.CaptureFixture[str]) -> None:
-    task = replace(
-        get_task("skyline_hard"),
-        id="vast_skyline",
-        width=64,
-        height=64,
-        deliveries=14,
-        max_steps=600,
-        battery_capacity=90,
-    )
-    episode = Episode(task)
-    episode.reset(1)
-    with pytest.raises(TooLargeError, match="GB are allowed"):
-        solve(task, 1)
-    lower, upper = bounds(episode)
-    assert 0.01 <= lower <= upper <= 0.99

@@ -1,11 +1,15 @@
 """The one unit of evaluation and the figures made from it."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from drone_env.core.seeds import split_seeds
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.evaluation import EpisodeResults, concatenate, episodes_key, run_episodes, run_in_chunks, summarise
+from drone_env.evaluation_folder import ResultsFolder
 
 
 def test_results_are_the_same_whole_or_in_pieces() -> None:
@@ -92,3 +96,21 @@ def test_only_neighbours_are_put_together() -> None:
         concatenate(results[1:])
     with pytest.raises(InvalidValueError, match="no results"):
         concatenate([])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format_version": 2}, "holds another evaluation: format_version: 2 is now 1"),
+        ({"package": "0.0.1"}, "holds another evaluation: package: 0.0.1 is now"),
+        ({"format": "drone_env/other"}, "it has another format"),
+    ],
+)
+def test_a_folder_of_another_format_is_refused(change: dict[str, object], message: str, tmp_path: Path) -> None:
+    keys = [episodes_key("easy", "greedy", range(2))]
+    ResultsFolder(tmp_path, keys)
+    ResultsFolder(tmp_path, keys)
+    config = tmp_path / "evaluation.json"
+    config.write_text(json.dumps(json.loads(config.read_text()) | change))
+    with pytest.raises(InvalidValueError, match=message):
+        ResultsFolder(tmp_path, keys)

@@ -11,7 +11,6 @@ import pytest
 
 from drone_env.agents import make_agent
 from drone_env.agents.greedy import GreedyAgent
-from drone_env.agents.optimal import OptimalAgent
 from drone_env.core.actions import Action, Event
 from drone_env.core.batch import Batch
 from drone_env.core.cells import Cell
@@ -310,7 +309,7 @@ def test_the_values_of_a_standard_task_are_those_of_the_shortest_tour(task: str)
 
 @pytest.mark.parametrize("task", SKYLINE)
 def test_backwards_and_forwards_agree_on_the_skyline_tasks(task: str) -> None:
-    for seed in split_seeds("test", MAPS if task == "skyline_easy" else MAPS // 10):
+    for seed in split_seeds("test", MAPS // {"skyline_easy": 1, "skyline_medium": 10, "skyline_hard": 30}[task]):
         episode = reset(task, seed)
         solver = ExactSolver(episode)
         for _ in range(3):
@@ -331,52 +330,10 @@ def test_whoever_flies_nothing_but_optimal_actions_scores_the_optimum(task: str)
         assert episode.score == solve(task, seed).score
 
 
-@pytest.mark.parametrize("task", SKYLINE)
-def test_the_optimal_agent_scores_the_optimum_alone_and_together(task: str) -> None:
-    seeds = np.array(split_seeds("test", MAPS), np.int64)
-    agent = OptimalAgent(get_task(task))
-    optima = [solve(task, seed).score for seed in seeds.tolist()]
-    alone = []
-    for seed in seeds.tolist():
-        agent.reset(seed)
-        episode = reset(task, seed)
-        while not episode.ended:
-            episode.step(agent.act(episode.observation()))
-        alone.append(episode.score)
-    assert alone == optima
-    together: dict[int, float] = {}
-    batch = Batch(task, len(seeds))
-    batch.reset(seeds)
-    agent.reset_batch(seeds)
-    while len(together) < len(seeds):
-        batch.step(agent.act_batch(batch.grids, batch.telemetry))
-        finals = batch.finals()
-        ended = dict(zip(finals["seed"].tolist(), finals["score"].tolist(), strict=True))
-        together |= {seed: score for seed, score in ended.items() if seed in seeds and seed not in together}
-    assert [together[seed] for seed in seeds.tolist()] == optima
-
-
-@pytest.mark.parametrize("task", [task for task in SKYLINE if task not in LARGE])
-def test_the_optimal_agent_makes_the_best_of_what_is_flown_in_its_place(task: str) -> None:
-    draw = random.Random(task)
-    for seed in split_seeds("validation", MAPS // 5):
-        episode = reset(task, seed)
-        solver, agent = ExactSolver(episode), make_agent("optimal", task)
-        agent.reset(seed)
-        best = solver.value(episode)
-        while not episode.ended:
-            action = agent.act(episode.observation())
-            if draw.random() < 0.1:
-                action = draw.randrange(5)
-                best = solver.q_values(episode)[action]
-            episode.step(action)
-        assert episode.score == best
-
-
 @pytest.mark.parametrize("task", TASKS)
 def test_an_episode_is_rebuilt_from_its_observation(task: str) -> None:
     draw = random.Random(task)
-    for seed in range(MAPS):
+    for seed in range(MAPS // 3):
         episode = reset(task, seed)
         while not episode.ended:
             rebuilt = episode_of(episode.task, episode.observation())

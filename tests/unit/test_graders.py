@@ -1,13 +1,12 @@
 """Graders: the one formula, by hand, on models and dictionaries."""
 
-import subprocess
-import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
 
+import check_graders
 from drone_env import graders
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, get_task
@@ -15,8 +14,6 @@ from drone_env.errors import InvalidValueError
 from drone_env.graders import GRADERS, grade_easy, grade_hard, grade_medium
 from drone_env.models import DroneState
 from drone_env.planning.optimal import solve
-
-ROOT = Path(__file__).parents[2]
 
 
 def state_of(task: str, **changes: object) -> dict:
@@ -103,12 +100,6 @@ def test_what_is_no_state_is_refused(broken: dict) -> None:
         grade_easy(broken)
 
 
-def check_graders(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "check_graders.py", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-
-
 @pytest.mark.parametrize(
     ("manifest", "complaint"),
     [
@@ -123,17 +114,17 @@ def check_graders(*arguments: str) -> subprocess.CompletedProcess[str]:
         ("[", "cannot read"),
     ],
 )
-def test_check_graders_fails_on_a_broken_manifest(tmp_path: Path, manifest: str, complaint: str) -> None:
+def test_check_graders_fails_on_a_broken_manifest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], manifest: str, complaint: str
+) -> None:
     file = tmp_path / "openenv.yaml"
     file.write_text(manifest)
-    result = check_graders(str(file))
-    assert result.returncode == 1
-    assert complaint in result.stdout
-    assert "PASSED" not in result.stdout
-    assert "Traceback" not in result.stderr
+    assert check_graders.main(str(file)) == 1
+    told = capsys.readouterr().out
+    assert complaint in told
+    assert "PASSED" not in told
 
 
-def test_check_graders_fails_without_a_manifest(tmp_path: Path) -> None:
-    result = check_graders(str(tmp_path / "missing.yaml"))
-    assert result.returncode == 1
-    assert "missing.yaml" in result.stdout
+def test_check_graders_fails_without_a_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check_graders.main(str(tmp_path / "missing.yaml")) == 1
+    assert "missing.yaml" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""The exact optimum against a brute-force search that knows nothing but the dynamics, and tours by hand."""
+"""Tours by hand, and that a solution can be flown. (That it is the best one: tests/property/test_exact.py.)"""
 
 import random
 from dataclasses import replace
@@ -7,47 +7,8 @@ import pytest
 
 from drone_env.core.cells import Cell
 from drone_env.core.state_manager import Episode
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.planning.optimal import shortest_tour, solve, solve_episode, tour_actions
-from tests.brute_force import BruteForce
-
-
-def small_task(rng: random.Random) -> TaskConfig:
-    steps = rng.randint(1, 12)
-    return replace(
-        get_task("easy"),
-        id=f"small_{rng.getrandbits(32)}",
-        width=rng.randint(2, 5),
-        height=rng.randint(2, 5),
-        deliveries=rng.randint(1, 3),
-        buildings=0,
-        trees=0,
-        obstacles=0,
-        max_steps=steps,
-        battery_capacity=rng.choice([steps, steps, rng.randint(1, 12)]),
-    )
-
-
-@pytest.mark.parametrize("seed", range(150))
-def test_optimum_equals_brute_force_on_small_maps(seed: int) -> None:
-    task = small_task(random.Random(seed))
-    solution = solve(task, seed)
-    episode = Episode(task)
-    episode.reset(seed)
-    assert solution.score == BruteForce(episode).value
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_optimum_from_the_middle_of_a_flight_equals_brute_force(seed: int) -> None:
-    rng = random.Random(seed)
-    episode = Episode(small_task(rng))
-    episode.reset(seed)
-    for _ in range(rng.randint(0, 4)):
-        episode.step(rng.randrange(5))
-    before = episode.get_state()
-    solution = solve_episode(episode)
-    assert episode.get_state() == before
-    assert solution.score == (episode.score if episode.ended else BruteForce(episode).value)
+from drone_env.core.tasks import TASKS, get_task
+from drone_env.planning.optimal import shortest_tour, solve, tour_actions
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -87,25 +48,6 @@ def test_sixteen_parcels_are_solved() -> None:
     parcels = [(i, 0) for i in range(1, 17)]
     random.Random(0).shuffle(parcels)
     assert shortest_tour((0, 0), parcels, budget=16) == [(i, 0) for i in range(1, 17)]
-
-
-@pytest.mark.parametrize("needs_all", [False, True])
-@pytest.mark.parametrize(
-    "mechanics",
-    [
-        {"impassable": frozenset({Cell.OBSTACLE})},
-        {"drain": ((Cell.BUILDING, 2),)},
-        {"pads": 1, "charge_rate": 5},
-        {},
-    ],
-)
-def test_every_mechanic_is_solved(mechanics: dict, needs_all: bool) -> None:
-    steps = {"max_steps": 20, "battery_capacity": 15, "efficiency_needs_all": needs_all}
-    task = replace(get_task("easy"), id="custom", width=4, height=4, **steps, **mechanics)
-    for seed in range(5):
-        episode = Episode(task)
-        episode.reset(seed)
-        assert solve(task, seed).score == BruteForce(episode).value
 
 
 def test_an_impassable_kind_that_no_map_holds_changes_nothing() -> None:

@@ -18,6 +18,7 @@ EASY = TASKS["easy_delivery"]
 
 
 class TestStandardTasks:
+    @pytest.mark.feature("E6")
     @pytest.mark.parametrize(
         ("name", "side", "terrain", "deliveries", "steps", "r_delivery", "r_other"),
         [

@@ -1,0 +1,130 @@
+"""Bounds of the optimum: never wrong, by hand as narrow as they are meant to be, and there where no planner is."""
+
+import random
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from drone_env.agents import make_agent
+from drone_env.core.cells import Cell
+from drone_env.core.seeds import split_seeds
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import TooLargeError
+from drone_env.planning.bounds import bounds
+from drone_env.planning.optimal import solve
+from tests.toy import fly, toy_episode
+from tests.unit.test_audit import tiny_task
+
+LINE = ["0..1.@...2", ".........."]
+"""The nearest first: 2 + 3 + 9 steps. Best: 4 + 6 + 3."""
+WALLED = ["@.OO", "..O0", "1.OO"]
+BLOCKED: dict[str, Any] = {"impassable": frozenset({Cell.OBSTACLE})}
+
+
+def started(task: str | TaskConfig, seed: int) -> Episode:
+    episode = Episode(task)
+    episode.reset(seed)
+    return episode
+
+
+def greedy_score(episode: Episode) -> float:
+    flight = started(episode.task, episode.seed)
+    agent = make_agent("greedy", episode.task)
+    agent.reset(episode.seed)
+    while not flight.ended:
+        flight.step(agent.act(flight.observation()))
+    return flight.score
+
+
+@pytest.mark.parametrize(
+    ("drawing", "changes", "lower", "upper"),
+    [
+        (LINE, {"max_steps": 20}, 0.8 + 0.2 * 6 / 20, 0.8 + 0.2 * 7 / 20),
+        # Two parcels fit into nine steps; above, they are delivered and the flight is over after a single step.
+        (LINE, {"max_steps": 9}, 1.6 / 3, 1.6 / 3 + 0.2 * 8 / 9),
+        (LINE, {"max_steps": 9, "efficiency_needs_all": True}, 1.6 / 3, 1.6 / 3),
+        # Nine parcels and an early end would score more than ten.
+        (["@012345678..9", "............."], {"max_steps": 20}, 0.8 + 0.2 * 8 / 20, 0.72 + 0.2 * 19 / 20),
+        # The parcel that the last step reaches is reached, one step farther it is not.
+        (["0@.12", "....."], {"max_steps": 3}, 0.8 / 3, 1.6 / 3 + 0.2 * 2 / 3),
+        (["@..0", "...."], {"max_steps": 2}, 0.01, 0.2 * 1 / 2),
+        # What charges may end full; the nearest target is chased without charging.
+        (
+            ["@.P...0", "......."],
+            {"max_steps": 20, "battery_capacity": 5, "charge_rate": 9},
+            0.1 * 15 / 20,
+            0.8 + 0.1 + 0.1 * 14 / 20,
+        ),
+        # Roads drain nothing, and for the bound above neither does the parcel's cell.
+        (
+            ["@..0", "...."],
+            {"max_steps": 20, "drain": ((Cell.ROAD, 0),)},
+            0.8 + 0.1 * 19 / 20 + 0.1 * 17 / 20,
+            0.8 + 0.1 + 0.1 * 17 / 20,
+        ),
+        # The building costs three units, which only the flight below pays.
+        (
+            ["@.B...0", "......."],
+            {"max_steps": 20, "drain": ((Cell.BUILDING, 3),)},
+            0.8 + 0.1 * 12 / 20 + 0.1 * 14 / 20,
+            0.8 + 0.2 * 14 / 20,
+        ),
+        # What nothing leads to is not counted; what is left counts where efficiency does not need all.
+        (WALLED, {"max_steps": 6, "efficiency_needs_all": True, **BLOCKED}, 0.4, 0.4),
+        (WALLED, {"max_steps": 6, **BLOCKED}, 0.4, 0.4 + 0.2 * 5 / 6),
+    ],
+)
+def test_by_hand(drawing: list[str], changes: dict[str, Any], lower: float, upper: float) -> None:
+    assert bounds(toy_episode(drawing, **changes)) == pytest.approx((lower, upper), abs=1e-12)
+
+
+def test_from_the_middle_of_a_flight_and_after_its_end() -> None:
+    episode = toy_episode(["@.0.1", "....."], max_steps=20)
+    fly(episode, "WWRR")
+    before = episode.get_state()
+    assert bounds(episode) == pytest.approx((0.94, 0.94))  # six steps of 20
+    assert episode.get_state() == before
+    fly(episode, "RR")
+    assert bounds(episode) == (episode.score, episode.score)
+    dead = toy_episode(["@..0", "...."], max_steps=20, battery_capacity=2)
+    fly(dead, "WW")
+    assert bounds(dead) == (dead.score, dead.score)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_optimum_lies_between_its_bounds(task: str) -> None:
+    for seed in split_seeds("test", 5):
+        episode = started(task, seed)
+        lower, upper = bounds(episode)
+        assert greedy_score(episode) == lower <= solve(task, seed).score <= upper
+        if get_task(task).uniform:
+            assert upper == solve(task, seed).score
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_optimum_of_tiny_maps_lies_between_its_bounds(seed: int) -> None:
+    task = tiny_task(random.Random(seed))
+    lower, upper = bounds(started(task, seed))
+    assert lower <= solve(task, seed).score <= upper
+
+
+def test_above_ten_parcels_the_farthest_bounds_the_steps() -> None:
+    task = replace(get_task("hard"), id="many", deliveries=11)
+    episode = started(task, 1)
+    (x, y), far = episode.position, 0
+    for px, py, _ in episode.parcels:
+        far = max(far, abs(px - x) + abs(py - y))
+    assert bounds(episode).upper == pytest.approx(0.8 + 0.2 * (1 - far / task.max_steps))
+
+
+def test_a_map_too_large_to_solve_still_has_bounds() -> None:
+    vast = {"width": 64, "height": 64, "deliveries": 14, "max_steps": 600, "battery_capacity": 90}
+    task = replace(get_task("skyline_hard"), id="vast_skyline", **vast)
+    episode = started(task, 1)
+    with pytest.raises(TooLargeError, match="GB are allowed"):
+        solve(task, 1)
+    lower, upper = bounds(episode)
+    assert lower == greedy_score(episode)
+    assert 0.8 < upper < 0.99

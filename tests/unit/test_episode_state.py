@@ -1,0 +1,198 @@
+"""An episode as an object: its start, its snapshots, and what it refuses."""
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drone_env.core.actions import Action, Event, Outcome
+from drone_env.core.cells import Cell
+from drone_env.core.seeds import SPLITS, next_seed
+from drone_env.core.state_manager import Episode
+from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, UnknownNameError
+from tests.toy import fly, toy_episode
+
+
+class TestReset:
+    def test_without_a_seed_the_first_map_is_drawn_from_the_train_split(self) -> None:
+        seeds = {Episode().reset() for _ in range(20)}
+        assert len(seeds) == 20
+        assert all(0 <= seed < 2**52 for seed in seeds)
+
+    def test_without_a_seed_further_maps_follow_the_walk(self) -> None:
+        episode = Episode()
+        episode.reset(11)
+        walk = [episode.reset() for _ in range(4)]
+        expected, seed = [], 11
+        for _ in range(4):
+            seed = next_seed(seed)
+            expected.append(seed)
+        assert walk == expected
+
+    @pytest.mark.parametrize("split", SPLITS)
+    def test_the_walk_never_leaves_the_train_split_wherever_it_starts(self, split: str) -> None:
+        for start in (SPLITS[split].start, SPLITS[split].stop - 1):
+            seed, seen = start, set()
+            for _ in range(1000):
+                seed = next_seed(seed)
+                assert 0 <= seed < 2**52
+                seen.add(seed)
+            assert len(seen) == 1000
+
+    def test_starts_full_and_undelivered(self) -> None:
+        episode = Episode("hard")
+        episode.reset(4)
+        assert (episode.steps, episode.battery_units, episode.deliveries_done) == (0, 160, 0)
+        assert (episode.event, episode.outcome, episode.under) == (Event.NONE, Outcome.FLYING, Cell.ROAD)
+        x, y = episode.position
+        tx, ty = episode.target or (-1, -1)
+        distances = [abs(px - x) + abs(py - y) for px, py, _ in episode.parcels]
+        assert episode.distance_to_target == min(distances) == abs(tx - x) + abs(ty - y)
+        assert episode.parcels[distances.index(min(distances))] == (tx, ty, False)
+
+    def test_the_reward_profile_is_chosen_per_episode_and_kept_until_another_is(self) -> None:
+        episode = Episode("easy", "tiered")
+        episode.reset(1, "score")
+        assert (episode.reward_profile.id, episode.get_state().reward_profile.id) == ("score", "score")
+        assert fly(episode, "W") == [0.0]
+        episode.reset(2)
+        assert episode.reward_profile.id == "score"
+        assert fly(episode, "W") == [0.0]
+
+    @pytest.mark.parametrize("arguments", [(2, "no_such"), (-1, "score")])
+    def test_a_refused_reset_keeps_the_episode_and_its_profile(self, arguments: tuple[int, str]) -> None:
+        episode = Episode("easy", "tiered")
+        episode.reset(1)
+        before = episode.get_state()
+        with pytest.raises(DroneEnvError):
+            episode.reset(*arguments)
+        assert episode.get_state() == before
+
+    def test_equal_seed_gives_the_equal_start_whatever_was_flown_before(self) -> None:
+        fresh, used = Episode(), Episode()
+        fresh.reset(9)
+        used.reset(1)
+        fly(used, "UDLRWRRDD")
+        used.reset(9)
+        assert used.get_state() == fresh.get_state()
+
+
+class TestState:
+    def test_round_trip(self) -> None:
+        episode = toy_episode(["@0.1", "...."])
+        fly(episode, "RL")
+        state, message, observation = episode.get_state(), episode.message, episode.observation()
+        onward = fly(episode, "RRR")
+        assert episode.ended
+        episode.set_state(state)
+        assert episode.get_state() == state
+        assert episode.message == message
+        assert np.array_equal(episode.observation()["grid"], observation["grid"])
+        assert np.array_equal(episode.observation()["telemetry"], observation["telemetry"])
+        assert fly(episode, "RRR") == onward
+
+    def test_a_snapshot_knows_whether_its_last_step_came_after_the_end(self) -> None:
+        episode = toy_episode(["@0", ".."])
+        seen = []
+        for _ in range(2):
+            fly(episode, "R")
+            seen.append((episode.get_state(), episode.message))
+        assert seen[0][1] != seen[1][1]
+        for state, message in seen:
+            episode.set_state(state)
+            assert episode.message == message
+
+    def test_a_snapshot_does_not_follow_the_flight(self) -> None:
+        episode = toy_episode(["@0.1", "...."])
+        state = episode.get_state()
+        fly(episode, "R")
+        assert episode.get_state() != state
+        assert state == toy_episode(["@0.1", "...."]).get_state()
+
+    def test_another_episode_can_go_on_from_a_snapshot(self) -> None:
+        first, second = Episode("hard", "aligned"), Episode("hard", "aligned")
+        first.reset(5)
+        fly(first, "UUR")
+        second.set_state(first.get_state())
+        assert fly(second, "LLD") == fly(first, "LLD")
+        assert second.get_state() == first.get_state()
+
+    @pytest.mark.parametrize(("task", "profile"), [("medium", "tiered"), ("easy", "composite")])
+    def test_a_snapshot_of_another_task_or_profile_is_refused(self, task: str, profile: str) -> None:
+        other = Episode(task, profile)
+        other.reset(1)
+        episode = Episode("easy", "tiered")
+        episode.reset(2)
+        before = episode.get_state()
+        with pytest.raises(InvalidValueError, match=f"{task}_delivery.*{profile}.*easy_delivery.*tiered"):
+            episode.set_state(other.get_state())
+        assert episode.get_state() == before
+
+    def test_a_snapshot_can_be_pickled(self) -> None:
+        episode = toy_episode(["@0.1", "...."], "composite")
+        fly(episode, "R")
+        state = pickle.loads(pickle.dumps(episode.get_state()))
+        assert state == episode.get_state()
+        fly(episode, "R")
+        episode.set_state(state)
+        assert episode.get_state() == state
+
+    def test_observation_is_a_copy(self) -> None:
+        episode = toy_episode(["@0", ".."])
+        episode.observation()["grid"][:] = 0
+        assert episode.grid().tolist() == [[6, 4], [0, 0]]
+
+    def test_before_the_first_reset_there_is_nothing_to_fly(self) -> None:
+        episode = Episode()
+        for call in (lambda: episode.step(0), lambda: episode.seed, episode.get_state):
+            with pytest.raises(EpisodeError, match="reset"):
+                call()
+        assert "reset" in episode.message
+
+    def test_path_and_rewards_are_recorded(self) -> None:
+        episode = toy_episode(["@T0", "..."], battery_capacity=8)
+        fly(episode, "URR")
+        assert [tuple(step) for step in episode.path] == [
+            (Action.UP, 0, 0, Event.WALL, 0.32, 7),
+            (Action.RIGHT, 1, 0, Event.TREE, 0.41, 6),
+            (Action.RIGHT, 2, 0, Event.DELIVERY, 0.95, 5),
+        ]
+        assert episode.actions == [0, 3, 3]
+        assert episode.reward_last == 0.95
+        assert episode.reward_total == pytest.approx(1.68)
+
+
+class TestRefusedInput:
+    @pytest.mark.parametrize("action", [5, -1, 1.5, "UP", "0", None, [0], True, False])
+    def test_invalid_action_leaves_the_state_as_it_was(self, action: Any) -> None:
+        episode = toy_episode(["@.0", "..."])
+        before = episode.get_state()
+        with pytest.raises(InvalidValueError, match="0 UP, 1 DOWN, 2 LEFT, 3 RIGHT, 4 WAIT"):
+            episode.step(action)
+        assert episode.get_state() == before
+
+    @pytest.mark.parametrize("action", [3, np.int64(3), np.uint8(3), Action.RIGHT])
+    def test_any_integer_type_is_an_action(self, action: Any) -> None:
+        episode = toy_episode(["@.0", "..."])
+        episode.step(action)
+        assert episode.position == (1, 0)
+
+    @pytest.mark.parametrize("seed", [True, False, -1, 2**53, 2**64, 1.5, 7.0, "7", [7]])
+    def test_invalid_seed_leaves_the_state_as_it_was(self, seed: Any) -> None:
+        episode = toy_episode(["@.0", "..."])
+        fly(episode, "R")
+        before = episode.get_state()
+        with pytest.raises(InvalidValueError, match="seed must be an integer"):
+            episode.reset(seed)
+        assert episode.get_state() == before
+
+    @pytest.mark.parametrize("seed", [0, 2**53 - 1, np.int64(7), np.uint32(7)])
+    def test_any_integer_type_is_a_seed(self, seed: Any) -> None:
+        episode = Episode()
+        assert episode.reset(seed) == episode.seed == int(seed)
+        assert type(episode.seed) is int
+
+    def test_unknown_reward_profile_lists_the_valid_ones(self) -> None:
+        with pytest.raises(UnknownNameError, match="'no_such'; allowed: aligned, composite, score, tiered"):
+            Episode("easy", "no_such")

@@ -1,0 +1,122 @@
+"""What a step pays under each profile, by hand."""
+
+from fractions import Fraction
+
+import pytest
+
+from drone_env.core.cells import Cell
+from drone_env.core.tasks import TASKS
+from tests.toy import fly, toy_episode
+
+LINE = ["@.BTO0.", "......."]
+"""To the right of the drone: road, building, tree, obstacle, delivery."""
+
+
+def rewards_of(task: str) -> dict[str, float]:
+    """The `r_...` numbers of a standard task."""
+    return {name: value for name, value in vars(TASKS[task]).items() if name.startswith("r_")}
+
+
+class TestTieredAndComposite:
+    @pytest.mark.parametrize(
+        ("task", "closer", "away", "neither", "delivery"),
+        [
+            ("easy_delivery", 0.15, 0.05, 0.10, 0.99),  # 0.95 + 0.05 is clamped
+            ("medium_delivery", 0.20, 0.10, 0.15, 0.95),
+            ("hard_delivery", 0.30, 0.20, 0.25, 0.90),
+        ],
+    )
+    def test_tiered_pays_exact_decimals(
+        self, task: str, closer: float, away: float, neither: float, delivery: float
+    ) -> None:
+        episode = toy_episode(LINE, max_steps=50, **rewards_of(task))
+        assert fly(episode, "RRRR") == [closer] * 4
+        assert fly(episode, "LLL") == [away] * 3
+        assert fly(episode, "UWRW") == [neither, neither, closer, neither]
+        assert fly(episode, "RRR") == [closer, closer, delivery]
+
+    @pytest.mark.parametrize(
+        ("task", "neither", "closer"),
+        [("easy_delivery", 0.10, 0.15), ("medium_delivery", 0.15, 0.20), ("hard_delivery", 0.25, 0.30)],
+    )
+    @pytest.mark.parametrize("profile", ["tiered", "composite"])
+    def test_battery_dead_pays_as_the_table_says(self, profile: str, task: str, neither: float, closer: float) -> None:
+        assert fly(toy_episode(LINE, profile, max_steps=1, **rewards_of(task)), "W") == [neither]
+        assert fly(toy_episode(LINE, profile, max_steps=1, **rewards_of(task)), "R") == [closer]
+
+    def test_blocked_pays_as_the_table_says(self) -> None:
+        episode = toy_episode(["@B0", "..."], impassable=frozenset({Cell.BUILDING}), **rewards_of("hard_delivery"))
+        assert fly(episode, "R") == [0.25]
+
+    def test_delivery_away_from_the_current_target(self) -> None:
+        episode = toy_episode(["@.0", "1.."], **rewards_of("easy_delivery"))
+        assert fly(episode, "RR") == [0.05, 0.90]
+
+    def test_shaping_is_to_the_target_that_was_current_before_the_step(self) -> None:
+        # The step reaches parcel 0 (closer by 1) and makes parcel 1 current, which is 6 away.
+        assert fly(toy_episode(["@0.....1", "........"]), "R") == [0.95]
+
+    @pytest.mark.parametrize(
+        ("task", "delivery"), [("easy_delivery", 0.99), ("medium_delivery", 0.95), ("hard_delivery", 0.90)]
+    )
+    def test_composite(self, task: str, delivery: float) -> None:
+        episode = toy_episode(LINE, "composite", max_steps=50, **rewards_of(task))
+        assert fly(episode, "WU") == [0.01, 0.02]
+        assert fly(episode, "RRRR") == [0.10, 0.07, 0.07, 0.07]
+        assert fly(episode, "WU") == [0.02, 0.02]
+        assert fly(episode, "LLL") == [0.01, 0.01, 0.01]  # 0.02 - 0.05 and 0.05 - 0.05 are clamped
+        assert fly(episode, "RRRR") == [0.07, 0.07, 0.07, delivery]
+
+    def test_composite_blocked(self) -> None:
+        episode = toy_episode(["@B0", "..."], "composite", impassable=frozenset({Cell.BUILDING}))
+        assert fly(episode, "R") == [0.02]
+
+    def test_clamped_from_below(self) -> None:
+        assert fly(toy_episode([".@0", "..."], r_step=0.02), "L") == [0.01]
+
+    def test_clamped_from_above(self) -> None:
+        assert fly(toy_episode([".@.0", "...."], r_step=0.95), "R") == [0.99]
+
+    def test_rewards_just_inside_the_bounds_are_not_clamped(self) -> None:
+        assert fly(toy_episode([".@.0", "...."], r_step=0.07), "L") == [0.02]
+        assert fly(toy_episode([".@.0", "...."], r_step=0.93), "R") == [0.98]
+
+
+class TestAlignedAndScore:
+    """Width 3 and height 2, one parcel 2 cells away: phi = 0.2 + 0.8 * (1 - 2/5) = 0.68, one cell closer 0.84."""
+
+    def test_aligned_pays_the_score_and_discounted_shaping(self) -> None:
+        episode = toy_episode(["@.0", "..."], "aligned")
+        first, last = fly(episode, "RR")
+        assert first == pytest.approx(float(Fraction(99, 100) * Fraction(84, 100) - Fraction(68, 100)))  # 0.1516
+        assert last == pytest.approx(0.96 - 0.84)  # phi is 0 at the end, the score 0.8 + 0.2 * 0.8
+
+    def test_aligned_hovering_costs_the_difference_that_the_discount_makes(self) -> None:
+        assert fly(toy_episode(["@.0", "..."], "aligned"), "WU") == pytest.approx([-0.0068, -0.0068])  # 0.68 * 0.01
+
+    def test_aligned_away_is_not_clamped(self) -> None:
+        # phi(s') = 0.2 + 0.8 * (1 - 3/5) = 0.52
+        assert fly(toy_episode(["@.0", "..."], "aligned"), "D") == pytest.approx([0.99 * 0.52 - 0.68])  # -0.1652
+
+    def test_aligned_failure_ends_with_potential_zero_and_the_clamped_score(self) -> None:
+        assert fly(toy_episode(["@.0", "..."], "aligned", max_steps=1), "W") == pytest.approx([0.01 - 0.68])
+
+    def test_aligned_delivery_counts_parcels_and_the_distance_to_the_next_target(self) -> None:
+        # Before: phi = 0.2 + 0.4 * (1 - 1/6) = 8/15. After: phi = 0.2 + 0.4 * (2 - 2/6) = 13/15.
+        reward = Fraction(99, 100) * Fraction(13, 15) - Fraction(8, 15)
+        assert fly(toy_episode(["@0.1", "...."], "aligned"), "R") == pytest.approx([float(reward)])
+
+    def test_aligned_delivery_of_another_target_keeps_the_distance_to_the_current_one(self) -> None:
+        # Before the second step: phi = 0.2 + 0.4 * (1 - 2/5) = 11/25. After: phi = 0.2 + 0.4 * (2 - 3/5) = 19/25.
+        reward = Fraction(99, 100) * Fraction(19, 25) - Fraction(11, 25)
+        assert fly(toy_episode(["@.0", "1.."], "aligned"), "RR")[1] == pytest.approx(float(reward))
+
+    def test_score_pays_nothing_before_the_end_and_the_score_there(self) -> None:
+        assert fly(toy_episode(["@.0", "..."], "score"), "WRUR") == [0.0, 0.0, 0.0, 0.92]
+        assert fly(toy_episode(["@.0", "..."], "score", max_steps=2), "WW") == [0.0, 0.01]
+
+    @pytest.mark.parametrize("profile", ["aligned", "score"])
+    def test_out_of_steps_pays_the_score_too(self, profile: str) -> None:
+        # Battery 3/5, steps 2/2: 0.2 * 0.5 * 0.6 = 0.06; the rest is the potential 0.68 taken back.
+        rewards = fly(toy_episode(["@.0", "..."], profile, max_steps=2, battery_capacity=5), "WW")
+        assert rewards[1] == pytest.approx(0.06 - 0.68 if profile == "aligned" else 0.06)
