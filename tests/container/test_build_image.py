@@ -52,6 +52,7 @@ def test_a_build_is_recorded(docker: Commands, tmp_path: Path) -> None:
     assert head.startswith(revision.removesuffix("-dirty"))
 
 
+@pytest.mark.feature("P2")
 def test_a_failed_build_is_recorded_and_fails(docker: Commands, tmp_path: Path) -> None:
     log = tmp_path / "log"
     docker.run(sys.executable, TOOL, "--log", str(log))

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.api.serving import Server
 from tests.tools import missing_tool, reserved_port
 
@@ -33,10 +35,13 @@ def test_hadolint_finds_nothing() -> None:
     assert (done.returncode, done.stdout) == (0, "")
 
 
+@pytest.mark.feature("P2")
 def test_it_starts_as_documented() -> None:
     assert json.loads(only("CMD")) == START
     assert only("EXPOSE") == "8000"
     assert only("USER") == "1000:1000"
+    assert [name for name, _ in instructions(ROOT / "Dockerfile")].count("FROM") == 2
+    assert health_command(9000)[-1].count("127.0.0.1:9000/health") == 1
 
 
 def test_it_declares_no_volume() -> None:
@@ -50,10 +55,13 @@ def test_the_stages_share_a_base_that_can_be_chosen() -> None:
     assert [rest for name, rest in known if name == "FROM"] == ["${BASE} AS dependencies", "${BASE}"]
 
 
+@pytest.mark.feature("P2")
 def test_the_sources_do_not_invalidate_the_dependencies() -> None:
     known = instructions(ROOT / "Dockerfile")
     first_stage = known[: [i for i, (name, _) in enumerate(known) if name == "FROM"][1]]
     assert [rest for name, rest in first_stage if name == "COPY"] == ["pyproject.toml uv.lock ./"]
+    lock, sources = known.index(("COPY", "pyproject.toml uv.lock ./")), known.index(("COPY", "drone_env drone_env"))
+    assert any(name == "RUN" and "pip" in rest for name, rest in known[lock:sources])
 
 
 def test_what_it_copies_is_there_and_not_ignored() -> None:

@@ -66,6 +66,7 @@ def space() -> Generator[str, None, None]:
         yield url
 
 
+@pytest.mark.feature("P3")
 def test_all_three_pass_with_the_real_server(commands: Commands, server: Server) -> None:
     commands.add("docker", 'echo "$*" >> "$HOME/docker.log"')
     commands.add("openenv", 'echo "$* $PWD" >> "$HOME/openenv.log"')

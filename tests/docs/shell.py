@@ -22,7 +22,10 @@ from tests.docs.pages import ROOT, Block
 LEFT_OUT = (".*", "__pycache__", "*.egg-info", "build", "data", "demo", "dist", "htmlcov", "results", "runs")
 SERVERS = ("drone-env serve", "python drone_env/server/app.py")
 DOORS = {"train.py": "train", "inference.py": "infer"}
+# As pip installs the command: modules are not looked for in the folder in which it is run.
+INSTALLED = "import sys; del sys.path[0]; from drone_env.cli import main; sys.exit(main())"
 EXIT_STATUS = re.compile(r"#.*\bexit status (\d+)")
+HERE_DOCUMENT = re.compile(r"""<<-?\s*(['"]?)(\w+)\1(.*?)\n.*?^\s*\2$""", re.DOTALL | re.MULTILINE)
 # A server in the background, waited for; it ends with the script.
 START_SERVER = """{command} --port {port} &
 for _ in $(seq 600); do (: < /dev/tcp/127.0.0.1/{port}) 2>/dev/null && break; sleep 0.1; done
@@ -35,7 +38,7 @@ def checkout(folder: Path) -> Path:
     shutil.copytree(ROOT, root, ignore=shutil.ignore_patterns(*LEFT_OUT), symlinks=True)
     shutil.copy(ROOT / ".env.example", root)
     programs.mkdir()
-    for name, arguments in {"python": "", "drone-env": "-m drone_env.cli"}.items():
+    for name, arguments in {"python": "", "drone-env": f"-c {shlex.quote(INSTALLED)}"}.items():
         program = programs / name
         program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} {arguments} "$@"\n')
         program.chmod(0o755)
@@ -148,7 +151,8 @@ def check(command: str, where: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _simple_commands(command: str) -> Iterator[list[str]]:
     """The words of each simple command in a line; what stands between them is dropped."""
-    lexer = shlex.shlex(command.replace("\\\n", " "), posix=True, punctuation_chars=True)
+    without_documents = HERE_DOCUMENT.sub(r"\3", command)
+    lexer = shlex.shlex(without_documents.replace("\\\n", " "), posix=True, punctuation_chars=True)
     lexer.whitespace_split = True
     words: list[str] = []
     for word in lexer:

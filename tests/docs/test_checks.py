@@ -6,7 +6,7 @@ import pytest
 
 from tests.docs import shell
 from tests.docs.pages import blocks
-from tests.docs.test_code_blocks import Page
+from tests.docs.test_code_blocks import Page, check
 
 SKIP = "<!-- not run: a test -->\n\n"
 
@@ -22,6 +22,7 @@ def run(tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.Monk
         page.write_text(text, encoding="utf-8")
         of_page = Page(tmp_path / "checkout", request, monkeypatch)
         for block in blocks(page):
+            check(block, monkeypatch)
             of_page.run(block)
 
     return run_page
@@ -54,6 +55,8 @@ def test_what_is_right_passes(run, text: str) -> None:
         ("```bash\nfalse\ntrue\n```", "exit status 1"),
         ("```bash\ntrue   # exit status 1\n```", "exit status 1"),
         ("```bash\nfor i in 1 2; do\n```", "syntax error"),
+        ("```bash\ncat <<END > file\nit's\nEND\ndrone-env fly --speed 5\n```", "does not understand"),
+        ("```bash\ncd docs && drone-env fly --speed 5\n```", "does not understand"),
         ("```python\nraise ZeroDivisionError('here')\n```", "here"),
         ("```json\n{\n```", "Expecting"),
         ("```toml\na\n```", ""),

@@ -1,7 +1,8 @@
 """Each code block of the documentation is run, or says in an invisible comment why not: see CONTRIBUTING.md.
 
-The blocks of a page share a folder that looks like a checkout, and its Python blocks one namespace. One real server and
-one scripted endpoint of a language model stand in for those that the pages name.
+What can be known of a block without running it is checked of all of them; running all is long. The blocks of a page
+share a folder that looks like a checkout, and its Python blocks one namespace. One real server and one scripted
+endpoint of a language model stand in for those that the pages name.
 """
 
 import contextlib
@@ -30,6 +31,8 @@ else:
     import tomli as tomllib
 
 SHELL = ("bash", "sh", "console")
+# They start no server and take two seconds at most.
+SHORT = ("docs/gymnasium.md", "docs/quickstart.md", "docs/vector.md")
 DATA = {"json": json.loads, "toml": tomllib.loads, "yaml": yaml.safe_load}
 
 
@@ -49,6 +52,30 @@ def endpoint(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return f"{address}/v1"
 
 
+def check(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What can be known of a block without running it.
+
+    Raises:
+        AssertionError: if something in it does not exist, or nothing says why it is not run.
+        SyntaxError: if it is no Python.
+        ValueError: if it is not in its language.
+    """
+    if block.output_of:
+        shell.check(block.output_of, block.where, monkeypatch)
+    elif block.language in SHELL:
+        for command in [command for part in shell.split_skipped(block) for command in part]:
+            shell.check(command, block.where, monkeypatch)
+    elif block.skipped:
+        raise AssertionError(f"{block.where}: only commands of a shell can be left out one by one")
+    elif block.language == "python":
+        shell.check_python(block.text, block.where)
+    elif block.language in DATA:
+        DATA[block.language](block.text)
+    else:
+        language = repr(block.language) if block.language else "a bare fence"
+        assert block.not_run or block.file, f"{block.where}: say in a comment above why {language} is not run"
+
+
 class Page:
     """The run of one page.
 
@@ -65,26 +92,15 @@ class Page:
         self._names: dict[str, Any] = {"__name__": "__main__"}
 
     def run(self, block: Block) -> None:
-        """Run a block, or check it where it says that it is not to be run."""
+        """Run a block, unless it says that it is not to be run."""
         if block.output_of:
             assert self._shell([block.output_of], block).stdout == block.text, block.where
         elif block.language in SHELL:
-            chosen, skipped = shell.split_skipped(block)
-            for command in skipped:
-                shell.check(command, block.where, self._monkeypatch)
+            chosen, _ = shell.split_skipped(block)
             if chosen:
                 self._shell(chosen, block)
-        elif block.skipped:
-            raise AssertionError(f"{block.where}: only commands of a shell can be left out one by one")
-        elif block.language == "python" and block.not_run:
-            shell.check_python(block.text, block.where)
-        elif block.language == "python":
+        elif block.language == "python" and not block.not_run:
             self._python(block)
-        elif block.language in DATA:
-            DATA[block.language](block.text)
-        else:
-            language = repr(block.language) if block.language else "a bare fence"
-            assert block.not_run or block.file, f"{block.where}: say in a comment above why {language} is not run"
 
     def _shell(self, chosen: list[str], block: Block) -> Any:
         script = shell.script_of(chosen, reserved_port)
@@ -109,7 +125,19 @@ class Page:
         return text
 
 
-@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_its_code_blocks_are_sound(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for block in blocks(page):
+        check(block, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, id=name(page), marks=() if name(page) in SHORT else pytest.mark.long) for page in PAGES]
+)
 def test_its_code_blocks_run(
     page: Path, tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -117,8 +145,8 @@ def test_its_code_blocks_run(
     if not found:
         return
     folder = shell.checkout(tmp_path)
-    for name in VARIABLES:
-        monkeypatch.delenv(name, raising=False)
+    for variable in VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
     monkeypatch.setenv("DRONE_ENV_DATA", str(folder / "data"))
     monkeypatch.chdir(folder)
     for block in found:

@@ -12,7 +12,6 @@ import argparse
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import sysconfig
@@ -28,7 +27,7 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from tests.tools import path_of_python  # noqa: E402
+from tests.tools import path_of_python, reserved_port  # noqa: E402
 
 TASKS = ("easy_delivery", "medium_delivery", "hard_delivery")
 
@@ -122,9 +121,7 @@ class Installed:
 
     def check_server(self, files: list[str]) -> float:
         """The page with all its files, and a step over HTTP; the seconds until the server answered."""
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            url = f"http://127.0.0.1:{probe.getsockname()[1]}"
+        url = f"http://127.0.0.1:{reserved_port()}"
         log = (self.place / "serve.log").open("wb")
         start = time.monotonic()
         server = subprocess.Popen(
@@ -143,8 +140,12 @@ class Installed:
             assert b"<title>" in get(f"{url}/")
         finally:
             server.terminate()
-            server.wait()
-            log.close()
+            try:
+                server.wait(timeout=60)
+            finally:
+                server.kill()
+                server.wait()
+                log.close()
         return answered
 
     def _wait(self, holds: Callable[[], bool], server: "subprocess.Popen[bytes]") -> None:

@@ -58,6 +58,7 @@ def test_the_metadata_names_every_python_that_is_supported(built: dict[str, Path
     assert pythons == ["3.10", "3.11", "3.12", "3.13"]
 
 
+@pytest.mark.long
 def test_the_wheel_works_outside_the_checkout(built: dict[str, Path]) -> None:
     figures = check(built[".whl"], sys.executable, offline=True)
     assert figures["version"] == __version__

@@ -1,0 +1,27 @@
+"""The documents that were promised: licence, guides, and the steps for PowerShell."""
+
+import re
+
+import pytest
+
+from tests.docs.pages import ROOT
+
+
+def text_of(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+@pytest.mark.feature("P7")
+def test_the_licence_and_the_guides() -> None:
+    assert text_of("LICENSE").startswith("MIT License")
+    assert "make test" in text_of("CONTRIBUTING.md")
+    assert "MIT licence" in text_of("README.md")
+    guide = text_of("docs/deployment.md")
+    assert "openenv push" in guide
+    assert "git push" in guide
+
+
+@pytest.mark.feature("P3")
+def test_the_checks_of_a_submission_for_powershell() -> None:
+    blocks = re.findall(r"```powershell\n(.*?)```", text_of("docs/deployment.md"), re.DOTALL)
+    assert any("Invoke-RestMethod -Method Post" in block and "openenv validate" in block for block in blocks)

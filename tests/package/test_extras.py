@@ -1,0 +1,111 @@
+"""Each extra alone brings all that its part of the package imports; what needs another says which."""
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from tests.package import extras
+from tests.package.extras import PROJECT, brought, extras_named, file_of, imported_later, loaded_by, modules
+
+NEEDS: Mapping[str, tuple[str, ...]] = {
+    "drone_env": (),
+    "drone_env.client": ("server",),
+    "drone_env.cluster": ("cluster",),
+    "drone_env.cluster.flights": ("cluster", "llm"),
+    "drone_env.cluster.sweep": ("cluster", "train"),
+    "drone_env.llm": ("llm",),
+    "drone_env.llm.inspect_task": ("inspect",),
+    "drone_env.llm.trl_environment": ("trl",),
+    "drone_env.openenv_client": ("server",),
+    "drone_env.rl": ("train",),
+    "drone_env.server": ("server",),
+}
+"""Which extras a module may count on, and all below it that are not named themselves."""
+ASKED_FIRST = {"drone_env.cluster.connect"}
+"""Who calls these has been told what is missing before anything else is imported."""
+LOOKED_FOR = {("drone_env.commands.diagnosis", "torch")}
+"""What a module imports only where it has seen that it is there."""
+OF_NO_EXTRA = {"stable_baselines3"}
+
+
+def needs(module: str) -> tuple[str, ...]:
+    while module not in NEEDS:
+        module = module.rpartition(".")[0]
+    return NEEDS[module]
+
+
+def not_brought() -> list[str]:
+    """What importing a module of the package loads, and its extras do not bring."""
+    return [
+        f"{module} ({', '.join(needs(module)) or 'no extra'}) loads {name}"
+        for module in modules()
+        for name in sorted(loaded_by(module) - brought(*needs(module)) - OF_NO_EXTRA)
+    ]
+
+
+def unannounced() -> list[str]:
+    """What a function imports, no extra of its module brings, and no error of its module says how to get."""
+    problems: list[str] = []
+    for module in modules():
+        for name in imported_later(module):
+            own = name if file_of(name) else name.rpartition(".")[0]
+            loaded = loaded_by(own) if name.startswith("drone_env") else {name.partition(".")[0]}
+            missing = loaded - brought(*needs(module)) - OF_NO_EXTRA - set(sys.stdlib_module_names)
+            announced = set(extras_named(module))
+            for asked in ASKED_FIRST:
+                if any(later.startswith(asked) for later in imported_later(module)):
+                    announced |= extras_named(asked)
+            missing = {part for part in missing if (module, part) not in LOOKED_FOR}
+            if missing and not missing <= brought(*needs(module), *sorted(announced)):
+                problems.append(f"{module} imports {name} ({', '.join(sorted(missing))})")
+    return problems
+
+
+def test_each_extra_alone_brings_what_its_part_imports() -> None:
+    assert not_brought() == []
+
+
+def test_what_needs_another_extra_says_which() -> None:
+    assert unannounced() == []
+
+
+def test_extras_bring_what_they_name_and_no_more() -> None:
+    assert brought() >= {"numpy", "gymnasium", "pydantic", "pydantic_core"}
+    assert not brought() & {"httpx", "torch", "fastapi", "ray", "openai", "pytest"}
+    assert brought("server") >= {"fastapi", "starlette", "uvicorn", "uvloop", "websockets"}
+    assert not brought("server") & {"tenacity", "torch", "pygame", "matplotlib"}
+    assert brought("inspect") >= brought("llm") >= {"tenacity", "openai", "dotenv"}
+    assert not brought("train") & {"fastapi", "openai", "ray"}
+    assert brought("all") >= brought(*(extra for extra in ("data", "human", "server", "llm", "train")))
+    assert {extra for named in NEEDS.values() for extra in named} <= set(PROJECT["optional-dependencies"])
+
+
+FAULTS = {
+    "server/predict.py": ("from tenacity import retry", "drone_env.server.app (server) loads tenacity"),
+    "core/tasks.py": ("import httpx", "drone_env.core.batch (no extra) loads httpx"),
+    "rl/policy.py": ("if 1:\n    import fastapi", "drone_env.rl.trainer (train) loads fastapi"),
+    "commands/fly.py": ("def f():\n    import torch", "drone_env.commands.fly imports torch (torch)"),
+    "commands/train.py": (
+        "def f():\n    from drone_env.server import app",
+        "drone_env.commands.train imports drone_env.server.app",
+    ),
+}
+
+
+def test_what_is_not_brought_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, changed = extras.imports, {}
+    for number, (file, (text, _)) in enumerate(FAULTS.items()):
+        found = extras.PACKAGE / file
+        changed[found] = tmp_path / f"{number}.py"
+        changed[found].write_text(f"{found.read_text(encoding='utf-8')}\n{text}\n", encoding="utf-8")
+    monkeypatch.setattr(extras, "imports", lambda file: whole(changed.get(file, file)))
+    for kept in (extras.stated, loaded_by):
+        kept.cache_clear()
+    try:
+        told = not_brought() + unannounced()
+    finally:
+        for kept in (extras.stated, loaded_by):
+            kept.cache_clear()
+    assert [problem for _, problem in FAULTS.values() if not any(line.startswith(problem) for line in told)] == []

@@ -1,0 +1,40 @@
+"""The lock agrees with pyproject.toml, and both with what `pip install -e ".[dev]"` made here."""
+
+import re
+import subprocess
+import sys
+from importlib.metadata import version
+
+import pytest
+from packaging.requirements import Requirement
+
+from tests.package.installed import ROOT
+from tests.tools import find_uv
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+@pytest.mark.feature("P5")
+def test_the_lock_agrees_with_what_is_asked_for_and_installed() -> None:
+    command = ["export", "--frozen", "--offline", "--extra", "dev", "--no-emit-project", "--no-hashes"]
+    exported = subprocess.run([find_uv(), *command], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert exported.returncode == 0, exported.stderr
+    pins = [Requirement(line) for line in exported.stdout.splitlines() if re.match(r"\w", line)]
+    locked = {pin.name: pin for pin in pins if pin.marker is None or pin.marker.evaluate()}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    needed = [Requirement(line) for line in (*project["dependencies"], *extras["dev"])]
+    compared = set()
+    for requirement in needed:
+        if requirement.name == "drone-env":
+            needed.extend(Requirement(line) for extra in sorted(requirement.extras) for line in extras[extra])
+        elif requirement.marker is None or requirement.marker.evaluate():
+            (pin,) = locked[requirement.name].specifier
+            assert pin.version in requirement.specifier, requirement
+            # These tests run in what `pip install -e ".[dev]"` made.
+            assert version(requirement.name) in requirement.specifier, requirement
+            compared.add(requirement.name)
+    assert {"numpy", "fastapi", "torch", "ray", "pytest"} <= compared

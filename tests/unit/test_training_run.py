@@ -1,0 +1,321 @@
+"""A training run on disk: its checkpoints, its files, the command, and what a kill or Ctrl-C leaves."""
+
+import csv
+import json
+import math
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from drone_env.agents.network import load_network
+from drone_env.cli import main
+from drone_env.errors import CheckpointError
+from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
+from drone_env.rl.config import ORIGINAL, TrainConfig
+from drone_env.rl.run import Run, log_line
+from drone_env.rl.trainer import Progress, Trainer
+from tests.unit.small_training import SMALL, assert_same, do_nothing
+
+ROOT = Path(__file__).parents[2]
+KILLS = 20 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 1
+
+
+@pytest.fixture
+def no_curves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing them takes longer than the runs of most of these tests."""
+    monkeypatch.setattr("drone_env.rl.curves.draw_curves", do_nothing)
+
+
+# Checkpoints
+
+
+def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "easy.pth"
+    trainer = Trainer(SMALL)
+    save_checkpoint(path, trainer.get_state())
+    whole = path.read_bytes()
+    for content in (whole[: len(whole) // 2], whole[:100], b"", b"not a checkpoint"):
+        path.write_bytes(content)
+        with pytest.raises(CheckpointError, match="cut short, or no checkpoint"):
+            load_checkpoint(path)
+        with pytest.raises(CheckpointError, match="--fresh"):
+            Run(SMALL, tmp_path, tmp_path / "results")
+        assert path.read_bytes() == content
+    torch.save({"weights": torch.zeros(3)}, path)
+    with pytest.raises(CheckpointError, match="not a checkpoint of this project"):
+        load_checkpoint(path)
+    save_checkpoint(path, {"version": 99})
+    with pytest.raises(CheckpointError, match="version 99; this program reads version 1"):
+        load_checkpoint(path)
+    assert [file.name for file in tmp_path.iterdir()] == ["easy.pth"]
+
+
+def test_a_checkpoint_that_could_run_code_is_not_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "evil.pth"
+    torch.save({"format": "drone_env/checkpoint", "version": 1, "code": Path.home}, path)
+    with pytest.raises(CheckpointError):
+        load_checkpoint(path)
+
+
+def test_a_checkpoint_of_another_run_names_the_difference(tmp_path: Path) -> None:
+    Run(SMALL, tmp_path, tmp_path / "results").save()
+    with pytest.raises(CheckpointError, match=r"gamma 0.99 \(now 0.9\).*--fresh"):
+        Run(replace(SMALL, gamma=0.9), tmp_path, tmp_path / "results")
+    run = Run(replace(SMALL, gamma=0.9), tmp_path, tmp_path / "results", fresh=True)
+    assert not run.resumed
+    assert (tmp_path / "easy.pth.old").exists()
+
+
+def saved_at(run: Run) -> list[tuple[int, int]]:
+    """The (steps, episodes) at which a run saves, which it is then made to do."""
+    kept: list[tuple[int, int]] = []
+    run.save = lambda: kept.append((run.trainer.steps, run.trainer.episodes))  # type: ignore[method-assign]
+    run.train(lambda _: None)
+    return kept
+
+
+@pytest.mark.usefixtures("no_curves")
+def test_a_checkpoint_is_saved_every_so_many_episodes(tmp_path: Path) -> None:
+    run = Run(replace(SMALL, num_envs=1, checkpoint_episodes=15, learning_starts=10_000), tmp_path, tmp_path / "r")
+    assert [episodes for _, episodes in saved_at(run)] == [15, 30, 40]
+
+
+@pytest.mark.usefixtures("no_curves")
+def test_or_by_time(tmp_path: Path) -> None:
+    config = replace(SMALL, episodes=3, learning_starts=10_000)
+    run = Run(replace(config, checkpoint_seconds=1e-9), tmp_path, tmp_path / "r")
+    assert [steps for steps, _ in saved_at(run)] == [*range(8, run.trainer.steps + 1, 8), run.trainer.steps]
+    run = Run(replace(config, checkpoint_seconds=3600), tmp_path, tmp_path / "r")
+    assert [steps for steps, _ in saved_at(run)] == [run.trainer.steps]
+
+
+# The command
+
+
+TRAIN = [
+    "train", "--task", "easy", "--episodes", "40", "--num-threads", "1", "--num-envs", "8", "--batch-size", "16",
+    "--replay-size", "400", "--learning-starts", "50", "--steps-per-update", "32", "--validation-every", "10",
+    "--validation-maps", "5", "--log-every", "5",
+]  # fmt: skip
+
+
+def test_the_command_trains_and_leaves_what_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(TRAIN) == 0
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "on the validation maps" in captured.err
+    log = (tmp_path / "data/train.log").read_text().splitlines()
+    assert [line.split()[0] for line in log] == [f"episode={n}" for n in range(5, 41, 5)]
+    state = load_checkpoint(tmp_path / "data/easy.pth")
+    history = list(csv.DictReader((tmp_path / "results/easy/history.csv").read_text().splitlines()))
+    assert [{name: float(value) for name, value in line.items() if value != "nan"} for line in history] == [
+        {name: value for name, value in line.items() if not math.isnan(value)} for line in state["history"]
+    ]
+    for name in ("reward", "length", "loss", "epsilon", "validation"):
+        assert (tmp_path / f"results/easy/{name}.png").read_bytes().startswith(b"\x89PNG")
+    (events,) = (tmp_path / "results/easy/tensorboard").glob("events.*")
+    assert [field.name for field in fields(Progress)[1:] if field.name.encode() not in events.read_bytes()] == []
+    # The network that stands beside it is the best one, and says where it is from.
+    network = load_network(tmp_path / "data/easy.npz")
+    assert_same({name: torch.from_numpy(array) for name, array in network.parameters.items()}, dict(state["best"]))
+    told = {name: network.metadata[name] for name in ("task", "episodes", "steps", "updates", "validation_score")}
+    steps, updates, episodes, *_ = state["counters"]
+    assert told == {"task": "easy_delivery", "episodes": episodes, "steps": steps, "updates": updates,
+                    "validation_score": state["best_score"]}  # fmt: skip
+    # It flies, without PyTorch, by its file.
+    assert main(["evaluate", "--task", "easy", "--agents", "pathqnet", "--checkpoint", "data/easy.npz",
+                 "--episodes", "20", "--json", "-"]) == 0  # fmt: skip
+    figures = json.loads(capsys.readouterr().out)["tasks"]["easy_delivery"]["agents"]["pathqnet:data/easy.npz"]
+    assert 0.01 <= figures["mean_score"] <= 0.99
+    # There is nothing left to do, until more is asked for.
+    assert main(TRAIN) == 0
+    assert "has 40 episodes already" in capsys.readouterr().err
+    assert main([*TRAIN, "--episodes", "50"]) == 0
+    assert "going on from data/easy.pth: 40 of 50 episodes" in " ".join(capsys.readouterr().err.split())
+    assert len((tmp_path / "data/train.log").read_text().splitlines()) == 10
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--resume", "--fresh"], "one of them"),
+        (["--resume"], "there is no checkpoint"),
+        (["--episodes", "0"], "episodes must be above 0"),
+        (["--task", "impossible"], "allowed: easy"),
+        (["--reward-profile", "generous"], "allowed: aligned"),
+    ],
+)
+def test_the_command_refuses(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.MonkeyPatch.context():
+        try:
+            status = main(["train", *arguments])
+        except SystemExit as ended:
+            status = int(ended.code or 0)
+    assert status == 2
+    assert message in "".join(capsys.readouterr())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.feature("L4")
+def test_every_value_is_a_flag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["train", "--help"])
+    flags = capsys.readouterr().out
+    assert [field.name for field in fields(TrainConfig) if f"--{field.name.replace('_', '-')}" not in flags] == []
+    if not torch.cuda.is_available():
+        assert main([*TRAIN, "--gpu", "--data", str(tmp_path), "--results", str(tmp_path)]) == 2
+        assert "CUDA" in capsys.readouterr().err
+
+
+ORIGINALS = [
+    "--task", "easy_delivery", "--preset", "original", "--num-envs", "8", "--steps-per-update", "64",
+    "--validation-maps", "5", "--num-threads", "1",
+]  # fmt: skip
+"""The original's hyperparameters, but for how many fly side by side and how often it learns: a test has no time."""
+
+
+@contextmanager
+def training(folder: Path) -> Generator["subprocess.Popen[bytes]", None, None]:
+    """`train.py` in a process that would not end by itself; it is killed in the end."""
+    folder.mkdir(exist_ok=True)
+    command = [sys.executable, str(ROOT / "train.py"), *ORIGINALS, "--episodes", "1000000"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with (folder / "output").open("ab") as output:
+        process = subprocess.Popen(command, cwd=folder, env=environment, stdout=output, stderr=output)
+        try:
+            yield process
+        finally:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.feature("L4", "L5", "L6")
+@pytest.mark.usefixtures("no_curves")
+def test_killed_it_goes_on_and_comes_to_the_same_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At random moments after a checkpoint, once or many times; bit for bit the run that was never killed."""
+    killed, rng, lengths = tmp_path / "killed", random.Random(KILLS), set()
+    checkpoint, log, saved = killed / "data/easy.pth", killed / "data/train.log", 0
+    for _ in range(KILLS):
+        with training(killed) as process:
+            deadline = time.monotonic() + 120
+            while not checkpoint.exists() or checkpoint.stat().st_mtime_ns == saved:
+                assert process.poll() is None, (killed / "output").read_text()
+                assert time.monotonic() < deadline, (killed / "output").read_text()
+                lengths.add(log.read_bytes().count(b"\n") if log.exists() else 0)
+                time.sleep(0.005)
+            # Anywhere up to the next checkpoint, or within it.
+            process.kill() if KILLS == 1 else time.sleep(rng.uniform(0, 1))
+        saved = checkpoint.stat().st_mtime_ns
+    assert process.returncode == -signal.SIGKILL
+    assert len(lengths) > 2, "the log was not seen to grow"
+
+    state = load_checkpoint(checkpoint)
+    flown = state["counters"][2]
+    assert flown >= 50
+    short = {"num_envs": 1, "steps_per_update": 1, "validation_maps": 500, "num_threads": 2}
+    assert state["config"] | short == ORIGINAL.identity()
+    runs = {}
+    for name in ("killed", "whole"):
+        (tmp_path / name).mkdir(exist_ok=True)
+        monkeypatch.chdir(tmp_path / name)
+        assert main(["train", *ORIGINALS, "--episodes", str(flown + 10)]) == 0
+        told = " ".join(capsys.readouterr().err.split())
+        assert (f"going on from data/easy.pth: {flown} of {flown + 10}" in told) == (name == "killed")
+        runs[name] = load_checkpoint(tmp_path / name / "data/easy.pth")
+        assert runs[name].pop("seconds") > 0
+    assert_same(runs["whole"], runs["killed"])
+    assert (tmp_path / "whole/data/train.log").read_bytes() == log.read_bytes()
+
+
+@pytest.mark.feature("L5")
+def test_where_the_checkpoint_was_deleted_it_starts_anew(tmp_path: Path) -> None:
+    Run(SMALL, tmp_path, tmp_path / "results").save()
+    assert Run(SMALL, tmp_path, tmp_path / "results").resumed
+    (tmp_path / "easy.pth").unlink()
+    assert not Run(SMALL, tmp_path, tmp_path / "results").resumed
+
+
+def interrupting(log: Path, times: int) -> threading.Thread:
+    """A thread that sends this process SIGINT, as Ctrl-C does, when the log has a line, as often as is said."""
+
+    def interrupt() -> None:
+        deadline = time.monotonic() + 120
+        while time.monotonic() < deadline and not (log.exists() and log.stat().st_size):
+            time.sleep(0.005)
+        for _ in range(times):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    return threading.Thread(target=interrupt)
+
+
+@pytest.mark.usefixtures("no_curves")
+def test_interrupted_the_run_saves_and_ends_cleanly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    before = signal.getsignal(signal.SIGINT)
+    thread = interrupting(tmp_path / "data/train.log", 1)
+    thread.start()
+    # It ends by itself, too late, where the signal does not reach it.
+    assert main([*TRAIN, "--episodes", "20000"]) == 130
+    thread.join()
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "stopping after this step" in captured.err
+    state = load_checkpoint(tmp_path / "data/easy.pth")
+    told = f"stopped after {state['counters'][2]} episodes; the same command goes on from data/easy.pth"
+    assert told in " ".join(captured.err.split())
+    assert 0 < state["counters"][2] < 20000
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_interrupted_twice_it_ends_at_once(tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGINT)
+    run = Run(SMALL, tmp_path, tmp_path / "results")
+    asked = []
+
+    def show(_: Progress) -> None:
+        for _ in range(2):
+            asked.append(run.stopped)
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        run.train(show)
+    assert asked == [False, True]
+    assert not run.checkpoint.exists()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.usefixtures("no_curves")
+def test_the_log_begins_anew_with_what_the_checkpoint_holds(tmp_path: Path) -> None:
+    run = Run(replace(SMALL, episodes=10), tmp_path, tmp_path / "results")
+    run.train(lambda _: None)
+    first = [log_line(line) for line in run.trainer.history]
+    (tmp_path / "train.log").write_text("flown after the checkpoint\n")
+    run = Run(replace(SMALL, episodes=15, final_learning_rate=1e-5), tmp_path, tmp_path / "results")
+    run.train(lambda _: None)
+    assert (tmp_path / "train.log").read_text().splitlines() == [*first, log_line(run.trainer.history[-1])]
+    assert [asdict(line)["episode"] for line in run.trainer.history] == [5, 10, 15]
