@@ -10,6 +10,7 @@ from tenacity.wait import wait_random_exponential
 
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer, read_answer
+from drone_env.llm.clock import Clock
 from drone_env.llm.config import RunConfig, digest
 from drone_env.llm.desk import Desk
 from drone_env.llm.endpoint import Endpoint, TryFailedError
@@ -58,14 +59,24 @@ class Caller:
         endpoint: Where requests are sent.
         desk: The desk of the run.
         policy: How often a call is tried.
+        clock: Tells the time, and waits between tries.
     """
 
-    def __init__(self, config: RunConfig, plan: bool, endpoint: Endpoint, desk: Desk, policy: RetryPolicy) -> None:
+    def __init__(
+        self,
+        config: RunConfig,
+        plan: bool,
+        endpoint: Endpoint,
+        desk: Desk,
+        policy: RetryPolicy,
+        clock: Clock | None = None,
+    ) -> None:
         self._config = config
         self._plan = plan
         self._endpoint = endpoint
         self._desk = desk
         self._policy = policy
+        self._clock = clock or Clock()
         self._ends = float("inf")
 
     async def ask(self, key: CallKey, messages: list[ChatMessage]) -> Answer:
@@ -85,7 +96,7 @@ class Caller:
         if answer is not None and not cached:
             return answer
         failures: list[Failure] = []
-        started = time.monotonic()
+        started = self._clock.now()
         failed: TryFailedError | LimitReachedError | None = None
         if answer is None:
             try:
@@ -104,7 +115,7 @@ class Caller:
             answer=answer,
             outcome=outcome if answer is None else read_answer(answer, self._plan).kind,
             failures=failures,
-            latency=0.0 if cached else time.monotonic() - started,
+            latency=0.0 if cached else self._clock.now() - started,
             at=time.time(),
             cached=cached,
         )
@@ -125,7 +136,7 @@ class Caller:
         def wait(state: RetryCallState) -> float:
             asked = _failure(state).retry_after
             # Behind the end of the run's time nothing is sent: there is nothing to wait for.
-            return min(backoff(state) if asked is None else asked, max(0.0, self._ends - time.monotonic()))
+            return min(backoff(state) if asked is None else asked, max(0.0, self._ends - self._clock.now()))
 
         def note(state: RetryCallState) -> None:
             failed, waited = _failure(state), state.next_action.sleep if state.next_action else 0.0
@@ -137,6 +148,7 @@ class Caller:
             stop=stop_after_attempt(self._policy.tries) | _AsksTooMuch(self._policy.longest_wait),
             wait=wait,
             before_sleep=note,
+            sleep=self._clock.sleep,
             reraise=True,
         )
         try:
@@ -146,8 +158,8 @@ class Caller:
             raise
 
     async def _send(self, key: CallKey, messages: list[ChatMessage]) -> tuple[Answer, float]:
-        self._ends = await self._desk.enter(key) + time.monotonic()
-        sent_at = time.monotonic()
+        self._ends = await self._desk.enter(key) + self._clock.now()
+        sent_at = self._clock.now()
         try:
             answer = await self._endpoint.ask(messages, str(key))
         except TryFailedError as failed:

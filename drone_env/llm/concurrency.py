@@ -1,10 +1,11 @@
 """How many requests are under way at once: more while all goes well, half as many when the endpoint is overloaded."""
 
 import asyncio
-import time
 from collections import deque
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+
+from drone_env.llm.clock import Clock
 
 FIRST = 8
 
@@ -14,23 +15,25 @@ class AdaptiveGate:
 
     Args:
         most: The most requests at once.
+        clock: Tells the time, and waits.
     """
 
-    def __init__(self, most: int) -> None:
+    def __init__(self, most: int, clock: Clock | None = None) -> None:
         self.most = most
         self.limit = float(min(FIRST, most))
         self.active = 0
         self._fast = True
         self._closed_until = 0.0
         self._halved_at = -1.0
+        self._clock = clock or Clock()
         self._waiting: deque[asyncio.Future[None]] = deque()
 
     @asynccontextmanager
     async def passing(self) -> AsyncGenerator[None, None]:
         """Wait for a place, and hold it inside of the `with`."""
-        while (pause := self._closed_until - time.monotonic()) > 0 or self.active >= int(self.limit):
+        while (pause := self._closed_until - self._clock.now()) > 0 or self.active >= int(self.limit):
             if pause > 0:
-                await asyncio.sleep(pause)
+                await self._clock.sleep(pause)
                 continue
             place: asyncio.Future[None] = asyncio.get_running_loop().create_future()
             self._waiting.append(place)
@@ -56,14 +59,14 @@ class AdaptiveGate:
         """The endpoint could not keep up: let half as many through.
 
         Args:
-            sent_at: `time.monotonic()` when the request was sent: of those sent before the last halving none counts.
+            sent_at: when the request was sent, by the clock: of those sent before the last halving none counts.
             pause: Seconds in which nothing is sent.
         """
         self._fast = False
-        self._closed_until = max(self._closed_until, time.monotonic() + pause)
+        self._closed_until = max(self._closed_until, self._clock.now() + pause)
         if sent_at > self._halved_at:
             self.limit = max(1.0, self.limit / 2)
-            self._halved_at = time.monotonic()
+            self._halved_at = self._clock.now()
 
     def _wake(self) -> None:
         free = int(self.limit) - self.active

@@ -1,6 +1,5 @@
 """What all flights of a run share: its transcript, its cache, and what may be sent."""
 
-import time
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -8,6 +7,7 @@ from typing import NamedTuple, Protocol
 from drone_env.errors import DroneEnvError, EndpointError, InvalidValueError
 from drone_env.llm.answers import Answer
 from drone_env.llm.cache import AnswerCache
+from drone_env.llm.clock import Clock
 from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.limits import Spending
 from drone_env.llm.pace import Pace
@@ -110,6 +110,7 @@ class LocalDesk:
         pace: Pace,
         cache: AnswerCache | None,
         watcher: Watcher,
+        clock: Clock | None = None,
     ) -> None:
         self.fatal: EndpointError | None = None
         self._host = host
@@ -119,6 +120,7 @@ class LocalDesk:
         self._pace = pace
         self._cache = cache
         self._watcher = watcher
+        self._clock = clock or Clock()
         self._any_answer = any(call.answer is not None for call in transcript.calls)
         self._places: dict[int, _Place] = {}
         self._expected: dict[int, float] = {}
@@ -159,7 +161,7 @@ class LocalDesk:
             if self._places.get(flight) is place:
                 await self._free(flight)
             raise
-        place.sent_at, place.expected = time.monotonic(), expected
+        place.sent_at, place.expected = self._clock.now(), expected
         return self._spending.seconds_left
 
     async def leave(self, key: CallKey, answered: bool, overloaded: bool = False, pause: float = 0.0) -> None:
@@ -198,8 +200,9 @@ class LocalDesk:
     async def failed(self, status: int, reason: str, retried: bool, fatal: bool) -> None:
         """See `Desk`."""
         self._check_going_on()
-        # What the very first call is refused for, such as a parameter that the model does not take, holds for all.
-        if fatal or (not self._any_answer and 400 <= status < 500 and not retried):
+        # What the very first call is refused for, such as a parameter that the model does not take, holds for all; and
+        # so does where it is sent on to.
+        if fatal or (not self._any_answer and 300 <= status < 500 and not retried):
             self.fatal = EndpointError(f"{self._host} answers {status}: {reason}")
         raise CallFailedError(f"{status or 'no answer'}: {reason}")
 

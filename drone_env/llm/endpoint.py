@@ -151,6 +151,11 @@ class Endpoint:
     def _status_failed(self, error: openai.APIStatusError) -> NoReturn:
         status = error.status_code
         reason = self._clean(_error_text(error))
+        if 300 <= status < 400:
+            # Who follows takes the token along.
+            where = self._clean(error.response.headers.get("location", "elsewhere"))
+            reason = f"it redirects to {where}, which is not followed: API_BASE_URL must be the endpoint itself"
+            raise TryFailedError(status, reason, retried=False) from None
         if status in HINTS:
             raise TryFailedError(status, f"{HINTS[status]} ({reason})", retried=False, fatal=True) from None
         retried = status in RETRIED or status >= 500

@@ -1,9 +1,9 @@
 """What a run may spend, and what it has spent."""
 
-import time
 from dataclasses import dataclass, field
 
 from drone_env.errors import DroneEnvError, InvalidValueError
+from drone_env.llm.clock import Clock
 from drone_env.llm.transcript import Call
 
 
@@ -59,7 +59,11 @@ class Spending:
     completion_tokens: int = 0
     unmetered: int = 0
     """Paid answers that did not say how many tokens they took."""
-    started: float = field(default_factory=time.monotonic)
+    clock: Clock = field(default_factory=Clock)
+    started: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.started = self.clock.now()
 
     @property
     def tokens(self) -> int:
@@ -75,7 +79,7 @@ class Spending:
     def seconds_left(self) -> float:
         """Until the time of the run is over."""
         limit = self.limits.seconds
-        return float("inf") if limit is None else max(0.0, limit - (time.monotonic() - self.started))
+        return float("inf") if limit is None else max(0.0, limit - (self.clock.now() - self.started))
 
     def add(self, call: Call, counted: int = 0) -> None:
         """Count a call, `counted` of whose requests have been counted already."""

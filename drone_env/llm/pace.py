@@ -1,9 +1,9 @@
 """How many requests and tokens a minute go to an endpoint."""
 
 import asyncio
-import time
 
 from drone_env.errors import InvalidValueError
+from drone_env.llm.clock import Clock
 
 
 class Pace:
@@ -15,9 +15,10 @@ class Pace:
     Args:
         requests: The most a minute; None for no limit.
         tokens: The same.
+        clock: Tells the time, and waits.
     """
 
-    def __init__(self, requests: float | None = None, tokens: float | None = None) -> None:
+    def __init__(self, requests: float | None = None, tokens: float | None = None, clock: Clock | None = None) -> None:
         for name, value in (("requests", requests), ("tokens", tokens)):
             if value is not None and not 0 < value < float("inf"):
                 raise InvalidValueError(f"--{name}-per-minute must be above 0, got {value}")
@@ -28,14 +29,15 @@ class Pace:
         self._mean_tokens = 0.0
         self._answers = 0
         self._turn = asyncio.Lock()
+        self._clock = clock or Clock()
 
     async def turn(self, seconds_left: float) -> float:
         """Wait until a request may go, at most so many seconds, and return for how many tokens it counts."""
         async with self._turn:
-            ends = time.monotonic() + seconds_left
-            while (wait := min(max(self._next_request, self._next_token), ends) - time.monotonic()) > 0:
-                await asyncio.sleep(wait)
-            now, expected = time.monotonic(), self._mean_tokens
+            ends = self._clock.now() + seconds_left
+            while (wait := min(max(self._next_request, self._next_token), ends) - self._clock.now()) > 0:
+                await self._clock.sleep(wait)
+            now, expected = self._clock.now(), self._mean_tokens
             self._next_request = max(self._next_request, now - self._seconds_per_request) + self._seconds_per_request
             self._use(expected)
             return expected
@@ -51,4 +53,4 @@ class Pace:
         self._use(-expected)
 
     def _use(self, tokens: float) -> None:
-        self._next_token = max(self._next_token, time.monotonic()) + tokens * self._seconds_per_token
+        self._next_token = max(self._next_token, self._clock.now()) + tokens * self._seconds_per_token

@@ -16,6 +16,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import OUTCOMES
 from drone_env.llm.cache import AnswerCache
 from drone_env.llm.caller import Caller, RetryPolicy
+from drone_env.llm.clock import Clock
 from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.config import RunConfig
 from drone_env.llm.desk import LocalDesk, StoppedError, Watcher
@@ -119,7 +120,12 @@ def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> t
 
 
 async def run(
-    config: RunConfig, folder: RunFolder, token: str | None, options: Options, observer: Observer
+    config: RunConfig,
+    folder: RunFolder,
+    token: str | None,
+    options: Options,
+    observer: Observer,
+    clock: Clock | None = None,
 ) -> RunResult:
     """Fly all flights of a run, going on where its transcript ends. The folder then holds records and results.
 
@@ -127,18 +133,18 @@ async def run(
         OSError: if the folder cannot be written to.
         InvalidValueError: if the transcript is damaged or of another run.
     """
-    prompt = config.load_prompt()
+    prompt, clock = config.load_prompt(), clock or Clock()
     flights: list[Flight] = []
-    spending = Spending(options.limits, options.prices)
-    gate = AdaptiveGate(options.concurrency)
+    spending = Spending(options.limits, options.prices, clock=clock)
+    gate = AdaptiveGate(options.concurrency, clock)
     with contextlib.ExitStack() as stack:
         transcript = Transcript(folder.path / TRANSCRIPT, token)
         stack.callback(transcript.close)
         # Also when interrupted: what was flown is then there to be seen.
         stack.callback(lambda: folder.write_flights(flights, config.model))
-        desk = open_desk(config, transcript, spending, gate, options, observer)
+        desk = open_desk(config, transcript, spending, gate, options, observer, clock)
         endpoint = Endpoint(config, token, prompt.plan, options.timeout)
-        caller = Caller(config, prompt.plan, endpoint, desk, options.retries)
+        caller = Caller(config, prompt.plan, endpoint, desk, options.retries, clock)
         observer.started(config, spending, gate)
 
         async def fly_one(index: int) -> bool:
@@ -171,11 +177,12 @@ def open_desk(
     gate: AdaptiveGate,
     options: Options,
     watcher: Watcher,
+    clock: Clock | None = None,
 ) -> LocalDesk:
     """The desk of a run, inside of a running event loop."""
     cache = None if options.cache is None else AnswerCache(options.cache)
-    pace = Pace(options.requests_per_minute, options.tokens_per_minute)
-    return LocalDesk(urlsplit(config.base_url).netloc, transcript, spending, gate, pace, cache, watcher)
+    pace = Pace(options.requests_per_minute, options.tokens_per_minute, clock)
+    return LocalDesk(urlsplit(config.base_url).netloc, transcript, spending, gate, pace, cache, watcher, clock)
 
 
 def result_of(config: RunConfig, flights: list[Flight], fatal: str | None) -> RunResult:

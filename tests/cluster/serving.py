@@ -44,6 +44,7 @@ class Nginx:
         # pytest's folders belong to whoever runs the tests, and root's nginx would have workers of another user.
         user = "user root;\n" if os.geteuid() == 0 else ""
         main.write_text(user + main.read_text(encoding="utf-8"), encoding="utf-8")
+        self._draining: list[subprocess.Popen[bytes]] = []
         self.process = subprocess.Popen([*self.command, "-g", "daemon off;"])
         try:
             self._wait(folder / "error.log")
@@ -67,12 +68,21 @@ class Nginx:
         if shutil.which("ss") is None:
             missing_tool("ss")
         variables = {"SERVERS": str(self.servers), "NGINX_COMMAND": shlex.join(self.command), "WAIT": "200"}
-        return subprocess.Popen([str(DEPLOY / "drain.sh"), which, f"127.0.0.1:{port}"], env={**os.environ, **variables})
+        command = [str(DEPLOY / "drain.sh"), which, f"127.0.0.1:{port}"]
+        self._draining.append(subprocess.Popen(command, env={**os.environ, **variables}))
+        return self._draining[-1]
 
     def close(self) -> None:
         """End it."""
+        for process in self._draining:
+            process.kill()
+            process.wait()
         self.process.terminate()
-        self.process.wait(timeout=30)
+        try:
+            self.process.wait(timeout=60)
+        finally:
+            self.process.kill()
+            self.process.wait()
 
 
 class Cluster:
@@ -114,10 +124,10 @@ class Cluster:
     def close(self) -> None:
         """End all of it."""
         self._direct.close()
-        self.nginx.close()
         for server in self.servers.values():
             if server.process.poll() is None:
                 server.kill()
+        self.nginx.close()
 
 
 @contextmanager

@@ -1,20 +1,11 @@
 """Sweeps: what is tried, what is stopped, and that nothing is lost or done twice, whatever is killed."""
 
-import json
-import os
-import shlex
-import signal
-import subprocess
-import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drone_env.agents.network import load_network
 from drone_env.cli import main
 from drone_env.cluster.sweep.bootstrap import bootstrap
 from drone_env.cluster.sweep.config import SweepConfig, Trial, make_config
@@ -23,7 +14,7 @@ from drone_env.cluster.sweep.folder import SweepFolder, TrialState
 from drone_env.cluster.sweep.halving import decide, remaining, rungs
 from drone_env.cluster.sweep.report import sweep_report, write_report
 from drone_env.cluster.sweep.settings import settings_of
-from drone_env.cluster.sweep.trial import network_digest, train_trial
+from drone_env.cluster.sweep.trial import train_trial
 from drone_env.errors import InvalidValueError, UnknownNameError
 
 SMALL = (
@@ -200,97 +191,3 @@ def test_a_folder_keeps_to_its_sweep(tmp_path: Path) -> None:
     (tmp_path / "other" / "letter.txt").write_text("dear")
     with pytest.raises(InvalidValueError, match="holds other things"):
         SweepFolder(tmp_path / "other").begin(sweep_of())
-
-
-def test_trials_that_no_node_has_the_cpus_for_are_refused(tmp_path: Path, cluster: Any) -> None:
-    driver = drive(tmp_path / "sweep", cluster.address, "--cpus-per-trial", "2")
-    try:
-        assert driver.wait(120) == 2
-    finally:
-        driver.kill()
-        driver.wait()
-    log = (tmp_path / "driver.log").read_text()
-    assert "no node of the cluster offers 2 CPUs at once: the most that one has are 1" in log
-
-
-# What is killed
-
-
-def drive(out: Path, address: str, *more: str) -> "subprocess.Popen[bytes]":
-    """A driver in a process of its own."""
-    sets = [word for text in (*SMALL, "episodes=80", "lr=1e-3,1e-6") for word in ("--set", text)]
-    command = [sys.executable, "-m", "drone_env.cli", "sweep", "--task", "easy", "--seeds", "1", *sets,
-               "--no-early-stopping", "--test-maps", "20", "--checkpoint-seconds", "0.1",
-               "--address", address, "--out", str(out), *more]  # fmt: skip
-    with (out.parent / "driver.log").open("ab") as log:
-        return subprocess.Popen(command, stdout=log, stderr=log)
-
-
-def wait_until(driver: "subprocess.Popen[bytes]", holds: Callable[[], bool], seconds: float = 240) -> None:
-    """Wait while the driver runs."""
-    until = time.monotonic() + seconds
-    while not holds():
-        assert driver.poll() is None, f"the driver ended with {driver.returncode}"
-        assert time.monotonic() < until, f"waited for {seconds} seconds"
-        time.sleep(0.01)
-
-
-@pytest.mark.timeout(1200)
-def test_killed_drivers_and_workers_change_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cluster: Any
-) -> None:
-    """A worker is killed, then the driver; the same command ends the sweep with the networks of uninterrupted runs."""
-    out = tmp_path / "sweep"
-    folder = SweepFolder(out)
-    driver = drive(out, cluster.address)
-    try:
-        log, checkpoint = (folder.folder(Trial(0, 0)) / name for name in ("train.log", "easy.pth"))
-        wait_until(driver, lambda: log.exists() and "episode=10 " in log.read_text())
-        logged = log.stat().st_mtime
-        wait_until(driver, lambda: checkpoint.exists() and checkpoint.stat().st_mtime > logged)
-        os.kill(folder.parts(Trial(0, 0))[-1]["pid"], signal.SIGKILL)
-        wait_until(driver, lambda: len(folder.parts(Trial(0, 0))) == 2)
-    finally:
-        driver.kill()
-        driver.wait()
-    config = folder.config()
-    assert not is_done(folder, config)
-    before = {trial: folder.state(trial) for trial in config.trials()}
-
-    driver = drive(out, cluster.address)
-    try:
-        assert driver.wait(540) == 0, (tmp_path / "driver.log").read_text()
-    finally:
-        driver.kill()
-        driver.wait()
-    figures = json.loads((out / "report.json").read_text())
-    assert figures["trials_by_status"] == {"finished": 2, "stopped": 0, "failed": 0, "unfinished": 0}
-    for trial, state in before.items():
-        assert state.status == "unfinished" or folder.state(trial) == state
-        # Each episode is on the log once, and no part began before what an earlier one had kept.
-        lines = [line.split()[0] for line in (folder.folder(trial) / "train.log").read_text().splitlines()]
-        assert lines == [f"episode={n}" for n in range(5, 81, 5)]
-        begun = [part["episodes"] for part in folder.parts(trial)]
-        assert begun == sorted(begun)
-        assert begun[0] == 0
-    assert folder.parts(Trial(0, 0))[1]["episodes"] >= 10
-    assert figures["trials"][0]["parts"] >= 3
-    for name in ("report.md", "curves.png", "scores.png"):
-        assert (out / name).stat().st_size > 500
-    assert not list(out.glob("tune-*"))
-
-    # The command of the report trains the same network alone.
-    monkeypatch.chdir(tmp_path)
-    words = shlex.split(figures["trials"][0]["command"])
-    assert words[:2] == ["python", "train.py"]
-    assert main(["train", *words[2:]]) == 0
-    alone, own = Path("alone/setting0-seed0/easy.npz"), folder.folder(Trial(0, 0)) / "easy.npz"
-    assert network_digest(alone) == network_digest(own) == figures["trials"][0]["network"]
-    assert load_network(alone).metadata["updates"] == figures["trials"][0]["updates"]
-
-    # A finished sweep is only told again: nothing is trained, and no cluster is asked for.
-    parts = {trial: folder.parts(trial) for trial in config.trials()}
-    driver = drive(out, "127.0.0.1:1")
-    assert driver.wait(120) == 0
-    assert {trial: folder.parts(trial) for trial in config.trials()} == parts
-    assert json.loads((out / "report.json").read_text()) == figures

@@ -5,12 +5,13 @@ import os
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 
 from drone_env.cli import main
@@ -27,6 +28,25 @@ def environment(**more: str) -> dict[str, str]:
     return {**kept, "PYTHONPATH": str(ROOT), **more}
 
 
+def whole_lines(path: Path) -> list[str]:
+    """The lines of a file that may be growing: a last one that has no end yet is none."""
+    return path.read_text().rpartition("\n")[0].splitlines() if path.exists() else []
+
+
+def json_lines(path: Path) -> list[dict[str, Any]]:
+    """What each whole line of a file holds."""
+    return [json.loads(line) for line in whole_lines(path)]
+
+
+def wait_until(holds: Callable[[], bool], process: "subprocess.Popen[Any] | None" = None, seconds: float = 240) -> None:
+    """Wait for a condition, while the process runs that is to bring it about."""
+    deadline = time.monotonic() + seconds
+    while not holds():
+        assert process is None or process.poll() is None, f"the process ended with {process.returncode}"
+        assert time.monotonic() < deadline, f"waited for {seconds} seconds"
+        time.sleep(0.02)
+
+
 @dataclass
 class Infer:
     """What one `drone-env infer` came to."""
@@ -38,11 +58,11 @@ class Infer:
 
     @property
     def flights(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in (self.folder / "flights.jsonl").read_text().splitlines()]
+        return json_lines(self.folder / "flights.jsonl")
 
     @property
     def calls(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in (self.folder / "calls.jsonl").read_text().splitlines()]
+        return json_lines(self.folder / "calls.jsonl")
 
     @property
     def turns(self) -> dict[str, int]:
@@ -69,7 +89,8 @@ class Endpoint:
         self._runs = 0
 
     def requests(self) -> list[dict[str, Any]]:
-        return [line for line in map(json.loads, self.log.read_text().splitlines()) if "body" in line]
+        """The requests that came, in their order."""
+        return [line for line in json_lines(self.log) if "body" in line]
 
     def arguments(self, *arguments: str, folder: Path) -> list[str]:
         where = ["--base-url", self.url, "--model", "scripted", "--out", str(folder)]
@@ -90,6 +111,12 @@ class Endpoint:
         return Infer(status, out, err, folder)
 
 
+def tell(url: str, script: dict[str, Any]) -> None:
+    """Give a scripted endpoint its script; past any proxy."""
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    opener.open(f"{url}/script", json.dumps(script).encode(), timeout=60).close()
+
+
 @pytest.fixture(scope="session")
 def scripted_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
     """The address of the process that all scripted endpoints are in."""
@@ -101,19 +128,21 @@ def scripted_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, 
             env=environment(),
             stderr=errors,
         )
-    deadline = time.monotonic() + 120
-    while True:
-        assert process.poll() is None, log.read_text()
+
+    def answers() -> bool:
         try:
-            httpx.post(f"http://127.0.0.1:{port}/ready/script", json={"log": os.devnull}).raise_for_status()
-            break
-        except httpx.ConnectError:
-            assert time.monotonic() < deadline, "the scripted server did not start"
-            time.sleep(0.1)
-    yield f"http://127.0.0.1:{port}"
-    process.kill()
-    process.wait()
-    assert log.read_text() == ""
+            tell(f"http://127.0.0.1:{port}/ready", {"log": os.devnull})
+        except urllib.error.URLError:
+            return False
+        return True
+
+    try:
+        wait_until(answers, process)
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        process.kill()
+        process.wait()
+        assert log.read_text() == ""
 
 
 @pytest.fixture
@@ -127,8 +156,7 @@ def endpoint(
         name = f"{tmp_path.name}-{len(opened)}"
         opened.append(Endpoint(f"{scripted_server}/{name}", tmp_path, monkeypatch, capfd))
         opened[-1].log.touch()
-        body = {"log": str(opened[-1].log), **script}
-        httpx.post(f"{scripted_server}/{name}/script", json=body, timeout=60).raise_for_status()
+        tell(f"{scripted_server}/{name}", {"log": str(opened[-1].log), **script})
         return opened[-1]
 
     return start

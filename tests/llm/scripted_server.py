@@ -2,9 +2,10 @@
 
 `POST /NAME/script` opens an endpoint at `/NAME/v1`; its body holds `log` (a file), `pilot` (perfect, greedy, plan, able
 for perfect or greedy by what the prompt tells, or a text to answer with), `repair` (the same, for repair prompts),
-`latency` in seconds, and `faults`: a list of [first, last, fault] by the number of the request from 0, where the first
-that covers it holds. Each request is a line in the log before it is answered, and a second line when the answer has
-been written.
+`latency` in seconds, `waves`: the first so many requests have to be there together before one of them is answered, then
+the next so many, and so on; and `faults`: a list of [first, last, fault] by the number of the request from 0, where the
+first that covers it holds. Each request is a line in the log before it is answered, and a second line when that is
+over, however it was answered.
 """
 
 import asyncio
@@ -53,6 +54,20 @@ class Channel:
         self._path = Path(script["log"])
         self.script = script
         self.count = 0
+        self._waves = list(script.get("waves", []))
+        self._wave = asyncio.Event()
+        self._gathered = 0
+
+    async def gather(self) -> None:
+        """Wait until the request's wave is there as a whole."""
+        if not self._waves:
+            return
+        wave, self._gathered = self._wave, self._gathered + 1
+        if self._gathered == self._waves[0]:
+            del self._waves[0]
+            self._wave, self._gathered = asyncio.Event(), 0
+            wave.set()
+        await wave.wait()
 
     def log(self, line: dict) -> None:
         with self._path.open("a") as file:
@@ -91,8 +106,16 @@ class Server:
         call = headers.get("x-client-request-id", "")
         fault = next((f for first, last, f in script.get("faults", []) if first <= index <= last), None)
         line = {"call": call, "fault": fault, "headers": headers, "body": body}
-        channel.log({"at": asyncio.get_running_loop().time(), **line})
-        await asyncio.sleep(script.get("latency", 0))
+        channel.log(line)
+        try:
+            await channel.gather()
+            await asyncio.sleep(script.get("latency", 0))
+            return await self.respond(writer, script, body, fault)
+        finally:
+            channel.log({"over": call})
+
+    async def respond(self, writer: asyncio.StreamWriter, script: dict, body: dict, fault: object) -> bool:
+        """Answer as the script says, and whether the connection stays open."""
         if fault == "hang":
             await asyncio.sleep(3600)
         if fault == "cut":
@@ -148,7 +171,6 @@ class Server:
             choice = {"index": 0, "message": message, "finish_reason": reason}
             self.send(writer, 200, {**common, "object": "chat.completion", "choices": [choice], "usage": usage})
         await writer.drain()
-        channel.log({"answered": call})
         return True
 
     async def stream(self, writer, common, message, reason, usage, fault) -> None:

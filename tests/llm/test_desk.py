@@ -1,7 +1,6 @@
-"""The desk that all flights of a run ask: pace, places of flights that begin anew, answers that come twice."""
+"""The desk that all flights of a run ask: places of flights that begin anew, answers that come twice."""
 
 import asyncio
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,7 @@ from drone_env.llm.limits import Limits, Spending
 from drone_env.llm.pace import Pace
 from drone_env.llm.transcript import Call, CallKey, Transcript
 
-
-class Nobody:
-    """Watches nothing."""
-
-    def called(self, call: Call) -> None: ...
-
-    def waiting(self, seconds: float, reason: str) -> None: ...
+from .virtual_time import Nobody
 
 
 def call(text: str) -> Call:
@@ -40,24 +33,6 @@ def call(text: str) -> Call:
         latency=0.0,
         at=0.0,
     )
-
-
-def test_requests_and_tokens_a_minute() -> None:
-    async def seconds(pace: Pace, used: int) -> float:
-        began = time.monotonic()
-        for _ in range(6):
-            pace.used(used, await pace.turn(float("inf")))
-        await pace.turn(float("inf"))
-        return time.monotonic() - began
-
-    # Seven at 20 a second; one gap may be made up for.
-    assert asyncio.run(seconds(Pace(requests=1200), 0)) >= 5 * 0.05
-    # Six times 50 tokens at 1,000 a second.
-    assert asyncio.run(seconds(Pace(tokens=60_000), 50)) >= 6 * 0.05
-    assert asyncio.run(seconds(Pace(), 50)) < 5
-    for wrong in ({"requests": 0}, {"tokens": float("nan")}):
-        with pytest.raises(InvalidValueError, match="per-minute must be above 0"):
-            Pace(**wrong)
 
 
 def at_desk(path: Path, work: Callable[[LocalDesk, Spending, AdaptiveGate], Any]) -> Transcript:

@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import signal
 import subprocess
 import sys
 import time
@@ -15,13 +16,15 @@ from drone_env.cli import main
 from drone_env.errors import InvalidValueError
 from drone_env.llm.transcript import Transcript, read_calls
 
-from .conftest import ROOT, TOKEN, Endpoint, environment
+from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines, wait_until
+from .log_lines import verified
 
+Start = Callable[..., Endpoint]
 KILLS = int(os.environ.get("DRONE_ENV_KILLS", "2"))
 
 
 @pytest.mark.timeout(300 + 60 * KILLS)
-def test_killed_again_and_again(endpoint: Callable[..., Endpoint], tmp_path: Path) -> None:
+def test_killed_again_and_again(endpoint: Start, tmp_path: Path) -> None:
     scripted = endpoint(pilot="greedy", latency=0.1)
     folder = tmp_path / "run"
     transcript = folder / "calls.jsonl"
@@ -34,16 +37,16 @@ def test_killed_again_and_again(endpoint: Callable[..., Endpoint], tmp_path: Pat
         before = len(scripted.requests())
         command = [sys.executable, str(ROOT / "inference.py"), *arguments[1:], *resume]
         process = subprocess.Popen(
-            command, env=environment(OPENAI_API_KEY=TOKEN), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+            command, env=environment(OPENAI_API_KEY=TOKEN), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
-        # Somewhere in the middle of its calls.
-        more = randomness.randint(1, 60)
-        while len(scripted.requests()) < before + more:
-            assert process.poll() is None, process.communicate()[1].decode()
-            time.sleep(0.01)
-        time.sleep(randomness.random() * 0.1)
-        process.kill()
-        process.communicate()
+        try:
+            # Somewhere in the middle of its calls.
+            asked_for = before + randomness.randint(1, 60)
+            wait_until(lambda asked_for=asked_for: len(scripted.requests()) >= asked_for, process)
+            time.sleep(randomness.random() * 0.1)
+        finally:
+            process.kill()
+            process.wait()
         # What was in the transcript when the process died is never asked for again.
         asked = [request["call"] for request in scripted.requests()]
         for call, count in acknowledged.items():
@@ -65,9 +68,71 @@ def test_killed_again_and_again(endpoint: Callable[..., Endpoint], tmp_path: Pat
     assert undisturbed.flights == done.flights
 
 
-def test_a_cut_last_line_is_no_call_and_a_damaged_one_an_error(
-    endpoint: Callable[..., Endpoint], tmp_path: Path
-) -> None:
+def test_resume_refuses_another_configuration_and_a_new_run_an_old_folder(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy")
+    first = scripted.infer("--seeds", "14:15")
+    before = (first.folder / "calls.jsonl").read_bytes()
+    again = scripted.infer("--seeds", "14:15", folder=first.folder)
+    assert (again.status, "--resume" in again.err) == (2, True)
+    other = scripted.infer("--seeds", "14:15", "--temperature", "1", "--resume", folder=first.folder)
+    assert other.status == 2
+    assert "another configuration: sampling" in other.err
+    assert (first.folder / "calls.jsonl").read_bytes() == before
+    same = scripted.infer("--seeds", "14:15", "--resume", folder=first.folder)
+    assert (same.status, same.out) == (0, first.out)
+    assert len(scripted.requests()) == 3
+
+
+def test_two_runs_in_one_folder_and_ctrl_c(endpoint: Start) -> None:
+    # The tenth request is not answered as long as the run lasts.
+    scripted = endpoint(pilot="greedy", faults=[[9, 9, "hang"]])
+    folder = scripted.folder / "run"
+    flights = ("--task", "hard", "--episodes", "1")
+    arguments = scripted.arguments(*flights, folder=folder)
+    process = subprocess.Popen(
+        [sys.executable, str(ROOT / "inference.py"), *arguments[1:], "--timeout", "3600"],
+        env=environment(OPENAI_API_KEY=TOKEN),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # What a shell starts in the background ignores SIGINT, and so do its children.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    try:
+        wait_until(lambda: len(scripted.requests()) == 10, process)
+        second = scripted.infer(*flights, "--resume", folder=folder)
+        assert (second.status, second.out) == (2, "")
+        assert "another process is working on the run" in second.err
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=120)
+    finally:
+        process.kill()
+        process.communicate()
+    assert (process.returncode, out) == (130, ""), err
+    assert f"--out {folder} --resume" in err
+    assert "Traceback" not in err
+    paid = json_lines(folder / "calls.jsonl")
+    assert [(call["turn"], call["attempt"]) for call in paid] == [(turn, 1) for turn in range(1, 10)]
+    done = scripted.infer(*flights, "--resume", folder=folder)
+    assert done.status == 0, done.err
+    assert done.calls[:9] == paid
+    asked = [request["call"] for request in scripted.requests()]
+    assert [call for call in set(asked) if asked.count(call) > 1] == ["0-10-1"]
+    verified(done)
+
+
+def test_the_cache_answers_equal_requests(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy")
+    first = scripted.infer("--seeds", "14:15", "--cache", "cache")
+    second = scripted.infer("--seeds", "14:15", "--cache", "cache")
+    assert (first.out, first.status) == (second.out, second.status)
+    assert len(scripted.requests()) == 3
+    assert [call["cached"] for call in second.calls] == [True] * 3
+    scripted.infer("--seeds", "14:15", "--cache", "cache", "--temperature", "1")
+    assert len(scripted.requests()) == 6
+
+
+def test_a_cut_last_line_is_no_call_and_a_damaged_one_an_error(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy")
     done = scripted.infer("--seeds", "14:15")
     path = done.folder / "calls.jsonl"
@@ -85,7 +150,7 @@ def test_a_cut_last_line_is_no_call_and_a_damaged_one_an_error(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no limit of file sizes")
-def test_a_call_that_finds_no_room_leaves_no_half_line(endpoint: Callable[..., Endpoint]) -> None:
+def test_a_call_that_finds_no_room_leaves_no_half_line(endpoint: Start) -> None:
     import resource
 
     scripted = endpoint(pilot="greedy")
@@ -108,7 +173,7 @@ def test_a_call_that_finds_no_room_leaves_no_half_line(endpoint: Callable[..., E
     assert len(list(read_calls(path))) == 2
 
 
-def test_the_transcript_of_another_request_is_refused(endpoint: Callable[..., Endpoint]) -> None:
+def test_the_transcript_of_another_request_is_refused(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy")
     done = scripted.infer("--seeds", "14:15")
     path = done.folder / "calls.jsonl"

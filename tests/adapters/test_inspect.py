@@ -10,20 +10,17 @@ import pytest
 
 from drone_env.core.seeds import SPLITS
 from drone_env.episodes.record import EpisodeRecord, replay
-from drone_env.errors import MissingPackageError
 from drone_env.evaluation import episodes_key, run_episodes
 from drone_env.planning.optimal import solve
-
-from .conftest import Endpoint, environment
+from tests.llm.conftest import Endpoint, environment
 
 Start = Callable[..., Endpoint]
-WHY = "not one of the development tools; make adapters has it"
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 def evaluated(endpoint: Endpoint, folder: Path, arguments: dict[str, Any], **options: Any) -> Any:
     """The log of one evaluation against a scripted endpoint."""
-    pytest.importorskip("inspect_ai", reason=WHY)
+    # Here, since their import warns.
     from inspect_ai import eval as evaluate
     from inspect_ai.model import get_model
 
@@ -82,7 +79,6 @@ def test_a_failing_call_is_an_error_and_no_score(endpoint: Start, tmp_path: Path
 
 
 def test_the_command_line_knows_the_task(endpoint: Start, tmp_path: Path) -> None:
-    pytest.importorskip("inspect_ai", reason=WHY)
     scripted = endpoint(pilot="greedy")
     # Inspect finds tasks of installed packages alone, and a path in front of them hides that this one is.
     installed = environment(SCRIPTED_API_KEY="sk-scripted", SCRIPTED_BASE_URL=scripted.url)
@@ -100,10 +96,3 @@ def test_the_command_line_knows_the_task(endpoint: Start, tmp_path: Path) -> Non
     assert done.returncode == 0, done.stdout + done.stderr
     assert "easy_delivery (2 samples)" in done.stdout
     assert len(list(tmp_path.glob("logs/*.eval"))) == 1
-
-
-def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "inspect_ai", None)
-    monkeypatch.delitem(sys.modules, "drone_env.llm.inspect_task", raising=False)
-    with pytest.raises(MissingPackageError, match=r"-e .\.\[inspect\]"):
-        import drone_env.llm.inspect_task  # noqa: F401

@@ -1,76 +1,14 @@
 """The drone in TRL's own GRPOTrainer: `make adapters`, as TRL is no part of the development tools."""
 
-import inspect
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
-from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError, UnknownNameError
 from drone_env.llm.trl_environment import DroneEnvironment, training_maps
 from drone_env.planning.optimal import solve
 
 CALL = '<tool_call>\n{{"name": "fly", "arguments": {{"direction": "{}"}}}}\n</tool_call>'
-
-
-def test_a_flight_by_tool_calls() -> None:
-    # Map 14 of easy by hand, as in the tests of `fly`.
-    drone = DroneEnvironment()
-    told = drone.reset(prompt=[], task="easy", seed=14)
-    episode = Episode("easy")
-    episode.reset(14)
-    x, y = episode.position
-    assert f"Position: ({x}, {y})" in told
-    assert drone.fly("LEFT") == (
-        f"On the way. Position: ({x - 1}, {y}). Battery: 59 units. Nearest parcel: {episode.target}. Delivered: 0 of 1."
-    )
-    assert drone.get_reward() == 0.01  # as if it waited to the end
-    drone.fly("UP")
-    assert drone.fly("UP") == "Delivered: 1 of 1. Mission accomplished."
-    assert drone.get_reward() == 0.99
-    assert drone.fly("DOWN").startswith("Nothing done: the episode has ended")
-    assert drone.get_reward() == 0.99
-
-
-def test_the_reward_is_what_the_profile_pays() -> None:
-    for profile in ("score", "tiered", "aligned"):
-        drone, episode = DroneEnvironment(profile), Episode("hard", profile)
-        drone.reset(task="hard", seed=3)
-        episode.reset(3)
-        for action in solve("hard", 3).actions[:5]:
-            drone.fly(action.name)
-            episode.step(action)
-        while not episode.ended:
-            episode.step(Action.WAIT)
-        assert drone.get_reward() == episode.reward_total
-
-
-def test_what_trl_takes_for_tools_is_fly_alone() -> None:
-    methods = [name for name, _ in inspect.getmembers(DroneEnvironment, inspect.isfunction) if name[0] != "_"]
-    assert methods == ["fly", "get_reward", "reset"]
-
-
-def test_bad_rows_and_directions_are_told() -> None:
-    drone = DroneEnvironment()
-    with pytest.raises(EpisodeError, match="reset"):
-        drone.get_reward()
-    with pytest.raises(InvalidValueError, match="columns task and seed"):
-        drone.reset(prompt=[])
-    drone.reset(task="easy", seed=1)
-    for wrong in ("NORTH", "up", None, ["UP"]):
-        with pytest.raises(InvalidValueError, match=r"is no direction\. Directions are UP"):
-            drone.fly(wrong)  # type: ignore[arg-type]
-    with pytest.raises(UnknownNameError, match="allowed"):
-        DroneEnvironment("generous")
-
-
-def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "datasets", None)
-    with pytest.raises(MissingPackageError, match=r"-e .\.\[trl\]"):
-        training_maps()
 
 
 def tokenizer() -> Any:
@@ -92,7 +30,7 @@ def tokenizer() -> Any:
 @pytest.mark.timeout(600)
 @pytest.mark.filterwarnings("ignore")
 def test_the_trainer_flies_scores_and_learns(tmp_path: Path) -> None:
-    pytest.importorskip("trl", reason="not one of the development tools; make adapters has it")
+    # Here, since their import warns.
     from transformers import Qwen2Config, Qwen2ForCausalLM
     from trl import GRPOConfig, GRPOTrainer
 

@@ -1,0 +1,118 @@
+"""Evaluation on a Ray cluster: the figures of the local run, whatever happens to nodes."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drone_env.agents.pathqnet import shipped_network
+from drone_env.cli import main
+from drone_env.core.tasks import get_task
+from tests.llm.conftest import ROOT
+
+from .conftest import node_killed_when
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(36_000)]
+TASK = os.environ.get("DRONE_ENV_CLUSTER_TASK", "easy")
+MAPS = int(os.environ.get("DRONE_ENV_CLUSTER_MAPS", "2500"))
+
+
+def contents(folder: Path) -> dict[str, list[np.ndarray]]:
+    """Every array that an evaluation brought, by piece."""
+    found = {}
+    for file in sorted((folder / "pieces").iterdir()):
+        with np.load(file) as arrays:
+            found[file.name] = [arrays[name] for name in sorted(arrays.files)]
+    return found
+
+
+def arguments(folder: Path, *more: str) -> list[str]:
+    maps = ("--task", TASK, "--seeds", f"0:{MAPS}", "--agents", "pathqnet")
+    return ["evaluate", *maps, "--out", str(folder / "results"), "--json", str(folder / "figures.json"), *more]
+
+
+def test_a_node_killed_in_the_middle_changes_nothing(cluster: Any, tmp_path: Path) -> None:
+    local, on_ray = tmp_path / "local", tmp_path / "ray"
+    # The network lies where nodes of another machine would not find it under this name.
+    network = tmp_path / "mine.npz"
+    shutil.copy(shipped_network(get_task(TASK)), network)
+    for folder in (local, on_ray):
+        folder.mkdir()
+    assert main(arguments(local, "--checkpoint", str(network))) == 0
+    expected = contents(local / "results")
+    pieces: list[int] = []
+
+    def in_the_middle() -> bool:
+        pieces.append(len(list((on_ray / "results").glob("pieces/*.npz"))))
+        return pieces[-1] > 0
+
+    with node_killed_when(cluster, in_the_middle):
+        assert (
+            main(arguments(on_ray, "--checkpoint", str(network), "--engine", "ray", "--address", cluster.address)) == 0
+        )
+    assert pieces[-1] < len(expected)
+    assert (on_ray / "figures.json").read_bytes() == (local / "figures.json").read_bytes()
+    flown = contents(on_ray / "results")
+    assert flown.keys() == expected.keys()
+    for name, arrays in expected.items():
+        for ours, theirs in zip(flown[name], arrays, strict=True):
+            assert (ours.dtype, ours.tobytes()) == (theirs.dtype, theirs.tobytes())
+
+
+def run_together(runs: Sequence[tuple[list[str], Path, dict[str, str]]]) -> list[tuple[int, str, str]]:
+    """(exit status, output, errors) of commands of `drone-env` in processes of their own, each with its folder and its
+    environment."""
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", "drone_env.cli", *words],
+            cwd=cwd,
+            env={"PYTHONPATH": str(ROOT), **env},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for words, cwd, env in runs
+    ]
+    try:
+        told = [process.communicate(timeout=300) for process in processes]
+    finally:
+        for process in processes:
+            process.kill()
+            process.communicate()
+    return [(process.returncode, out, err) for process, (out, err) in zip(processes, told, strict=True)]
+
+
+def test_a_driver_without_the_token_is_refused(cluster: Any) -> None:
+    words = ["evaluate", "--task", "easy", "--episodes", "1", "--engine", "ray", "--address", cluster.address]
+    without = {name: value for name, value in os.environ.items() if name != "RAY_AUTH_TOKEN"} | {"HOME": "/nonexistent"}
+    for status, out, err in run_together(
+        [(words, ROOT, without), (words, ROOT, without | {"RAY_AUTH_TOKEN": "0" * 64})]
+    ):
+        assert (status, out) == (2, "")
+        assert "RAY_AUTH_TOKEN" in err.splitlines()[-1]
+
+
+def test_a_task_of_a_plugin_is_flown_on_nodes_that_have_the_plugin(tmp_path: Path, cluster: Any) -> None:
+    task = "replace(get_task('easy'), id='hops', short_name='hops', grader='drone_env.graders:grade_hops')"
+    (tmp_path / "cluster_hops.py").write_text(
+        "from dataclasses import replace\nfrom drone_env.core.tasks import get_task\n"
+        f"from drone_env.registry import register_task\nregister_task({task})\n"
+    )
+    words = ["evaluate", "--task", "hops", "--seeds", "0:40", "--agents", "greedy", "--json", "-"]
+    on_ray = [*words, "--engine", "ray", "--address", cluster.address]
+    plugged = {**os.environ, "DRONE_ENV_PLUGINS": "cluster_hops", "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
+    # The nodes look into the folder that the driver was started in, and were themselves started without this path.
+    refused, local, far = run_together(
+        [(on_ray, ROOT, plugged), (words, tmp_path, plugged), (on_ray, tmp_path, plugged)]
+    )
+    assert refused[0] == 2
+    assert "lacks a plugin of the driver's" in refused[2]
+    assert "cluster_hops" in refused[2]
+    assert (local[0], far[0]) == (0, 0), far[2]
+    assert far[1] == local[1]

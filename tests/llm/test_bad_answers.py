@@ -1,0 +1,96 @@
+"""Answers that are no action: asked for once more, then a WAIT; nobody else ever flies."""
+
+from collections.abc import Callable
+
+import pytest
+
+from .conftest import Endpoint
+from .log_lines import blocks, verified
+
+Start = Callable[..., Endpoint]
+TWO_TURNS = ("--seeds", "14:15", "--concurrency", "1", "--max-calls", "4")
+HUGE = "I would fly to the right. " * 4_000
+
+
+def test_a_flight_of_bad_answers_waits_to_its_end(endpoint: Start) -> None:
+    scripted = endpoint(pilot="NORTH")
+    done = scripted.infer("--seeds", "14:15")
+    assert done.status == 0, done.err
+    assert done.turns == {"illegal": 60}
+    assert len(scripted.requests()) == 120
+    (flight,) = done.flights
+    assert (flight["waits"], flight["score"], flight["success"]) == (60, 0.01, False)
+    (lines,) = blocks(done.out)
+    assert {(line.split()[2], line.split()[5]) for line in lines[1:-1]} == {("action=WAIT", "error=illegal")}
+    assert "WAIT in place: 60" in done.err
+    verified(done)
+
+
+@pytest.mark.parametrize(
+    ("pilot", "outcome", "stream"),
+    [
+        ("I think that we should go RIGHT, since the target lies there.", "parse_error", "--no-stream"),
+        ("", "parse_error", "--stream"),
+        (HUGE, "parse_error", "--stream"),
+        ("I'm sorry, but I can't help with flying drones.", "refusal", "--no-stream"),
+    ],
+)
+def test_bad_answers_are_repaired_once_then_wait(endpoint: Start, pilot: str, outcome: str, stream: str) -> None:
+    done = endpoint(pilot=pilot).infer(*TWO_TURNS, stream)
+    assert (done.status, done.turns) == (3, {outcome: 2, "budget_stop": 1}), done.err
+    assert [call["answer"]["text"] for call in done.calls] == [pilot] * 4
+    assert [(call["turn"], call["attempt"]) for call in done.calls] == [(1, 1), (1, 2), (2, 1), (2, 2)]
+    (lines,) = blocks(done.out)
+    assert [line.split()[2::3] for line in lines[1:-1]] == [["action=WAIT", f"error={outcome}"]] * 2
+    verified(done)
+
+
+@pytest.mark.parametrize(
+    ("script", "outcome"),
+    [
+        ({"finish_reason": "length"}, "truncated"),
+        ({"finish_reason": "content_filter"}, "refusal"),
+        ({"message": {"refusal": "no"}}, "refusal"),
+    ],
+)
+@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
+def test_answers_that_the_endpoint_marks(endpoint: Start, script: dict[str, object], outcome: str, stream: str) -> None:
+    done = endpoint(pilot="RIGHT", **script).infer(*TWO_TURNS, stream)
+    assert done.turns == {outcome: 2, "budget_stop": 1}
+    assert done.flights[0]["waits"] == 2
+
+
+def test_an_answer_that_the_repair_mends(endpoint: Start) -> None:
+    scripted = endpoint(pilot="Let us go up!", repair="greedy")
+    done = scripted.infer("--seeds", "14:15")
+    assert done.status == 0, done.err
+    assert done.turns == {"repaired": 3}
+    assert len(scripted.requests()) == 6
+    assert done.flights[0]["score"] == 0.99
+    assert done.flights[0]["waits"] == 0
+    asked, again = (request["body"]["messages"] for request in scripted.requests()[:2])
+    assert again[:2] == asked
+    assert again[2] == {"role": "assistant", "content": "Let us go up!"}
+    assert again[3]["role"] == "user"
+    assert "could not be used: the answer is not one action" in again[3]["content"]
+
+
+def test_packaging_is_no_matter(endpoint: Start) -> None:
+    done = endpoint(pilot='```json\n{"action": "right"}\n```').infer(*TWO_TURNS)
+    assert done.turns == {"ok": 4, "budget_stop": 1}
+    assert done.flights[0]["waits"] == 0
+
+
+@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
+def test_two_tool_calls_are_no_action(endpoint: Start, stream: str) -> None:
+    calls = [
+        {
+            "index": i,
+            "id": str(i),
+            "type": "function",
+            "function": {"name": "fly", "arguments": f'{{"direction":"{to}"}}'},
+        }
+        for i, to in enumerate(("UP", "RIGHT"))
+    ]
+    done = endpoint(pilot="", message={"content": "", "tool_calls": calls}).infer(*TWO_TURNS, stream)
+    assert done.turns == {"parse_error": 2, "budget_stop": 1}

@@ -1,0 +1,164 @@
+"""Endpoints that refuse, break off or send what is no answer: what is tried again, and what becomes of the flight."""
+
+import json
+from collections.abc import Callable
+
+import pytest
+
+from .conftest import TOKEN, Endpoint
+from .log_lines import blocks, verified
+
+Start = Callable[..., Endpoint]
+
+
+class RawJson(str):
+    """JSON as it is sent."""
+
+    def __str__(self) -> str:
+        return self[:20]
+
+
+@pytest.mark.parametrize("status", [401, 403, 404])
+def test_a_refusing_endpoint_stops_the_run_at_once(endpoint: Start, status: int) -> None:
+    message = f"Incorrect API key provided: {TOKEN}"
+    scripted = endpoint(pilot="greedy", faults=[[0, 10**9, {"status": status, "message": message}]])
+    done = scripted.infer("--episodes", "40", "--concurrency", "4")
+    assert done.status == 2
+    assert f"answers {status}" in done.err
+    assert len(scripted.requests()) <= 4
+    assert [f["status"] for f in done.flights] == ["errored"]
+    assert done.turns == {"api_error": 1}
+    (lines,) = blocks(done.out)
+    assert lines[-1] == "[END] success=false steps=0 score=0.010 rewards="
+    verified(done)
+
+
+def test_a_400_for_the_first_call_stops_the_run(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[0, 10**9, {"status": 400, "message": "no temperature, please"}]])
+    done = scripted.infer("--episodes", "9", "--concurrency", "1")
+    assert done.status == 2
+    assert "answers 400: no temperature, please" in done.err
+    assert len(scripted.requests()) == 1
+
+
+def test_a_400_for_a_later_call_costs_its_flight_alone(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[1, 1, {"status": 400}]])
+    done = scripted.infer("--seeds", "14:16", "--concurrency", "1")
+    assert [f["status"] for f in done.flights] == ["errored", "finished"]
+    assert done.flights[0]["error"] == "400: scripted 400"
+    assert [len(call["failures"]) for call in done.calls[:3]] == [0, 1, 0]
+
+
+def test_a_429_is_told_and_tried_again(endpoint: Start) -> None:
+    faults = [[1, 1, {"status": 429, "headers": {"Retry-After": "0.1"}}]]
+    scripted = endpoint(pilot="greedy", faults=faults)
+    done = scripted.infer("--seeds", "14:15")
+    assert done.status == 0, done.err
+    assert [request["call"] for request in scripted.requests()] == ["0-1-1", "0-2-1", "0-2-1", "0-3-1"]
+    assert "waiting 0.1 s, then trying again (1 so far): 429: scripted 429" in done.err
+    assert done.calls[1]["failures"] == [{"status": 429, "reason": "scripted 429", "waited": 0.1}]
+    assert done.turns == {"ok": 3}
+    verified(done)
+
+
+@pytest.mark.parametrize(
+    ("fault", "stream"),
+    [
+        ({"status": 500}, "--stream"),
+        ({"status": 503}, "--no-stream"),
+        ({"status": 408}, "--no-stream"),
+        ({"status": 409}, "--no-stream"),
+        ("cut", "--stream"),
+        ("cut", "--no-stream"),
+        ("cut_body", "--stream"),
+        ("cut_body", "--no-stream"),
+    ],
+)
+def test_failures_that_pass_are_tried_again(endpoint: Start, fault: object, stream: str) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[1, 2, fault]])
+    done = scripted.infer("--seeds", "14:15", stream)
+    assert done.status == 0, done.err
+    assert len(scripted.requests()) == 5
+    assert done.turns == {"ok": 3}
+    assert [len(call["failures"]) for call in done.calls] == [0, 2, 0]
+    assert [f["score"] for f in done.flights] == [0.99]
+    verified(done)
+
+
+@pytest.mark.parametrize("fault", ["cut_stream", "end_stream"])
+def test_a_stream_that_ends_early_is_tried_again(endpoint: Start, fault: str) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[1, 1, fault]])
+    done = scripted.infer("--seeds", "14:15", "--stream")
+    assert done.status == 0, done.err
+    assert done.turns == {"ok": 3}
+    assert [len(call["failures"]) for call in done.calls] == [0, 1, 0]
+
+
+def test_a_time_out_is_tried_again(endpoint: Start) -> None:
+    done = endpoint(pilot="greedy", faults=[[1, 1, "hang"]]).infer("--seeds", "14:15", "--timeout", "2")
+    assert done.status == 0, done.err
+    assert done.turns == {"ok": 3}
+    assert done.calls[1]["failures"][0]["reason"] == "no answer within 2 s"
+
+
+def test_failures_that_stay_make_flights_errored_and_the_run_invalid(endpoint: Start) -> None:
+    # The second flight of three fails in its first call for good.
+    faults = [[3, 10**9, {"status": 500}]]
+    scripted = endpoint(pilot="greedy", faults=faults)
+    done = scripted.infer("--seeds", "14:17", "--concurrency", "1", "--tries", "3")
+    assert done.status == 1
+    assert [f["status"] for f in done.flights] == ["finished", "errored", "errored"]
+    assert done.turns == {"ok": 3, "api_error": 2}
+    assert len(scripted.requests()) == 3 + 2 * 3
+    assert "mean score 0.9900 over 1 flights" in done.err
+    assert "errored and left out: 2" in done.err
+    assert "verdict: INVALID: 2 of 3 flights errored" in done.err
+    verified(done)
+    assert len(blocks(done.out)) == 3
+
+
+# (Of a stream a page of HTML is an early end, which is tried again.)
+@pytest.mark.parametrize(
+    ("fault", "stream"), [("no_json", "--no-stream"), ("garbage", "--no-stream"), ("garbage", "--stream")]
+)
+def test_garbage_is_an_api_error_and_not_tried_again(endpoint: Start, fault: str, stream: str) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[1, 1, fault]])
+    done = scripted.infer("--seeds", "14:15", stream)
+    assert done.status == 1
+    assert done.turns == {"ok": 1, "api_error": 1}
+    assert len(scripted.requests()) == 2
+
+
+@pytest.mark.parametrize("stream", [False, True])
+@pytest.mark.parametrize(
+    "value",
+    [
+        *([], "UP", None, {"choices": "UP"}, {"choices": ["UP"]}, {"choices": [None]}, {"choices": {"0": 1}}),
+        {"choices": [{"message": "UP", "delta": "UP", "finish_reason": "stop"}]},
+        {"choices": [{"message": {"tool_calls": ["UP"]}, "delta": {"tool_calls": ["UP"]}, "finish_reason": "stop"}]},
+        RawJson('{"choices": ' + "[" * 100_000 + "]" * 100_000 + "}"),
+    ],
+    ids=str,
+)
+def test_what_has_not_the_form_of_an_answer_is_an_api_error(endpoint: Start, value: object, stream: bool) -> None:
+    text = value if isinstance(value, RawJson) else json.dumps(value)
+    # Not formatted, which would shorten it.
+    fault = {"sends": "data: " + text + "\n\n" if stream else text}
+    arguments = ("--seeds", "14:16", "--tries", "1", *(["--stream"] if stream else []))
+    done = endpoint(pilot="greedy", faults=[[0, 10**9, fault]]).infer(*arguments)
+    assert (done.status, done.turns) == (1, {"api_error": 2}), done.err
+
+
+def test_an_error_sent_as_200_is_told(endpoint: Start) -> None:
+    fault = {"sends": json.dumps({"error": {"message": "quota exceeded"}})}
+    done = endpoint(pilot="greedy", faults=[[0, 0, fault]]).infer("--seeds", "14:15")
+    (failure,) = done.calls[0]["failures"]
+    assert failure["reason"] == "not an answer: there are no choices, but {'message': 'quota exceeded'}"
+
+
+def test_what_an_endpoint_says_cannot_move_the_terminal(endpoint: Start) -> None:
+    fault = {"status": 401, "message": "\x1b[2Jgone"}
+    done = endpoint(pilot="greedy", faults=[[0, 0, fault]]).infer("--seeds", "14:15")
+    assert done.status == 2
+    assert "\ufffd[2Jgone" in done.err
+    assert "\x1b" not in done.err

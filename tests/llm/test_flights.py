@@ -1,0 +1,118 @@
+"""`drone-env infer`: pilots that do as they are told score what the same moves score elsewhere."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+
+import pytest
+
+from drone_env.core.seeds import SPLITS
+from drone_env.evaluation import episodes_key, run_episodes
+from drone_env.planning.optimal import solve
+
+from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines
+from .log_lines import blocks, verified
+
+Start = Callable[..., Endpoint]
+MAPS = int(os.environ.get("DRONE_ENV_LLM_MAPS", "3"))
+"""How many maps are flown where every step is a call."""
+ROUTES = int(os.environ.get("DRONE_ENV_LLM_ROUTES", "30"))
+"""How many are flown where one call is a whole flight."""
+
+
+@pytest.mark.feature("I2")
+def test_log_lines_to_the_byte(endpoint: Start) -> None:
+    """Of `python inference.py`, with its settings from .env and, before that, from the environment."""
+    scripted = endpoint(pilot="greedy")
+    (scripted.folder / ".env").write_text(
+        f"OPENAI_API_KEY={TOKEN}\nAPI_BASE_URL={scripted.url}\nMODEL_NAME=from/dotenv\nDRONE_TASK=hard\n"
+    )
+    # Map 14 of easy by hand.
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "inference.py"), "--seeds", "14:15", "--no-report"],
+        cwd=scripted.folder,
+        env=environment(MODEL_NAME="Qwen/Qwen2.5-72B-Instruct", DRONE_TASK="easy_delivery"),
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == (
+        b"[START] task=drone_env.graders:grade_easy env=drone_env_v1 model=Qwen/Qwen2.5-72B-Instruct\n"
+        b"[STEP] step=1 action=LEFT reward=0.15 done=false error=null\n"
+        b"[STEP] step=2 action=UP reward=0.15 done=false error=null\n"
+        b"[STEP] step=3 action=UP reward=0.99 done=true error=null\n"
+        b"[END] success=true steps=3 score=0.990 rewards=0.15,0.15,0.99\n"
+    )
+    assert {r["headers"]["authorization"] for r in scripted.requests()} == {f"Bearer {TOKEN}"}
+    assert {r["body"]["model"] for r in scripted.requests()} == {"Qwen/Qwen2.5-72B-Instruct"}
+    waiting = endpoint(pilot="WAIT").infer("--seeds", "14:15", DRONE_TASK="easy")
+    # What the model says itself is no WAIT in place of something else.
+    assert (waiting.status, waiting.turns, waiting.flights[0]["waits"]) == (0, {"ok": 60}, 0)
+    assert waiting.out.endswith("[END] success=false steps=60 score=0.010 rewards=" + ",".join(["0.10"] * 60) + "\n")
+
+
+@pytest.mark.parametrize("task", ["easy", "medium", "hard"])
+def test_a_perfect_pilot_scores_the_optimum(endpoint: Start, task: str) -> None:
+    done = endpoint(pilot="plan").infer("--task", task, "--episodes", str(ROUTES), "--prompt", "plan")
+    assert done.status == 0, done.err
+    assert done.turns == {"ok": ROUTES}
+    assert len(done.calls) == ROUTES
+    start = SPLITS["test"].start
+    assert [f["score"] for f in done.flights] == [solve(task, seed).score for seed in range(start, start + ROUTES)]
+    assert len(blocks(done.out)) == ROUTES
+    verified(done)
+
+
+@pytest.mark.parametrize(("task", "stream"), [("easy", "--stream"), ("medium", "--no-stream"), ("hard", "--no-stream")])
+def test_a_perfect_pilot_asked_step_by_step(endpoint: Start, task: str, stream: str) -> None:
+    maps = MAPS if MAPS >= 100 else 1
+    options = ("--task", task, "--episodes", str(maps), "--prompt", "coordinates", stream)
+    done = endpoint(pilot="perfect").infer(*options)
+    assert done.status == 0, done.err
+    start = SPLITS["test"].start
+    optima = [solve(task, seed) for seed in range(start, start + maps)]
+    assert [f["score"] for f in done.flights] == [optimum.score for optimum in optima]
+    assert done.turns == {"ok": sum(optimum.steps for optimum in optima)}
+    verified(done)
+
+
+@pytest.mark.parametrize("task", ["easy", "medium", "hard"])
+def test_a_greedy_pilot_equals_the_greedy_agent(endpoint: Start, task: str) -> None:
+    done = endpoint(pilot="greedy").infer("--task", task, "--episodes", str(MAPS))
+    assert done.status == 0, done.err
+    start = SPLITS["test"].start
+    greedy = run_episodes(episodes_key(task, "greedy", range(start, start + MAPS), "test"))
+    assert [f["score"] for f in done.flights] == greedy.scores.tolist()
+    assert [f["steps"] for f in done.flights] == greedy.steps.tolist()
+
+
+def test_reasoning_is_kept_and_not_taken_for_an_answer(endpoint: Start) -> None:
+    message = {"reasoning_content": "UP UP UP"}
+    for stream in ("--stream", "--no-stream"):
+        done = endpoint(pilot="greedy", message=message).infer("--seeds", "14:15", stream)
+        assert done.turns == {"ok": 3}
+        assert {call["answer"]["reasoning"] for call in done.calls} == {"UP UP UP"}
+
+
+@pytest.mark.parametrize("form", ["json", "tool"])
+@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
+def test_structured_output_and_tool_calls(endpoint: Start, form: str, stream: str) -> None:
+    done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--answers", form, stream)
+    assert done.turns == {"ok": 3}, done.err
+    assert done.flights[0]["score"] == 0.99
+
+
+def test_twice_as_many_requests_at_once_while_all_goes_well(endpoint: Start) -> None:
+    # Each wave is answered when it is there as a whole: fewer at once would wait for ever.
+    waves = [8, 16, 32, 64, 100]
+    scripted = endpoint(pilot="plan", waves=waves)
+    flights = str(sum(waves))
+    done = scripted.infer("--episodes", flights, "--concurrency", "100", "--prompt", "plan", "--tries", "1")
+    assert done.status == 0, done.err
+    now = most = 0
+    for line in json_lines(scripted.log):
+        now += 1 if "body" in line else -1
+        most = max(most, now)
+    assert (now, most) == (0, 100)
+    assert len(blocks(done.out)) == sum(waves)

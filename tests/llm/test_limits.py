@@ -1,0 +1,87 @@
+"""What a run may spend: calls, tokens, money."""
+
+from collections.abc import Callable
+
+import pytest
+
+from drone_env.errors import InvalidValueError
+from drone_env.llm.limits import Limits, Prices
+from drone_env.llm.runner import Options
+
+from .conftest import Endpoint
+from .log_lines import blocks, verified
+
+Start = Callable[..., Endpoint]
+
+
+def test_the_limit_of_calls_holds_exactly_and_resume_goes_on(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy")
+    first = scripted.infer("--seeds", "14:16", "--max-calls", "4", "--concurrency", "1")
+    assert first.status == 3
+    assert len(scripted.requests()) == 4
+    assert [f["status"] for f in first.flights] == ["finished", "budget_stop"]
+    assert first.turns == {"ok": 4, "budget_stop": 1}
+    verified(first)
+    none_left = scripted.infer("--seeds", "14:16", "--max-calls", "4", "--resume", folder=first.folder)
+    assert (none_left.status, len(scripted.requests())) == (3, 4)
+    second = scripted.infer("--seeds", "14:16", "--resume", folder=first.folder)
+    assert second.status == 0, second.err
+    calls = [request["call"] for request in scripted.requests()]
+    assert len(calls) == len(set(calls)) == second.turns["ok"]
+    assert len(blocks(second.out)) == 2
+    verified(second)
+
+
+def test_each_try_is_a_call(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[1, 2, {"status": 500}]])
+    done = scripted.infer("--seeds", "14:15", "--max-calls", "4")
+    assert (done.status, len(scripted.requests())) == (3, 4)
+    assert done.turns == {"ok": 2, "budget_stop": 1}
+    assert [call["outcome"] for call in done.calls] == ["ok", "ok"]
+
+
+@pytest.mark.parametrize(
+    ("limit", "calls"),
+    [
+        # Each answer takes 102 tokens and costs 1,100 millionths of a dollar.
+        (("--max-tokens", "203"), 2),
+        (("--max-tokens", "204"), 2),
+        (("--max-tokens", "205"), 3),
+        (("--max-cost", "0.0021"), 2),
+        (("--max-cost", "0.0022"), 2),
+        (("--max-cost", "0.0023"), 3),
+    ],
+)
+def test_limits_of_tokens_and_money(endpoint: Start, limit: tuple[str, str], calls: int) -> None:
+    scripted = endpoint(pilot="WAIT")
+    arguments = ("--seeds", "14:15", "--price-prompt", "10", "--price-completion", "50", *limit)
+    done = scripted.infer(*arguments)
+    assert (done.status, done.turns) == (3, {"ok": calls, "budget_stop": 1})
+    again = scripted.infer(*arguments, "--resume", folder=done.folder)
+    assert (again.status, len(scripted.requests())) == (3, calls)
+
+
+def test_what_an_endpoint_does_not_meter_cannot_be_limited(endpoint: Start) -> None:
+    done = endpoint(pilot="greedy", no_usage=True).infer("--seeds", "14:15", "--max-tokens", "100000")
+    assert (done.status, done.turns) == (3, {"ok": 1, "budget_stop": 1})
+    assert "does not say how many tokens it used" in done.err
+
+
+@pytest.mark.parametrize("name", ["calls", "tokens", "seconds", "cost"])
+def test_what_is_no_limit_is_refused(name: str) -> None:
+    with pytest.raises(InvalidValueError, match=f"--max-{name} must be above 0, got 0"):
+        Limits(**{name: 0})
+    with pytest.raises(InvalidValueError, match="--max-cost needs prices"):
+        Options(limits=Limits(cost=1))
+    with pytest.raises(InvalidValueError, match="prices must be 0 or more"):
+        Prices(1, -1)
+
+
+def test_tokens_beyond_counting_are_not_counted(endpoint: Start) -> None:
+    usage = {"prompt_tokens": 10**400, "completion_tokens": -1}
+    prices = ("--price-prompt", "1", "--price-completion", "1")
+    done = endpoint(pilot="greedy", usage=usage).infer("--seeds", "14:15", *prices)
+    assert done.status == 0, done.err
+    assert [(call["answer"]["prompt_tokens"], call["answer"]["completion_tokens"]) for call in done.calls] == [
+        (None, None)
+    ] * 3

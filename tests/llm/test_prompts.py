@@ -1,0 +1,100 @@
+"""Prompts: what the model is told, and files that are none."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from drone_env.core.actions import Action
+from drone_env.core.cells import Cell
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS
+from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.llm.prompt import VALUES, Flown, first_messages, get_prompt, prompt_ids, read_prompt
+from drone_env.models import DroneObservation
+
+from .conftest import Endpoint
+
+
+def test_prompts_tell_what_the_drone_sees() -> None:
+    episode = Episode("hard")
+    episode.reset(7)
+    observation = DroneObservation.of(episode)
+    flown = [Flown("UP", 1, 2, "On the way."), Flown("LEFT", 0, 2, "On the way.")]
+    x, y = episode.position
+    for name in prompt_ids():
+        system, user = first_messages(get_prompt(name), episode.task, observation, flown, 1)
+        assert all(action.name in system["content"] for action in Action)
+        assert f"Position: ({x}, {y})" in user["content"]
+        assert not re.search(r"\{\w+\}", system["content"] + user["content"])
+    (_, minimal), (_, lists), (_, grid) = (
+        first_messages(get_prompt(name), episode.task, observation, flown, 1)
+        for name in ("minimal", "coordinates", "grid")
+    )
+    target = episode.target
+    assert target is not None
+    for part in (f"Target: ({target[0]}, {target[1]})", f"Distance: {episode.distance_to_target}", "100% (160 units)"):
+        assert part in minimal["content"]
+    assert minimal["content"].endswith("Last steps:\n2. LEFT -> (0, 2). On the way.")
+    parcels = next(line for line in lists["content"].splitlines() if line.startswith("Parcels"))
+    assert sorted(re.findall(r"\((\d+), (\d+)\)", parcels)) == sorted((str(a), str(b)) for a, b, _ in episode.parcels)
+    letters = "".join(line.replace(" ", "") for line in grid["content"].splitlines()[:18])
+    seen = [".BTOPxD?C"[cell] for cell in episode.grid().ravel()]
+    assert letters == "".join(seen)
+    assert len(Cell) == 9
+
+
+def test_every_task_can_be_told() -> None:
+    for task in TASKS.values():
+        episode = Episode(task)
+        episode.reset(0)
+        system, _ = first_messages(get_prompt("grid"), task, DroneObservation.of(episode), [], 0)
+        assert ("charging pad adds" in system["content"]) == bool(task.pads)
+
+
+def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="allowed: coordinates"):
+        get_prompt("poem")
+    path = tmp_path / "mine-1.toml"
+    for text, why in [
+        ("plan = 1", "a prompt holds"),
+        ('plan = false\nsystem = "{weather}"\nuser = ""\nrepair = ""', "unknown 'weather'"),
+        ("plan = ", "mine-1.toml"),
+    ]:
+        path.write_text(text)
+        with pytest.raises(InvalidValueError, match=why):
+            read_prompt(path)
+
+
+def test_a_template_may_name_every_value_and_no_other(tmp_path: Path) -> None:
+    path = tmp_path / "mine-1.toml"
+    told = "; ".join(f"{name}={{{name}}}" for name in sorted(VALUES))
+    path.write_text(f"plan = false\nsystem = '{told}'\nuser = '{told}'\nrepair = '{{reason}}'\n")
+    episode = Episode("easy")
+    episode.reset(14)
+    for message in first_messages(read_prompt(path), episode.task, DroneObservation.of(episode), [], 0):
+        filled = dict(part.partition("=")[::2] for part in message["content"].split("; "))
+        assert filled.keys() == VALUES
+        assert (filled["x"], filled["y"], filled["steps_left"], filled["history"]) == ("6", "3", "60", "")
+    path.write_text(path.read_text().replace("{reason}", "{x}"))
+    with pytest.raises(InvalidValueError, match="repair: unknown 'x'; there are reason"):
+        read_prompt(path)
+
+
+@pytest.mark.feature("I3")
+def test_the_prompt_asks_for_one_word(endpoint: Callable[..., Endpoint]) -> None:
+    scripted = endpoint(pilot="greedy")
+    assert scripted.infer("--task", "easy", "--seeds", "14:15").status == 0
+    (system, user), (_, later) = [request["body"]["messages"] for request in scripted.requests()][:2]
+    assert (system["role"], user["role"]) == ("system", "user")
+    for told in ("delivery drone", "Goal: deliver every parcel", "exactly one", "in uppercase"):
+        assert told in system["content"]
+    assert re.findall(r"\b[A-Z]{2,}\b", system["content"]) == ["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
+    assert user["content"].split("\n") == [
+        "Position: (6, 3)",
+        "Battery: 100% (60 units)",
+        "Target: (5, 1)",
+        "Distance: 3",
+    ]
+    assert later["content"].startswith("Position: (5, 3)\nBattery: 98% (59 units)\n")

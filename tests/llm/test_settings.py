@@ -1,0 +1,152 @@
+"""Settings of a run of a language model: endpoint, model, token, and what a run is."""
+
+import re
+from pathlib import Path
+
+import pytest
+from pydantic import SecretStr
+
+from drone_env.cli import main
+from drone_env.errors import InvalidValueError
+from drone_env.llm.config import Sampling
+from drone_env.llm.prompt import get_prompt
+from drone_env.llm.settings import InferenceSettings, load_settings, models_table, settings_table, token_for
+
+from .conftest import ROOT, VARIABLES
+from .virtual_time import run_config
+
+HF, OTHER = "https://router.huggingface.co/v1", "https://api.openai.com/v1"
+
+
+def test_more_of_the_body_can_be_sent() -> None:
+    with pytest.raises(ValueError, match="surrogates not allowed"):
+        Sampling(extra={"stop": "\ud800"})
+    with pytest.raises(ValueError, match="'seed' is set by other means"):
+        Sampling(extra={"seed": 1})
+
+
+def test_an_extra_that_nests_too_deep_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["infer", "--extra", "[" * 100_000]) == 2
+    assert "--extra takes a JSON object" in capsys.readouterr().err
+
+
+def test_an_openai_key_does_not_go_to_hugging_face_by_another_spelling(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HF_TOKEN", raising=False)
+    monkeypatch.setenv("OPENAI_API_KEY", "sk-1")
+    with pytest.raises(InvalidValueError, match="needs HF_TOKEN"):
+        token_for(load_settings(), "https://router.huggingface.co./v1")
+    monkeypatch.setenv("HF_TOKEN", 'hf_"quoted')
+    with pytest.raises(InvalidValueError, match="without spaces, quotes and backslashes"):
+        token_for(load_settings(), HF)
+
+
+def test_the_token_is_chosen_by_the_host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("HF_TOKEN", "OPENAI_API_KEY"):
+        monkeypatch.delenv(name, raising=False)
+    both = InferenceSettings.model_validate({"hf_token": "hf_a", "openai_api_key": "sk-b"})
+    assert token_for(both, HF) == token_for(both, "https://x.hf.space/v1") == "hf_a"
+    for url in (
+        OTHER,
+        "https://huggingface.co.evil.example/v1",
+        "https://nothuggingface.co/v1",
+        "http://localhost:1/v1",
+    ):
+        assert token_for(both, url) == "sk-b"
+    none = InferenceSettings()
+    assert token_for(none, "http://127.0.0.1:8000/v1") is None
+    for url, name in ((HF, "HF_TOKEN"), (OTHER, "OPENAI_API_KEY")):
+        with pytest.raises(InvalidValueError, match=f"needs {name}"):
+            token_for(none, url)
+    with pytest.raises(InvalidValueError, match="not sent unencrypted"):
+        token_for(both, "http://example.com/v1")
+    for url in ("ftp://x", "https://user:pass@x/v1", "x", "https://x/v1?key=1"):
+        with pytest.raises(InvalidValueError, match="API_BASE_URL"):
+            token_for(both, url)
+    assert "hf_a" not in repr(both)
+
+
+def test_settings_that_are_wrong_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DRONE_TASK", raising=False)
+    (tmp_path / ".env").write_text("DRONE_TASK=\nNOT_OURS=1\nno equals sign\n")
+    assert load_settings().drone_task == "easy_delivery"
+    (tmp_path / ".env").write_bytes(b"DRONE_TASK=\xff\xfe")
+    with pytest.raises(InvalidValueError, match=r"\.env is not UTF-8 text"):
+        load_settings()
+    monkeypatch.setenv("HF_TOKEN", "hf_a\u00e4b")
+    (tmp_path / ".env").write_text("")
+    with pytest.raises(InvalidValueError, match="HF_TOKEN must be printable ASCII"):
+        token_for(load_settings(), HF)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"model": "two words"}, "no spaces"),
+        ({"model": "line\u2028break"}, "no spaces"),
+        ({"base_url": "ftp://x"}, "API_BASE_URL must be"),
+        ({"base_url": "https://x/a\tb"}, "without anything unprintable"),
+        ({"prompt": "plan-1", "prompt_digest": get_prompt("plan").digest, "history": 1}, "tells no last steps"),
+        ({"seeds": (3, 3)}, "are not"),
+    ],
+)
+def test_a_run_that_cannot_be_is_refused(change: dict[str, object], why: str) -> None:
+    assert run_config().flights == 1
+    with pytest.raises(ValueError, match=why):
+        run_config(**change)
+
+
+def test_flights_are_numbered_map_after_map_and_then_all_again() -> None:
+    config = run_config(seeds=(14, 17), repeats=2)
+    assert [config.flight(index) for index in range(config.flights)] == [
+        *[(14, 0), (15, 0), (16, 0)],
+        *[(14, 1), (15, 1), (16, 1)],
+    ]
+
+
+def test_all_that_decides_the_calls_is_a_difference() -> None:
+    config = run_config()
+    changes: dict[str, object] = {
+        "model": "n", "base_url": "https://y/v1", "task": "medium_delivery", "split": "test", "seeds": (14, 16),
+        "repeats": 2, "reward_profile": "aligned", "prompt_digest": "0" * 16, "history": 1, "answers": "json",
+        "stream": True, "sampling": Sampling(temperature=1.0),
+    }  # fmt: skip
+    for name, value in changes.items():
+        (told,) = config.differences(run_config(**{name: value}))
+        assert told == f"{name}: {getattr(config, name)!r} is now {value!r}"
+    assert config.differences(run_config()) == []
+    with pytest.raises(ValueError, match=r"prompt minimal-1 is now .*; the run was made with 0000"):
+        run_config(prompt_digest="0" * 16).load_prompt()
+
+
+@pytest.mark.feature("I1")
+def test_settings_of_the_environment_or_env_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+    given = load_settings()
+    assert (given.hf_token, given.openai_api_key) == (None, None)
+    assert (given.api_base_url, given.model_name) == ("https://router.huggingface.co/v1", "Qwen/Qwen2.5-7B-Instruct")
+    assert (given.drone_task, given.local_image_name) == ("easy_delivery", "drone-inference-v1")
+    example = (ROOT / ".env.example").read_text(encoding="utf-8")
+
+    def value(name: str) -> object:
+        found = getattr(load_settings(), name.lower())
+        return found.get_secret_value() if isinstance(found, SecretStr) else found
+
+    for name in VARIABLES:
+        # The example as it is shipped, with one line filled in.
+        filled, lines = re.subn(rf"(?m)^(# )?{name}=.*$", f"{name}=of-the-file", example)
+        assert lines == 1
+        (tmp_path / ".env").write_text(filled)
+        assert value(name) == "of-the-file"
+        monkeypatch.setenv(name, "of-the-environment")
+        assert value(name) == "of-the-environment"
+        monkeypatch.delenv(name)
+    assert {name.upper() for name in InferenceSettings.model_fields} == set(VARIABLES)
+    assert settings_table() in (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
+    assert models_table() in (ROOT / "docs" / "llm.md").read_text(encoding="utf-8")

@@ -1,0 +1,34 @@
+"""The folder that an evaluation goes on from."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from drone_env.cli import main
+
+
+def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, figures = tmp_path / "results", tmp_path / "figures.json"
+    command = ["evaluate", "--task", "easy", "--seeds", "0:2500", "--agents", "greedy", "--out", str(folder)]
+    assert main([*command, "--json", str(figures)]) == 0
+    whole = json.loads(figures.read_text())
+    pieces = sorted((folder / "pieces").iterdir())
+    assert len(pieces) == 3
+    kept = [piece.stat().st_mtime_ns for piece in pieces]
+    pieces[1].unlink()
+    assert main([*command, "--json", str(figures)]) == 0
+    assert json.loads(figures.read_text()) == whole
+    now = [piece.stat().st_mtime_ns for piece in pieces]
+    assert (now[0], now[2]) == (kept[0], kept[2])
+    capsys.readouterr()
+    pieces[2].write_bytes(pieces[2].read_bytes()[:-30])
+    assert main(command) == 2
+    assert "is damaged, remove it" in capsys.readouterr().err
+    other = [*command[:4], "0:2600", *command[5:]]
+    assert main(other) == 2
+    assert "holds another evaluation: seeds: [0, 2500] is now [0, 2600]" in capsys.readouterr().err
+    (tmp_path / "else").mkdir()
+    (tmp_path / "else" / "file").touch()
+    assert main([*command[:-1], str(tmp_path / "else")]) == 2
+    assert "holds other things" in capsys.readouterr().err
