@@ -1,48 +1,249 @@
-"""The programming interface: what `import drone_env` offers, and what travels as JSON."""
+"""The HTTP interface: every endpoint is requested, as flat JSON, by a client that keeps its cookie as browsers do."""
 
 import json
-import subprocess
-import sys
+import re
+from collections.abc import Generator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
 import pytest
-from pydantic import BaseModel
+from starlette.testclient import TestClient
 
 import drone_env
+from drone_env import DroneObservation, DroneState
+from drone_env.core.state_manager import Episode
+from drone_env.episodes.record import record_of
+from drone_env.episodes.store import Store
+from drone_env.server.app import create_app
+from drone_env.server.routes.replay import RECORD
+from drone_env.server.settings import Settings
+
+BEST = ("LEFT", "UP", "UP")
+"""The best flight over easy map 14."""
 
 
-def test_everything_promised_is_there_and_nothing_else() -> None:
-    assert dir(drone_env) == sorted(drone_env.__all__)
-    for name in drone_env.__all__:
-        assert getattr(drone_env, name) is not None
+@pytest.fixture
+def http(tmp_path: Path) -> Generator[TestClient, None, None]:
+    with TestClient(create_app(Settings(data=tmp_path / "data"))) as client:
+        yield client
 
 
-def test_a_name_that_does_not_exist_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'Drone'"):
-        _ = drone_env.Drone
+@pytest.fixture
+def flying(http: TestClient) -> TestClient:
+    """The same, at the start of easy map 14."""
+    assert http.post("/reset", json={"task_name": "easy_delivery", "seed": 14}).status_code == 200
+    return http
 
 
-@pytest.mark.parametrize("name", [name for name in drone_env.__all__ if not name.startswith("_")])
-def test_everything_public_is_documented(name: str) -> None:
-    value = getattr(drone_env, name)
-    if callable(value):
-        assert value.__doc__
+def get(http: TestClient, path: str) -> Any:
+    answer = http.get(path)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
 
 
-@pytest.mark.parametrize("model", [drone_env.DroneAction, drone_env.DroneObservation, drone_env.DroneState])
-def test_the_schema_of_what_travels_describes_every_field(model: type[BaseModel]) -> None:
-    schema = model.model_json_schema()
-    assert schema["additionalProperties"] is False
-    assert all("description" in field for field in schema["properties"].values())
+def fly(http: TestClient, *directions: str) -> dict[str, Any]:
+    answer: dict[str, Any] = {}
+    for direction in directions:
+        told = http.post("/step", json={"direction": direction})
+        assert told.status_code == 200, told.text
+        answer = told.json()
+    return answer
 
 
-def test_an_action_travels_as_json() -> None:
-    action = drone_env.DroneAction.model_validate_json('{"direction": "LEFT"}')
-    assert action.action is drone_env.Action.LEFT
-    assert json.loads(action.model_dump_json()) == {"direction": "LEFT"}
+@pytest.mark.feature("H1")
+def test_post_reset(http: TestClient) -> None:
+    answer = http.post("/reset", json={"task_name": "easy_delivery", "seed": 14})
+    assert answer.status_code == 200
+    fields = answer.json()
+    assert fields.pop("session_id") == answer.headers["X-Session-Id"]
+    observation = DroneObservation.model_validate_json(json.dumps(fields))
+    assert (observation.drone_x, observation.drone_y, observation.current_target) == (6, 3, (5, 1))
+    assert (observation.step_count, observation.max_steps, observation.battery, observation.done) == (0, 60, 1, False)
+    assert http.post("/reset", json={"task_name": "nowhere"}).status_code == 422
 
 
-def test_the_package_says_which_version_it_is() -> None:
-    result = subprocess.run(
-        [sys.executable, "-m", "drone_env.cli", "--version"], capture_output=True, text=True, check=True
-    )
-    assert result.stdout == f"drone-env {drone_env.__version__}\n"
+@pytest.mark.feature("H2")
+def test_post_step(flying: TestClient) -> None:
+    observation = DroneObservation.model_validate_json(json.dumps(fly(flying, "LEFT")))
+    assert (observation.drone_x, observation.drone_y, observation.reward_last) == (5, 3, 0.15)
+    last = fly(flying, "UP", "UP")
+    assert (last["done"], last["deliveries_done"], last["reward_last"], last["score"]) == (True, 1, 0.99, 0.99)
+    after = fly(flying, "UP")
+    assert after == {**last, "message": after["message"]}, "after the end a step pays nothing and changes nothing"
+    assert after["message"].startswith("Nothing done")
+    assert flying.post("/step", json={"direction": "SIDEWAYS"}).status_code == 422
+
+
+@pytest.mark.feature("H3")
+def test_get_state(flying: TestClient) -> None:
+    fly(flying, "LEFT", "UP")
+    state = DroneState.model_validate_json(flying.get("/state").content)
+    assert (state.task_name, state.seed, state.drone_x, state.drone_y) == ("easy_delivery", 14, 5, 2)
+    assert (state.step_count, state.battery_steps_remaining, state.outcome) == (2, 58, "flying")
+    assert [point.action for point in state.path_history] == ["LEFT", "UP"]
+
+
+@pytest.mark.feature("H4")
+def test_get_grade(flying: TestClient) -> None:
+    assert get(flying, "/grade/easy_delivery")["done"] is False
+    fly(flying, *BEST)
+    assert get(flying, "/grade/easy_delivery") == {"task": "easy_delivery", "score": 0.99, "done": True}
+    assert flying.get("/grade/nowhere").status_code == 404
+
+
+@pytest.mark.feature("H5")
+def test_get_analyse(http: TestClient, tmp_path: Path) -> None:
+    flights: list[Episode] = []
+    with Store(tmp_path / "data") as store:
+        for actions in (BEST, ["WAIT"], BEST, ["UP", "WAIT"], ["WAIT"]):
+            episode = Episode("easy")
+            episode.reset(14)
+            while not episode.ended:
+                episode.step(drone_env.Action[actions[episode.steps % len(actions)]])
+            store.add_episode(record_of(episode, "someone"))
+            flights.append(episode)
+    told = get(http, "/analyse/easy_delivery")
+    assert (told["task"], told["episodes"], told["episodes_total"], told["deliveries"]) == ("easy_delivery", 5, 5, 2)
+    assert told["average_reward"] == pytest.approx(sum(flight.reward_total for flight in flights) / 5)
+    assert told["average_steps"] == pytest.approx(sum(flight.steps for flight in flights) / 5)
+    # The newer two won nothing, the older two one of two; the one in the middle belongs to neither.
+    assert (told["success_rate"], told["success_trend"]) == (pytest.approx(2 / 5), pytest.approx(-1 / 2))
+    flown = [action.name for flight in flights for action in map(drone_env.Action, flight.actions)]
+    assert told["action_distribution"] == {
+        action.name: pytest.approx(flown.count(action.name) / len(flown)) for action in drone_env.Action
+    }
+    assert http.get("/analyse/nowhere").status_code == 404
+
+
+@pytest.mark.feature("H6")
+def test_get_path_history(flying: TestClient) -> None:
+    fly(flying, *BEST)
+    path = get(flying, "/path_history")["path"]
+    assert [(at["step"], at["action"], at["x"], at["y"], at["reward"]) for at in path] == [
+        (1, "LEFT", 5, 3, 0.15),
+        (2, "UP", 5, 2, 0.15),
+        (3, "UP", 5, 1, 0.99),
+    ]
+
+
+@pytest.mark.feature("H7")
+def test_get_memory_logs(flying: TestClient, tmp_path: Path) -> None:
+    episode = Episode("easy")
+    episode.reset(7)
+    while not episode.ended:
+        episode.step(4)
+    with Store(tmp_path / "data") as store:
+        for number in range(6):
+            store.add_episode(episode, f"agent {number}")
+    fly(flying, *BEST)
+    newest, *others = get(flying, "/memory_logs")["episodes"]
+    assert [one["agent"] for one in others] == ["agent 5", "agent 4", "agent 3", "agent 2"]
+    assert (newest["task"], newest["seed"], newest["steps"], newest["success"]) == ("easy_delivery", 14, 3, True)
+    assert newest["reward_total"] == pytest.approx(1.29)
+
+
+@pytest.mark.feature("H8")
+def test_get_logs(http: TestClient, tmp_path: Path) -> None:
+    assert get(http, "/logs") == {"file": "train.log", "lines": []}
+    log = tmp_path / "data" / "train.log"
+    log.write_text("".join(f"episode={i}\n" for i in range(200)), encoding="utf-8")
+    assert get(http, "/logs")["lines"] == [f"episode={i}" for i in range(150, 200)]
+
+
+@pytest.mark.feature("H9")
+def test_get_terminal_logs(http: TestClient) -> None:
+    assert http.get("/nowhere-to-be-found").status_code == 404
+    last = get(http, "/terminal_logs")["requests"][-1]
+    assert (last["method"], last["path"], last["status"]) == ("GET", "/nowhere-to-be-found", 404)
+
+
+@pytest.mark.feature("H10")
+def test_get_tasks_and_graders(http: TestClient) -> None:
+    tasks = {task["id"]: task for task in get(http, "/tasks")["tasks"]}
+    assert list(tasks) == list(drone_env.TASKS)
+    for task_id, task in drone_env.TASKS.items():
+        for name in ("width", "height", "deliveries", "max_steps", "r_delivery", "r_wall", "version", "grader"):
+            assert tasks[task_id][name] == getattr(task, name)
+    published = [task_id for task_id, task in tasks.items() if task["published"]]
+    assert published == ["easy_delivery", "medium_delivery", "hard_delivery"]
+    graders = get(http, "/graders")["graders"]
+    assert graders == [{"id": task["grader"], "task": task_id} for task_id, task in tasks.items()]
+    assert [one["id"] for one in graders[:3]] == [f"drone_env.graders:grade_{n}" for n in ("easy", "medium", "hard")]
+    for grader in graders:
+        module, _, name = grader["id"].partition(":")
+        assert callable(getattr(import_module(module), name))
+
+
+@pytest.mark.feature("H11")
+def test_get_health(http: TestClient) -> None:
+    assert get(http, "/health") == {"status": "healthy", "version": drone_env.__version__}
+    assert http.head("/health").status_code == 200
+
+
+@pytest.mark.feature("H12")
+def test_get_the_dashboard(http: TestClient) -> None:
+    page = http.get("/")
+    assert (page.status_code, page.headers["Content-Type"]) == (200, "text/html; charset=utf-8")
+    assert "Drone Delivery" in page.text
+    files = re.findall(r'(?:src|href)="((?:\./)?static/[^"]+)"', page.text)
+    assert any(file.endswith("main.js") for file in files)
+    for file in files:
+        answer = http.get(f"/{file}")
+        assert (answer.status_code, answer.headers["Cache-Control"]) == (200, "no-cache"), file
+    assert http.get("/static/nothing.js").status_code == 404
+    assert http.get("/docs").status_code == 200
+
+
+SPLIT = {"split": "easy_delivery/test"}
+REQUESTS: dict[tuple[str, str], Any] = {
+    ("post", "/reset"): {"task_name": "easy_delivery", "seed": 14},
+    ("post", "/predict"): None,
+    ("post", "/step"): {"direction": "LEFT"},
+    ("get", "/state"): None,
+    ("get", "/grade/{task_name}"): {"task_name": "easy"},
+    ("get", "/path_history"): None,
+    ("get", "/solution"): None,
+    ("get", "/analyse/{task_name}"): {"task_name": "easy"},
+    ("get", "/history/{task_name}"): {"task_name": "easy"},
+    ("get", "/memory_logs"): None,
+    ("get", "/episodes"): None,
+    ("get", "/episodes/{episode_id}"): {},
+    ("get", "/logs"): None,
+    ("get", "/terminal_logs"): None,
+    ("get", "/tasks"): None,
+    ("get", "/graders"): None,
+    ("get", "/pilots"): None,
+    ("get", "/kinds"): None,
+    ("get", "/health"): None,
+    ("post", "/replay"): RECORD.model_dump(),
+    ("post", "/annotate"): {},
+    ("get", "/metadata"): None,
+    ("get", "/schema"): None,
+    ("post", "/mcp"): {"jsonrpc": "2.0", "id": 1, "method": "tools/list"},
+    ("get", "/list_environments"): None,
+    ("get", "/{env_name}/splits"): {"env_name": "drone-env"},
+    ("post", "/{env_name}/tasks"): SPLIT,
+    ("post", "/{env_name}/num_tasks"): SPLIT,
+    ("post", "/{env_name}/task"): {**SPLIT, "index": 0},
+    ("post", "/{env_name}/task_range"): {**SPLIT, "start": 0, "stop": 1},
+    ("delete", "/session"): None,
+}
+"""Every endpoint, and what it is asked with, in this order: the first opens a session, the last ends it."""
+
+
+def test_every_endpoint_there_is_answers(http: TestClient) -> None:
+    described = http.get("/openapi.json").json()["paths"]
+    assert set(REQUESTS) == {(method, path) for path, methods in described.items() for method in methods}
+    for (method, path), asked in REQUESTS.items():
+        given = dict(asked or {})
+        if path == "/solution":
+            fly(http, "UP", "UP")
+        if path == "/episodes/{episode_id}":
+            given["episode_id"] = get(http, "/episodes")["episodes"][0]["id"]
+        if path == "/annotate":
+            given = get(http, f"/episodes/{get(http, '/episodes')['episodes'][0]['id']}")
+        filled = path.format(**{"env_name": "drone-env", **given})
+        body = given if method == "post" and asked is not None else None
+        answer = http.request(method, filled, json=body)
+        assert answer.status_code == (204 if method == "delete" else 200), (method, path, answer.text)

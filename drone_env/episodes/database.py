@@ -17,13 +17,18 @@ POLL_SECONDS = 0.0005
 class Database:
     """One connection to write and one to read, each for one thread at a time, so that a long read holds up no writer.
 
+    Args:
+        path: The file.
+        busy_seconds: For how long to wait while others write.
+
     Raises:
         OSError: if the file cannot be made.
         StoreError: if it is no store, is newer than this package, or cannot be opened.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, busy_seconds: float = BUSY_SECONDS) -> None:
         self.path = path
+        self._busy_seconds = busy_seconds
         # Session ids are secrets; SQLite gives the files beside this one the same permissions.
         path.touch(mode=0o600)
         self._write_lock = threading.Lock()
@@ -33,7 +38,7 @@ class Database:
             # Whoever writes polls by itself: SQLite's own waiting grows to 100 ms, a transaction here lasts 0.1 ms.
             self._writer = self._connect(0)
             try:
-                self._reader = self._connect(BUSY_SECONDS)
+                self._reader = self._connect(busy_seconds)
             except BaseException:
                 self._writer.close()
                 raise
@@ -67,7 +72,7 @@ class Database:
             connection = self._writer
             self._writing_thread = threading.get_ident()
             try:
-                _when_free(lambda: connection.execute("BEGIN IMMEDIATE"))
+                self._when_free(lambda: connection.execute("BEGIN IMMEDIATE"))
                 yield connection
                 connection.execute("COMMIT")
             except BaseException:
@@ -80,8 +85,8 @@ class Database:
     def _connect(self, busy_seconds: float) -> sqlite3.Connection:
         connection = sqlite3.connect(self.path, busy_seconds, isolation_level=None, check_same_thread=False)
         try:
-            _when_free(lambda: migrate(connection, self.path))
-            _when_free(lambda: connection.execute("PRAGMA journal_mode = WAL").fetchone())
+            self._when_free(lambda: migrate(connection, self.path))
+            self._when_free(lambda: connection.execute("PRAGMA journal_mode = WAL").fetchone())
             connection.execute("PRAGMA synchronous = NORMAL")
         except BaseException:
             connection.close()
@@ -95,16 +100,15 @@ class Database:
         except sqlite3.Error as error:
             raise StoreError(f"store {self.path}: {error}") from error
 
-
-def _when_free(operation: Callable[[], object]) -> None:
-    """Do it as soon as no other process is writing, within 30 s."""
-    deadline = time.monotonic() + BUSY_SECONDS
-    while True:
-        try:
-            operation()
-            return
-        except sqlite3.OperationalError as error:
-            # Python 3.10 does not tell the error code.
-            if "locked" not in str(error) or time.monotonic() > deadline:
-                raise
-        time.sleep(POLL_SECONDS)
+    def _when_free(self, operation: Callable[[], object]) -> None:
+        """Do it as soon as no other process is writing, unless that takes too long."""
+        deadline = time.monotonic() + self._busy_seconds
+        while True:
+            try:
+                operation()
+                return
+            except sqlite3.OperationalError as error:
+                # Python 3.10 does not tell the error code.
+                if "locked" not in str(error) or time.monotonic() > deadline:
+                    raise
+            time.sleep(POLL_SECONDS)

@@ -1,7 +1,6 @@
 """The rows of the store's tables, inside a transaction that the store has begun."""
 
 import sqlite3
-import time
 from datetime import datetime, timezone
 from typing import Any, NamedTuple
 
@@ -136,20 +135,20 @@ def session_row(connection: sqlite3.Connection, session_id: str) -> SessionRow:
     )
 
 
-def end_session(connection: sqlite3.Connection, session_id: str) -> None:
-    """Take a session out, and remember that it is gone."""
+def end_session(connection: sqlite3.Connection, session_id: str, now: float) -> None:
+    """Take a session out, and remember since when it is gone."""
     connection.execute("DELETE FROM sessions WHERE id = ?", (session_id,))
-    connection.execute("INSERT OR REPLACE INTO gone_sessions VALUES (?, ?)", (session_id, time.time()))
+    connection.execute("INSERT OR REPLACE INTO gone_sessions VALUES (?, ?)", (session_id, now))
 
 
-def end_finished(connection: sqlite3.Connection, before: float) -> bool:
-    """End the finished session that was not used for longest, if that was before a time; whether there was one."""
+def end_finished(connection: sqlite3.Connection, now: float) -> bool:
+    """End the finished session that was not used for longest, if it may give way by now; whether there was one."""
     found = connection.execute(
         "SELECT id FROM sessions WHERE episode_id IS NOT NULL AND touched_at <= ? ORDER BY touched_at LIMIT 1",
-        (before,),
+        (now - FINISHED_SECONDS,),
     ).fetchone()
     if found is not None:
-        end_session(connection, found[0])
+        end_session(connection, found[0], now)
     return found is not None
 
 

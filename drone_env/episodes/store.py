@@ -8,7 +8,7 @@ must be on a local disk. A store must not be carried across a fork: open one in 
 import os
 import secrets
 import time
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,13 +17,12 @@ from typing_extensions import Self
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.analysis import Analysis, FinishedRow, analyse
-from drone_env.episodes.database import Database
+from drone_env.episodes.database import BUSY_SECONDS, Database
 from drone_env.episodes.finished import StoredEpisode, check_agent
 from drone_env.episodes.memory_view import MemoryView
 from drone_env.episodes.optima import Optima
 from drone_env.episodes.record import EpisodeRecord, replay
 from drone_env.episodes.rows import (
-    FINISHED_SECONDS,
     ListedEpisode,
     count_sessions,
     end_finished,
@@ -56,16 +55,21 @@ class Store:
 
     Args:
         folder: Made where it is missing.
+        clock: What tells the time, in seconds since 1970: by it sessions are idle.
+        busy_seconds: For how long to wait while others write.
 
     Raises:
         OSError: if the folder or the file cannot be made.
         StoreError: if the file in it is no store, was written by a newer version of this package, or cannot be opened.
     """
 
-    def __init__(self, folder: str | Path) -> None:
+    def __init__(
+        self, folder: str | Path, clock: Callable[[], float] = time.time, busy_seconds: float = BUSY_SECONDS
+    ) -> None:
         self.folder = Path(folder)
+        self._clock = clock
         self.folder.mkdir(parents=True, exist_ok=True)
-        self._database = Database(self.folder / FILE_NAME)
+        self._database = Database(self.folder / FILE_NAME, busy_seconds)
         try:
             self._view = MemoryView(self.folder / VIEW_NAME, self._newer)
         except BaseException:
@@ -222,7 +226,7 @@ class Store:
         """Open a session on a map and return its id, which cannot be guessed.
 
         Where there is no room, the session that was finished first gives way, if it has not been used for
-        `FINISHED_SECONDS`.
+        30 s.
 
         Raises:
             CapacityError: if `capacity` sessions are open already; expire the idle ones first.
@@ -232,10 +236,10 @@ class Store:
         """
         session_id = secrets.token_urlsafe(24)
         task = known_task(task, task_version, seed, reward_profile)
-        now = time.time()
+        now = self._clock()
         row = (session_id, task, task_version, seed, reward_profile, check_agent(agent), "", None, now, now)
         with self._database.writing() as connection:
-            if count_sessions(connection) >= capacity and not end_finished(connection, now - FINISHED_SECONDS):
+            if count_sessions(connection) >= capacity and not end_finished(connection, now):
                 raise CapacityError(f"all {capacity} sessions are taken: try again later")
             connection.execute("INSERT INTO sessions VALUES (?,?,?,?,?,?,?,?,?,?)", row)
         return session_id
@@ -275,7 +279,7 @@ class Store:
                     row.agent,
                     "".join(map(str, row.actions)),
                     row.episode_id,
-                    time.time(),
+                    self._clock(),
                     session_id,
                 ),
             )
@@ -303,7 +307,7 @@ class Store:
         """
         with self._database.writing() as connection:
             session_row(connection, session_id)
-            end_session(connection, session_id)
+            end_session(connection, session_id, self._clock())
 
     def touch_sessions(self, session_ids: Iterable[str]) -> None:
         """Count sessions as used just now; those that are gone stay so.
@@ -311,7 +315,7 @@ class Store:
         Raises:
             StoreError: if it could not be written.
         """
-        now = time.time()
+        now = self._clock()
         with self._database.writing() as connection:
             connection.executemany(
                 "UPDATE sessions SET touched_at = ? WHERE id = ?", [(now, id_) for id_ in session_ids]
@@ -325,11 +329,11 @@ class Store:
         Raises:
             StoreError: if it could not be written.
         """
-        now = time.time()
+        now = self._clock()
         with self._database.writing() as connection:
             idle = connection.execute("SELECT id FROM sessions WHERE touched_at <= ?", (now - idle_seconds,)).fetchall()
             for (session_id,) in idle:
-                end_session(connection, session_id)
+                end_session(connection, session_id, now)
             connection.execute("DELETE FROM gone_sessions WHERE gone_at < ?", (now - GONE_SECONDS,))
         return [session_id for (session_id,) in idle]
 

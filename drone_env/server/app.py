@@ -6,10 +6,13 @@ OpenEnv's server package is not imported: it costs seconds and 150 MB, most of i
 
 import argparse
 import asyncio
+import errno
 import logging
 import os
+import socket as sockets
 import sys
-from collections.abc import AsyncGenerator, Sequence
+import time
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -24,7 +27,7 @@ from starlette.routing import WebSocketRoute
 from drone_env import __version__
 from drone_env.core.tasks import get_task
 from drone_env.episodes.store import Store
-from drone_env.errors import DroneEnvError, StoreError
+from drone_env.errors import DroneEnvError, InvalidValueError, StoreError
 from drone_env.registry import load_plugins
 from drone_env.server.flight import DEFAULT_TASK
 from drone_env.server.live.socket import LiveSocket
@@ -51,20 +54,22 @@ REVALIDATED = {"Cache-Control": "no-cache"}
 """Browsers ask whether a file has changed, so that an update of the package is seen at once."""
 
 
-def create_app(settings: Settings | None = None) -> FastAPI:
+def create_app(settings: Settings | None = None, clock: Callable[[], float] | None = None) -> FastAPI:
     """The server as an ASGI application. Nothing is opened or written before it starts.
 
     Args:
         settings: The configuration; None for the environment's.
+        clock: What tells the time in seconds, by which sessions are idle; None for the machine's.
 
     Raises:
         InvalidValueError: if a variable of the environment has a value that it cannot have.
     """
     load_plugins()
-    shared = Shared(settings or load_settings())
+    shared = Shared(settings or load_settings(), clock or time.time)
     settings = shared.settings
     live = LiveSocket(shared)
-    socket = OpenEnvSocket(lambda: shared.store, settings.capacity, settings.idle_seconds, settings.max_bytes)
+    limits = settings.capacity, settings.idle_seconds, settings.max_bytes
+    socket = OpenEnvSocket(lambda: shared.store, *limits, clock or time.monotonic)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None, None]:
@@ -90,6 +95,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.shared = shared
     app.state.socket = socket
+    app.state.live = live
     install(app)
     protect(app, settings)
     app.add_middleware(LogRequests, log=shared.requests)
@@ -163,13 +169,14 @@ def run(host: str, port: int, workers: int, data: str) -> None:
         data: Folder of what is kept.
 
     Raises:
-        InvalidValueError: if one of them is not allowed.
+        InvalidValueError: if one of them is not allowed, or the address is taken.
         StoreError: if the data folder cannot be used.
     """
     # The workers are processes of their own, which read the environment.
     chosen = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA": data}
     os.environ.update({f"DRONE_ENV_{name}": str(value) for name, value in chosen.items()})
     settings = load_settings()
+    _check_address(settings.host, settings.port)
     try:
         # Said here in a line: a worker that cannot open it prints a long trace, and so does each of the others.
         Store(settings.data).close()
@@ -201,6 +208,27 @@ def run(host: str, port: int, workers: int, data: str) -> None:
         # After 5 s uvicorn would kill a worker that is merely slow, with its sockets, and without a word at this level.
         timeout_worker_healthcheck=60,
     )
+
+
+def _check_address(host: str, port: int) -> None:
+    """See whether one can listen there before anything is opened or made: uvicorn finds out last, and says less.
+
+    Raises:
+        InvalidValueError: if one cannot.
+    """
+    try:
+        found = sockets.getaddrinfo(host, port, type=sockets.SOCK_STREAM, flags=sockets.AI_PASSIVE)
+        for family, kind, protocol, _, address in found:
+            with sockets.socket(family, kind, protocol) as probe:
+                probe.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
+                if family == sockets.AF_INET6:
+                    probe.setsockopt(sockets.IPPROTO_IPV6, sockets.IPV6_V6ONLY, 1)
+                probe.bind(address)
+    except OSError as error:
+        if error.errno in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
+            return  # a name may stand for several addresses, some of which this machine lacks: uvicorn takes the others
+        told = f"cannot listen on {host}, port {port}: {error.strerror or error}"
+        raise InvalidValueError(f"{told}; --host and --port choose another address") from None
 
 
 app: FastAPI

@@ -8,6 +8,7 @@ servers side by side.
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -64,13 +65,22 @@ class OpenEnvSocket:
         capacity: How many sockets may be open.
         idle_seconds: A socket on which nothing arrives for so long is closed.
         max_bytes: The largest frame.
+        clock: What tells the time in seconds, since whenever.
     """
 
-    def __init__(self, store: Callable[[], Store], capacity: int, idle_seconds: float, max_bytes: int) -> None:
+    def __init__(
+        self,
+        store: Callable[[], Store],
+        capacity: int,
+        idle_seconds: float,
+        max_bytes: int,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.store = store
         self.capacity = capacity
         self.idle_seconds = idle_seconds
         self.max_bytes = max_bytes
+        self._clock = clock
         self.connections: set[Connection] = set()
         # One thread: the store lets one writer in at a time anyway.
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="episodes")
@@ -95,7 +105,7 @@ class OpenEnvSocket:
                 "CAPACITY_REACHED", f"{self.capacity} sessions are open, and no more are allowed: try again later"
             )
         else:
-            connection = Connection(socket, asyncio.get_running_loop().time())
+            connection = Connection(socket, self._clock())
             self.connections.add(connection)
             try:
                 await self._serve(connection)
@@ -106,7 +116,7 @@ class OpenEnvSocket:
         await socket.close(TRY_LATER, str(refusal)[:120])
 
     async def _serve(self, connection: Connection) -> None:
-        socket, clock = connection.socket, asyncio.get_running_loop().time
+        socket, clock = connection.socket, self._clock
         while True:
             message = await socket.receive()
             if message["type"] == "websocket.disconnect":
@@ -182,7 +192,7 @@ class OpenEnvSocket:
 
     async def close_idle(self) -> None:
         """Close the sockets that were idle for too long."""
-        limit = asyncio.get_running_loop().time() - self.idle_seconds
+        limit = self._clock() - self.idle_seconds
         idle = {connection for connection in self.connections if connection.touched < limit}
         self.connections -= idle
         # All at once: each waits for its client to say goodbye, which may take seconds.

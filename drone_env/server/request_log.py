@@ -41,10 +41,15 @@ class RequestLog:
         self.count = 0
         self._file: RotatingFileHandler | None = None
 
-    def open(self, folder: Path) -> None:
-        """Also write to `requests.log` in this folder, which must exist."""
+    def open(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
+        """Also write to `requests.log` in this folder, which must exist.
+
+        Args:
+            folder: The folder.
+            max_bytes: The file is rotated before it grows beyond that.
+        """
         self._file = RotatingFileHandler(
-            folder / FILE_NAME, maxBytes=MAX_BYTES, backupCount=BACKUPS, encoding="utf-8", errors="backslashreplace"
+            folder / FILE_NAME, maxBytes=max_bytes, backupCount=BACKUPS, encoding="utf-8", errors="backslashreplace"
         )
 
     def close(self) -> None:

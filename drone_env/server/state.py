@@ -1,6 +1,8 @@
 """What the routes share: one `Shared` per application, found at `app.state.shared`."""
 
 import threading
+import time
+from collections.abc import Callable
 from typing import Annotated
 
 from fastapi import Cookie, Depends, Header, Request
@@ -25,10 +27,12 @@ class Shared:
 
     Args:
         settings: The configuration.
+        clock: What tells the time, in seconds since 1970.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, clock: Callable[[], float] = time.time) -> None:
         self.settings = settings
+        self._clock = clock
         self.requests = RequestLog()
         self.networks = Networks(settings.weights)
         self._sessions: Sessions | None = None
@@ -70,7 +74,7 @@ class Shared:
         Raises:
             OSError: if it cannot be opened.
         """
-        store = Store(self.settings.data)
+        store = Store(self.settings.data, self._clock)
         self.requests.open(self.settings.data)
         self._sessions = Sessions(store, self.settings.capacity, self.settings.idle_seconds)
 

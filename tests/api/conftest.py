@@ -10,6 +10,7 @@ from starlette.testclient import TestClient
 
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
+from tests.api.serving import Server, serving
 
 
 @pytest.fixture
@@ -24,6 +25,28 @@ def client(settings: dict[str, Any]) -> Generator[TestClient, None, None]:
     with TestClient(create_app(Settings(**settings))) as running:
         running.cookies.jar.set_policy(_NoCookies())
         yield running
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server, None, None]:
+    """A server in a process of its own, for all tests that need no server to themselves."""
+    with serving(tmp_path_factory.mktemp("server") / "data", CAPACITY="2000") as running:
+        yield running
+
+
+class Clock:
+    """A clock that stands still until it is moved."""
+
+    def __init__(self) -> None:
+        self.now = time.time()
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
 
 
 class _NoCookies:

@@ -1,8 +1,6 @@
 """What the server says there is, its logs, its predictions, and its description of itself."""
 
-import importlib
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +9,6 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from drone_env import __version__
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
@@ -20,54 +17,17 @@ from drone_env.core.tasks import TASKS, get_task
 from drone_env.models import DroneObservation
 from drone_env.server.app import create_app
 from drone_env.server.predict import arrays_of
-from drone_env.server.routes.catalogue import PUBLISHED
+from drone_env.server.request_log import KEPT, LONGEST_PATH, RequestLog
 from drone_env.server.routes.history import LINES
 from drone_env.server.schemas import Prediction
 from drone_env.server.settings import Settings
 from drone_env.server.train_log import TrainLog
+from tests.api.networks import put_network
 
 Header = dict[str, str]
 
 
-def test_health(client: TestClient) -> None:
-    assert client.get("/health").json() == {"status": "healthy", "version": __version__}
-
-
-def test_the_root_is_the_page_and_its_files_are_served(client: TestClient) -> None:
-    page = client.get("/")
-    assert (page.status_code, page.headers["Content-Type"]) == (200, "text/html; charset=utf-8")
-    files = re.findall(r'(?:src|href)="((?:\./)?static/[^"]+)"', page.text)
-    assert any(file.endswith(".js") for file in files)
-    for file in files:
-        answer = client.get(f"/{file}")
-        assert (answer.status_code, answer.headers["Cache-Control"]) == (200, "no-cache"), file
-    assert client.get("/static/nothing.js").status_code == 404
-    assert client.get("/docs").status_code == 200
-
-
-def test_every_task_is_listed_with_its_numbers(client: TestClient) -> None:
-    listed = {task["id"]: task for task in client.get("/tasks").json()["tasks"]}
-    assert list(listed) == list(TASKS)
-    for task_id, task in TASKS.items():
-        for name in ("width", "height", "deliveries", "max_steps", "r_delivery", "r_wall", "version", "grader"):
-            assert listed[task_id][name] == getattr(task, name)
-        assert listed[task_id]["published"] == (task_id in PUBLISHED)
-
-
-def test_every_grader_is_listed_and_can_be_imported(client: TestClient) -> None:
-    graders = client.get("/graders").json()["graders"]
-    assert [grader["task"] for grader in graders] == list(TASKS)
-    for grader in graders:
-        module, _, name = grader["id"].partition(":")
-        assert callable(getattr(importlib.import_module(module), name))
-
-
 class TestLogs:
-    def test_the_end_of_the_training_log(self, client: TestClient, settings: dict[str, Any]) -> None:
-        assert client.get("/logs").json() == {"file": "train.log", "lines": []}
-        (settings["data"] / "train.log").write_text("".join(f"line {i}\n" for i in range(200)))
-        assert client.get("/logs").json()["lines"] == [f"line {i}" for i in range(150, 200)]
-
     def test_the_end_of_a_huge_file_is_read_alone(self, tmp_path: Path) -> None:
         path = tmp_path / "train.log"
         path.write_text("x" * 1_000_000 + "\n" + "short\n" * 3)
@@ -88,26 +48,44 @@ class TestLogs:
         assert "secret" not in "".join(lines)
         assert session not in "".join(lines)
 
-    def test_the_log_is_bounded(self, client: TestClient) -> None:
-        for _ in range(250):
-            client.get("/health")
-        logged = client.get("/terminal_logs").json()["requests"]
-        assert (len(logged), logged[-1]["number"]) == (200, 250)
+    def test_what_is_kept_in_memory_is_bounded(self) -> None:
+        log = RequestLog()
+        for _ in range(KEPT + 50):
+            log.add("GET", "/" + "x" * 1000, 200, 0.0)
+        logged = log.since(0)
+        assert (len(logged), logged[0].number, logged[-1].number) == (KEPT, 51, KEPT + 50)
+        assert {len(entry.path) for entry in logged} == {LONGEST_PATH}
+        assert [entry.number for entry in log.since(KEPT + 48)] == [KEPT + 49, KEPT + 50]
+
+    def test_the_file_is_rotated_three_times_and_no_line_is_cut(self, tmp_path: Path) -> None:
+        log = RequestLog()
+        log.open(tmp_path, max_bytes=2000)
+        for _ in range(100):
+            log.add("GET", "/tasks", 200, 0.0)
+        log.close()
+        files = [tmp_path / f"requests.log{end}" for end in (".3", ".2", ".1", "")]
+        assert sorted(tmp_path.iterdir()) == sorted(files)
+        assert all(file.stat().st_size <= 2000 for file in files)
+        numbers = [json.loads(line)["number"] for file in files for line in file.read_text().splitlines()]
+        assert numbers == list(range(101 - len(numbers), 101))
+        assert len(numbers) > 40
+
+    def test_it_is_rotated_before_it_has_more_than_a_megabyte(self, tmp_path: Path) -> None:
+        (tmp_path / "requests.log").write_text("x" * 999_950 + "\n")
+        log = RequestLog()
+        log.open(tmp_path)
+        log.add("GET", "/tasks", 200, 0.0)
+        log.close()
+        assert (tmp_path / "requests.log.1").stat().st_size == 999_951
+        assert json.loads((tmp_path / "requests.log").read_text())["path"] == "/tasks"
 
 
 class TestPredictions:
     @pytest.fixture
     def settings(self, tmp_path: Path) -> dict[str, Any]:
-        """An application whose weights were exported from networks that nobody trained."""
-        pytest.importorskip("torch")
-        from drone_env.rl.export import export_network
-        from drone_env.rl.model import PathQNet
-
+        """An application with networks of two tasks."""
         for task in ("easy", "skyline_easy"):
-            config = get_task(task)
-            file = tmp_path / f"{config.id}_v{config.version}.npz"
-            size = {"telemetry_size": config.telemetry_size}
-            export_network(PathQNet(**size), file, size)
+            put_network(get_task(task), tmp_path)
         return {"data": tmp_path / "data", "weights": tmp_path}
 
     @pytest.mark.parametrize("task", ["easy", "skyline_easy"])

@@ -1,5 +1,6 @@
 """Flying over HTTP: reset, step, sessions, and what there is to know about an episode."""
 
+import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.episodes.finished import check_agent
 from drone_env.episodes.record import replay
-from drone_env.episodes.store import Store
+from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.errors import InvalidValueError
 from drone_env.graders import GRADERS
 from drone_env.models import DroneObservation, DroneState
@@ -20,8 +21,10 @@ from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
 from drone_env.server.schemas import FlatReset, PathHistory, ResetResult, SolutionAnswer, StepResult
 from drone_env.server.settings import Settings
+from tests.api.conftest import Clock
 
 Header = dict[str, str]
+UP = {"direction": "UP"}
 
 
 def flown(task: str, seed: int, actions: int = 0) -> Episode:
@@ -239,16 +242,27 @@ class TestSessions:
             assert full.headers["Retry-After"] == "5"
             assert client.post("/reset", headers={"X-Session-Id": first}).status_code == 200
 
-    def test_an_idle_session_ends_and_makes_room(self, tmp_path: Path, eventually: Callable[..., None]) -> None:
-        with TestClient(create_app(Settings(data=tmp_path, capacity=1, idle_seconds=0.2))) as client:
+    def test_an_idle_session_ends_by_itself(
+        self, tmp_path: Path, clock: Clock, eventually: Callable[..., None]
+    ) -> None:
+        # Looked for every 0.1 s; idle by the test's clock alone.
+        with TestClient(create_app(Settings(data=tmp_path, idle_seconds=0.4), clock)) as client:
+            session = {"X-Session-Id": client.post("/reset").json()["session_id"]}
+            clock.now += 1
+            eventually(lambda: client.get("/state", headers=session).status_code == 410)
+
+    def test_an_idle_session_makes_room_and_reading_does_not_keep_it(self, tmp_path: Path, clock: Clock) -> None:
+        with TestClient(create_app(Settings(data=tmp_path, capacity=1), clock)) as client:
             session = {"X-Session-Id": client.post("/reset").json()["session_id"]}
             client.cookies.clear()
-
-            def ended() -> bool:
-                return client.get("/state", headers=session).status_code == 410
-
-            eventually(ended)
+            clock.now += 800
+            assert client.post("/step", json={"direction": "WAIT"}, headers=session).status_code == 200
+            clock.now += 899
+            assert client.get("/state", headers=session).status_code == 200
+            assert client.post("/reset").status_code == 503
+            clock.now += 1
             assert client.post("/reset").status_code == 200
+            assert client.get("/state", headers=session).status_code == 410
 
     def test_a_session_is_there_after_a_restart(self, tmp_path: Path) -> None:
         with TestClient(create_app(Settings(data=tmp_path))) as client:
@@ -338,9 +352,9 @@ class TestEndOfSession:
                 client.cookies.clear()
 
     def test_finished_sessions_give_way_when_nobody_has_used_them_for_a_while(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        self, tmp_path: Path, clock: Clock
     ) -> None:
-        with TestClient(create_app(Settings(data=tmp_path, capacity=2))) as client:
+        with TestClient(create_app(Settings(data=tmp_path, capacity=2), clock)) as client:
             sessions: list[dict[str, str]] = []
             for _ in range(2):
                 client.cookies.clear()
@@ -348,11 +362,46 @@ class TestEndOfSession:
             while not client.post("/step", headers=sessions[0], json={"direction": "WAIT"}).json()["done"]:
                 pass
             client.cookies.clear()
+            clock.now += 29
             assert client.post("/reset").status_code == 503  # its owner may still ask for the score
-            monkeypatch.setattr("drone_env.episodes.store.FINISHED_SECONDS", 0.0)
+            clock.now += 1
             assert client.post("/reset").status_code == 200
             assert client.get("/state", headers=sessions[0]).status_code == 410
             assert client.get("/state", headers=sessions[1]).status_code == 200
+
+
+def test_a_store_that_fails_is_told_as_busy_and_keeps_nothing(
+    client: TestClient, session: Header, settings: dict[str, Any]
+) -> None:
+    with sqlite3.connect(settings["data"] / FILE_NAME) as other:
+        other.execute(
+            "CREATE TRIGGER broken BEFORE UPDATE ON sessions BEGIN SELECT RAISE(ABORT, 'the disk is gone'); END"
+        )
+    for method, path, body in (("POST", "/step", {"direction": "UP"}), ("POST", "/reset", {"seed": 8})):
+        answer = client.request(method, path, json=body, headers=session)
+        assert (answer.status_code, answer.json()["code"]) == (503, "store")
+        assert "the disk is gone" in answer.json()["detail"]
+        assert answer.headers["Retry-After"] == "5"
+    with sqlite3.connect(settings["data"] / FILE_NAME) as other:
+        other.execute("DROP TRIGGER broken")
+    other.close()
+    state = client.get("/state", headers=session).json()
+    assert (state["seed"], state["step_count"]) == (7, 0)
+    # What was flown before the failure is not flown twice.
+    assert client.post("/step", json={"direction": "UP"}, headers=session).json()["step_count"] == 1
+
+
+def test_a_session_of_a_task_that_a_newer_version_has_made_is_told(
+    client: TestClient, session: Header, settings: dict[str, Any]
+) -> None:
+    with sqlite3.connect(settings["data"] / FILE_NAME) as newer:
+        newer.execute("UPDATE sessions SET task_version = 99")
+    newer.close()
+    for answer in (client.get("/state", headers=session), client.post("/step", json=UP, headers=session)):
+        assert (answer.status_code, answer.json()["code"]) in ((404, "unknown_name"), (422, "unknown_name"))
+        assert "99" in answer.json()["detail"]
+    assert client.post("/reset", json={"seed": 7}, headers=session).json()["step_count"] == 0
+    assert client.get("/state", headers=session).status_code == 200
 
 
 def test_what_a_reset_answers_can_be_asked_about(client: TestClient) -> None:

@@ -21,6 +21,7 @@ from drone_env.planning.exact import ExactSolver
 from drone_env.server.app import create_app
 from drone_env.server.live.commands import MOST_MISSIONS
 from drone_env.server.settings import Settings
+from tests.api.conftest import Clock
 
 Message = dict[str, Any]
 
@@ -225,18 +226,25 @@ def test_without_a_seed_the_next_map_follows(client: TestClient) -> None:
         assert page.start("greedy", seed=None)[0]["mission"]["seed"] == episode.reset()
 
 
-@pytest.mark.parametrize("settings", [{"idle_seconds": 0.4}])
-def test_an_open_page_keeps_its_paused_mission(settings: dict[str, Any], tmp_path: Path) -> None:
-    with TestClient(create_app(Settings(data=tmp_path, **settings))) as client:
+def test_an_open_page_keeps_its_paused_mission(tmp_path: Path, clock: Clock, eventually: Callable[..., None]) -> None:
+    # Looked for every 0.25 s; idle by the test's clock alone.
+    app = create_app(Settings(data=tmp_path, idle_seconds=1), clock)
+    with TestClient(app) as client:
         with client.websocket_connect("/live") as socket:
-            page = Page(socket)
-            header = {"X-Session-Id": page.start("human")[0]["mission"]["session"]}
-            time.sleep(1.2)
+            session = Page(socket).start("human")[0]["mission"]["session"]
+            header = {"X-Session-Id": session}
+            for _ in range(3):
+                clock.now += 0.9
+
+                def is_kept() -> bool:
+                    used = app.state.shared.store.read_session(session).touched_at.timestamp()
+                    return used == pytest.approx(clock.now, abs=0.001)
+
+                eventually(is_kept)
             assert client.get("/state", headers=header).status_code == 200
-        deadline = time.monotonic() + 30
-        while client.get("/state", headers=header).status_code == 200:
-            assert time.monotonic() < deadline, "the session of a page that has gone is not ended"
-            time.sleep(0.1)
+        eventually(lambda: not app.state.live.cockpits)
+        clock.now += 1
+        eventually(lambda: client.get("/state", headers=header).status_code == 410)
 
 
 @pytest.mark.parametrize(

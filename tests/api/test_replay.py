@@ -12,6 +12,7 @@ from drone_env.core.cells import CELL_KINDS
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.episodes.record import EpisodeRecord, record_of
+from drone_env.episodes.store import Store
 from drone_env.planning.optimal import solve
 
 JSON = {"Content-Type": "application/json"}
@@ -132,13 +133,18 @@ def test_a_stored_episode_can_be_replayed(client: TestClient) -> None:
     assert client.get("/episodes/none").status_code == 404
 
 
-def test_the_history_of_a_task_for_charts(client: TestClient) -> None:
-    fly(client, "greedy", range(2))
-    fly(client, "random", range(23))
+def test_the_history_of_a_task_for_charts(client: TestClient, settings: dict[str, Any]) -> None:
+    with Store(settings["data"]) as store:
+        for seed in (0, 1):
+            store.add_episode(record("easy", seed, "greedy"))
+        lost = record("easy", 2, "random")
+        assert not lost.success
+        for _ in range(23):
+            store.add_episode(lost)
     history = client.get("/history/easy").json()
     wins = [row["success"] for row in history["episodes"]]
-    assert [row["seed"] for row in history["episodes"]] == [*range(2), *range(23)]
-    assert wins[:2] == [True, True]
+    assert [row["seed"] for row in history["episodes"]] == [0, 1, *[2] * 23]
+    assert wins == [True, True, *[False] * 23]
     windows = [wins[max(0, end - 20) : end] for end in range(1, 26)]
     assert history["rolling_success"] == [sum(window) / len(window) for window in windows]
     assert client.get("/history/easy?last=3").json()["episodes"] == history["episodes"][-3:]

@@ -20,6 +20,7 @@ from drone_env.server.flight import Flight, openenv_result
 from drone_env.server.openenv_socket import Connection, OpenEnvSocket
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.settings import Settings
+from tests.api.conftest import Clock
 
 
 def ask(socket: WebSocketTestSession, frame: Any) -> Any:
@@ -129,12 +130,18 @@ def test_a_place_is_free_when_its_socket_is_closed(tmp_path: Path, eventually: C
             eventually(lambda: not app.state.socket.connections)
 
 
-def test_an_idle_socket_is_closed_and_its_place_is_free(tmp_path: Path) -> None:
-    app = create_app(Settings(data=tmp_path, capacity=1, idle_seconds=0.2))
+def test_an_idle_socket_is_closed_and_its_place_is_free(tmp_path: Path, clock: Clock) -> None:
+    # Looked for every 0.1 s; idle by the test's clock alone.
+    app = create_app(Settings(data=tmp_path, capacity=1, idle_seconds=0.4), clock)
     with TestClient(app) as client:
         for _ in range(2):
             with client.websocket_connect("/ws") as socket:
                 assert ask(socket, {"type": "reset"})["type"] == "observation"
+                clock.now += 0.3
+                assert ask(socket, {"type": "state"})["type"] == "state"
+                clock.now += 0.3
+                assert ask(socket, {"type": "state"})["type"] == "state"
+                clock.now += 1
                 with pytest.raises(WebSocketDisconnect) as closed:
                     socket.receive_text()
             assert closed.value.code == 1001

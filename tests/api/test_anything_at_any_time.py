@@ -1,0 +1,177 @@
+"""A server among many callers, and among callers that send anything at any time."""
+
+import asyncio
+import json
+import os
+import random
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+import websockets
+import websockets.exceptions
+import websockets.sync.client as websockets_client
+
+from drone_env.core.actions import Action
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS
+from tests.api.serving import Server
+
+FRAMES = int(os.environ.get("DRONE_ENV_FRAMES", "500"))
+COMMANDS = FRAMES // 4
+STEPS = int(os.environ.get("DRONE_ENV_SOCKET_STEPS", "2000"))
+SOCKETS = 256 if STEPS > 10_000 else 32
+
+
+def test_interleaved_sockets_never_see_each_other(server: Server) -> None:
+    tasks = list(TASKS)[:3]
+
+    async def fly(number: int, steps: int) -> int:
+        moves = random.Random(number)
+        episode = Episode(tasks[number % 3])
+        url = server.url.replace("http", "ws") + "/ws"
+        async with websockets.connect(url, compression=None, open_timeout=300) as socket:
+
+            async def ask(kind: str, data: dict[str, Any] | None = None) -> Any:
+                await socket.send(json.dumps({"type": kind} | ({} if data is None else {"data": data})))
+                answer = json.loads(await socket.recv())
+                assert answer["type"] != "error", answer
+                return answer["data"]
+
+            flown = 0
+            seed = number
+            while flown < steps:
+                seed += SOCKETS
+                await ask("reset", {"task_name": episode.task.id, "seed": seed, "episode_id": f"{number}"})
+                episode.reset(seed)
+                while not episode.ended and flown < steps:
+                    action = Action(moves.randrange(5))
+                    answer = await ask("step", {"direction": action.name})
+                    reward = episode.step(action)
+                    flown += 1
+                    seen = answer["observation"]
+                    assert (answer["reward"], seen["drone_x"], seen["drone_y"]) == (reward, *episode.position)
+                    assert (seen["step_count"], answer["done"]) == (episode.steps, episode.ended)
+                state = await ask("state")
+                assert (state["seed"], state["episode_id"], state["step_count"]) == (seed, f"{number}", episode.steps)
+            return flown
+
+    async def all_of_them() -> list[int]:
+        return await asyncio.gather(*[fly(number, -(-STEPS // SOCKETS)) for number in range(SOCKETS)])
+
+    assert sum(asyncio.run(all_of_them())) >= STEPS
+
+
+def frames(source: random.Random) -> Iterator[str | bytes]:
+    """Frames that are nearly right, or not at all."""
+    scalars: list[Any] = [None, True, 0, -1, 2**53, 1e308, 1.5, "", "UP", "\ud800", "\x00", [], {}, [[]], {"a": 1}]
+    keys = ["type", "data", "direction", "seed", "task_name", "episode_id", "metadata", "split", "index", "agent", "x"]
+    kinds = ["reset", "step", "state", "mcp", "RESET", "", None, 1, ["step"]]
+
+    def value(depth: int) -> Any:
+        pick = source.random()
+        if depth and pick < 0.2:
+            return {source.choice(keys): value(depth - 1) for _ in range(source.randrange(4))}
+        if depth and pick < 0.3:
+            return [value(depth - 1) for _ in range(source.randrange(4))]
+        return source.choice(scalars)
+
+    while True:
+        frame: Any = {"type": source.choice(kinds), "data": {source.choice(keys): value(3) for _ in range(2)}}
+        if source.random() < 0.2:
+            frame = value(4)
+        text = json.dumps(frame)
+        pick = source.random()
+        if pick < 0.1:
+            text = text[: source.randrange(len(text) + 1)]
+        elif pick < 0.15:
+            text = text.replace("null", source.choice(["NaN", "Infinity", "-Infinity"]))
+        elif pick < 0.17:
+            text = "[" * source.randrange(20_000)
+        elif pick < 0.2:
+            yield os.urandom(source.randrange(50))
+            continue
+        yield text
+
+
+def test_fuzzed_frames_neither_end_nor_stall_a_session(server: Server) -> None:
+    url = server.url.replace("http", "ws") + "/ws"
+    source = frames(random.Random(7))
+    kinds: set[str] = set()
+    with websockets_client.connect(url, compression=None, open_timeout=60) as socket:
+        for number in range(FRAMES):
+            socket.send(next(source))
+            answer = json.loads(socket.recv(timeout=60))
+            kinds.add(answer["type"])
+            if number % 100 == 0:
+                socket.send('{"type": "reset", "data": {"seed": 7}}')
+                assert json.loads(socket.recv(timeout=60))["type"] == "observation"
+    assert {"state", "error", "mcp"} <= kinds <= {"observation", "state", "error", "mcp"}
+    assert httpx.get(f"{server.url}/health", timeout=60).status_code == 200
+    assert "Traceback" not in server.log.read_text()
+
+
+def test_an_oversized_frame_ends_its_connection_alone(server: Server) -> None:
+    url = server.url.replace("http", "ws") + "/ws"
+    with (
+        websockets_client.connect(url, compression=None) as other,
+        websockets_client.connect(url, compression=None) as socket,
+    ):
+        socket.send(" " * 100_000)
+        with pytest.raises(websockets.exceptions.ConnectionClosedError) as closed:
+            socket.recv(timeout=60)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1009
+        other.send('{"type": "reset"}')
+        assert json.loads(other.recv(timeout=60))["type"] == "observation"
+
+
+def commands(source: random.Random, sessions: list[str]) -> Any:
+    """A command that is right, or nearly so."""
+    flown = {"direction": source.choice(["UP", "WAIT", "up"]), "mission": source.randrange(-1, 5)}
+    pilots = ["pathqnet", "greedy", "optimal", "random", "human", "ghost"]
+    return source.choice(
+        [
+            {
+                "type": "start",
+                "task": source.choice([*list(TASKS)[:4], "nowhere"]),
+                "seed": source.choice([None, 7, 2**53 - 1, -1]),
+                "pilots": source.choices(pilots, k=source.randrange(6)),
+            },
+            {"type": "attach", "sessions": source.choices([*sessions, "nobody"], k=source.randrange(6))},
+            {"type": "play", "speed": source.choice([0.5, 6, 60, 61, None, "fast"])},
+            {"type": "pause"},
+            {"type": "subscribe", "topics": source.choices(["requests", "training", "episodes", "x"], k=2)},
+            {"type": "end"},
+            source.choice([[], None, 5, "step", {"type": None}, {"type": "step", "more": 1}]),
+            *[{"type": "fly", **flown}] * 2,
+            *[{"type": "step"}] * 3,
+        ]
+    )
+
+
+def test_any_command_of_a_page_at_any_time_leaves_the_server_well(server: Server) -> None:
+    source = random.Random(7)
+    sessions: list[str] = []
+    left = COMMANDS
+    while left > 0:
+        with websockets_client.connect(server.url.replace("http", "ws") + "/live", compression=None) as socket:
+            for _ in range(source.randrange(1, 80)):
+                left -= 1
+                socket.send(json.dumps(commands(source, sessions)))
+                try:
+                    while True:
+                        message = json.loads(socket.recv(timeout=0.002))
+                        for shown in message["missions"] if message["type"] == "missions" else ():
+                            sessions = [*sessions, shown["mission"]["session"]][-20:]
+                except TimeoutError:
+                    continue
+            if source.random() < 0.5:
+                socket.socket.close()  # without a goodbye
+    with websockets_client.connect(server.url.replace("http", "ws") + "/live") as socket:
+        socket.send(json.dumps({"type": "start", "task": "easy", "seed": 7, "pilots": ["greedy"]}))
+        while json.loads(socket.recv(timeout=60))["type"] != "missions":
+            pass
+    assert httpx.get(f"{server.url}/health", timeout=60).status_code == 200
+    assert "Traceback" not in server.log.read_text()

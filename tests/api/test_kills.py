@@ -1,0 +1,153 @@
+"""What survives when the server is killed at any moment: all that was acknowledged."""
+
+import json
+import os
+import random
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import websockets.sync.client
+
+from drone_env.client import DroneEnvClient, ServerError
+from drone_env.core.actions import Action
+from drone_env.core.state_manager import Episode
+from drone_env.episodes.record import replay
+from drone_env.episodes.store import Store
+from drone_env.planning.optimal import solve
+from tests.api.serving import Server
+from tests.tools import reserved_port
+
+KILLS = int(os.environ.get("DRONE_ENV_KILLS", "2"))
+
+
+class Pilot(threading.Thread):
+    """Flies over HTTP without end, and knows what was acknowledged."""
+
+    def __init__(self, url: str, number: int) -> None:
+        super().__init__(daemon=True)
+        self.client = DroneEnvClient(url)
+        self.random = random.Random(number)
+        self.number = number
+        self.acknowledged = 0
+        self.failure: BaseException | None = None
+        self.expected: Episode | None = None
+        self.pending: list[Action] = []
+        """Sent, not acknowledged: may have been flown or not."""
+        self.finished: list[tuple[int, float]] = []
+        """(seed, score) of the episodes whose end was acknowledged."""
+
+    def run(self) -> None:
+        try:
+            while True:
+                self.once()
+        except ServerError as error:
+            if error.status:
+                self.failure = error
+        except BaseException as error:
+            self.failure = error
+
+    def once(self) -> None:
+        if self.expected is None or self.expected.ended:
+            seed = self.random.randrange(2**40) * 100 + self.number
+            self.expected, self.pending = None, []
+            self.client.reset("easy", seed=seed, agent="pilot")
+            self.expected = Episode("easy")
+            self.expected.reset(seed)
+        best = solve("easy", self.expected.seed).actions
+        flown = self.expected.steps
+        action = best[flown] if flown < len(best) else Action.WAIT
+        self.pending = [action]
+        observation = self.client.step(action.name)
+        self.pending = []
+        self.expected.step(action)
+        self.acknowledged += 1
+        assert observation["step_count"] == self.expected.steps
+        if observation["done"]:
+            self.finished.append((self.expected.seed, observation["score"]))
+
+    def check(self) -> None:
+        """Hold the server's state against what was acknowledged, and go on from there."""
+        if self.expected is None:
+            return
+        state = self.client.state()
+        if state["seed"] != self.expected.seed:
+            assert self.expected.ended, "an acknowledged episode is gone"
+        ahead = state["step_count"] - self.expected.steps
+        assert 0 <= ahead <= len(self.pending), "acknowledged steps are gone"
+        for action in self.pending[:ahead]:
+            self.expected.step(action)
+        assert state["reward_total"] == self.expected.reward_total
+
+
+def ask(socket: Any, kind: str, answer: str, **fields: Any) -> dict[str, Any]:
+    """Send a command to `/live`, and read on to the answer."""
+    socket.send(json.dumps({"type": kind, **fields}))
+    while True:
+        message = json.loads(socket.recv(timeout=60))
+        if message["type"] == answer:
+            return message
+
+
+def fly_on_the_page(server: Server, session: str | None, flown: int) -> str:
+    """Come back to a mission of the page, or start one; see what was flown, and fly one step more."""
+    with websockets.sync.client.connect(f"{server.url.replace('http', 'ws')}/live", open_timeout=60) as socket:
+        if session is None:
+            shown = ask(socket, "start", "missions", task="hard", seed=7, pilots=["greedy"])["missions"][0]
+        else:
+            shown = ask(socket, "attach", "missions", sessions=[session])["missions"][0]
+        assert len(shown["frames"]) == flown + 1
+        ask(socket, "step", "frames")
+        return shown["mission"]["session"]
+
+
+def test_nothing_acknowledged_is_lost_when_the_server_is_killed(
+    tmp_path: Path, eventually: Callable[[Callable[[], bool]], None]
+) -> None:
+    data, port = tmp_path / "data", reserved_port()
+    server = Server(["drone_env/server/app.py"], data, port, {})
+    finished: list[tuple[int, float]] = []
+    carried: list[Pilot] = [Pilot(server.url, number) for number in range(4)]
+    moments = random.Random(1)
+    mission: str | None = None
+    try:
+        for kill in range(KILLS):
+            mission = fly_on_the_page(server, mission, kill)
+            for pilot in carried:
+                pilot.start()
+            # Long enough that episodes end, and at another place of a step each time.
+            enough = moments.randrange(100, 200)
+
+            def have_flown(pilots: list[Pilot] = carried, enough: int = enough) -> bool:
+                flown = sum(pilot.acknowledged for pilot in pilots)
+                return flown >= enough or not any(pilot.is_alive() for pilot in pilots)
+
+            eventually(have_flown)
+            server.kill()
+            for pilot in carried:
+                pilot.join(60)
+                assert not pilot.is_alive()
+                assert pilot.failure is None, pilot.failure
+            assert json.loads((data / "memory.json").read_text(encoding="utf-8"))["format"] == "drone_env/memory"
+            server = Server(["drone_env/server/app.py"], data, port, {})
+            successors = []
+            for pilot in carried:
+                pilot.check()
+                pilot.client.close(keep_session=True)
+                finished += pilot.finished
+                successor = Pilot(server.url, pilot.number)
+                successor.client.session_id = pilot.client.session_id
+                successor.random, successor.expected = pilot.random, pilot.expected
+                successors.append(successor)
+            carried = successors
+        fly_on_the_page(server, mission, KILLS)
+    finally:
+        server.kill()
+        for pilot in carried:
+            pilot.client.close(keep_session=True)
+    assert finished
+    with Store(data) as store:
+        kept = {(stored.record.seed, stored.record.score): stored.record for stored in store.episodes()}
+    for key in finished:
+        assert replay(kept[key]).score == key[1]

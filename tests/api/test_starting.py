@@ -1,0 +1,185 @@
+"""The server as a process: how it starts, what it says where it cannot, how it ends; who drives it from Python."""
+
+import os
+import re
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx
+import pytest
+
+from drone_env import client
+from drone_env.cli import main as command_line
+from drone_env.episodes.schema import MIGRATIONS
+from drone_env.episodes.store import FILE_NAME, Store
+from drone_env.server import app
+from tests.api.serving import ROOT, Server, serving
+from tests.tools import find_uv, reserved_port
+
+EXAMPLE = """
+from drone_env.client import DroneEnvClient
+
+with DroneEnvClient("http://localhost:8000") as client:
+    # Check server health
+    print(client.health())
+
+    # Run a random episode for smoke-testing
+    result = client.run_random_episode("easy_delivery", verbose=True)
+    print(f"Score: {result['score']:.4f}")
+
+    # Manual episode loop
+    obs = client.reset("hard_delivery")
+    while not obs["done"]:
+        obs = client.step("RIGHT")   # or UP / DOWN / LEFT / WAIT
+
+    analytics = client.analyse("hard_delivery")
+    print(analytics)
+"""
+"""As the first description of the project had it."""
+RUN_UV = """
+import os, sys
+uv, environment, run, *rest = sys.argv[1:]
+os.environ["UV_PROJECT_ENVIRONMENT"] = environment
+os.execv(uv, [uv, run, "--no-sync", *rest])
+"""
+
+
+@pytest.mark.feature("H13")
+@pytest.mark.parametrize(
+    ("command", "asked", "status"),
+    [
+        ("uv run server", signal.SIGTERM, 128 + signal.SIGTERM),
+        ("python -m uvicorn server.app:app --host 0.0.0.0", signal.SIGTERM, -signal.SIGTERM),
+        ("python drone_env/server/app.py --host 0.0.0.0", signal.SIGINT, 0),
+        pytest.param("python server/app.py", signal.SIGTERM, -signal.SIGTERM, marks=pytest.mark.long),
+        pytest.param("python -m drone_env.cli serve", signal.SIGINT, 0, marks=pytest.mark.long),
+        pytest.param(
+            "python -m uvicorn drone_env.server.app:app", signal.SIGTERM, -signal.SIGTERM, marks=pytest.mark.long
+        ),
+    ],
+)
+def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
+    tmp_path: Path, command: str, asked: signal.Signals, status: int
+) -> None:
+    first, *rest = command.split()
+    if first == "uv":
+        # In the environment of the tests, as it is: what `uv run` would install is there.
+        rest = ["-c", RUN_UV, find_uv(), sys.prefix, *rest]
+    with serving(tmp_path / "data", tuple(rest)) as server:
+        with httpx.Client(base_url=server.url, timeout=60) as http:
+            assert http.get("/health").json()["status"] == "healthy"
+            assert http.post("/reset", json={"seed": 14}).status_code == 200
+        server.process.send_signal(asked)
+        assert server.process.wait(timeout=60) == status
+        assert "Traceback" not in server.log.read_text()
+    with Store(tmp_path / "data") as store:
+        assert store.count_sessions() == 1
+
+
+def test_it_loads_neither_gradio_nor_openenv() -> None:
+    code = (
+        "import sys, drone_env.commands.serve, drone_env.server.app as a; a.app\n"
+        "print(sorted({'openenv', 'gradio', 'torch', 'fastmcp', 'pandas'} & set(sys.modules)))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert run.stdout == "[]\n"
+
+
+class TestWhereItCannotBe:
+    """What is wrong is told in a line; nothing is made by then."""
+
+    @pytest.fixture(autouse=True)
+    def environment(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+        # All that the command itself sets, so that it is put back.
+        for name, value in {"DATA": tmp_path / "data", "PORT": reserved_port(), "HOST": "", "WORKERS": ""}.items():
+            monkeypatch.setenv(f"DRONE_ENV_{name}", str(value))
+
+    def test_a_wrong_setting(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+        monkeypatch.setenv("DRONE_ENV_CAPACITY", "none")
+        with pytest.raises(SystemExit, match=r"^server: DRONE_ENV_CAPACITY: [^\n]+$"):
+            app.main([])
+        assert not (tmp_path / "data").exists()
+
+    def test_a_data_folder_that_is_a_file(self) -> None:
+        told = re.escape(f"server: the data folder {__file__} cannot be used: ") + r"[^\n]+$"
+        with pytest.raises(SystemExit, match=told):
+            app.main(["--data", __file__, "--workers", "2"])
+
+    def test_a_store_that_a_newer_version_has_made(self, tmp_path: Path) -> None:
+        Store(tmp_path / "data").close()
+        file = sqlite3.connect(tmp_path / "data" / FILE_NAME)
+        file.execute("PRAGMA user_version = 99")
+        file.close()
+        with pytest.raises(
+            SystemExit, match=rf"^server: .*has version 99, this drone-env knows {len(MIGRATIONS)} and older"
+        ):
+            app.main([])
+
+    @pytest.mark.parametrize("workers", ["1", "2"])
+    def test_a_port_that_is_taken(self, tmp_path: Path, workers: str) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as taken:
+            port = taken.getsockname()[1]
+            told = rf"^server: cannot listen on 127\.0\.0\.1, port {port}: Address already in use; --host and --port "
+            with pytest.raises(SystemExit, match=told):
+                app.main(["--port", str(port), "--workers", workers])
+        assert not (tmp_path / "data").exists()
+
+    def test_the_command_line_says_the_same(self, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as taken:
+            try:
+                status = command_line(["serve", "--port", str(taken.getsockname()[1])])
+            except SystemExit as end:
+                status = end.code
+        assert status not in (None, 0)
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "Address already in use" in line
+        assert not (tmp_path / "data").exists()
+
+    def test_the_process_says_it_in_one_line_and_fails(self, tmp_path: Path) -> None:
+        environment = {**os.environ, "DRONE_ENV_IDLE_SECONDS": "-1"}
+        run = subprocess.run(
+            [sys.executable, "drone_env/server/app.py", "--port", str(reserved_port())],
+            capture_output=True,
+            text=True,
+            cwd=ROOT,
+            env=environment,
+            check=False,
+            timeout=200,
+        )
+        assert (run.returncode, run.stdout) == (1, "")
+        (line,) = run.stderr.splitlines()
+        assert line.startswith("server: DRONE_ENV_IDLE_SECONDS: ")
+
+
+@pytest.mark.feature("H14")
+def test_the_first_example_of_the_python_client_runs_as_printed(
+    server: Server, capsys: pytest.CaptureFixture[str]
+) -> None:
+    exec(compile(EXAMPLE.replace("http://localhost:8000", server.url), "the example", "exec"), {})
+    health, *steps, score, analytics = capsys.readouterr().out.splitlines()
+    assert "'status': 'healthy'" in health
+    assert steps
+    assert all(line.startswith(f"step {number}: ") for number, line in enumerate(steps, start=1))
+    assert re.fullmatch(r"Score: 0\.\d{4}", score)
+    assert "'task': 'hard_delivery'" in analytics
+
+
+@pytest.mark.feature("H14")
+def test_the_client_as_a_command_flies_a_smoke_mission(server: Server) -> None:
+    command = [sys.executable, "-m", "drone_env.client", server.url]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=200)
+    assert (run.returncode, run.stderr) == (0, "")
+    flown = re.search(r"^score: 0\.\d{4} in (\d+) steps$", run.stdout, re.MULTILINE)
+    assert flown is not None
+    assert run.stdout.count("step ") == int(flown[1]) <= 60
+
+
+def test_the_smoke_flight_fails_where_there_is_no_server(capsys: pytest.CaptureFixture[str]) -> None:
+    assert client.main([f"http://127.0.0.1:{reserved_port()}"]) == 1
+    told = capsys.readouterr()
+    assert (told.out, told.err.partition(":")[0]) == ("", "drone_env.client")
+    assert told.err.startswith("drone_env.client: GET /health: ")

@@ -1,0 +1,48 @@
+"""The Python interface: what `import drone_env` offers, and what travels as JSON."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from pydantic import BaseModel
+
+import drone_env
+
+
+def test_everything_promised_is_there_and_nothing_else() -> None:
+    assert dir(drone_env) == sorted(drone_env.__all__)
+    for name in drone_env.__all__:
+        assert getattr(drone_env, name) is not None
+
+
+def test_a_name_that_does_not_exist_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'Drone'"):
+        _ = drone_env.Drone
+
+
+@pytest.mark.parametrize("name", [name for name in drone_env.__all__ if not name.startswith("_")])
+def test_everything_public_is_documented(name: str) -> None:
+    value = getattr(drone_env, name)
+    if callable(value):
+        assert value.__doc__
+
+
+@pytest.mark.parametrize("model", [drone_env.DroneAction, drone_env.DroneObservation, drone_env.DroneState])
+def test_the_schema_of_what_travels_describes_every_field(model: type[BaseModel]) -> None:
+    schema = model.model_json_schema()
+    assert schema["additionalProperties"] is False
+    assert all("description" in field for field in schema["properties"].values())
+
+
+def test_an_action_travels_as_json() -> None:
+    action = drone_env.DroneAction.model_validate_json('{"direction": "LEFT"}')
+    assert action.action is drone_env.Action.LEFT
+    assert json.loads(action.model_dump_json()) == {"direction": "LEFT"}
+
+
+def test_the_package_says_which_version_it_is() -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "drone_env.cli", "--version"], capture_output=True, text=True, check=True
+    )
+    assert result.stdout == f"drone-env {drone_env.__version__}\n"
