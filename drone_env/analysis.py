@@ -20,7 +20,6 @@ from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.record import EpisodeRecord, replay
-from drone_env.planning.exact import ExactSolver
 
 Label = Literal["best", "good", "inaccuracy", "mistake", "blunder"]
 LABELS: tuple[Label, ...] = get_args(Label)
@@ -306,6 +305,8 @@ def analyse_actions(start: Episode, actions: Iterable[int], agent: str) -> Fligh
         InvalidValueError: if an action is not an integer from 0 to 4.
         TooLargeError: if the exact values of the map would take too much memory.
     """
+    from drone_env.planning.exact import ExactSolver  # loads Numba
+
     solver = ExactSolver(start)
     flight = Episode(start.task, start.reward_profile)
     flight.set_state(start.get_state())

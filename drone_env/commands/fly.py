@@ -7,7 +7,6 @@ from drone_env.agents import make_agent
 from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName
 from drone_env.commands.flights import choices, log_flight, prepare_file
 from drone_env.core.state_manager import Episode
-from drone_env.envs.rendering import save_picture
 from drone_env.errors import InvalidValueError
 
 
@@ -48,6 +47,8 @@ def fly(
     pilot.reset(episode.reset(seed))
     log_flight(episode, agent, choices(pilot, episode), render)
     if picture is not None:
+        from drone_env.envs.rendering import save_picture  # loads Pillow
+
         save_picture(episode, picture)
         print(f"picture: {picture}", file=sys.stderr)
     if record is not None:

@@ -1,6 +1,5 @@
 """`drone-env infer`: a language model flies."""
 
-import asyncio
 import contextlib
 import dataclasses
 import json as json_format
@@ -127,6 +126,8 @@ def infer(
             HOST:PORT joins that one.
     """
     try:
+        import asyncio
+
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import RunConfig, Sampling
         from drone_env.llm.image import running_image

@@ -51,7 +51,7 @@ def cache_folder() -> Path:
         raise FileNotFoundError(f"the sources in {PACKAGE} are not those that this program began with")
     chosen = os.environ.get("DRONE_ENV_CACHE")
     if chosen:
-        folder = Path(chosen) / LOADED
+        folder = Path(chosen).absolute() / LOADED  # a program may go to another folder later
         folder.mkdir(parents=True, exist_ok=True)
         return folder
     try:

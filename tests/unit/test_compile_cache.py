@@ -126,7 +126,7 @@ def test_a_checkout_and_its_copy_share_and_a_change_does_not(tmp_path: Path, cho
     )
 
     def hits(root: Path) -> int:
-        environment = {**os.environ, "PYTHONPATH": str(root)}
+        environment = {**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
         command = [sys.executable, "-c", code]
         file, loaded = subprocess.check_output(command, cwd=tmp_path, env=environment, text=True).split()
         assert Path(file) == root / "drone_env" / "core" / "batch.py"
@@ -224,8 +224,7 @@ def test_two_processes_at_once(tmp_path: Path, chosen: Path) -> None:
         "assert [kernels.twice(x) for x in values] == [2 * x for x in values];"
         "assert not child or os.waitpid(child, 0)[1] == 0"
     )
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])}
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
     assert len(files(chosen)) == 2
     twice = load(tmp_path).twice
     assert (twice(3), twice(1.5), counts(twice)) == (6, 3.0, (2, 0))
@@ -283,6 +282,15 @@ def test_a_temporary_folder_that_others_can_write(
         cache_folder()
     assert load(tmp_path).twice(3) == 6
     assert list(tmp_path.rglob("*.code")) == []
+
+
+def test_a_relative_folder_stays_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DRONE_ENV_CACHE", "relative")
+    twice = load(tmp_path / "kernels").twice
+    monkeypatch.chdir(tmp_path / "kernels")
+    assert twice(3) == 6
+    assert len(files(tmp_path / "relative")) == 1
 
 
 def test_the_cache_folder_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 """One mission: a session, the pilot that flies it, and how far its page has seen it."""
 
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from drone_env.agents.base import Agent
 from drone_env.core.actions import Action
@@ -8,12 +9,14 @@ from drone_env.core.state_manager import Episode
 from drone_env.episodes.sessions import SessionRow
 from drone_env.errors import EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import Direction
-from drone_env.planning.exact import ExactSolver
 from drone_env.server.frames import Frame, Mission, frame_of, frames_of
 from drone_env.server.live.values import ExactValues
 from drone_env.server.pilots import HUMAN, PILOTS, agent_of
 from drone_env.server.predict import Networks
 from drone_env.server.sessions import Sessions, fly
+
+if TYPE_CHECKING:
+    from drone_env.planning.exact import ExactSolver
 
 
 class LiveMission:
@@ -143,7 +146,7 @@ class LiveMission:
                 frames.append(self._frame())
         return frames
 
-    def _solver(self) -> ExactSolver | None:
+    def _solver(self) -> "ExactSolver | None":
         """What knows the values; None while it does not, or they are not to be told."""
         told = self.pilot != HUMAN or self.episode.ended
         return self._values.get(self.episode.task, self.episode.seed) if told else None

@@ -3,11 +3,14 @@
 import threading
 from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError
-from drone_env.planning.exact import ExactSolver
+
+if TYPE_CHECKING:
+    from drone_env.planning.exact import ExactSolver
 
 MAX_BYTES = 256 << 20
 """Memory that the solvers may take together; a map of skyline_hard takes up to 70 MB, one of hard 4 MB."""
@@ -36,7 +39,7 @@ class ExactValues:
                 self._pending[key] = self._thread.submit(self._solve, key)
             return self._pending[key]
 
-    def get(self, task: TaskConfig, seed: int) -> ExactSolver | None:
+    def get(self, task: TaskConfig, seed: int) -> "ExactSolver | None":
         """The solver of a map from its start, None while there is none."""
         with self._lock:
             solver = self._solvers.get((task, seed))
@@ -49,6 +52,9 @@ class ExactValues:
         self._thread.shutdown(cancel_futures=True)
 
     def _solve(self, key: Map) -> None:
+        # Loads Numba, which no server needs that only flies.
+        from drone_env.planning.exact import ExactSolver
+
         episode = Episode(key[0], "score")
         episode.reset(key[1])
         try:
