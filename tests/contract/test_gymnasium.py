@@ -2,6 +2,7 @@
 
 import pickle
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -130,6 +131,15 @@ def test_regret_of_a_flight_that_only_waits() -> None:
     assert info["regret"] == solve("easy", 3).score - 0.01
 
 
+def test_where_no_planner_knows_the_optimum_it_is_none() -> None:
+    task = replace(TASKS["skyline_hard"], id="vast", width=64, height=64, deliveries=14, max_steps=1)
+    env = DroneDeliveryEnv(task)
+    env.reset(seed=3)
+    *_, info = env.step(4)
+    assert (info["outcome"], info["score"]) == ("out_of_steps", 0.01)
+    assert [info[name] for name in ("optimal_score", "optimal_steps", "regret")] == [None] * 3
+
+
 def test_gymnasium_trains_on_aligned_unless_told_otherwise() -> None:
     assert make().unwrapped.episode.reward_profile.id == "aligned"
 
@@ -173,6 +183,8 @@ def test_steps_outside_an_episode_need_a_reset() -> None:
         env.step(0)
     env.reset()
     env.step(0)
+    with pytest.raises(ResetNeeded, match="nothing to show"):
+        DroneDeliveryEnv(render_mode="ansi").render()
 
 
 @pytest.mark.parametrize("action", [5, -1, 1.0, "UP", None])

@@ -11,7 +11,7 @@ from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import UnknownNameError
+from drone_env.errors import CheckpointError, UnknownNameError
 from drone_env.planning.optimal import solve
 
 PAIRS = [
@@ -130,6 +130,11 @@ def test_the_network_flies_more_maps_than_it_takes_at_a_time() -> None:
     assert chosen.shape == (CHUNK + 3,)
     for i in (0, CHUNK - 1, CHUNK, CHUNK + 2):
         assert agent.act({"grid": batch.grids[i], "telemetry": batch.telemetry[i]}) == chosen[i]
+
+
+def test_a_network_that_takes_other_telemetry_is_refused() -> None:
+    with pytest.raises(CheckpointError, match="takes 5 values of telemetry, and 'skyline_easy' has 6"):
+        PathQNetAgent(get_task("skyline_easy"), shipped_network(get_task("easy")))
 
 
 def test_together_the_optimal_agents_deliver_what_can_be_delivered() -> None:

@@ -67,6 +67,9 @@ def test_a_blunder_by_hand() -> None:
     assert analysis.counts == {"best": 1, "good": 0, "inaccuracy": 0, "mistake": 2, "blunder": 1}
     assert (analysis.decisive, analysis.accuracy) == (3, 0)
     assert start.steps == 0
+    summary = [line.split() for line in analysis.summary_lines()]
+    assert ["mistake", "2", "0.10000", "?"] in summary
+    assert ["blunder", "1", "0.79000", "??"] in summary
 
 
 def test_the_only_move_by_hand() -> None:

@@ -1,12 +1,14 @@
 """The one unit of evaluation and the figures made from it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drone_env.core.seeds import split_seeds
+from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.evaluation import EpisodeResults, concatenate, episodes_key, run_episodes, run_in_chunks, summarise
 from drone_env.evaluation_folder import ResultsFolder
@@ -63,6 +65,20 @@ def test_no_delivered_map_means_no_excess_steps() -> None:
     assert figures["mean_excess_steps"] is None
 
 
+def test_where_no_planner_knows_the_optimum_its_figures_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    vast = {"width": 64, "height": 64, "deliveries": 14, "max_steps": 2}
+    task = replace(TASKS["skyline_hard"], id="vast", short_name="vast", grader="drone_env.graders:vast", **vast)
+    monkeypatch.setitem(TASKS, "vast", task)
+    results = run_episodes(episodes_key("vast", "greedy", range(2)))
+    assert np.isnan(results.optimal_scores).all()
+    assert results.optimal_steps.tolist() == [-1, -1]
+    assert results.scores.tolist() == [0.01, 0.01]
+    figures = summarise(results)
+    unknown = ("mean_optimal_score", "score_ratio", "mean_regret", "mean_excess_steps")
+    assert [figures[name] for name in unknown] == [None] * 4
+    assert figures["mean_score"] == 0.01
+
+
 def test_a_single_episode_has_no_interval() -> None:
     figures = summarise(run_episodes(episodes_key("easy", "greedy", range(1))))
     assert figures["score_ci95"] is None
@@ -76,6 +92,18 @@ def test_a_key_from_another_configuration_is_refused() -> None:
         run_episodes(key._replace(agent="optimal"))
     with pytest.raises(UnknownNameError, match="version"):
         run_episodes(key._replace(version=99))
+
+
+def test_a_key_is_of_a_registered_task_and_of_its_split() -> None:
+    shorter = replace(TASKS["easy_delivery"], max_steps=50, battery_capacity=50)
+    with pytest.raises(InvalidValueError, match="register it first"):
+        episodes_key(shorter, "greedy", range(2))
+    with pytest.raises(InvalidValueError, match="are not of the split 'train'"):
+        episodes_key("easy", "greedy", range(2**52 - 1, 2**52 + 1), "train")
+    with pytest.raises(UnknownNameError, match="custom"):
+        episodes_key("easy", "greedy", range(2), "dev")
+    with pytest.raises(InvalidValueError, match="holds no seeds"):
+        run_episodes(episodes_key("easy", "greedy", range(2))._replace(seeds=(1, 1)))
 
 
 def test_keys_differ_where_task_or_agent_differ() -> None:

@@ -18,7 +18,7 @@ from drone_env.core.rules import BATTERY
 from drone_env.core.seeds import split_seeds
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import EpisodeError, TooLargeError, UnsupportedTaskError
+from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError, UnsupportedTaskError
 from drone_env.planning import map_graph, most_battery
 from drone_env.planning.exact import ExactSolver
 from drone_env.planning.from_observation import episode_of
@@ -175,7 +175,17 @@ class TestByHand:
         assert scores_of(episode) == pytest.approx([score] * 5)
 
 
+def test_of_equally_good_actions_the_lowest_number_is_flown() -> None:
+    assert letters(ExactSolver(toy_episode(["@.", ".0"])).best_actions()) == "DR"
+
+
 class TestRegret:
+    @pytest.mark.parametrize("action", [5, -1, True])
+    def test_of_no_action_is_refused(self, action: int) -> None:
+        episode = toy_episode(["@0", ".."])
+        with pytest.raises(InvalidValueError, match="action must be one of"):
+            ExactSolver(episode).regret(episode, action)
+
     def test_is_what_an_action_gives_away_for_good(self) -> None:
         episode = toy_episode(["@0", ".."], max_steps=10, **NEEDS_ALL)
         solver = ExactSolver(episode)

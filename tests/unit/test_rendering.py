@@ -21,11 +21,12 @@ from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.envs import figures, rendering
-from drone_env.envs.ansi import ROAD, TARGET, draw_text
+from drone_env.envs.ansi import ROAD, TARGET, WAY, draw_text, draw_tour
 from drone_env.envs.rendering import PALETTE, PANEL, TEXT, draw_mission, save_picture
 from drone_env.envs.window import Window
 from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.planning.greedy import greedy_action
+from tests.toy import toy_episode
 
 EASY = get_task("easy")
 HARD = get_task("hard")
@@ -313,6 +314,11 @@ class TestText:
         for (x, y), symbol in ((episode.position, "🚁"), (episode.target, TARGET)):
             at = rows[y].index(symbol)
             assert columns(rows[y][:at]) == 2 * x
+
+    def test_a_tour_is_drawn_over_roads_and_its_stops_are_numbered(self) -> None:
+        episode = toy_episode(["@.B", "0.1"])
+        passed = [(1, 0), (2, 0), (1, 1)]
+        assert draw_tour(episode, passed, [(2, 1), (0, 1)]) == f"🚁{WAY}🏢\n2 {WAY}1 "
 
     def test_tells_how_the_flight_stands(self) -> None:
         episode = fly(fresh("hard", 42), 7)
