@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from drone_env import __version__
 from drone_env.cli import main
 from drone_env.commands.play import split_keys
 from drone_env.core.actions import Action
@@ -114,6 +115,29 @@ def test_evaluate_shows_a_table_and_writes_the_same_figures(tmp_path: Path, caps
     assert [path.name for path in tmp_path.iterdir()] == ["results.json"]
 
 
+def test_evaluate_unless_told_otherwise_flies_a_thousand_test_maps(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "--task", "easy", "--agents", "greedy", "--json", "-"]) == 0
+    easy = json.loads(capsys.readouterr().out)["tasks"]["easy_delivery"]
+    maps = split_seeds("test", 1000)
+    assert (easy["split"], easy["episodes"], easy["seeds"]) == ("test", 1000, [maps.start, maps.stop])
+
+
+def test_the_table_shows_every_figure_in_its_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "results.json"
+    arguments = ["--task", "hard", "--agents", "greedy", "random", "--seeds", "3:7", "--json", str(file)]
+    assert main(["evaluate", *arguments]) == 0
+    out = capsys.readouterr().out
+    for agent, of in json.loads(file.read_text())["tasks"]["hard_delivery"]["agents"].items():
+        cells = [
+            f"{agent} ", f"{of['mean_score']:.4f} ± {of['score_ci95'][1] - of['mean_score']:.4f}",
+            f"{of['mean_optimal_score']:.4f}", f"{of['score_ratio']:.4f}", f"{of['mean_regret']:.4f}",
+            f"{of['success_rate']:.1%}", f"{of['mean_steps']:.1f}",
+            "-" if of["mean_excess_steps"] is None else f"{of['mean_excess_steps']:.2f}",
+        ]  # fmt: skip
+        assert re.search(r"\s+".join(map(re.escape, cells)) + r"\s", out), cells
+    assert "4 maps a task, seeds 3 to 6" in out
+
+
 def test_solve_shows_the_optimum(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["solve", "--task", "hard", "--seed", "7"]) == 0
     out = capsys.readouterr().out
@@ -155,6 +179,8 @@ def test_solve_as_json_can_be_flown(capsys: pytest.CaptureFixture[str]) -> None:
         (["evaluate", "--task", "extreme", "all"], "easy_delivery"),
         (["evaluate", "--agents"], "--agents"),
         (["evaluate", "--json", ""], "--json"),
+        (["evaluate", "--checkpoint", "net.npz", "--agents", "greedy"], "pathqnet"),
+        (["evaluate", "--address", "auto"], "--engine ray"),
         (["evaluate", "--json", "/missing/x.json"], "'/missing/x.json'"),
         (["fly", "--picture", "flight.xyz"], ".png"),
         (["solve", "--task", "extreme"], "easy_delivery"),
@@ -215,7 +241,8 @@ def test_the_output_may_be_cut_off() -> None:
 
 
 def test_version() -> None:
-    assert run(["--version"]).stdout.startswith("drone-env 0.")
+    done = run(["--version"])
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"drone-env {__version__}\n", "")
 
 
 def test_play_from_a_pipe_against_the_optimum() -> None:
@@ -253,15 +280,19 @@ def test_play_in_a_terminal_takes_arrow_keys() -> None:
     arrows = {Action.UP: "\x1b[A", Action.DOWN: "\x1b[B", Action.LEFT: "\x1b[D", Action.RIGHT: "\x1b[C"}
     solution = solve("easy", 7)
     master, slave = pty.openpty()
-    with subprocess.Popen(
+    player = subprocess.Popen(
         [sys.executable, "-m", "drone_env.cli", "play", "--task", "easy", "--seed", "7"],
         stdin=slave,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-    ) as player:
+    )
+    try:
         os.write(master, "".join(arrows[action] for action in solution.actions).encode())
-        out, _ = player.communicate(timeout=60)
-    os.close(master)
-    os.close(slave)
+        out, _ = player.communicate(timeout=120)
+    finally:
+        player.kill()
+        player.communicate()
+        os.close(master)
+        os.close(slave)
     assert player.returncode == 0
     assert "You flew the optimum!" in out.decode()

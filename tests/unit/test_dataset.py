@@ -17,7 +17,7 @@ from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.datasets import build
 from drone_env.datasets.build import build_dataset
-from drone_env.datasets.config import DatasetConfig, dataset_config
+from drone_env.datasets.config import FORMAT, DatasetConfig, dataset_config
 from drone_env.datasets.flights import chance, fly_map
 from drone_env.errors import InvalidValueError, MissingPackageError, TooLargeError, UnknownNameError
 from drone_env.planning import map_graph
@@ -169,6 +169,7 @@ def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
     assert all(field.metadata[b"description"] and not field.nullable for field in schema)
     about = json.loads(schema.metadata[b"drone_env"])
     assert about == config.as_json()
+    assert (about["format"], about["format_version"]) == (FORMAT, 1)
     assert (about["task"]["max_steps"], about["epsilon"], about["seeds"], about["split"]) == (160, 0.1, [0, 3], "train")
     assert about["reward_profile"]["shaping_gamma"] == "0.99"
     assert file.metadata.num_row_groups > 1

@@ -13,6 +13,7 @@ from drone_env import __version__
 from drone_env.agents.pathqnet import WEIGHTS
 from drone_env.cli import main
 from drone_env.commands.diagnosis import _folder
+from tests.tools import reserved_port
 
 SECRET = "hf_do_not_print_me"
 VARIABLES = ("HF_TOKEN", "OPENAI_API_KEY", "API_BASE_URL", "MODEL_NAME", "DRONE_TASK", "LOCAL_IMAGE_NAME")
@@ -87,15 +88,17 @@ def test_a_port_that_is_none(port: int, capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_a_port_that_is_taken_is_no_defect(capsys: pytest.CaptureFixture[str]) -> None:
+    port = reserved_port()
+    assert diagnosis(capsys, "--port", str(port))[1][f"127.0.0.1:{port}"]["facts"] == {"free": True}
     with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        taken.bind(("127.0.0.1", port))
         taken.listen()
-        port = taken.getsockname()[1]
         status = main(["doctor", "--port", str(port), "--json"])
         findings = json.loads(capsys.readouterr().out)["findings"]
     finding = next(f for f in findings if f["name"] == f"127.0.0.1:{port}")
     assert (status, finding["status"], finding["facts"]) == (0, "attention", {"free": False})
-    assert diagnosis(capsys, "--port", str(port))[1][f"127.0.0.1:{port}"]["facts"] == {"free": True}
+    assert "taken" in finding["detail"]
 
 
 @pytest.mark.parametrize("harm", ["missing", "cut short", "not a network"])
@@ -146,6 +149,14 @@ def test_no_secret_is_printed(
         captured = capsys.readouterr()
         assert "settings" in captured.out
         assert SECRET not in captured.out + captured.err
+
+
+def test_without_what_it_cannot_fly_without_it_is_broken(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drone_env.commands.diagnosis._unmet", lambda r: r.name if r.name == "rich" else None)
+    status, found = diagnosis(capsys)
+    assert (status, found["rich"]["status"], found["rich"]["detail"]) == (1, "broken", "missing: rich")
 
 
 def test_without_the_extras_nothing_is_broken(
