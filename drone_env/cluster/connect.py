@@ -6,6 +6,7 @@ import secrets
 import socket
 from collections.abc import Generator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,7 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
         raise MissingPackageError("ray", "cluster") from None
     if ray.is_initialized():
         raise InvalidValueError("this process is connected to a cluster already")
+    _news_to_standard_error()
     if address not in (LOCAL, AUTO):
         _check_reachable(address)
     try:
@@ -79,6 +81,20 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
         yield
     finally:
         ray.shutdown()
+
+
+@lru_cache(maxsize=1)
+def _news_to_standard_error() -> None:
+    """Ray prints on standard output that a node has died, in the middle of results; there is no setting for it."""
+    import ray._private.worker as ray_worker
+
+    worker: Any = ray_worker
+    printed = worker.print_to_stdstream
+
+    def to_standard_error(data: dict[str, Any], *arguments: Any, **more: Any) -> None:
+        printed({**data, "is_err": True}, *arguments, **more)
+
+    worker.print_to_stdstream = to_standard_error
 
 
 def _start(cpus: int | None) -> None:

@@ -42,14 +42,15 @@ def cluster() -> Generator[Any, None, None]:
             started.add_node(num_cpus=1, object_store_memory=MEMORY)
         yield started
     finally:
-        started.shutdown()
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-        left = _end_all()
-    assert not left, "processes of the cluster did not end"
+        try:
+            started.shutdown()
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
+            assert not _end_all(), "processes of the cluster did not end"
 
 
 def _end_all() -> list[int]:

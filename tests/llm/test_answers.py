@@ -27,6 +27,8 @@ from drone_env.llm.answers import Answer, read_answer
         ("Not UP, but DOWN.", "parse_error"),
         ('{"action": "UP", "then": "DOWN"}', "parse_error"),
         ('{"action": ["UP"]}', "parse_error"),
+        ('{"flight": "UP"}', "parse_error"),
+        ('{"then": "DOWN", "action": "UP"}', "parse_error"),
         ('{"action": "UP"', "parse_error"),
         ("[" * 100_000, "parse_error"),
         ("0", "parse_error"),
@@ -60,6 +62,8 @@ def test_half_a_character_can_be_kept() -> None:
         ('{"actions": []}', "parse_error"),
         ('{"actions": ["RIGHT", 3]}', "parse_error"),
         ("First RIGHT, then UP!", "parse_error"),
+        ("Let us go north", "parse_error"),
+        ('{"route": ["RIGHT"]}', "parse_error"),
         ('{"actions": ["RIGHT", "FORWARD"]}', "illegal"),
     ],
 )

@@ -9,13 +9,14 @@ import pytest
 
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
+from drone_env.llm.clock import Clock
 from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.desk import LocalDesk, StoppedError
-from drone_env.llm.limits import Limits, Spending
+from drone_env.llm.limits import LimitReachedError, Limits, Spending
 from drone_env.llm.pace import Pace
 from drone_env.llm.transcript import Call, CallKey, Transcript
 
-from .virtual_time import Nobody
+from .virtual_time import Nobody, VirtualClock
 
 
 def call(text: str) -> Call:
@@ -35,10 +36,18 @@ def call(text: str) -> Call:
     )
 
 
-def at_desk(path: Path, work: Callable[[LocalDesk, Spending, AdaptiveGate], Any]) -> Transcript:
+def at_desk(
+    path: Path,
+    work: Callable[[LocalDesk, Spending, AdaptiveGate], Any],
+    most: int = 1,
+    clock: Clock | None = None,
+) -> Transcript:
+    clock = clock or Clock()
+
     async def run() -> Transcript:
-        transcript, spending, gate = Transcript(path), Spending(Limits(), None), AdaptiveGate(1)
-        await work(LocalDesk("host", transcript, spending, gate, Pace(), None, Nobody()), spending, gate)
+        transcript, spending, gate = Transcript(path), Spending(Limits(), None, clock=clock), AdaptiveGate(most, clock)
+        desk = LocalDesk("host", transcript, spending, gate, Pace(clock=clock), None, Nobody(), clock)
+        await work(desk, spending, gate)
         transcript.close()
         return transcript
 
@@ -57,7 +66,7 @@ def test_a_flight_that_begins_anew_frees_its_place(tmp_path: Path) -> None:
         with pytest.raises(StoppedError, match="begun anew"):
             await orphan
         for key in (lost, waiting):
-            await asyncio.wait_for(desk.enter(key), 5)
+            await asyncio.wait_for(desk.enter(key), 60)
             await desk.leave(key, answered=True)
         assert (gate.active, spending.requests) == (0, 3)
 
@@ -74,6 +83,30 @@ def test_of_two_answers_to_one_call_the_first_counts_and_both_are_paid(tmp_path:
 
     transcript = at_desk(tmp_path / "calls.jsonl", work)
     assert len(transcript.path.read_text().splitlines()) == 1
+
+
+def test_an_overloaded_endpoint_is_sent_less_and_for_a_while_nothing(tmp_path: Path) -> None:
+    clock = VirtualClock()
+
+    async def work(desk: LocalDesk, spending: Spending, gate: AdaptiveGate) -> None:
+        first, second = CallKey(0, 1, 1), CallKey(1, 1, 1)
+        await desk.enter(first)
+        await desk.leave(first, answered=False, overloaded=True, pause=7)
+        assert gate.limit == 4
+        await desk.enter(second)
+        assert clock.slept == [7]
+        await desk.leave(second, answered=True)
+        assert gate.limit == 4.25
+        # Where the run ends earlier, so does the pause.
+        spending.limits = Limits(seconds=10)
+        await desk.enter(first)
+        await desk.leave(first, answered=False, overloaded=True, pause=60)
+        with pytest.raises(LimitReachedError, match="10 s have passed"):
+            await desk.enter(second)
+        assert clock.slept == [7, 3]
+        assert gate.active == 0
+
+    at_desk(tmp_path / "calls.jsonl", work, most=100, clock=clock)
 
 
 def test_one_process_at_a_time_writes_a_transcript(tmp_path: Path) -> None:

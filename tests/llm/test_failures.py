@@ -162,3 +162,9 @@ def test_what_an_endpoint_says_cannot_move_the_terminal(endpoint: Start) -> None
     assert done.status == 2
     assert "\ufffd[2Jgone" in done.err
     assert "\x1b" not in done.err
+
+
+def test_of_a_long_reason_the_beginning_is_kept(endpoint: Start) -> None:
+    fault = {"status": 500, "message": "y" * 1000}
+    done = endpoint(pilot="greedy", faults=[[0, 0, fault]]).infer("--seeds", "14:15")
+    assert done.calls[0]["failures"][0]["reason"] == "y" * 300

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from drone_env.errors import InvalidValueError
+from drone_env.llm.caller import RetryPolicy
 from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.pace import Pace
 from drone_env.llm.runner import Options
@@ -99,6 +100,14 @@ def test_a_run_keeps_the_pace(endpoint: Callable[..., Endpoint]) -> None:
     # 102 tokens each, at 51 a second.
     flown = fly(scripted.url, scripted.folder / "tokens", Options(tokens_per_minute=3060))
     assert (flown.turns, flown.clock.passed) == (["ok"] * 60, pytest.approx(118))
+
+
+def test_a_request_that_fails_leaves_its_tokens_to_the_next(endpoint: Callable[..., Endpoint]) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[1, 1, {"status": 500}]])
+    options = Options(tokens_per_minute=6120, retries=RetryPolicy(backoff=0))
+    flown = fly(scripted.url, scripted.folder / "run", options)
+    # Three answers of a second's worth of tokens each: the third waits for two of them.
+    assert (flown.turns, flown.clock.passed) == (["ok"] * 3, pytest.approx(2))
 
 
 def at_gate(most: int, work: Callable[[AdaptiveGate, VirtualClock], Awaitable[Any]]) -> None:

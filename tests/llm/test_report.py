@@ -14,6 +14,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.evaluation import episodes_key, run_episodes
 from drone_env.llm.limits import Prices
 from drone_env.llm.report import report, write_report
+from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import verified_run
 
 from .conftest import Endpoint
@@ -31,6 +32,9 @@ def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
         agent: run_episodes(episodes_key("medium", agent, range(start, start + 4), "test")).scores.mean()
         for agent in ("random", "greedy", "optimal")
     }
+    scores = run_episodes(episodes_key("medium", "greedy", range(start, start + 4), "test")).scores
+    margin = 1.96 * scores.std(ddof=1) / 2
+    assert figures["score_ci95"] == pytest.approx([scores.mean() - margin, scores.mean() + margin], abs=1e-12)
     assert figures["verdict"] == "valid"
     assert figures["score"] == pytest.approx(known["greedy"], abs=1e-12)
     assert figures["baselines"]["greedy"] == pytest.approx(known["greedy"], abs=1e-12)
@@ -49,6 +53,36 @@ def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
     page = (done.folder / "report.html").read_text()
     assert page.count("<svg") == 4
     assert not re.search(r"<script|<link|<img|src=|href=\"(?!#)", page)
+
+
+def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(endpoint: Start) -> None:
+    # Of four flights over map 14, of three steps each, the second one waits to its end.
+    waiting = {"sends": json.dumps({"choices": [{"message": {"content": "WAIT"}, "finish_reason": "stop"}]})}
+    scripted = endpoint(pilot="greedy", faults=[[3, 62, waiting]])
+    done = scripted.infer("--seeds", "14:15", "--repeats", "4", "--concurrency", "1")
+    assert [flight["success"] for flight in done.flights] == [True, False, True, True]
+    figures = report(verified_run(done.folder), moves=False)
+    assert figures["pass_hat_k"] == pytest.approx({"1": 3 / 4, "2": 3 / 6, "3": 1 / 4, "4": 0})
+    assert figures["success_rate"] == 0.75
+    assert figures["calls"]["without_usage"] == 60
+
+
+def test_a_run_is_invalid_if_more_than_one_flight_in_20_errored() -> None:
+    assert verdict_of(20, ["errored"] + ["finished"] * 19) == ("valid", "")
+    assert verdict_of(19, ["errored"] + ["finished"] * 18)[0] == "invalid"
+    assert verdict_of(3, ["finished"] * 2)[0] == "incomplete"
+    assert verdict_of(2, ["finished", "budget_stop"])[0] == "incomplete"
+    assert verdict_of(2, ["finished"], "no such model") == ("stopped", "no such model")
+
+
+def test_an_answer_that_belongs_to_no_flight_is_found(endpoint: Start) -> None:
+    folder = endpoint(pilot="greedy").infer("--seeds", "14:15").folder
+    calls = folder / "calls.jsonl"
+    last = json.loads(calls.read_text().splitlines()[-1])
+    with calls.open("a") as file:
+        file.write(json.dumps({**last, "turn": 4}) + "\n")
+    with pytest.raises(InvalidValueError, match="1 answers belong to no flight"):
+        verified_run(folder)
 
 
 def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None:

@@ -14,7 +14,10 @@ import pytest
 
 from drone_env.cli import main
 from drone_env.errors import InvalidValueError
+from drone_env.llm.limits import Prices
+from drone_env.llm.report import report
 from drone_env.llm.transcript import Transcript, read_calls
+from drone_env.llm.verify import verified_run
 
 from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines, wait_until
 from .log_lines import verified
@@ -128,8 +131,14 @@ def test_the_cache_answers_equal_requests(endpoint: Start) -> None:
     assert (first.out, first.status) == (second.out, second.status)
     assert len(scripted.requests()) == 3
     assert [call["cached"] for call in second.calls] == [True] * 3
+    figures = report(verified_run(second.folder), Prices(1, 1), moves=False)
+    assert figures["calls"] == {"answered": 0, "cached": 3, "requests": 0, "without_usage": 0}
+    assert (figures["tokens"], figures["cost_usd"]) == ({"prompt": 0, "completion": 0}, 0)
     scripted.infer("--seeds", "14:15", "--cache", "cache", "--temperature", "1")
     assert len(scripted.requests()) == 6
+    # Another flight over the same map is another draw from the model.
+    scripted.infer("--seeds", "14:15", "--cache", "cache", "--repeats", "2", "--concurrency", "1")
+    assert len(scripted.requests()) == 9
 
 
 def test_a_cut_last_line_is_no_call_and_a_damaged_one_an_error(endpoint: Start) -> None:

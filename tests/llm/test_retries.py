@@ -46,7 +46,12 @@ def test_so_many_tries_and_no_more(endpoint: Start) -> None:
 
 @pytest.mark.parametrize(
     ("headers", "waited"),
-    [({"Retry-After": "2"}, 2.0), ({"Retry-After": "0.5"}, 0.5), ({"Retry-After-Ms": "1500", "Retry-After": "9"}, 1.5)],
+    [
+        ({"Retry-After": "2"}, 2.0),
+        ({"Retry-After": "120"}, 120.0),
+        ({"Retry-After": "0.5"}, 0.5),
+        ({"Retry-After-Ms": "1500", "Retry-After": "9"}, 1.5),
+    ],
 )
 def test_what_the_endpoint_asks_for_is_waited(endpoint: Start, headers: dict[str, str], waited: float) -> None:
     scripted = endpoint(pilot="greedy", faults=[[1, 1, {"status": 429, "headers": headers}]])

@@ -1,5 +1,6 @@
 """Flying in a server beside the rules here."""
 
+import asyncio
 import os
 import shutil
 from collections.abc import Callable
@@ -8,6 +9,10 @@ from pathlib import Path
 import httpx
 import pytest
 
+from drone_env.core.actions import Action
+from drone_env.core.state_manager import Episode
+from drone_env.errors import InvalidValueError
+from drone_env.llm.image import ServerFlight
 from tests.api.serving import Server
 from tests.tools import reserved_port
 
@@ -22,6 +27,14 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         assert done.turns == {"ok": 3}
         (stored,) = httpx.get(f"{server.url}/memory_logs", timeout=30).json()["episodes"]
         assert (stored["seed"], stored["agent"], stored["score"]) == (14, "scripted", 0.99)
+        # A server of other rules would show another flight than the one here.
+        episode, flight = Episode("easy"), ServerFlight(server.url)
+        episode.reset(14)
+        asyncio.run(flight.reset(episode, "mine"))
+        episode.step(Action.LEFT)
+        with pytest.raises(InvalidValueError, match=r"by other rules: map 14, step 1: .* where it is .* here"):
+            asyncio.run(flight.step(episode, Action.RIGHT))
+        flight.close()
     finally:
         server.kill()
 
