@@ -49,6 +49,20 @@ def clock() -> Clock:
     return Clock()
 
 
+@pytest.fixture(scope="module")
+def shared_client(tmp_path_factory: pytest.TempPathFactory) -> Generator[TestClient, None, None]:
+    """The same of the usual settings, for all tests of a module that mind nothing but their own session."""
+    with TestClient(create_app(Settings(data=tmp_path_factory.mktemp("shared") / "data"))) as running:
+        running.cookies.jar.set_policy(_NoCookies())
+        yield running
+
+
+@pytest.fixture
+def shared_session(shared_client: TestClient) -> dict[str, str]:
+    """The header of a session of `shared_client` on easy map 7."""
+    return {"X-Session-Id": shared_client.post("/reset", json={"seed": 7}).json()["session_id"]}
+
+
 class _NoCookies:
     """A cookie policy that keeps none."""
 

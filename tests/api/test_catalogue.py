@@ -23,6 +23,7 @@ from drone_env.server.schemas import Prediction
 from drone_env.server.settings import Settings
 from drone_env.server.train_log import TrainLog
 from tests.api.networks import put_network
+from tests.tools import reserved_port
 
 Header = dict[str, str]
 
@@ -216,8 +217,32 @@ class TestClientInProcess:
             DroneEnvClient(http=http).health()
         assert wrong.value.status == answer.status_code
 
+    def test_it_ends_its_session_when_it_is_closed_unless_it_is_to_keep_it(self, client: TestClient) -> None:
+        kept, ended = DroneEnvClient(http=client), DroneEnvClient(http=client)
+        for drone in (kept, ended):
+            drone.reset("easy", seed=7)
+        client.cookies.clear()
+        kept.close(keep_session=True)
+        ended.close()
+        assert kept.state()["step_count"] == 0
+        assert ended.session_id is None
+        with pytest.raises(ServerError, match="no session"):
+            ended.state()
+
+    def test_it_sends_the_token_that_it_is_given_or_finds(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("DRONE_ENV_TOKEN", "found")
+        for token, sent in ((None, "Bearer found"), ("given", "Bearer given")):
+            with DroneEnvClient("http://other", token=token) as drone:
+                assert drone._http.headers["Authorization"] == sent
+        monkeypatch.delenv("DRONE_ENV_TOKEN")
+        with DroneEnvClient("http://other") as drone:
+            assert "Authorization" not in drone._http.headers
+
     def test_where_there_is_no_server_it_says_so(self) -> None:
-        with DroneEnvClient("http://127.0.0.1:9") as drone, pytest.raises(ServerError, match="GET /health"):
+        with (
+            DroneEnvClient(f"http://127.0.0.1:{reserved_port()}") as drone,
+            pytest.raises(ServerError, match="GET /health"),
+        ):
             drone.health()
 
 

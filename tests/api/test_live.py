@@ -31,6 +31,8 @@ class Page:
 
     def __init__(self, socket: WebSocketTestSession) -> None:
         self.socket = socket
+        self.ended: list[int] = []
+        """The missions that were told to have ended, while they flew by themselves."""
 
     def send(self, kind: str, **fields: Any) -> None:
         self.socket.send_text(json.dumps({"type": kind, **fields}))
@@ -54,6 +56,8 @@ class Page:
             message = json.loads(self.socket.receive_text())
             for moved in message["frames"] if message["type"] == "frames" else ():
                 frames.setdefault(moved["mission"], []).append(moved["frame"])
+            if message["type"] == "ended":
+                self.ended.append(message["mission"])
             if message["type"] == "playing" and not message["playing"]:
                 return frames
 
@@ -82,6 +86,7 @@ def test_a_race_is_what_the_agents_fly(client: TestClient, task: str) -> None:
         page.send("play", speed=60)
         assert page.until("playing")["playing"]
         frames = page.flight()
+        assert sorted(page.ended) == [0, 1, 2, 3]
     for number, pilot in enumerate(pilots):
         episode = flown(task, 7, pilot, "composite")
         assert names(frames[number]) == [Action(action).name for action in episode.actions]
@@ -269,8 +274,8 @@ def test_an_open_page_keeps_its_paused_mission(tmp_path: Path, clock: Clock, eve
         ({"type": "subscribe", "topics": ["passwords"]}, "invalid_request"),
     ],
 )
-def test_what_cannot_be_obeyed_is_told_and_changes_nothing(client: TestClient, frame: Any, code: str) -> None:
-    with client.websocket_connect("/live") as socket:
+def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestClient, frame: Any, code: str) -> None:
+    with shared_client.websocket_connect("/live") as socket:
         page = Page(socket)
         (shown,) = page.start("greedy")
         page.until("values")
@@ -280,7 +285,7 @@ def test_what_cannot_be_obeyed_is_told_and_changes_nothing(client: TestClient, f
         assert message["detail"]
         page.send("step")
         assert page.until("frames")["frames"][0]["frame"]["step"] == 1
-        state = client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()
+        state = shared_client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()
         assert state["step_count"] == 1
 
 
@@ -314,12 +319,14 @@ def test_news_of_the_server(
         assert page.until("episodes")["episodes"] == []
         (settings["data"] / "train.log").write_text("<b>episode 1</b>\n")
         assert page.until("training")["lines"] == ["<b>episode 1</b>"]
-        header = {"X-Session-Id": client.post("/reset", json={"seed": 7, "agent": "<i>me</i>"}).json()["session_id"]}
-        observation = {"done": False}
-        while not observation["done"]:
-            observation = client.post("/step", headers=header, json={"direction": "WAIT"}).json()
-        (episode,) = page.until("episodes")["episodes"]
-        assert (episode["agent"], episode["steps"], episode["success"]) == ("<i>me</i>", 60, False)
+        for agent in ("<i>me</i>", "another"):
+            header = {"X-Session-Id": client.post("/reset", json={"seed": 7, "agent": agent}).json()["session_id"]}
+            observation = {"done": False}
+            while not observation["done"]:
+                observation = client.post("/step", headers=header, json={"direction": "WAIT"}).json()
+            # What was told before is not told again.
+            (episode,) = page.until("episodes")["episodes"]
+            assert (episode["agent"], episode["steps"], episode["success"]) == (agent, 60, False)
         assert episode["regret"] == episode["optimal_score"] - episode["score"]
         page.send("subscribe", topics=[])
         client.get("/health")

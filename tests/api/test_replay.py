@@ -29,9 +29,9 @@ def record(task: str = "hard", seed: int = 7, agent: str = "greedy", steps: int 
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_a_record_is_shown_frame_by_frame(client: TestClient, task: str) -> None:
+def test_a_record_is_shown_frame_by_frame(shared_client: TestClient, task: str) -> None:
     flown = record(task)
-    shown = client.post("/replay", content=flown.to_json(), headers=JSON).json()
+    shown = shared_client.post("/replay", content=flown.to_json(), headers=JSON).json()
     frames = shown["frames"]
     assert [frame["action"] for frame in frames] == [None, *flown.actions]
     assert [frame["reward"] for frame in frames[1:]] == flown.rewards
@@ -45,10 +45,10 @@ def test_a_record_is_shown_frame_by_frame(client: TestClient, task: str) -> None
     assert {(x, y) for y, line in enumerate(mission["cells"]) for x, cell in enumerate(line) if cell == 4} == parcels
 
 
-def test_a_flight_that_has_not_ended_is_shown_but_not_annotated(client: TestClient) -> None:
+def test_a_flight_that_has_not_ended_is_shown_but_not_annotated(shared_client: TestClient) -> None:
     flown = record(steps=5)
-    assert len(client.post("/replay", content=flown.to_json(), headers=JSON).json()["frames"]) == 6
-    refused = client.post("/annotate", content=flown.to_json(), headers=JSON)
+    assert len(shared_client.post("/replay", content=flown.to_json(), headers=JSON).json()["frames"]) == 6
+    refused = shared_client.post("/annotate", content=flown.to_json(), headers=JSON)
     assert (refused.status_code, refused.json()["code"]) == (409, "in_flight")
 
 
@@ -57,17 +57,17 @@ def test_a_flight_that_has_not_ended_is_shown_but_not_annotated(client: TestClie
 )
 @pytest.mark.parametrize("path", ["/replay", "/annotate"])
 def test_a_record_that_does_not_fit_its_flight_is_refused(
-    client: TestClient, path: str, change: dict[str, Any]
+    shared_client: TestClient, path: str, change: dict[str, Any]
 ) -> None:
-    answer = client.post(path, json=record().model_dump() | change)
+    answer = shared_client.post(path, json=record().model_dump() | change)
     assert answer.status_code == 422
     assert answer.json()["detail"]
 
 
 @pytest.mark.parametrize(("task", "agent"), [("hard", "random"), ("medium", "pathqnet"), ("skyline_easy", "greedy")])
-def test_an_annotation_is_the_analysis_beside_a_best_flight(client: TestClient, task: str, agent: str) -> None:
+def test_an_annotation_is_the_analysis_beside_a_best_flight(shared_client: TestClient, task: str, agent: str) -> None:
     flown = record(task, agent=agent)
-    told = client.post("/annotate", content=flown.to_json(), headers=JSON).json()
+    told = shared_client.post("/annotate", content=flown.to_json(), headers=JSON).json()
     analysis = analyse_flight(flown)
     assert [move["regret"] for move in told["moves"]] == [move.regret for move in analysis.moves]
     assert [move["mark"] for move in told["moves"]] == [move.mark for move in analysis.moves]
@@ -151,18 +151,18 @@ def test_the_history_of_a_task_for_charts(client: TestClient, settings: dict[str
     assert client.get("/history/nowhere").status_code == 404
 
 
-def test_who_can_fly_and_what_can_stand_in_a_cell(client: TestClient) -> None:
-    pilots = {pilot["id"]: pilot for pilot in client.get("/pilots").json()["pilots"]}
+def test_who_can_fly_and_what_can_stand_in_a_cell(shared_client: TestClient) -> None:
+    pilots = {pilot["id"]: pilot for pilot in shared_client.get("/pilots").json()["pilots"]}
     assert [name for name, pilot in pilots.items() if not pilot["automatic"]] == ["human"]
     assert pilots["pathqnet"]["tasks"] == ["easy_delivery", "medium_delivery", "hard_delivery"]
     assert pilots["greedy"]["tasks"] == list(TASKS)
-    kinds = client.get("/kinds").json()["kinds"]
+    kinds = shared_client.get("/kinds").json()["kinds"]
     assert [(kind["id"], kind["name"]) for kind in kinds] == [(cell, kind.name) for cell, kind in CELL_KINDS.items()]
 
 
-def test_the_efficiency_is_the_sum_of_its_parts(client: TestClient) -> None:
+def test_the_efficiency_is_the_sum_of_its_parts(shared_client: TestClient) -> None:
     flown = record("hard", agent="random")
-    for frame in client.post("/replay", content=flown.to_json(), headers=JSON).json()["frames"]:
+    for frame in shared_client.post("/replay", content=flown.to_json(), headers=JSON).json()["frames"]:
         parts = frame["efficiency_parts"]
         assert [part["weight"] for part in parts] == [75, 15, 10]
         shares = [frame["deliveries_done"] / 5, frame["battery"], 1 - frame["step"] / 160]

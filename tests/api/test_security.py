@@ -147,6 +147,9 @@ class TestHeaders:
             policy = answer.headers["Content-Security-Policy"]
             assert "frame-ancestors 'self' https://huggingface.co https://*.hf.space" in policy
             assert answer.headers["X-Content-Type-Options"] == "nosniff"
+            assert answer.headers["Referrer-Policy"] == "no-referrer"
+            assert answer.headers["Cross-Origin-Resource-Policy"] == "same-origin"
+            assert answer.headers["Cache-Control"] == "no-store"
             assert "X-Frame-Options" not in answer.headers
 
     def test_scripts_from_elsewhere_are_for_the_docs_alone(self, client: TestClient) -> None:

@@ -56,9 +56,9 @@ def ask(socket: WebSocketTestSession, frame: Any) -> Any:
     ],
 )
 def test_a_frame_that_cannot_be_answered_is_an_error_and_the_session_goes_on(
-    client: TestClient, frame: Any, code: str
+    shared_client: TestClient, frame: Any, code: str
 ) -> None:
-    with client.websocket_connect("/ws") as socket:
+    with shared_client.websocket_connect("/ws") as socket:
         ask(socket, {"type": "reset", "data": {"seed": 7}})
         ask(socket, {"type": "step", "data": {"direction": "UP"}})
         before = ask(socket, {"type": "state"})
@@ -68,22 +68,22 @@ def test_a_frame_that_cannot_be_answered_is_an_error_and_the_session_goes_on(
         assert ask(socket, {"type": "state"}) == before
 
 
-def test_before_the_first_reset_a_step_is_an_error(client: TestClient) -> None:
-    with client.websocket_connect("/ws") as socket:
+def test_before_the_first_reset_a_step_is_an_error(shared_client: TestClient) -> None:
+    with shared_client.websocket_connect("/ws") as socket:
         for frame in ({"type": "step", "data": {"direction": "UP"}}, {"type": "state"}):
             assert ask(socket, frame)["data"]["code"] == "EXECUTION_ERROR"
         assert ask(socket, {"type": "reset"})["type"] == "observation"
 
 
-def test_bytes_are_refused_and_the_session_goes_on(client: TestClient) -> None:
-    with client.websocket_connect("/ws") as socket:
+def test_bytes_are_refused_and_the_session_goes_on(shared_client: TestClient) -> None:
+    with shared_client.websocket_connect("/ws") as socket:
         socket.send_bytes(b'{"type": "reset"}')
         assert json.loads(socket.receive_text())["data"]["code"] == "INVALID_JSON"
         assert ask(socket, {"type": "reset"})["type"] == "observation"
 
 
-def test_close_closes(client: TestClient) -> None:
-    with client.websocket_connect("/ws") as socket:
+def test_close_closes(shared_client: TestClient) -> None:
+    with shared_client.websocket_connect("/ws") as socket:
         socket.send_json({"type": "close"})
         with pytest.raises(WebSocketDisconnect) as closed:
             socket.receive_text()
@@ -91,8 +91,8 @@ def test_close_closes(client: TestClient) -> None:
 
 
 @pytest.mark.parametrize("frame", ['{"type": "reset"}'.ljust(65_537), "🚁" * 16_385])
-def test_a_large_frame_closes(client: TestClient, frame: str) -> None:
-    with client.websocket_connect("/ws") as socket:
+def test_a_large_frame_closes(shared_client: TestClient, frame: str) -> None:
+    with shared_client.websocket_connect("/ws") as socket:
         assert ask(socket, '{"type": "reset"}'.ljust(65_536))["type"] == "observation"
         assert ask(socket, "🚁" * 16_384)["data"]["code"] == "INVALID_JSON"
         socket.send_text(frame)
@@ -101,8 +101,8 @@ def test_a_large_frame_closes(client: TestClient, frame: str) -> None:
     assert closed.value.code == 1009
 
 
-def test_mcp_is_answered_that_there_are_no_tools(client: TestClient) -> None:
-    with client.websocket_connect("/ws") as socket:
+def test_mcp_is_answered_that_there_are_no_tools(shared_client: TestClient) -> None:
+    with shared_client.websocket_connect("/ws") as socket:
         answer = ask(socket, {"type": "mcp", "data": {"jsonrpc": "2.0", "id": 5, "method": "tools/list"}})
         assert answer == {"type": "mcp", "data": {"jsonrpc": "2.0", "id": 5, "result": {"tools": []}}}
 
@@ -173,8 +173,8 @@ def test_clients_that_do_not_say_goodbye_hold_up_no_other_place() -> None:
     asyncio.run(sweep())
 
 
-def test_a_session_of_another_connection_cannot_be_taken_over(client: TestClient) -> None:
-    with client.websocket_connect("/ws?session_id=1") as socket:
+def test_a_session_of_another_connection_cannot_be_taken_over(shared_client: TestClient) -> None:
+    with shared_client.websocket_connect("/ws?session_id=1") as socket:
         assert socket.receive_json()["data"]["code"] == "SESSION_ERROR"
 
 

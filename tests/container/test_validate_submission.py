@@ -1,5 +1,6 @@
 """The logic of `validate-submission.sh`: a real server or a failing one, and scripts in place of docker and openenv."""
 
+import re
 import subprocess
 import threading
 from collections.abc import Generator
@@ -106,6 +107,13 @@ def test_without_docker_the_second_check_fails_and_the_third_is_run(space: str, 
     shown = failure(commands.run(SCRIPT, space))
     assert "FAILED: docker is not installed\n  Hint: https://docs.docker.com" in shown
     assert "PASSED: openenv validate" in shown
+
+
+@pytest.mark.feature("P3")
+def test_the_guide_has_the_same_steps_for_powershell() -> None:
+    guide = (ROOT / "docs" / "deployment.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```powershell\n(.*?)```", guide, re.DOTALL)
+    assert any("Invoke-RestMethod -Method Post" in block and "openenv validate" in block for block in blocks)
 
 
 def test_a_docker_without_its_daemon_fails_the_second_check(space: str, commands: Commands) -> None:

@@ -9,12 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
+from openenv.cli.__main__ import app as command_line
 from openenv.cli._validation import validate_running_environment
 from openenv.core.env_server import create_fastapi_app
+from openenv.core.env_server.interfaces import Environment
 from openenv.core.generic_client import GenericEnvClient
 from openenv.validation import Level, run_validation
 from openenv.validation.types import ProviderCapability
 from starlette.testclient import TestClient
+from typer.testing import CliRunner
 
 from drone_env.client import DroneDeliveryClient, DroneEnvClient
 from drone_env.core.state_manager import Episode
@@ -29,6 +33,7 @@ from drone_env.server.grid_world_environment import (
     DroneEnvAction,
     DroneEnvObservation,
     DroneEnvState,
+    GradeRubric,
 )
 from drone_env.server.schemas import WireState
 from drone_env.server.settings import Settings
@@ -48,6 +53,7 @@ def best_actions(task: str, seed: int) -> list[DroneAction]:
     return [DroneAction.model_validate({"direction": action.name}) for action in solve(task, seed).actions]
 
 
+@pytest.mark.feature("E10")
 @pytest.mark.parametrize("task", STANDARD)
 def test_the_official_client_flies_synchronously(server: Server, task: str) -> None:
     flight = Episode(task)
@@ -139,8 +145,10 @@ def test_our_socket_sends_what_openenvs_own_server_sends(tmp_path: Path) -> None
 
 
 class TestEnvironment:
+    @pytest.mark.feature("E10")
     def test_an_episode(self) -> None:
         env = DroneDeliveryEnvironment("medium")
+        assert isinstance(env, Environment)
         observation = env.reset(seed=3)
         assert (env.state.task_name, env.state.seed, observation.reward) == ("medium_delivery", 3, None)
         assert uuid.UUID(env.state.episode_id)
@@ -152,6 +160,19 @@ class TestEnvironment:
         assert env.rubric.last_score == observation.score == GRADERS["medium_delivery"](_plain(env.state))
         DroneEnvObservation.model_validate(observation.model_dump())
         assert env.step(DroneEnvAction(direction="UP")).reward == 0.0
+
+    def test_a_reset_resets_the_rubric(self) -> None:
+        class Counting(GradeRubric):
+            resets = 0
+
+            def reset(self) -> None:
+                self.resets += 1
+
+        env = DroneDeliveryEnvironment()
+        env.rubric = rubric = Counting()
+        for resets in (1, 2):
+            env.reset(seed=5)
+            assert rubric.resets == resets
 
     def test_asynchronously_it_does_the_same(self) -> None:
         async def fly() -> list[dict[str, Any]]:
@@ -233,9 +254,17 @@ def test_the_validator_passes_the_running_server(server: Server) -> None:
     assert (report["passed"], report["mode"]) == (True, "simulation")
 
 
-def test_the_validator_passes_the_manifest(tmp_path: Path) -> None:
-    report = run_validation(_package(tmp_path), max_level=Level.STATIC)
-    assert report.verdict.value == "pass", report
+@pytest.mark.feature("P1")
+@pytest.mark.filterwarnings("default::DeprecationWarning")
+def test_the_manifest_names_what_there_is_and_the_validator_passes_it(tmp_path: Path) -> None:
+    manifest = yaml.safe_load((ROOT / "openenv.yaml").read_text(encoding="utf-8"))
+    named = [manifest[key] for key in ("spec_version", "name", "type", "runtime", "app", "port")]
+    assert named == [1, "drone-env", "space", "fastapi", "drone_env.server.app:app", 8000]
+    levels = [TASKS[task] for task in STANDARD]
+    assert manifest["tasks"] == [{"id": task.id, "grader": task.grader} for task in levels]
+    assert manifest["graders"] == [{"id": task.grader} for task in levels]
+    done = CliRunner().invoke(command_line, ["validate", str(_package(tmp_path)), "--level", "static"])
+    assert done.exit_code == 0, done.output
 
 
 class LocalProcesses:

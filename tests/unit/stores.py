@@ -44,8 +44,8 @@ def view(folder: Path) -> list[StoredEpisode]:
     return [StoredEpisode.model_validate_json(json.dumps(episode)) for episode in content["episodes"]]
 
 
-def eventually(holds: Any, seconds: float = 20) -> None:
-    deadline = time.monotonic() + seconds
+def eventually(holds: Any) -> None:
+    deadline = time.monotonic() + 100
     while not holds():
         assert time.monotonic() < deadline
         time.sleep(0.01)

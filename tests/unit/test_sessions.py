@@ -2,6 +2,7 @@
 
 import sqlite3
 import stat
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -169,6 +170,24 @@ def test_there_is_room_for_so_many(store: Store) -> None:
     store.end_session(ids[0])
     opened(store, capacity=3)
     assert store.count_sessions() == 3
+
+
+def test_of_the_finished_the_one_that_was_not_used_for_longest_gives_way(tmp_path: Path) -> None:
+    now = 1_000_000.0
+    with Store(tmp_path, lambda: now) as store:
+        ids = [opened(store, capacity=3) for _ in range(3)]
+        for session_id in (ids[1], ids[0]):
+            now += 10
+            with store.session(session_id) as row:
+                finish_in(row, flown(actions="4"))
+        now += 19.9
+        with pytest.raises(CapacityError):
+            opened(store, capacity=3)
+        now += 60
+        opened(store, capacity=3)
+        with pytest.raises(SessionGoneError):
+            store.read_session(ids[1])
+        assert [store.read_session(kept).id for kept in (ids[0], ids[2])] == [ids[0], ids[2]]
 
 
 @pytest.mark.parametrize("session_id", ["", "nobody", "\ud800", "ä", "' OR 1=1"])
