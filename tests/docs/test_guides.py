@@ -1,6 +1,4 @@
-"""The documents that were promised: licence, guides, and the steps for PowerShell."""
-
-import re
+"""The documents that were promised: the licence and the guides."""
 
 import pytest
 
@@ -19,9 +17,3 @@ def test_the_licence_and_the_guides() -> None:
     guide = text_of("docs/deployment.md")
     assert "openenv push" in guide
     assert "git push" in guide
-
-
-@pytest.mark.feature("P3")
-def test_the_checks_of_a_submission_for_powershell() -> None:
-    blocks = re.findall(r"```powershell\n(.*?)```", text_of("docs/deployment.md"), re.DOTALL)
-    assert any("Invoke-RestMethod -Method Post" in block and "openenv validate" in block for block in blocks)

@@ -147,8 +147,10 @@ def test_solve_shows_the_optimum(capsys: pytest.CaptureFixture[str]) -> None:
     assert "🚁" in out
 
 
-def test_solve_as_json_can_be_flown(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["solve", "--task", "medium", "--seed", "7", "--json"]) == 0
+# The battery does not last for all parcels of the second.
+@pytest.mark.parametrize(("task", "seed", "success"), [("medium", 7, True), ("skyline_medium", 6, False)])
+def test_solve_as_json_can_be_flown(task: str, seed: int, success: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["solve", "--task", task, "--seed", str(seed), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     episode = Episode(report["task"])
     episode.reset(report["seed"])
@@ -157,7 +159,8 @@ def test_solve_as_json_can_be_flown(capsys: pytest.CaptureFixture[str]) -> None:
         episode.step(Action[action])
         assert tuple(position) == episode.position
     assert (episode.score, episode.success, episode.steps) == (report["score"], report["success"], report["steps"])
-    assert len(report["order"]) == 3
+    assert report["success"] is success
+    assert len(report["order"]) == report["deliveries"] == 3
 
 
 @pytest.mark.parametrize(

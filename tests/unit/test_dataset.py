@@ -178,10 +178,13 @@ def test_types_shapes_and_metadata_of_the_file(tmp_path: Path) -> None:
 
 def test_row_groups_change_nothing_but_the_layout(tmp_path: Path) -> None:
     config = dataset_config("easy", range(5))
-    (tmp_path / "small").mkdir()
-    small, whole = made(tmp_path / "small", config, rows_per_group=1), made(tmp_path, config)
-    assert pyarrow.parquet.ParquetFile(small / "steps.parquet").metadata.num_row_groups == config.episodes
-    assert rows(small) == rows(whole)
+    whole, groups = made(tmp_path, config), []
+    for size in (1, 70):
+        (tmp_path / str(size)).mkdir()
+        folder = made(tmp_path / str(size), config, rows_per_group=size)
+        groups.append(pyarrow.parquet.ParquetFile(folder / "steps.parquet").metadata.num_row_groups)
+        assert rows(folder) == rows(whole)
+    assert groups[0] == config.episodes > groups[1] > 1
 
 
 def test_the_hash_changes_with_everything_that_decides_the_rows() -> None:

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from drone_env.agents.network import load_network
+from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import SPLITS, split_of, split_seeds
 from drone_env.core.tasks import TASKS, get_task
@@ -18,7 +20,7 @@ from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
 from drone_env.rl.export import export_network
 from drone_env.rl.model import PathQNet
 from drone_env.rl.trainer import Trainer
-from drone_env.rl.validation import Validation
+from drone_env.rl.validation import Validation, Validator
 from tests.unit.small_training import SMALL, assert_same, do_nothing
 
 
@@ -253,8 +255,9 @@ def test_its_figures_are_those_of_its_flights(whole: Flown) -> None:
     assert history[-1].steps == whole.trainer.steps
     assert history[-1].updates == whole.trainer.updates > 0
     assert history[-1].epsilon == whole.trainer.epsilon < history[0].epsilon
-    assert np.isnan(history[0].validation)
-    assert len({line.validation for line in history[1:]}) > 1
+    # From the first validation on, after 10 episodes, each line tells the last one.
+    assert [bool(np.isnan(line.validation)) for line in history] == [True] + 7 * [False]
+    assert history[-1].validation == whole.trainer.validation.score
 
 
 def test_the_last_line_is_logged_and_judged_wherever_it_falls() -> None:
@@ -277,18 +280,17 @@ def test_losses_are_the_mean_since_the_line_before() -> None:
 
 
 def test_a_validation_is_what_evaluation_says_of_the_same_maps(whole: Flown, tmp_path: Path) -> None:
-    trainer = whole.trainer
-    assert {split_of(seed) for seed in trainer.validator._seeds.tolist()} == {"validation"}
-    export_network(trainer.judged, tmp_path / "net.npz", {"telemetry_size": 5})
-    maps = split_seeds("validation", SMALL.validation_maps)
-    for network, agent in ((trainer.judged, f"pathqnet:{tmp_path / 'net.npz'}"), (None, "greedy")):
+    task, net = get_task("easy"), tmp_path / "net.npz"
+    export_network(whole.trainer.judged, net, {"telemetry_size": 5})
+    # One that hardly delivers, and one whose flights end at many moments.
+    for network, agent in ((net, f"pathqnet:{net}"), (shipped_network(task), "pathqnet")):
+        maps = split_seeds("validation", 40)
         expected = summarise(run_episodes(episodes_key("easy", agent, maps, "validation")))
-        if network is None:
-            assert trainer.validator.optimum == pytest.approx(expected["mean_optimal_score"])
-            continue
-        found = trainer.validator.validate(trainer.values)
+        found = Validator(task, 40).validate(load_network(network))
         assert found.score == pytest.approx(expected["mean_score"])
+        assert found.optimum == pytest.approx(expected["mean_optimal_score"])
         assert found.success == expected["success_rate"]
+    assert found.success == 1
 
 
 def test_the_best_network_is_kept() -> None:
