@@ -38,6 +38,17 @@ def test_each_try_is_a_call(endpoint: Start) -> None:
     assert (done.status, len(scripted.requests())) == (3, 4)
     assert done.turns == {"ok": 2, "budget_stop": 1}
     assert [call["outcome"] for call in done.calls] == ["ok", "ok"]
+    # In the next part of the run as well.
+    again = scripted.infer("--seeds", "14:15", "--max-calls", "4", "--resume", folder=done.folder)
+    assert (again.status, len(scripted.requests())) == (3, 4)
+
+
+def test_a_flight_that_the_limit_did_not_let_begin_is_none(endpoint: Start) -> None:
+    # Map 14 takes 3 calls.
+    done = endpoint(pilot="greedy").infer("--seeds", "14:16", "--max-calls", "3", "--concurrency", "1")
+    assert (done.status, [flight["seed"] for flight in done.flights]) == (3, [14])
+    assert "0 flights were cut short and 1 not begun" in done.err
+    assert len(blocks(done.out)) == 1
 
 
 @pytest.mark.parametrize(

@@ -173,22 +173,21 @@ def test_the_gate_is_closed_for_as_long_as_the_endpoint_asks() -> None:
 
 def test_a_place_that_nobody_waits_for_any_more_goes_to_the_next() -> None:
     async def work(gate: AdaptiveGate, clock: VirtualClock) -> None:
-        async def hold(until: asyncio.Event) -> None:
+        async def hold() -> None:
             async with gate.passing():
-                await until.wait()
+                await asyncio.Event().wait()
 
-        leave, stay = asyncio.Event(), asyncio.Event()
-        first, second, third = (asyncio.ensure_future(hold(event)) for event in (leave, leave, stay))
-        await asyncio.sleep(0)
-        leave.set()
-        await first
+        async with gate.passing():
+            second, third = asyncio.ensure_future(hold()), asyncio.ensure_future(hold())
+            await asyncio.sleep(0)
         # The place has been given to the second one, which is stopped before it takes it.
         second.cancel()
-        await asyncio.sleep(0)
-        await asyncio.sleep(0)
-        await asyncio.sleep(0)
+        for _ in range(5):
+            await asyncio.sleep(0)
+        assert second.cancelled()
         assert gate.active == 1
-        stay.set()
-        await asyncio.wait_for(third, 60)
+        third.cancel()
+        await asyncio.gather(third, return_exceptions=True)
+        assert gate.active == 0
 
     at_gate(1, work)

@@ -150,6 +150,9 @@ def test_a_cut_last_line_is_no_call_and_a_damaged_one_an_error(endpoint: Start) 
     resumed = scripted.infer("--seeds", "14:15", "--resume", folder=done.folder)
     assert (resumed.status, resumed.out) == (0, done.out)
     assert [r["call"] for r in scripted.requests()] == ["0-1-1", "0-2-1", "0-3-1", "0-3-1"]
+    # Nothing of the cut line stands before the one that is there in its place.
+    assert path.read_bytes().splitlines()[:2] == whole.splitlines()[:2]
+    assert [call["turn"] for call in resumed.calls] == [1, 2, 3]
     path.write_bytes(b"{}\n" + whole)
     with pytest.raises(InvalidValueError, match=r"line 1 of .* is no call"):
         Transcript(path)
