@@ -1,6 +1,7 @@
-"""One browser and one server with a history per process, and tabs whose complaints fail the test."""
+"""One browser, one server with a history and one page per process; what a page complains of fails the test."""
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -44,34 +45,46 @@ def server(data: Path) -> Generator[Server, None, None]:
 @pytest.fixture(scope="package")
 def shared(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
     """The tabs of `page`; a test names the complaints there that it brings about itself."""
-    opened = Tabs(browser, server.url)
-    yield opened
-    opened.close()
+    with Tabs(browser, server.url) as opened:
+        yield opened
 
 
 @pytest.fixture(scope="package")
 def loaded(shared: Tabs) -> Page:
-    return shared.open("/#specs")
+    # Without motion a map is drawn once a step, not sixty times a second.
+    return shared.open("/#specs", reduced_motion="reduce")
 
 
-@pytest.fixture
-def page(loaded: Page, shared: Tabs) -> Generator[Page, None, None]:
+@contextmanager
+def lent(page: Page, tabs: Tabs) -> Generator[Page, None, None]:
     """A page that other tests have used: loading one takes longer than most of what is done in it.
 
     It does not go on to the next level by itself.
     """
-    shared.forget()
-    loaded.evaluate(
+    tabs.forget()
+    page.evaluate(
         "localStorage.clear(); localStorage.setItem('drone-env-cycle', 'off');"
         "document.querySelectorAll('dialog[open]').forEach(one => one.close())"
     )
-    yield loaded
-    assert shared.unexpected() == []
+    yield page
+    assert tabs.unexpected() == []
 
 
 @pytest.fixture
-def tabs(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
-    opened = Tabs(browser, server.url)
-    yield opened
-    opened.close()
-    assert opened.unexpected() == []
+def page(loaded: Page, shared: Tabs) -> Generator[Page, None, None]:
+    with lent(loaded, shared) as page:
+        yield page
+
+
+@pytest.fixture
+def beside(page: Page, shared: Tabs) -> Generator[Callable[[str], Page], None, None]:
+    """Opens another tab beside `page`, at a path, or at none yet where that is empty."""
+    opened: list[Page] = []
+
+    def tab(path: str) -> Page:
+        opened.append(shared.open(path, go=bool(path), beside=page))
+        return opened[-1]
+
+    yield tab
+    for one in opened:
+        one.close()

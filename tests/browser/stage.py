@@ -8,6 +8,14 @@ from playwright.sync_api import Locator, Page, expect
 
 FASTEST = "8"
 """The last notch of the slider: 60 steps per second."""
+SIGNS = {
+    "Race": "#maps figure:nth-of-type(4)",
+    "Replay": ".replay-moves button",
+    "History": "tr[data-episode]",
+    "Specifications": ".specs-table",
+    "Logs": "#log-requests li",
+}
+"""What stands in a view once it has all that it shows. A flight must have been replayed before, and one have ended."""
 
 
 def view(page: Page, name: str) -> None:
@@ -15,8 +23,19 @@ def view(page: Page, name: str) -> None:
     page.get_by_role("navigation", name="Views").get_by_role("link", name=name, exact=True).click()
 
 
+def whole_view(page: Page, name: str) -> None:
+    """The same, and wait for what it shows."""
+    view(page, name)
+    expect(page.locator(SIGNS[name]).first).to_be_visible()
+
+
 def fastest(page: Page) -> None:
     page.get_by_role("slider", name="Speed").fill(FASTEST)
+
+
+def slow(page: Page) -> None:
+    """Two steps per second: slow enough that a flight does not end before it is paused."""
+    page.get_by_role("slider", name="Speed").fill("2")
 
 
 def fly(page: Page) -> None:
@@ -28,7 +47,7 @@ def fly(page: Page) -> None:
 def results(page: Page) -> Locator:
     """The results, once they are there."""
     dialog = page.locator("dialog#results")
-    expect(dialog).to_be_visible(timeout=20_000)
+    expect(dialog).to_be_visible()
     return dialog
 
 
@@ -64,9 +83,18 @@ def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
         expect(page.locator("#target")).to_contain_text(f"[{frame['target'][0]}, {frame['target'][1]}]")
 
 
-def pixels(canvas: Locator) -> str:
-    """The picture on a canvas, as a data URL."""
-    return canvas.evaluate("canvas => canvas.toDataURL()")
+def pictures(page: Page) -> list[str]:
+    """What stands on the canvases of the maps, as data URLs: of each map the city and the flight.
+
+    What is asked to be drawn is drawn in the next frame, and anew once the fonts are there.
+    """
+    return page.evaluate(
+        """async () => {
+            await document.fonts.ready;
+            for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
+            return [...document.querySelectorAll("#maps canvas")].map(canvas => canvas.toDataURL());
+        }"""
+    )
 
 
 def percent(share: float) -> str:

@@ -7,12 +7,14 @@ from contextlib import contextmanager
 from typing import Any
 
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Response, sync_playwright
+from typing_extensions import Self
 
 from tests.tools import missing_tool
 
 WIDE = {"width": 1440, "height": 900}
 NARROW = {"width": 390, "height": 844}
-PATIENCE_MS = 15_000
+PATIENCE_MS = 60_000
+"""How long a page may take to come to what is expected: long, since nobody waits for it where all is well."""
 # Containers have little /dev/shm and run as root.
 FLAGS = ["--no-sandbox", "--disable-dev-shm-usage"]
 
@@ -27,8 +29,10 @@ def launched(path: str) -> Generator[Browser, None, None]:
     """A browser without a window."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
-        yield browser
-        browser.close()
+        try:
+            yield browser
+        finally:
+            browser.close()
 
 
 @contextmanager
@@ -55,6 +59,12 @@ class Tabs:
         self.complaints: list[str] = []
         self._expected: list[re.Pattern[str]] = []
         self._contexts: list[BrowserContext] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def open(self, path: str = "/", go: bool = True, beside: Page | None = None, **options: Any) -> Page:
         """A page in a fresh context, or in that of another page; `path` is opened in it unless told not to."""

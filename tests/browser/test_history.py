@@ -1,6 +1,7 @@
 """The history of episodes: table, filters, pages, charts."""
 
 import re
+import time
 from typing import Any
 
 import httpx
@@ -11,6 +12,7 @@ from tests.api.serving import Server
 from tests.browser.conftest import SEEDS
 from tests.browser.flights import flown
 from tests.browser.stage import fixed, percent, points, view
+from tests.browser.tabs import PATIENCE_MS
 
 CHARTS = ("Reward", "Success, last 20 episodes", "Actions", "Regret")
 
@@ -44,14 +46,11 @@ def drawn(page: Page, chart: str) -> int:
     )
 
 
-def expect_drawn(page: Page) -> None:
+def expect_drawn(page: Page, least: int = 50) -> None:
     """Every chart comes to show values in the colour of the theme."""
-    for _ in range(50):
-        found = {chart: drawn(page, chart) for chart in CHARTS}
-        if min(found.values()) > 50:
-            return
-        page.wait_for_timeout(100)
-    raise AssertionError(f"too few pixels of the accent's colour: {found}")
+    deadline = time.monotonic() + PATIENCE_MS / 1000
+    while min((found := {chart: drawn(page, chart) for chart in CHARTS}).values()) <= least:
+        assert time.monotonic() < deadline, f"too few pixels of the accent's colour: {found}"
 
 
 def test_it_lists_filters_and_pages_what_the_store_has(page: Page, server: Server) -> None:
@@ -125,3 +124,14 @@ def test_an_episode_that_ends_elsewhere_appears_by_itself(page: Page, server: Se
     row = page.locator(f"tr[data-episode='{new}']")
     expect(row).to_be_visible()
     expect(row).to_contain_text("elsewhere")
+
+
+def test_the_history_of_all_tasks_charts_the_task_of_the_newest_flight(page: Page, server: Server) -> None:
+    with Store(server.data) as store:
+        store.add_episode(flown("skyline_easy", 14, "greedy"))
+    view(page, "History")
+    page.get_by_role("combobox", name="Agent").select_option("")
+    page.get_by_role("combobox", name="Task").select_option("")
+    expect(page.get_by_role("heading", name="Skyline Easy: 1 episode")).to_be_visible()
+    # The only one, and it has given nothing away.
+    expect_drawn(page, least=0)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import httpx
+import pytest
 from playwright.sync_api import Page, expect
 
 from drone_env.client import DroneEnvClient
@@ -11,6 +12,7 @@ from tests.browser.conftest import MARKUP, TRAINING
 from tests.browser.stage import view
 
 
+@pytest.mark.feature("D1")
 def test_requests_appear_as_they_are_answered(page: Page, server: Server) -> None:
     view(page, "Logs")
     log = page.get_by_role("log", name="Requests")
@@ -19,6 +21,7 @@ def test_requests_appear_as_they_are_answered(page: Page, server: Server) -> Non
     expect(log.get_by_text("/grade/nowhere")).to_have_count(1)
 
 
+@pytest.mark.feature("D1")
 def test_training_lines_appear_as_they_are_written(page: Page, data: Path) -> None:
     view(page, "Logs")
     log = page.get_by_role("log", name="Training")

@@ -1,19 +1,19 @@
 """Whatever has HTML in it is shown as text."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, Route, WebSocketRoute, expect
 
-from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, SEEDS
 from tests.browser.flights import flown
-from tests.browser.tabs import Tabs
+from tests.browser.stage import view
 
 
 @pytest.fixture
-def hostile(tabs: Tabs, server: Server) -> Page:
+def hostile(beside: Callable[[str], Page]) -> Page:
     """A page before a server that puts HTML into whatever it says in words."""
 
     def tasks(route: Route) -> None:
@@ -39,7 +39,7 @@ def hostile(tabs: Tabs, server: Server) -> Page:
 
         upstream.on_message(rewritten)
 
-    page = tabs.open(go=False)
+    page = beside("")
     page.route("**/tasks", tasks)
     page.route("**/pilots", words)
     page.route("**/kinds", words)
@@ -56,7 +56,7 @@ def expect_only_text(page: Page) -> None:
     assert page.title() != "1"
 
 
-def test_in_tasks_pilots_and_messages(hostile: Page) -> None:
+def test_in_tasks_pilots_messages_and_races(hostile: Page) -> None:
     for _ in range(2):
         hostile.get_by_role("button", name="Step", exact=True).click()
     expect(hostile.locator("#events li").first).to_contain_text(MARKUP)
@@ -64,10 +64,15 @@ def test_in_tasks_pilots_and_messages(hostile: Page) -> None:
     hostile.get_by_role("link", name="Specifications").click()
     expect(hostile.get_by_role("table").first).to_contain_text(MARKUP)
     expect_only_text(hostile)
+    hostile.get_by_role("link", name="Race", exact=True).click()
+    expect(hostile.locator("#maps figure")).to_have_count(4)
+    expect(hostile.locator("#standings")).to_contain_text(MARKUP)
+    expect_only_text(hostile)
 
 
-def test_in_agents_logs_and_records(tabs: Tabs, tmp_path: Path) -> None:
-    page = tabs.open("/#history")
+def test_in_agents_logs_and_records(page: Page, tmp_path: Path) -> None:
+    view(page, "History")
+    page.get_by_role("combobox", name="Task").select_option("")
     page.get_by_role("combobox", name="Agent").select_option(MARKUP)
     row = page.locator("tr[data-episode]")
     expect(row).to_have_count(1)
@@ -82,10 +87,3 @@ def test_in_agents_logs_and_records(tabs: Tabs, tmp_path: Path) -> None:
     page.get_by_label("Open a file…").set_input_files(file)
     expect(page.get_by_role("heading", name=MARKUP)).to_be_visible()
     expect_only_text(page)
-
-
-def test_in_a_race_of_a_hostile_server(hostile: Page) -> None:
-    hostile.get_by_role("link", name="Race", exact=True).click()
-    expect(hostile.locator("#maps figure")).to_have_count(4)
-    expect(hostile.locator("#standings")).to_contain_text(MARKUP)
-    expect_only_text(hostile)

@@ -1,6 +1,7 @@
 """The technical specifications: what the page shows is what `/tasks` and `/kinds` say."""
 
 import httpx
+import pytest
 from playwright.sync_api import Page, expect
 
 from tests.api.serving import Server
@@ -15,6 +16,7 @@ def table(page: Page, name: str) -> dict[str, list[str]]:
     return {row[0]: row[1:] for row in rows}
 
 
+@pytest.mark.feature("D4")
 def test_the_levels_stand_side_by_side_as_the_server_tells_them(page: Page, server: Server) -> None:
     tasks = httpx.get(f"{server.url}/tasks").json()["tasks"]
     view(page, "Specifications")
@@ -36,6 +38,9 @@ def test_the_levels_stand_side_by_side_as_the_server_tells_them(page: Page, serv
         for row, name in (("Delivery", "r_delivery"), ("Step", "r_step"), ("Battery empty", "r_battery_dead")):
             assert shown[row] == [f"{task[name]:.2f}" for task in levels]
         assert shown["Battery"] == [f"{task['battery_capacity']} units" for task in levels]
+        if published:
+            assert shown["Grid"] == ["10 × 10", "14 × 14", "18 × 18"]
+            assert shown["Parcels"] == ["1", "3", "5"]
     assert "Charging pads" in shown
 
 

@@ -1,0 +1,70 @@
+"""Links: what they open, odd ones, and the way back."""
+
+import re
+from collections.abc import Callable
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.api.serving import Server
+from tests.browser.stage import fly, results, view
+from tests.browser.tabs import Tabs
+
+
+def test_a_link_opens_exactly_its_mission(page: Page, beside: Callable[[str], Page], server: Server) -> None:
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.goto("/?task=easy&seed=7&pilot=greedy")
+    page.get_by_role("button", name="New map").click()
+    expect(page.get_by_role("spinbutton", name="Map")).not_to_have_value(re.compile("^7?$"))
+    page.get_by_role("radio", name="Optimal").check()
+    expect(page).to_have_url(re.compile("pilot=optimal"))
+    page.get_by_role("combobox", name="Rewards").select_option("composite")
+    expect(page).to_have_url(re.compile("profile=composite"))
+    seed = page.get_by_role("spinbutton", name="Map").input_value()
+    page.get_by_role("button", name="Copy link to this mission").click()
+    expect(page.locator("#toasts")).to_contain_text("Link copied.")
+    link = page.evaluate("navigator.clipboard.readText()")
+    assert link == f"{server.url}/?task=easy&seed={seed}&pilot=optimal&profile=composite"
+    other = beside(link)
+    expect(other.get_by_role("spinbutton", name="Map")).to_have_value(seed)
+    expect(other.get_by_role("radio", name="Optimal")).to_be_checked()
+    expect(other.get_by_role("radio", name="Easy", exact=True)).to_be_checked()
+    expect(other.get_by_role("combobox", name="Rewards")).to_have_value("composite")
+    fly(other)
+    results(other)
+    stored = httpx.get(f"{server.url}/episodes", params={"task": "easy", "agent": "optimal"}).json()["episodes"][0]
+    assert (stored["seed"], stored["reward_profile"]) == (int(seed), "composite")
+
+
+def test_a_link_to_a_view_that_is_none_opens_watch(page: Page) -> None:
+    for name in ("constructor", "toString"):
+        view(page, "Specifications")
+        expect(page).to_have_title("Technical specifications · Drone Delivery")
+        page.evaluate("name => { location.hash = name; }", name)
+        expect(page).not_to_have_title("Technical specifications · Drone Delivery")
+
+
+@pytest.mark.parametrize("link", ["/?episode=#constructor", "/?pilots=,,#nothing"])
+def test_a_link_to_nothing_opens_watch(page: Page, link: str) -> None:
+    page.goto(link)
+    expect(page).to_have_title("Watch a mission · Drone Delivery")
+    expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
+
+
+def test_a_link_to_no_episode_says_so(page: Page, shared: Tabs) -> None:
+    shared.expect("404")
+    page.goto("/?episode=nothing")
+    expect(page.locator("#replay").get_by_role("alert")).to_contain_text("nothing")
+
+
+def test_back_goes_back_though_the_link_has_changed(page: Page) -> None:
+    page.goto("/?task=easy&seed=5&pilot=greedy")
+    expect(page.locator(".card")).to_have_count(1)
+    view(page, "Race")
+    expect(page.locator(".card")).to_have_count(4)
+    page.go_back()
+    expect(page).to_have_title("Watch a mission · Drone Delivery")
+    expect(page.locator(".card")).to_have_count(1)
+    page.go_forward()
+    expect(page.locator(".card")).to_have_count(4)
