@@ -22,6 +22,8 @@ FRAMES = int(os.environ.get("DRONE_ENV_FRAMES", "500"))
 COMMANDS = FRAMES // 4
 STEPS = int(os.environ.get("DRONE_ENV_SOCKET_STEPS", "2000"))
 SOCKETS = 256 if STEPS > 10_000 else 32
+# Each map is solved in the background, also when its page has gone: seconds for the larger ones.
+FLOWN = list(TASKS)[: 4 if FRAMES > 1000 else 1]
 
 
 def test_interleaved_sockets_never_see_each_other(server: Server) -> None:
@@ -135,7 +137,7 @@ def commands(source: random.Random, sessions: list[str]) -> Any:
         [
             {
                 "type": "start",
-                "task": source.choice([*list(TASKS)[:4], "nowhere"]),
+                "task": source.choice([*FLOWN, "nowhere"]),
                 "seed": source.choice([None, 7, 2**53 - 1, -1]),
                 "pilots": source.choices(pilots, k=source.randrange(6)),
             },

@@ -39,6 +39,8 @@ def test_bad_answers_are_repaired_once_then_wait(endpoint: Start, pilot: str, ou
     done = endpoint(pilot=pilot).infer(*TWO_TURNS, stream)
     assert (done.status, done.turns) == (3, {outcome: 2, "budget_stop": 1}), done.err
     assert [call["answer"]["text"] for call in done.calls] == [pilot] * 4
+    # Of a long answer the model is shown the beginning.
+    assert done.calls[1]["messages"][2]["content"] == pilot[:2000]
     assert [(call["turn"], call["attempt"]) for call in done.calls] == [(1, 1), (1, 2), (2, 1), (2, 2)]
     (lines,) = blocks(done.out)
     assert [line.split()[2::3] for line in lines[1:-1]] == [["action=WAIT", f"error={outcome}"]] * 2

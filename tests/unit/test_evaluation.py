@@ -7,8 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drone_env.agents import make_agent
+from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.seeds import split_seeds
-from drone_env.core.tasks import TASKS
+from drone_env.core.state_manager import Episode
+from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.evaluation import EpisodeResults, concatenate, episodes_key, run_episodes, run_in_chunks, summarise
 from drone_env.evaluation_folder import ResultsFolder
@@ -104,6 +107,30 @@ def test_a_key_is_of_a_registered_task_and_of_its_split() -> None:
         episodes_key("easy", "greedy", range(2), "dev")
     with pytest.raises(InvalidValueError, match="holds no seeds"):
         run_episodes(episodes_key("easy", "greedy", range(2))._replace(seeds=(1, 1)))
+
+
+def test_only_the_first_flight_over_each_map_counts() -> None:
+    """Those who are done first fly on over other maps until the last one is."""
+    results = run_episodes(episodes_key("easy", "greedy", range(30)))
+    assert len(set(results.steps.tolist())) > 1
+    agent = make_agent("greedy", "easy")
+    for seed, score, steps in zip(range(30), results.scores, results.steps, strict=True):
+        episode = Episode("easy")
+        agent.reset(episode.reset(seed))
+        while not episode.ended:
+            episode.step(agent.act(episode.observation()))
+        assert (score, steps) == (episode.score, episode.steps)
+
+
+def test_a_key_names_a_network_by_what_its_file_holds(tmp_path: Path) -> None:
+    easy, medium = shipped_network(get_task("easy")), shipped_network(get_task("medium"))
+    copy = tmp_path / "mine.npz"
+    copy.write_bytes(easy.read_bytes())
+    shipped, same, other = (
+        episodes_key("easy", agent, range(1)).config_hash
+        for agent in ("pathqnet", f"pathqnet:{copy}", f"pathqnet:{medium}")
+    )
+    assert shipped == same != other
 
 
 def test_keys_differ_where_task_or_agent_differ() -> None:
