@@ -118,6 +118,7 @@ def test_episodes_are_listed_in_pages_with_the_optima_of_their_maps(client: Test
     third = client.get(f"/episodes?limit=2&before={second['next']}").json()
     assert first["episodes"] + second["episodes"] + third["episodes"] == rows["episodes"]
     assert third["next"] is None
+    assert client.get("/episodes?limit=5").json() == rows
     assert client.get("/episodes?agent=random").json()["episodes"] == rows["episodes"][:2]
     assert client.get("/episodes?task=hard").json()["episodes"] == []
     assert client.get("/episodes?task=nowhere").status_code == 404

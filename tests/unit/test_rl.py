@@ -116,6 +116,7 @@ def test_the_original_preset_is_the_originals() -> None:
     assert (ORIGINAL.target_update, ORIGINAL.target_every, ORIGINAL.checkpoint_episodes) == ("episodes", 10, 50)
     assert (ORIGINAL.epsilon_start, ORIGINAL.epsilon_end, ORIGINAL.epsilon_factor) == (1.0, 0.05, 0.995)
     assert ORIGINAL.exploration == "multiplicative"
+    assert (ORIGINAL.double, ORIGINAL.advantage_learning, ORIGINAL.max_grad_norm) == (False, 0, 0)
 
 
 @pytest.mark.parametrize("task", TASKS)

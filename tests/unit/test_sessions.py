@@ -2,6 +2,7 @@
 
 import sqlite3
 import stat
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,14 @@ def test_nothing_is_kept_of_a_block_that_fails(store: Store) -> None:
     with store.session(session_id) as row:
         row.append(1)
     assert store.read_session(session_id).actions == (1,)
+
+
+def test_half_of_a_transaction_is_not_kept(store: Store) -> None:
+    opened(store)
+    with suppress(LookupError), store._database.writing() as connection:
+        connection.execute("DELETE FROM sessions")
+        raise LookupError
+    assert store.count_sessions() == 1
 
 
 def test_a_full_disk_keeps_nothing_and_says_so(store: Store) -> None:
