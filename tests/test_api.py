@@ -143,7 +143,7 @@ def test_get_memory_logs(flying: TestClient, tmp_path: Path) -> None:
     assert newest["reward_total"] == pytest.approx(1.29)
 
 
-@pytest.mark.feature("H8")
+@pytest.mark.feature("H8", "L6")
 def test_get_logs(http: TestClient, tmp_path: Path) -> None:
     assert get(http, "/logs") == {"file": "train.log", "lines": []}
     log = tmp_path / "data" / "train.log"
@@ -232,6 +232,7 @@ REQUESTS: dict[tuple[str, str], Any] = {
 """Every endpoint, and what it is asked with, in this order: the first opens a session, the last ends it."""
 
 
+@pytest.mark.feature("P6")
 def test_every_endpoint_there_is_answers(http: TestClient) -> None:
     described = http.get("/openapi.json").json()["paths"]
     assert set(REQUESTS) == {(method, path) for path, methods in described.items() for method in methods}

@@ -36,6 +36,7 @@ def fly(episode: Episode, actions: str) -> list[float]:
     return [episode.step(Action[name]) for name in actions.split()]
 
 
+@pytest.mark.feature("P6")
 @pytest.mark.parametrize("task", TASKS)
 def test_a_mission_from_map_to_grade(task: str) -> None:
     episode, agent = Episode(task), make_agent("optimal", task)

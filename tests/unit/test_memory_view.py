@@ -23,6 +23,7 @@ def test_the_view_is_there_from_the_start_and_ends_with_the_last_episode(tmp_pat
     assert sorted(path.name for path in tmp_path.iterdir()) == [FILE_NAME, "memory.json"]
 
 
+@pytest.mark.feature("L6")
 def test_the_view_holds_the_last_hundred_of_all_stores_on_the_folder(tmp_path: Path) -> None:
     episode = flown()
     with Store(tmp_path) as first, Store(tmp_path) as second:

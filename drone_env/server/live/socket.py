@@ -105,6 +105,7 @@ class Cockpit:
         self._told_end: set[str] = set()
         self._flying = asyncio.Lock()
         self._changed = asyncio.Event()
+        self._solving = anyio.CancelScope()
         self._feed: Feed | None = None
         self._tasks: TaskGroup
 
@@ -235,14 +236,16 @@ class Cockpit:
 
     async def _tell_values(self, missions: Sequence[LiveMission]) -> None:
         """Once the map is solved: what could be reached at the frames that were sent without it."""
+        # Nobody looks at the missions before these any more.
+        self._solving.cancel()
         episode = missions[0].episode
-        for task, seed in {(mission.episode.task, mission.episode.seed) for mission in missions}:
-            # Shielded: other pages may wait for the same map.
-            await asyncio.shield(asyncio.wrap_future(self._values.request(task, seed)))
-        async with self._flying:
-            if self.missions and self.missions[0].episode is episode:
-                for number, mission in enumerate(self.missions):
-                    await self._send_values(number, mission)
+        with anyio.CancelScope() as self._solving:
+            for task, seed in {(mission.episode.task, mission.episode.seed) for mission in missions}:
+                await self._values.solved(task, seed)
+            async with self._flying:
+                if self.missions and self.missions[0].episode is episode:
+                    for number, mission in enumerate(self.missions):
+                        await self._send_values(number, mission)
 
     async def _send_values(self, number: int, mission: LiveMission) -> None:
         values = await run_in_threadpool(mission.reachable)

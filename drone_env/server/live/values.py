@@ -1,7 +1,8 @@
 """What can still be reached on the maps that are being flown: exact solvers, made in the background."""
 
+import asyncio
 import threading
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
@@ -23,21 +24,41 @@ class ExactValues:
     def __init__(self) -> None:
         self._solvers: OrderedDict[Map, ExactSolver] = OrderedDict()
         self._pending: dict[Map, Future[None]] = {}
+        self._waiting: Counter[Map] = Counter()
         self._lock = threading.Lock()
         # One thread: whoever flies goes before whoever looks on.
         self._thread = ThreadPoolExecutor(1, "drone_env-values")
 
-    def request(self, task: TaskConfig, seed: int) -> Future[None]:
-        """Have a map solved; `get` has its solver when that is done, unless the map is too large."""
+    def request(self, task: TaskConfig, seed: int) -> Future[None] | None:
+        """Have a map solved, whether or not anybody waits for it; None if it is."""
         key = (task, seed)
         with self._lock:
             if key in self._solvers:
-                done: Future[None] = Future()
-                done.set_result(None)
-                return done
+                return None
             if key not in self._pending:
                 self._pending[key] = self._thread.submit(self._solve, key)
             return self._pending[key]
+
+    async def solved(self, task: TaskConfig, seed: int) -> None:
+        """Wait until a map is solved: `get` has its solver then, unless the map is too large.
+
+        One that nobody waits for any more is not begun.
+        """
+        key = (task, seed)
+        with self._lock:
+            self._waiting[key] += 1
+        try:
+            pending = self.request(task, seed)
+            if pending is not None:
+                # Shielded: others may wait for the same map.
+                await asyncio.shield(asyncio.wrap_future(pending))
+        finally:
+            with self._lock:
+                self._waiting[key] -= 1
+                if not self._waiting[key]:
+                    del self._waiting[key]
+                    if key in self._pending and self._pending[key].cancel():
+                        del self._pending[key]
 
     def get(self, task: TaskConfig, seed: int) -> "ExactSolver | None":
         """The solver of a map from its start, None while there is none."""

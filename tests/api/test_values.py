@@ -1,0 +1,56 @@
+"""The exact solvers behind the page: a map is solved for those who wait, and for nobody who has gone."""
+
+import asyncio
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+
+from drone_env.core.tasks import get_task
+from drone_env.server.live.values import ExactValues
+
+EASY = get_task("easy")
+
+
+@contextmanager
+def busy() -> Generator[tuple[ExactValues, threading.Event], None, None]:
+    """Solvers that begin nothing until the event is set."""
+    values, free = ExactValues(), threading.Event()
+    values._thread.submit(free.wait)
+    try:
+        yield values, free
+    finally:
+        free.set()
+        values.close()
+
+
+async def gone(waiting: "asyncio.Task[None]") -> None:
+    await asyncio.sleep(0)
+    waiting.cancel()
+    await asyncio.gather(waiting, return_exceptions=True)
+
+
+def test_a_map_that_nobody_waits_for_any_more_is_not_begun() -> None:
+    async def fly(values: ExactValues, free: threading.Event) -> None:
+        left, kept = (asyncio.create_task(values.solved(EASY, seed)) for seed in (1, 2))
+        await gone(left)
+        free.set()
+        await kept
+        # One thread solves them in turn: the first would have been done before the second.
+        assert (values.get(EASY, 1) is None, values.get(EASY, 2) is None) == (True, False)
+        await values.solved(EASY, 1)
+        assert values.get(EASY, 1) is not None
+
+    with busy() as (values, free):
+        asyncio.run(fly(values, free))
+
+
+def test_who_goes_takes_no_map_from_those_who_still_wait() -> None:
+    async def fly(values: ExactValues, free: threading.Event) -> None:
+        left, kept = (asyncio.create_task(values.solved(EASY, 1)) for _ in range(2))
+        await gone(left)
+        free.set()
+        await kept
+        assert values.get(EASY, 1) is not None
+
+    with busy() as (values, free):
+        asyncio.run(fly(values, free))
