@@ -40,15 +40,36 @@ def build(builder: str, tag: str, context: Path, log: Path, options: Sequence[st
     command = [builder, "build", "--tag", tag, *form, *options, str(context)]
     commit = revision(context)
     started = time.monotonic()
-    try:
-        status = subprocess.run(command, check=False).returncode
-    except KeyboardInterrupt:
-        status = 130
+    status = stoppable(command)
     seconds = time.monotonic() - started
     built = status == 0
     append(log, record(built, seconds, commit, image_platform(builder, tag, built), name(builder)))
     print(f"{'COMPLETED' if built else 'FAILED'} after {duration(seconds)}, recorded in {log}", flush=True)
     return status
+
+
+def stoppable(command: list[str]) -> int:
+    """Run a command, and end it when this process is told to stop; its exit status, 130 if it was stopped."""
+    running: subprocess.Popen[bytes] | None = None
+    stopped = False
+
+    # No exception: one that comes while the command is being started would leave it running.
+    def stop(*_: object) -> None:
+        nonlocal stopped
+        stopped = True
+        if running is not None:
+            running.terminate()
+
+    before = [(number, signal.signal(number, stop)) for number in (signal.SIGINT, signal.SIGTERM)]
+    try:
+        running = subprocess.Popen(command)
+        if stopped:
+            running.terminate()
+        status = running.wait()
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)
+    return 130 if stopped else status
 
 
 def record(completed: bool, seconds: float, revision: str, image_platform: str, builder: str) -> str:
@@ -130,8 +151,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-    # A build that is told to stop is a failed one, and recorded.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     return build(given.builder, given.tag, given.context, given.log, options)
 
 

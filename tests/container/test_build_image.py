@@ -72,7 +72,7 @@ def test_a_build_that_is_stopped_is_recorded_as_failed(docker: Commands, tmp_pat
         assert process.returncode == 130
     finally:
         process.kill()
-        process.communicate()
+        process.wait()
     assert [status for status, *_ in records(log)] == ["FAILED"]
 
 
