@@ -10,10 +10,9 @@ from pathlib import Path
 
 import pytest
 import yaml
-from openenv.cli.commands import push
-from openenv.validation import Level, run_validation
 
-from drone_env.client import DroneDeliveryClient, DroneEnvClient
+from drone_env.client import DroneEnvClient
+from tests.contract import official
 from tests.tools import missing_tool
 
 from .commands import ROOT
@@ -51,6 +50,7 @@ def space(export: Path) -> Path:
 def pushed(space: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What `openenv push` makes of it, and would upload."""
     folder = tmp_path_factory.mktemp("pushed")
+    push = official.push
     push._prepare_staging_directory(space, "drone-env", folder, push._load_ignore_patterns(space, None))
     return folder
 
@@ -64,7 +64,7 @@ def front_matter(page: Path) -> dict[str, object]:
 
 
 def test_openenv_push_takes_it(space: Path) -> None:
-    name, manifest = push._validate_openenv_directory(space)
+    name, manifest = official.push._validate_openenv_directory(space)
     assert name == "drone-env"
     assert manifest["app"] == "drone_env.server.app:app"
 
@@ -88,7 +88,7 @@ def test_what_is_pushed_can_be_built(pushed: Path) -> None:
 
 
 def test_the_manifest_passes_the_static_validation(space: Path) -> None:
-    report = run_validation(space, max_level=Level.STATIC)
+    report = official.run_validation(space, max_level=official.Level.STATIC)
     assert report.verdict.value == "pass"
 
 
@@ -114,7 +114,7 @@ def test_git_sends_binary_files_as_large_ones(space: Path) -> None:
 def test_its_clients_can_be_imported(space: Path) -> None:
     for name in ("client", "__init__"):
         found = runpy.run_path(str(space / f"{name}.py"))
-        assert (found["DroneEnvClient"], found["DroneDeliveryClient"]) == (DroneEnvClient, DroneDeliveryClient)
+        assert (found["DroneEnvClient"], found["DroneDeliveryClient"]) == (DroneEnvClient, official.DroneDeliveryClient)
 
 
 def test_staging_again_replaces_all_but_git(space: Path, export: Path) -> None:

@@ -10,17 +10,10 @@ from typing import Any
 
 import pytest
 import yaml
-from openenv.cli.__main__ import app as command_line
-from openenv.cli._validation import validate_running_environment
-from openenv.core.env_server import create_fastapi_app
-from openenv.core.env_server.interfaces import Environment
-from openenv.core.generic_client import GenericEnvClient
-from openenv.validation import Level, run_validation
-from openenv.validation.types import ProviderCapability
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
-from drone_env.client import DroneDeliveryClient, DroneEnvClient
+from drone_env.client import DroneEnvClient
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError
@@ -28,16 +21,10 @@ from drone_env.graders import GRADERS
 from drone_env.models import DroneAction, DroneObservation, DroneState
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
-from drone_env.server.grid_world_environment import (
-    DroneDeliveryEnvironment,
-    DroneEnvAction,
-    DroneEnvObservation,
-    DroneEnvState,
-    GradeRubric,
-)
 from drone_env.server.schemas import WireState
 from drone_env.server.settings import Settings
 from tests.api.serving import ROOT, Server, serving
+from tests.contract import official
 from tests.tools import reserved_port
 
 STANDARD = ["easy_delivery", "medium_delivery", "hard_delivery"]
@@ -58,7 +45,7 @@ def best_actions(task: str, seed: int) -> list[DroneAction]:
 def test_the_official_client_flies_synchronously(server: Server, task: str) -> None:
     flight = Episode(task)
     flight.reset(7)
-    with DroneDeliveryClient(server.url).sync() as env:
+    with official.DroneDeliveryClient(server.url).sync() as env:
         result = env.reset(seed=7, task_name=task, episode_id="mine")
         assert (result.reward, result.done) == (None, False)
         assert result.observation == DroneObservation.of(flight)
@@ -77,7 +64,7 @@ def test_the_official_client_flies_synchronously(server: Server, task: str) -> N
 
 def test_official_clients_fly_asynchronously_and_at_once(server: Server) -> None:
     async def fly(task: str, seed: int) -> float:
-        async with DroneDeliveryClient(server.url) as env:
+        async with official.DroneDeliveryClient(server.url) as env:
             result = await env.reset(seed=seed, task_name=task)
             for action in best_actions(task, seed):
                 result = await env.step(action)
@@ -92,7 +79,7 @@ def test_official_clients_fly_asynchronously_and_at_once(server: Server) -> None
 
 
 def test_the_http_client_and_the_official_one_share_a_server(server: Server) -> None:
-    with DroneDeliveryClient(server.url).sync() as env, DroneEnvClient(server.url) as client:
+    with official.DroneDeliveryClient(server.url).sync() as env, DroneEnvClient(server.url) as client:
         env.reset(seed=1)
         observation = client.reset("easy_delivery", seed=2)
         assert env.step(DroneAction(direction="WAIT")).observation.step_count == 1
@@ -103,7 +90,7 @@ def test_the_http_client_and_the_official_one_share_a_server(server: Server) -> 
 
 @pytest.mark.feature("E10")
 def test_a_client_that_knows_nothing_of_us_flies_as_well(server: Server) -> None:
-    with GenericEnvClient(server.url).sync() as env:
+    with official.GenericEnvClient(server.url).sync() as env:
         env.reset(split="hard_delivery/test", index=3)
         result = env.step({"direction": "UP", "metadata": {"thought": "up"}})
         assert result.observation["step_count"] == 1
@@ -125,12 +112,12 @@ MESSAGES: list[dict[str, Any]] = [
 
 @pytest.mark.filterwarnings("default")
 def test_our_socket_sends_what_openenvs_own_server_sends(tmp_path: Path) -> None:
-    theirs = create_fastapi_app(
-        DroneDeliveryEnvironment,
-        DroneEnvAction,
-        DroneEnvObservation,
+    theirs = official.create_fastapi_app(
+        official.DroneDeliveryEnvironment,
+        official.DroneEnvAction,
+        official.DroneEnvObservation,
         max_concurrent_envs=4,
-        state_cls=DroneEnvState,
+        state_cls=official.DroneEnvState,
     )
 
     def frames(app: Any) -> list[Any]:
@@ -147,28 +134,28 @@ def test_our_socket_sends_what_openenvs_own_server_sends(tmp_path: Path) -> None
 class TestEnvironment:
     @pytest.mark.feature("E10")
     def test_an_episode(self) -> None:
-        env = DroneDeliveryEnvironment("medium")
-        assert isinstance(env, Environment)
+        env = official.DroneDeliveryEnvironment("medium")
+        assert isinstance(env, official.Environment)
         observation = env.reset(seed=3)
         assert (env.state.task_name, env.state.seed, observation.reward) == ("medium_delivery", 3, None)
         assert uuid.UUID(env.state.episode_id)
         for action in solve("medium", 3).actions:
-            observation = env.step(DroneEnvAction(direction=action.name))
+            observation = env.step(official.DroneEnvAction(direction=action.name))
             assert observation.reward == observation.reward_last
         assert observation.done
         assert env.rubric is not None
         assert env.rubric.last_score == observation.score == GRADERS["medium_delivery"](_plain(env.state))
-        DroneEnvObservation.model_validate(observation.model_dump())
-        assert env.step(DroneEnvAction(direction="UP")).reward == 0.0
+        official.DroneEnvObservation.model_validate(observation.model_dump())
+        assert env.step(official.DroneEnvAction(direction="UP")).reward == 0.0
 
     def test_a_reset_resets_the_rubric(self) -> None:
-        class Counting(GradeRubric):
+        class Counting(official.GradeRubric):
             resets = 0
 
             def reset(self) -> None:
                 self.resets += 1
 
-        env = DroneDeliveryEnvironment()
+        env = official.DroneDeliveryEnvironment()
         env.rubric = rubric = Counting()
         for resets in (1, 2):
             env.reset(seed=5)
@@ -176,17 +163,17 @@ class TestEnvironment:
 
     def test_asynchronously_it_does_the_same(self) -> None:
         async def fly() -> list[dict[str, Any]]:
-            env = DroneDeliveryEnvironment()
+            env = official.DroneDeliveryEnvironment()
             seen = [await env.reset_async(seed=5)]
-            seen += [await env.step_async(DroneEnvAction(direction="LEFT")) for _ in range(3)]
+            seen += [await env.step_async(official.DroneEnvAction(direction="LEFT")) for _ in range(3)]
             return [observation.model_dump() for observation in seen]
 
-        env = DroneDeliveryEnvironment()
-        expected = [env.reset(seed=5)] + [env.step(DroneEnvAction(direction="LEFT")) for _ in range(3)]
+        env = official.DroneDeliveryEnvironment()
+        expected = [env.reset(seed=5)] + [env.step(official.DroneEnvAction(direction="LEFT")) for _ in range(3)]
         assert asyncio.run(fly()) == [observation.model_dump() for observation in expected]
 
     def test_without_a_seed_it_walks_on_from_the_last_map(self) -> None:
-        env, walk = DroneDeliveryEnvironment(), Episode()
+        env, walk = official.DroneDeliveryEnvironment(), Episode()
         env.reset(seed=5)
         walk.reset(5)
         env.reset()
@@ -205,7 +192,7 @@ class TestEnvironment:
         ],
     )
     def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(self, options: dict[str, Any], message: str) -> None:
-        env = DroneDeliveryEnvironment()
+        env = official.DroneDeliveryEnvironment()
         env.reset(seed=5)
         before = env.state
         with pytest.raises(InvalidValueError, match=message):
@@ -215,14 +202,14 @@ class TestEnvironment:
         assert env.state == before
 
     def test_before_the_first_reset_it_says_so(self) -> None:
-        env = DroneDeliveryEnvironment()
+        env = official.DroneDeliveryEnvironment()
         with pytest.raises(EpisodeError, match="reset"):
-            env.step(DroneEnvAction(direction="UP"))
+            env.step(official.DroneEnvAction(direction="UP"))
         with pytest.raises(EpisodeError, match="reset"):
             _ = env.state
 
     def test_the_task_api_lists_the_maps_of_our_splits(self) -> None:
-        env = DroneDeliveryEnvironment()
+        env = official.DroneDeliveryEnvironment()
         splits = env.list_splits()
         assert len(splits) == 3 * len(TASKS)
         for split in splits:
@@ -240,22 +227,22 @@ class TestEnvironment:
             env.num_tasks("test")
 
     def test_metadata(self) -> None:
-        metadata = DroneDeliveryEnvironment().get_metadata()
+        metadata = official.DroneDeliveryEnvironment().get_metadata()
         assert metadata.name == "drone-env"
 
 
-def _plain(state: DroneEnvState) -> dict[str, Any]:
+def _plain(state: Any) -> dict[str, Any]:
     return state.model_dump(exclude={"episode_id"})
 
 
 def test_the_validator_passes_the_running_server(server: Server) -> None:
-    report = validate_running_environment(server.url, timeout_s=30)
+    report = official.validate_running_environment(server.url, timeout_s=30)
     assert report["summary"]["passed_count"] == report["summary"]["total_count"] == 6, report
     assert (report["passed"], report["mode"]) == (True, "simulation")
 
 
 @pytest.mark.feature("P1")
-@pytest.mark.filterwarnings("default::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_the_manifest_names_what_there_is_and_the_validator_passes_it(tmp_path: Path) -> None:
     manifest = yaml.safe_load((ROOT / "openenv.yaml").read_text(encoding="utf-8"))
     named = [manifest[key] for key in ("spec_version", "name", "type", "runtime", "app", "port")]
@@ -263,7 +250,7 @@ def test_the_manifest_names_what_there_is_and_the_validator_passes_it(tmp_path: 
     levels = [TASKS[task] for task in STANDARD]
     assert manifest["tasks"] == [{"id": task.id, "grader": task.grader} for task in levels]
     assert manifest["graders"] == [{"id": task.grader} for task in levels]
-    done = CliRunner().invoke(command_line, ["validate", str(_package(tmp_path)), "--level", "static"])
+    done = CliRunner().invoke(official.CommandLine, ["validate", str(_package(tmp_path)), "--level", "static"])
     assert done.exit_code == 0, done.output
 
 
@@ -271,11 +258,11 @@ class LocalProcesses:
     """Runs the package in a process of this machine, where the validator would run a container."""
 
     name = "local-process"
-    capabilities = frozenset({ProviderCapability.IMAGE_BUILD})
     supported_network_modes = frozenset({"public"})
 
     def __init__(self, data: Path) -> None:
         self.data = data
+        self.capabilities = frozenset({official.ProviderCapability.IMAGE_BUILD})
 
     def build(self, root: Path, execution: Any) -> str:
         return "sha256:" + "0" * 64
@@ -302,10 +289,10 @@ class LocalProcess:
         self.server.stop()
 
 
-@pytest.mark.filterwarnings("default::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_the_validators_runtime_checks_pass(tmp_path: Path) -> None:
     provider = LocalProcesses(tmp_path / "data")
-    report = run_validation(_package(tmp_path), max_level=Level.RUNTIME, provider=provider)
+    report = official.run_validation(_package(tmp_path), max_level=official.Level.RUNTIME, provider=provider)
     statuses = {result.check_id: (result.status.value, result.evidence) for result in report.results}
     for check in ("startup", "reward_well_formed", "observation_schema", "state_contract"):
         assert statuses[f"runtime.{check}"][0] == "pass", statuses[f"runtime.{check}"]
