@@ -102,33 +102,25 @@ def test_the_network_shows_what_it_thinks(page: Page, server: Server) -> None:
 def test_a_person_flies_by_pad_and_keys(page: Page, server: Server) -> None:
     expected = Episode("easy", "tiered")
     expected.reset(7)
-    page.goto("/?task=easy&seed=7&pilot=greedy")
-    page.get_by_role("radio", name="You").check()
+    page.goto("/?task=easy&seed=3&pilot=greedy")
+    # The first mission is there: what comes now is the visitor's.
+    expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
     page.get_by_role("spinbutton", name="Map").fill("7")
     page.get_by_role("spinbutton", name="Map").press("Enter")
-    pad = page.get_by_role("group", name="Fly")
-    expect(pad).to_be_visible()
-    expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
-    moves = (
-        ("Up", Action.UP),
-        ("Left", Action.LEFT),
-        ("Wait", Action.WAIT),
-        ("ArrowDown", Action.DOWN),
-        ("d", Action.RIGHT),
-        (" ", Action.WAIT),
-    )
-    for _, action in moves:
+    page.get_by_role("radio", name="You").check()
+    by_pad = {"Up": Action.UP, "Left": Action.LEFT, "Wait": Action.WAIT}
+    by_keys = {"ArrowDown": Action.DOWN, "d": Action.RIGHT, " ": Action.WAIT}
+    for action in (*by_pad.values(), *by_keys.values()):
         expected.step(action)
-    flight = frames(server.url, record_of(expected, "me"))
-    for (name, _), frame in zip(moves, flight[1:], strict=True):
-        button = pad.get_by_role("button", name=name, exact=True)
-        if button.count():
-            button.click()
-        else:
-            # Beside the buttons, which take the space bar for themselves.
-            page.locator("#step-counter").click()
-            page.keyboard.press(name)
-        expect_frame(page, frame, 60)
+    flight = iter(frames(server.url, record_of(expected, "me"))[1:])
+    for name in by_pad:
+        page.get_by_role("group", name="Fly").get_by_role("button", name=name, exact=True).click()
+        expect_frame(page, next(flight), 60)
+    # Beside the buttons, which take the space bar for themselves.
+    page.locator("#step-counter").click()
+    for name in by_keys:
+        page.keyboard.press(name)
+        expect_frame(page, next(flight), 60)
 
 
 def test_the_legend_beside_the_map_shows_what_can_be_met_on_it(page: Page) -> None:
