@@ -185,6 +185,12 @@ def test_a_folder_keeps_to_its_sweep(tmp_path: Path) -> None:
         InvalidValueError, match=r"another configuration: settings: .*0.9.* is now .*0.8.*; seeds: 1 is"
     ):
         folder.begin(sweep_of("gamma=0.8", seeds=2))
+    config = folder.path / "sweep.json"
+    kept = config.read_text()
+    config.write_text(kept.replace('"format_version": 1', '"format_version": 2'))
+    with pytest.raises(InvalidValueError, match="format_version"):
+        folder.begin(sweep_of("gamma=0.9"))
+    config.write_text(kept)
     with folder.driving(), pytest.raises(InvalidValueError, match="another process is driving"), folder.driving():
         pass
     (tmp_path / "other").mkdir()

@@ -83,6 +83,11 @@ def test_resume_refuses_another_configuration_and_a_new_run_an_old_folder(endpoi
     assert (first.folder / "calls.jsonl").read_bytes() == before
     same = scripted.infer("--seeds", "14:15", "--resume", folder=first.folder)
     assert (same.status, same.out) == (0, first.out)
+    config = first.folder / "run.json"
+    config.write_text(config.read_text().replace('"format_version": 1', '"format_version": 2'))
+    newer = scripted.infer("--seeds", "14:15", "--resume", folder=first.folder)
+    assert newer.status == 2
+    assert "run.json is not the configuration of a run: format_version" in newer.err
     assert len(scripted.requests()) == 3
 
 
