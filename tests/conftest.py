@@ -36,5 +36,6 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     skipped = terminalreporter.stats.get("skipped", [])
     missing = missing_in(str(report.longrepr) for report in skipped)
     if missing:
-        terminalreporter.write_line(f"{len(skipped)} tests skipped; missing: {', '.join(missing)}")
-        terminalreporter.write_line(f"To run them: {install_command(missing)}")
+        command = install_command(missing)
+        how = f"; to run them: {command}" if command else ""
+        terminalreporter.write_line(f"{len(skipped)} tests skipped; missing: {', '.join(missing)}{how}")

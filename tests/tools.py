@@ -29,8 +29,9 @@ def missing_in(reasons: Iterable[str]) -> list[str]:
 
 
 def install_command(tools: Iterable[str]) -> str:
-    """The command that brings them, where Debian has them."""
-    return f"apt-get install {' '.join(PACKAGES.get(tool, tool) for tool in tools)}"
+    """The command that brings those of them that are packages of Debian; empty if none is."""
+    packages = [PACKAGES[tool] for tool in tools if tool in PACKAGES]
+    return f"apt-get install {' '.join(packages)}" if packages else ""
 
 
 def find_python(version: str) -> str:
