@@ -12,7 +12,7 @@ from drone_env.core.state_manager import Episode
 from drone_env.episodes.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames
-from tests.browser.stage import counter, expect_frame, fastest, fixed, pictures, results, slow
+from tests.browser.stage import counter, expect_frame, fastest, fixed, fly, pictures, results, slow
 
 
 def test_it_waits_for_start_shows_each_step_as_the_server_has_it_and_saves_them(page: Page, server: Server) -> None:
@@ -99,14 +99,21 @@ def test_the_network_shows_what_it_thinks(page: Page, server: Server) -> None:
     assert flight[1]["action"] == ranked[0][0]
 
 
-def test_a_person_flies_by_pad_and_keys(page: Page, server: Server) -> None:
-    expected = Episode("easy", "tiered")
-    expected.reset(7)
+def test_a_map_that_is_typed_is_flown(page: Page, server: Server) -> None:
     page.goto("/?task=easy&seed=3&pilot=greedy")
-    # The first mission is there: what comes now is the visitor's.
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
     page.get_by_role("spinbutton", name="Map").fill("7")
     page.get_by_role("spinbutton", name="Map").press("Enter")
+    fly(page)
+    expect_frame(page, frames(server.url, flown("easy", 7, "greedy"))[-1], 60)
+
+
+def test_a_person_flies_by_pad_and_keys(page: Page, server: Server) -> None:
+    expected = Episode("easy", "tiered")
+    expected.reset(7)
+    page.goto("/?task=easy&seed=7&pilot=greedy")
+    # Its mission is there, and no other on its way, whose pilot would be chosen again when it comes.
+    expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
     page.get_by_role("radio", name="You").check()
     by_pad = {"Up": Action.UP, "Left": Action.LEFT, "Wait": Action.WAIT}
     by_keys = {"ArrowDown": Action.DOWN, "d": Action.RIGHT, " ": Action.WAIT}
