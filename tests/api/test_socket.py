@@ -114,6 +114,8 @@ def test_one_connection_more_than_there_is_room_for_is_told_so(tmp_path: Path) -
     ):
         ask(first, {"type": "reset"})
         with client.websocket_connect("/ws") as second:
+            # Answered by a server that has let it in: no waiting for what never comes.
+            second.send_json({"type": "state"})
             assert second.receive_json()["data"]["code"] == "CAPACITY_REACHED"
             with pytest.raises(WebSocketDisconnect) as closed:
                 second.receive_text()

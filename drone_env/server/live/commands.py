@@ -25,6 +25,7 @@ def _say_the_range(value: Any, check: ValidatorFunctionWrapHandler) -> int:
 
 
 MapNumber = Annotated[Seed, WrapValidator(_say_the_range)]
+Number = Annotated[int | None, Field(ge=0, le=MAX_SEED, description="The answer names it, beside the missions.")]
 Topic = Literal["requests", "training", "episodes"]
 
 
@@ -36,6 +37,7 @@ class Start(Message):
     pilots: list[str] = Field(min_length=1, max_length=MOST_MISSIONS)
     seed: MapNumber | None = None
     reward_profile: str | None = Field(default=None, max_length=100)
+    number: Number = None
 
 
 class Attach(Message):
@@ -43,6 +45,7 @@ class Attach(Message):
 
     type: Literal["attach"]
     sessions: list[Annotated[str, Field(max_length=LONGEST_ID)]] = Field(min_length=1, max_length=MOST_MISSIONS)
+    number: Number = None
 
 
 class Play(Message):

@@ -157,9 +157,9 @@ class Cockpit:
     async def _fly(self, command: Start | Attach | End | Step | Fly) -> None:
         match command:
             case Start() | Attach():
-                await self._replace_missions(await run_in_threadpool(self._opened, command))
+                await self._replace_missions(await run_in_threadpool(self._opened, command), command.number)
             case End():
-                await self._replace_missions([])
+                await self._replace_missions([], None)
             case Step():
                 await self._tell(await run_in_threadpool(self._step_all))
             case Fly(mission=number, direction=direction):
@@ -167,13 +167,13 @@ class Cockpit:
                     raise UnknownNameError("mission", str(number), [str(i) for i in range(len(self.missions))])
                 await self._tell([(number, await run_in_threadpool(self.missions[number].fly, direction))])
 
-    async def _replace_missions(self, opened: list[LiveMission]) -> None:
+    async def _replace_missions(self, opened: list[LiveMission], number: int | None) -> None:
         kept = {mission.session for mission in opened}
         left = [mission for mission in self.missions if mission.session not in kept]
         self.missions = opened
         await self._set_playing(False)
         await run_in_threadpool(_end_all, left)
-        await self._tell_missions()
+        await self._tell_missions(number)
 
     def _opened(self, command: Start | Attach) -> list[LiveMission]:
         if isinstance(command, Attach):
@@ -203,14 +203,15 @@ class Cockpit:
     def _step_all(self) -> Moved:
         return [(i, mission.step()) for i, mission in enumerate(self.missions) if mission.automatic]
 
-    async def _tell_missions(self) -> None:
+    async def _tell_missions(self, asked: int | None) -> None:
         missions = list(self.missions)
         shown = await run_in_threadpool(
             lambda: [
                 {"mission": m.opening.model_dump(), "frames": [f.model_dump() for f in m.frames()]} for m in missions
             ]
         )
-        await self._send({"type": "missions", "missions": shown, "playing": self.playing, "speed": self.speed})
+        told = {"missions": shown, "number": asked, "playing": self.playing, "speed": self.speed}
+        await self._send({"type": "missions", **told})
         self._told_end = {mission.session for mission in missions if mission.episode.ended}
         for number, mission in enumerate(missions):
             if mission.episode.ended:

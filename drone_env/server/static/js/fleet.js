@@ -24,6 +24,7 @@ export class Fleet extends EventTarget {
     this.playing = false;
     this.speed = DEFAULT_SPEED;
     this.asked = null;
+    this.number = 0;
     this.playAfterStart = false;
     this.wanted = false;
     this.waiting = false;
@@ -84,7 +85,8 @@ export class Fleet extends EventTarget {
     this.asked = "start";
     const { task, seed, profile, pilots } = this.setup;
     // Without a connection it is started as soon as there is one.
-    this.waiting = !this.context.live.send({ type: "start", task, seed, reward_profile: profile, pilots });
+    const what = { task, seed, reward_profile: profile, pilots };
+    this.waiting = !this.context.live.send({ type: "start", number: ++this.number, ...what });
   }
 
   /** Called when missions are to be seen for the first time: until then none is flown. */
@@ -139,7 +141,7 @@ export class Fleet extends EventTarget {
     // What has ended needs no session: it stays as it is.
     if (this.over) return;
     this.asked = "attach";
-    this.context.live.send({ type: "attach", sessions });
+    this.context.live.send({ type: "attach", number: ++this.number, sessions });
   }
 
   lost() {
@@ -147,8 +149,7 @@ export class Fleet extends EventTarget {
     this.setPlaying(false, this.speed);
   }
 
-  begin({ missions, playing, speed }) {
-    this.asked = null;
+  begin({ missions, number, playing, speed }) {
     // The answer to `end`: this page is about to go.
     if (!missions.length) return;
     const { players } = this.context;
@@ -158,14 +159,19 @@ export class Fleet extends EventTarget {
       else player.load(flight.mission, flight.frames, { atEnd: true });
       player.episode = null;
     });
-    const { seed, short_name } = missions[0].mission;
-    this.setup = { ...this.setup, seed, task: short_name, pilots: missions.map(({ mission }) => mission.pilot) };
+    // What has been chosen since this was asked for is on its way, and stays chosen.
+    const newest = number === this.number;
+    if (newest) {
+      this.asked = null;
+      const { seed, short_name } = missions[0].mission;
+      this.setup = { ...this.setup, seed, task: short_name, pilots: missions.map(({ mission }) => mission.pilot) };
+    }
     this.speed = playing ? speed : this.speed;
     this.setPlaying(playing, this.speed);
     this.tell("setup");
     this.context.emit("missions", this.active);
-    if (this.playAfterStart && !playing) this.play();
-    this.playAfterStart = false;
+    if (newest && this.playAfterStart && !playing) this.play();
+    if (newest) this.playAfterStart = false;
   }
 
   move(frames) {
