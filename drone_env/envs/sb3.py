@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -54,16 +54,16 @@ class DroneDeliveryVecEnv(VecEnv):
 
     Raises:
         UnknownNameError: if the task, version, profile or form of the observation does not exist.
-        InvalidValueError: if a number is below 1.
+        InvalidValueError: if a number is not an integer or below 1.
     """
 
     def __init__(
         self,
         task: str | TaskConfig,
-        num_envs: int,
+        num_envs: SupportsIndex,
         version: int | None = None,
         reward_profile: str | RewardProfile = "aligned",
-        num_threads: int = 1,
+        num_threads: SupportsIndex = 1,
         observation: str = "dict",
     ) -> None:
         if observation not in list(FORMS):
@@ -76,10 +76,17 @@ class DroneDeliveryVecEnv(VecEnv):
         self.observation = observation
         self.render_mode = None  # the base class asks for it through get_attr()
         single = FORMS[observation](DroneDeliveryEnv(self.task))
-        super().__init__(num_envs, single.observation_space, spaces.Discrete(N_ACTIONS))
+        super().__init__(self.batch.num_envs, single.observation_space, spaces.Discrete(N_ACTIONS))
         self._actions: Any = None
-        self._returns = np.zeros(num_envs)
+        self._returns = np.zeros(self.num_envs)
         self._start = time.perf_counter()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_start": time.perf_counter() - self._start}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._start = time.perf_counter() - self._start  # clocks of processes start anywhere
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Choose the maps seed, seed + 1, ..., seed + N - 1 for the next reset; None draws the first at random.

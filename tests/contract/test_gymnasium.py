@@ -202,6 +202,10 @@ def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:
         DroneDeliveryEnv(task="extreme")
     with pytest.raises(UnknownNameError, match="aligned, composite, score, tiered"):
         DroneDeliveryEnv(reward_profile="generous")
+    easy = "drone_env:DroneDelivery-Easy-v1"
+    with pytest.raises(InvalidValueError, match="Easy-v1 does not fly task 'hard_delivery': make"):
+        gymnasium.make(easy, task="hard")
+    assert gymnasium.make(easy, task="easy").unwrapped.task is TASKS["easy_delivery"]
 
 
 def test_observations_are_not_changed_by_later_steps() -> None:
