@@ -20,10 +20,23 @@ Each message says what was given and what is allowed.
 """
 
 from collections.abc import Iterable
+from typing import Any
 
 
 class DroneEnvError(Exception):
-    """Base class of all errors of this package."""
+    """Base class of all errors of this package. They travel between processes, whatever their constructors take."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (type(self), self.args, vars(self))
+
+
+def _again(kind: type[DroneEnvError], args: tuple[Any, ...], attributes: dict[str, Any]) -> DroneEnvError:
+    """An error from its parts: Python would call the class with the message alone."""
+    error = kind.__new__(kind, *args)
+    builtin = next(base for base in kind.__mro__ if base.__module__ == "builtins")
+    builtin.__init__(error, *args)
+    vars(error).update(attributes)
+    return error
 
 
 class UnknownNameError(DroneEnvError, LookupError):

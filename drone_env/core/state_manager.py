@@ -265,10 +265,12 @@ class Episode:
     @property
     def path(self) -> list[PathStep]:
         """All steps flown, in order."""
-        return [
-            PathStep(Action(action), *self._xy(cell), Event(event), reward, battery)
-            for action, cell, event, reward, battery in self._path
-        ]
+        return [self._path_step(entry) for entry in self._path]
+
+    @property
+    def last_step(self) -> PathStep | None:
+        """The last step flown, None before the first: what stands at the end of `path`, without the rest."""
+        return self._path_step(self._path[-1]) if self._path else None
 
     @property
     def actions(self) -> list[int]:
@@ -374,6 +376,10 @@ class Episode:
     def _choose_rewards(self, profile: RewardProfile) -> None:
         self.reward_profile = profile
         self._rewards = interpreted_rewards(self.task, profile)
+
+    def _path_step(self, entry: tuple[int, int, int, float, int]) -> PathStep:
+        action, cell, event, reward, battery = entry
+        return PathStep(Action(action), *self._xy(cell), Event(event), reward, battery)
 
     def _xy(self, cell: int) -> tuple[int, int]:
         return self.rules.columns[cell], self.rules.lines[cell]

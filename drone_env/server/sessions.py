@@ -42,7 +42,7 @@ class _Live:
         episode = self.episode
         if episode is None or not _is_before(episode, row):
             episode = self.episode = row.fly()
-        for action in row.actions[len(episode.path) :]:
+        for action in row.actions[episode.steps :]:
             episode.step(action)
         return episode
 

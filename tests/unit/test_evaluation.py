@@ -1,7 +1,7 @@
 """The one unit of evaluation and the figures made from it."""
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,19 @@ def test_no_agent_beats_the_optimum_and_the_optimal_agent_reaches_it() -> None:
         if agent == "optimal":
             assert (results.scores == results.optimal_scores).all()
             assert (results.steps == results.optimal_steps).all()
+
+
+@pytest.mark.parametrize("agent", ["greedy", "optimal"])
+def test_results_are_the_callers_own(agent: str) -> None:
+    key = episodes_key("medium", agent, range(7))
+    names = [field.name for field in fields(EpisodeResults) if field.name != "key"]
+    first, before = run_episodes(key), run_episodes(key)
+    for done, name in enumerate(names, start=1):
+        getattr(first, name)[:] = 0
+        for other in names[done:]:
+            assert np.array_equal(getattr(first, other), getattr(before, other)), other
+    for name in names:
+        assert np.array_equal(getattr(run_episodes(key), name), getattr(before, name))
 
 
 def test_figures_by_hand() -> None:
