@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from itertools import pairwise
@@ -105,8 +106,8 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
         )
     seeds = np.arange(*key.seeds, dtype=np.int64)
     optimal = _fly_optimally(task, *key.seeds)
-    flights = _copy(optimal) if optimal and key.agent == "optimal" else _fly(task, key.agent, seeds)
-    optimal = optimal and _copy(optimal)  # what is kept stays as it is, whatever the caller does with the results
+    flights = deepcopy(optimal) if optimal and key.agent == "optimal" else _fly(task, key.agent, seeds)
+    optimal = deepcopy(optimal)  # what is kept stays as it is, whatever the caller does with the results
     return EpisodeResults(
         key=key,
         seeds=seeds,
@@ -187,10 +188,6 @@ class _Flights(NamedTuple):
     scores: npt.NDArray[np.float64]
     steps: npt.NDArray[np.int32]
     deliveries: npt.NDArray[np.int32]
-
-
-def _copy(flights: _Flights) -> _Flights:
-    return _Flights(*(column.copy() for column in flights))
 
 
 @lru_cache(maxsize=256)

@@ -6,20 +6,18 @@ it. A process that dies while it writes leaves at most a cut last line, whose ca
 
 import json
 import os
-import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
 from pydantic import Field, ValidationError
 
 from drone_env.errors import InvalidValueError
+from drone_env.files import lock_file
 from drone_env.llm.answers import Answer
 from drone_env.llm.prompt import ChatMessage
 from drone_env.models import Count, Message
-
-if sys.platform != "win32":
-    import fcntl
 
 SHORTEST_SECRET = 8
 """Shorter tokens, such as the `x` that local servers are content with, are no secrets: they are parts of words."""
@@ -89,13 +87,15 @@ class Transcript:
         self.path = path
         self._secret = secret if secret is not None and len(secret) >= SHORTEST_SECRET else None
         self.calls: list[Call] = []
-        self._file = path.open("ab+", buffering=0)
         try:
-            self._keep_others_out()
+            self._lock = lock_file(path.with_suffix(".lock"))
+        except BlockingIOError:
+            raise InvalidValueError(f"another process writes to {path}") from None
+        with ExitStack() as on_error:
+            on_error.callback(self._lock.release)
+            self._file = on_error.enter_context(path.open("ab+", buffering=0))
             self._read()
-        except BaseException:
-            self._file.close()
-            raise
+            on_error.pop_all()
         self.answered = {call.key: call for call in self.calls if call.answer is not None}
 
     def append(self, call: Call) -> Call:
@@ -125,13 +125,7 @@ class Transcript:
         if not self._file.closed:
             os.fsync(self._file.fileno())
             self._file.close()
-
-    def _keep_others_out(self) -> None:
-        if sys.platform != "win32":
-            try:
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise InvalidValueError(f"another process writes to {self.path}") from None
+            self._lock.release()
 
     def _read(self) -> None:
         end = 0
