@@ -4,10 +4,7 @@ Every buffer of a `Batch` is overwritten by the next step; whoever keeps one cop
 """
 
 import operator
-import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from importlib import import_module
 from typing import Any, NamedTuple, SupportsIndex
 
 import numba  # pyright: ignore[reportMissingTypeStubs]
@@ -32,6 +29,7 @@ from drone_env.core.score import score
 from drone_env.core.seeds import N_SEEDS, next_seed
 from drone_env.core.state_manager import ALLOWED_ACTIONS
 from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.threads import require_threads
 from drone_env.errors import EpisodeError, InvalidValueError
 
 FLYING = int(Outcome.FLYING)
@@ -169,24 +167,6 @@ def entry_point(kernel: Any, *arguments: Any) -> Any:
     return kernel.compile(tuple(kernel.typeof_pyval(argument) for argument in arguments))
 
 
-class _Threads:
-    """Whether this process may share a step among threads."""
-
-    lost = False
-
-    @classmethod
-    def after_fork(cls) -> None:
-        """GNU's OpenMP ends a process whose parent had used it before the fork, once it is used again."""
-        with suppress(ValueError):  # no threads have been started
-            layer: str = numba.threading_layer()  # pyright: ignore
-            if layer == "omp" and import_module("numba.np.ufunc.omppool").openmp_vendor == "GNU":
-                cls.lost = True
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_Threads.after_fork)
-
-
 class Batch:
     """N episodes of one task, stepped together. A copy, by `copy.deepcopy` or by pickle, flies on as the original does.
 
@@ -314,11 +294,7 @@ class Batch:
         if len(self._bounds) == 2:
             self._n_ended[0] = self._step(*tables, *self._bounds, self.same_step)
         else:
-            if _Threads.lost:
-                raise EpisodeError(
-                    f"num_threads={self.num_threads} does not work in a process forked from one that used it: "
-                    "OpenMP would end this one. Start processes by 'spawn' or 'forkserver', or step with num_threads=1"
-                )
+            require_threads(self.num_threads)
             self._step(*tables, self._bounds, self.same_step, self._n_ended)
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:

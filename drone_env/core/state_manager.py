@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core import dynamics
-from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
+from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome
 from drone_env.core.observation import Observation, open_actions, write_telemetry
 from drone_env.core.rewards import RewardProfile, get_reward_profile, interpreted_rewards
 from drone_env.core.rules import (
@@ -290,7 +290,7 @@ class Episode:
         if self._refused:
             return f"Nothing done: the episode has ended ({self.outcome.name.lower()}). Reset to fly again."
         return (
-            _MESSAGES[self.event].format(done=self.deliveries_done, total=self.task.deliveries) + _ENDINGS[self.outcome]
+            MESSAGES[self.event].format(done=self.deliveries_done, total=self.task.deliveries) + ENDINGS[self.outcome]
         )
 
     def counted_score(self) -> float:
@@ -383,23 +383,3 @@ class Episode:
 
     def _xy(self, cell: int) -> tuple[int, int]:
         return self.rules.columns[cell], self.rules.lines[cell]
-
-
-_MESSAGES = {
-    Event.NONE: "Ready for take-off: {total} to deliver.",
-    Event.DELIVERY: "Delivered: {done} of {total}.",
-    Event.BATTERY_DEAD: "The battery is empty: {done} of {total} delivered.",
-    Event.WALL: "Bumped into the edge of the city.",
-    Event.BLOCKED: "The way is blocked.",
-    Event.OBSTACLE: "Above an obstacle.",
-    Event.BUILDING: "Above a building.",
-    Event.TREE: "Above a tree.",
-    Event.WAIT: "Waiting.",
-    Event.STEP: "On the way.",
-}
-_ENDINGS = {
-    Outcome.FLYING: "",
-    Outcome.DELIVERED: " Mission accomplished.",
-    Outcome.BATTERY_DEAD: " The mission is over.",
-    Outcome.OUT_OF_STEPS: " Out of steps: the mission is over.",
-}
