@@ -21,6 +21,8 @@ Each message says what was given and what is allowed.
 
 from collections.abc import Iterable
 
+from drone_env.installer import install_command
+
 
 class DroneEnvError(Exception):
     """Base class of all errors of this package."""
@@ -64,7 +66,7 @@ class MissingPackageError(DroneEnvError, ImportError):
     """A package that only an extra installs; the message says how."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed: run pip install -e '.[{extra}]' in the clone")
+        super().__init__(f"{package} is not installed: run {install_command(extra)} in the clone")
 
 
 class StoreError(DroneEnvError, OSError):
