@@ -17,7 +17,7 @@ from drone_env import installer
 
 PACKAGES = {"chromium": "chromium", "nginx": "nginx-light", "ss": "iproute2"}
 """Debian's packages of the programs that tests need."""
-LEFT_OUT = ("ray", "stable_baselines3", "tensorboard", "torch")
+LEFT_OUT = ("pyright", "ray", "stable_baselines3", "tensorboard", "torch")
 """The large packages that tests need and `uv sync` leaves out; the extra `dev` brings them."""
 ABSENT = [name for name in LEFT_OUT if find_spec(name) is None]
 
@@ -33,7 +33,8 @@ def missing_package(failure: str) -> str | None:
     """The large package for want of which something failed, by what pytest tells of it; None if it failed otherwise."""
     if os.environ.get("DRONE_ENV_REQUIRE_TOOLS") == "1":
         return None
-    return next((name for name in re.findall(r"No module named '(\w+)", failure) if name in ABSENT), None)
+    named = re.findall(r"(?<=No module named ')\w+|\w+(?= is not installed: run)", failure)
+    return next((name for name in named if name in ABSENT), None)
 
 
 def missing_in(reasons: Iterable[str]) -> list[str]:

@@ -97,6 +97,7 @@ def test_what_brings_an_extra_is_a_command_of_the_installer_in_use(
 ) -> None:
     (tmp_path / where).mkdir(parents=True)
     (tmp_path / where / "pyvenv.cfg").write_text(f"home = /usr/bin\n{made_by}\n")
+    monkeypatch.delenv("UV_PROJECT_ENVIRONMENT", raising=False)
     monkeypatch.setattr(installer, "CLONE", tmp_path / "clone")
     monkeypatch.setattr(sys, "prefix", str(tmp_path / where))
     assert str(MissingPackageError("torch", "train")).endswith(f"run {command} in the clone")
