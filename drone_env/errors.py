@@ -22,6 +22,8 @@ Each message says what was given and what is allowed.
 from collections.abc import Iterable
 from typing import Any
 
+from drone_env.installer import install_command
+
 
 class DroneEnvError(Exception):
     """Base class of all errors of this package. They travel between processes, whatever their constructors take."""
@@ -77,7 +79,7 @@ class MissingPackageError(DroneEnvError, ImportError):
     """A package that only an extra installs; the message says how."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed: run pip install -e '.[{extra}]' in the clone")
+        super().__init__(f"{package} is not installed: run {install_command(extra)} in the clone")
 
 
 class StoreError(DroneEnvError, OSError):

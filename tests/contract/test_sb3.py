@@ -25,6 +25,7 @@ from drone_env.envs import sb3
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
 from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError
+from drone_env.installer import pip
 
 N = 6
 PAGE = Path(__file__).parents[2] / "docs" / "sb3.md"
@@ -326,7 +327,7 @@ def test_without_stable_baselines3_the_import_says_what_to_install() -> None:
     code = "import sys; sys.modules['stable_baselines3'] = None; import drone_env.envs.sb3"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode == 1
-    assert "ImportError: drone_env.envs.sb3 needs Stable-Baselines3: pip install stable-baselines3" in run.stderr
+    assert f"drone_env.envs.sb3 needs Stable-Baselines3: {pip()} install stable-baselines3" in run.stderr
 
 
 def mean_score(model: Any, form: str) -> float:

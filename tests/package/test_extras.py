@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from drone_env import installer
+from drone_env.errors import MissingPackageError
 from tests.package import extras
 from tests.package.extras import PROJECT, brought, extras_named, file_of, imported_later, loaded_by, modules
 
@@ -80,6 +82,26 @@ def test_extras_bring_what_they_name_and_no_more() -> None:
     assert not brought("train") & {"fastapi", "openai", "ray"}
     assert brought("all") >= brought(*(extra for extra in ("data", "human", "server", "llm", "train")))
     assert {extra for named in NEEDS.values() for extra in named} <= set(PROJECT["optional-dependencies"])
+
+
+@pytest.mark.parametrize(
+    ("made_by", "where", "command", "pip"),
+    [
+        ("uv = 0.13.9", "clone/.venv", "uv sync --extra train --inexact", "uv pip"),
+        ("uv = 0.13.9", "elsewhere", "uv pip install -e '.[train]'", "uv pip"),
+        ("version = 3.11.2", "clone/.venv", "pip install -e '.[train]'", "pip"),
+    ],
+)
+def test_what_brings_an_extra_is_a_command_of_the_installer_in_use(
+    made_by: str, where: str, command: str, pip: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / where).mkdir(parents=True)
+    (tmp_path / where / "pyvenv.cfg").write_text(f"home = /usr/bin\n{made_by}\n")
+    monkeypatch.delenv("UV_PROJECT_ENVIRONMENT", raising=False)
+    monkeypatch.setattr(installer, "CLONE", tmp_path / "clone")
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / where))
+    assert str(MissingPackageError("torch", "train")).endswith(f"run {command} in the clone")
+    assert installer.pip() == pip
 
 
 FAULTS = {

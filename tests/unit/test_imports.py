@@ -27,7 +27,7 @@ ALLOWED_IN_CORE = {"numpy", "numba", "platformdirs", *sys.stdlib_module_names}
 
 # Each floor may import from the floors below it, and from its own.
 FLOORS = [
-    {"errors", "files"},
+    {"errors", "files", "installer"},
     {"core"},
     {"planning", "models", "reward_file"},
     {"agents", "graders", "episodes"},
