@@ -149,7 +149,7 @@ def infer(
         raise InvalidValueError("--resume needs --out, the folder of the run to go on with")
     if (price_prompt is None) != (price_completion is None):
         raise InvalidValueError("--price-prompt and --price-completion belong together")
-    settings = load_settings()
+    settings = load_settings(base_url)
     config_task = get_task(settings.drone_task if task is None else task)
     chosen_split = "custom" if seeds is not None else split or "test"
     maps = split_seeds(chosen_split, episodes or 1) if seeds is None else parse_seeds(seeds)
@@ -158,7 +158,7 @@ def infer(
         more = json_format.loads(extra)
         config = RunConfig(
             model=settings.model_name if model is None else model,
-            base_url=check_url(settings.api_base_url if base_url is None else base_url),
+            base_url=check_url(settings.api_base_url),
             task=config_task.id,
             task_version=config_task.version,
             split=chosen_split,
