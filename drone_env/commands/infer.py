@@ -13,7 +13,7 @@ import tyro
 from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileName, parse_seeds
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError, MissingPackageError
+from drone_env.errors import InvalidValueError, needs
 
 if TYPE_CHECKING:
     from drone_env.llm import runner
@@ -24,7 +24,6 @@ SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 PromptName = Annotated[str, tyro.conf.arg(metavar="minimal|grid|coordinates|plan")]
 Number = Annotated[float | None, tyro.conf.arg(metavar="X")]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
-NEEDED = ("httpx", "httpx2", "matplotlib", "openai", "pydantic_settings", "tenacity")
 
 
 def infer(
@@ -125,9 +124,9 @@ def infer(
         address: The cluster: local starts one on this machine (if nothing is said), auto joins the one that runs here,
             HOST:PORT joins that one.
     """
-    try:
-        import asyncio
+    import asyncio
 
+    with needs("llm"):
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import RunConfig, Sampling
         from drone_env.llm.image import running_image
@@ -135,10 +134,6 @@ def infer(
         from drone_env.llm.progress import ConsoleObserver
         from drone_env.llm.prompt import get_prompt
         from drone_env.llm.settings import check_url, load_settings, token_for
-    except ModuleNotFoundError as error:
-        if error.name not in NEEDED:
-            raise
-        raise MissingPackageError(error.name, "llm") from None
     from pydantic import ValidationError
 
     if seeds is not None and (split is not None or episodes is not None):

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from drone_env.errors import InvalidValueError, MissingPackageError
+from drone_env.errors import InvalidValueError, needs
 
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 
@@ -28,12 +28,8 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
         folders: The run folders.
         json: Print JSON instead of tables.
     """
-    try:
+    with needs("llm"):
         from drone_env.llm.leaderboard import leaderboard as rank
-    except ModuleNotFoundError as error:
-        if error.name not in ("httpx2", "openai", "pydantic_settings", "tenacity"):
-            raise
-        raise MissingPackageError(error.name, "llm") from None
 
     if not folders:
         raise InvalidValueError("leaderboard takes the folders of one run or more")
