@@ -59,6 +59,7 @@ def infer(
     price_prompt: Number = None,
     price_completion: Number = None,
     cache: Path | None = None,
+    data: Path | None = None,
     out: Path | None = None,
     resume: bool = False,
     report: bool = True,
@@ -112,7 +113,9 @@ def infer(
         price_prompt: US dollars per million prompt tokens.
         price_completion: US dollars per million completion tokens.
         cache: Folder of answers that equal requests of other runs share.
-        out: The run folder; results/llm/ and a name of its own if nothing is said.
+        data: Folder of the store that keeps the flights, where a server finds them; DRONE_ENV_DATA if nothing is said,
+            else data. A server that flies along keeps them itself.
+        out: The run folder; llm/ in the folder of the store and a name of its own if nothing is said.
         resume: Go on with the run in --out, under the same configuration.
         report: Check the whole run once more and write report.md, report.json and report.html into its folder.
         moves: Say in the report how many moves were blunders, beside the exact value of every state.
@@ -126,10 +129,13 @@ def infer(
     """
     import asyncio
 
+    from drone_env.episodes.store import Store, data_folder
+
     with needs("llm"):
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import RunConfig, Sampling
         from drone_env.llm.image import running_image
+        from drone_env.llm.keeper import Keeper
         from drone_env.llm.limits import Limits, Prices
         from drone_env.llm.progress import ConsoleObserver
         from drone_env.llm.prompt import get_prompt
@@ -196,27 +202,35 @@ def infer(
         requests_per_minute=requests_per_minute,
         tokens_per_minute=tokens_per_minute,
     )
-    folder = run_folder.RunFolder(out or _new_folder(config.model, config_task.short_name), config, resume)
-    try:
-        with contextlib.ExitStack() as stack:
-            if use_image:
-                url = stack.enter_context(running_image(settings.local_image_name))
-                options = dataclasses.replace(options, server=url)
-            run = runner.run if engine == "local" else _on_cluster(stack, address)
-            observer = stack.enter_context(ConsoleObserver())
-            result = asyncio.run(run(config, folder, token, options, observer))
-        if report:
-            from drone_env.llm.report import report as figures_of
-            from drone_env.llm.report import write_report
-            from drone_env.llm.verify import verified_run
+    data = data_folder() if data is None else data
+    with contextlib.ExitStack() as opened:
+        store = None if use_image or server is not None else opened.enter_context(Store(data))
+        folder = run_folder.RunFolder(out or _new_folder(data, config.model, config_task.short_name), config, resume)
+        opened.callback(folder.close)
+        keeper = None if store is None else Keeper(store, folder.path / run_folder.TRANSCRIPT, config.model)
+        go_on = f"give the same options with --out {folder.path} --resume"
+        try:
+            with contextlib.ExitStack() as stack:
+                if use_image:
+                    url = stack.enter_context(running_image(settings.local_image_name))
+                    options = dataclasses.replace(options, server=url)
+                run = runner.run if engine == "local" else _on_cluster(stack, address)
+                observer = stack.enter_context(ConsoleObserver(None if keeper is None else keeper.keep))
+                result = asyncio.run(run(config, folder, token, options, observer))
+            if report:
+                from drone_env.llm.report import report as figures_of
+                from drone_env.llm.report import write_report
+                from drone_env.llm.verify import verified_run
 
-            checked = verified_run(folder.path)
-            write_report(checked, figures_of(checked, prices, moves))
-    except KeyboardInterrupt:
-        print(f"interrupted; to go on, give the same options with --out {folder.path} --resume", file=sys.stderr)
-        raise
-    finally:
-        folder.close()
+                checked = verified_run(folder.path)
+                write_report(checked, figures_of(checked, prices, moves))
+        except KeyboardInterrupt:
+            print(f"interrupted; to go on, {go_on}", file=sys.stderr)
+            raise
+        finally:
+            if keeper is not None and keeper.problems:
+                lost = f"{len(keeper.problems)} flights are not in the store: {keeper.problems[0]}"
+                print(f"{lost}; to add them, {go_on}", file=sys.stderr)
     for line in runner.summary_lines(result):
         print(line, file=sys.stderr)
     print(f"run: {folder.path}", file=sys.stderr)
@@ -232,7 +246,7 @@ def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "runner.Run
     return run_on_nodes
 
 
-def _new_folder(model: str, task: str) -> Path:
+def _new_folder(data: Path, model: str, task: str) -> Path:
     name = "".join(letter if letter.isalnum() or letter in ".-_" else "-" for letter in model[:50])
     now = datetime.now(timezone.utc).strftime("%Y%m%d-%H%M%S-%f")
-    return Path("results") / "llm" / f"{now}-{task}-{name}"
+    return data / "llm" / f"{now}-{task}-{name}"

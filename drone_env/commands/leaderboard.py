@@ -22,7 +22,7 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
     Each run is flown again from the model's own answers first. A run whose flights do not come to what it says is
     refused, and so is one that is invalid or not whole. Exit status: 0, or 1 if a run does not come to what it says.
 
-    Example: drone-env leaderboard results/llm/*
+    Example: drone-env leaderboard data/llm/*
 
     Args:
         folders: The run folders.
