@@ -18,8 +18,8 @@ from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import AnswerForm, RunConfig
 from drone_env.llm.prompt import ChatMessage
+from drone_env.llm.redaction import without_secret
 from drone_env.llm.settings import LOOPBACK
-from drone_env.llm.transcript import SHORTEST_SECRET
 
 RETRIED = {408, 409, 429}
 SENT_HEADERS = {
@@ -165,8 +165,7 @@ class Endpoint:
 
     def _clean(self, text: str) -> str:
         """The text on one line, without the token, and without what moves a terminal or cannot be written."""
-        if self._token and len(self._token) >= SHORTEST_SECRET:
-            text = text.replace(self._token, "***")
+        text = without_secret(text, self._token)
         # Cut last: half of a token would not be found.
         text = " ".join(text.split())[:REASON_CHARACTERS]
         return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
