@@ -39,7 +39,7 @@ def infer(
     answers: Literal["text", "json", "tool"] = "text",
     stream: bool = False,
     temperature: Number = 0.0,
-    no_temperature: bool = False,
+    no_temperature: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     top_p: Number = None,
     max_answer_tokens: int = 1024,
     sampling_seed: Whole = None,

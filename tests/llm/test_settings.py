@@ -30,6 +30,14 @@ def test_an_extra_that_nests_too_deep_is_told(capsys: pytest.CaptureFixture[str]
     assert "--extra takes a JSON object" in capsys.readouterr().err
 
 
+def test_no_option_is_negated_twice(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["infer", "--help"])
+    told = capsys.readouterr().out
+    assert "--no-temperature" in told
+    assert "--no-no-" not in told
+
+
 def test_an_openai_key_does_not_go_to_hugging_face_by_another_spelling(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
