@@ -29,7 +29,7 @@ class ConsoleObserver:
 
     def __init__(self, keep: Callable[[Flight], None] | None = None) -> None:
         self._keep = keep
-        self._console = Console(stderr=True, highlight=False, markup=False)
+        self._console = Console(stderr=True, highlight=False, markup=False, emoji=False)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         terminal = self._console.is_terminal
         self._progress = Progress(
