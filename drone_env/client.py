@@ -17,11 +17,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, cast
 
-import httpx
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
-from drone_env.errors import DroneEnvError
+from drone_env.errors import DroneEnvError, needs
+
+with needs("server", __name__):
+    import httpx
 
 if TYPE_CHECKING:
     from drone_env.openenv_client import DroneDeliveryClient as DroneDeliveryClient

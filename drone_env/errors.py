@@ -19,7 +19,9 @@
 Each message says what was given and what is allowed.
 """
 
-from collections.abc import Iterable
+import sys
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
 from typing import Any
 
 from drone_env.installer import install_command
@@ -104,3 +106,26 @@ class ClusterError(DroneEnvError, RuntimeError):
 
 class EndpointError(DroneEnvError, RuntimeError):
     """An endpoint of language models refuses, so that no further call makes sense: a wrong token, no such model."""
+
+
+@contextmanager
+def needs(extra: str, module: str = "") -> Generator[None, None, None]:
+    """What is imported inside the `with` comes with an extra: where it is missing, the error says so.
+
+    Args:
+        extra: The extra.
+        module: `__name__` of a file that may be run as a program: it then ends with the message alone.
+
+    Raises:
+        MissingPackageError: if a package from elsewhere is missing.
+    """
+    try:
+        yield
+    except (ModuleNotFoundError, MissingPackageError) as error:
+        package = (error.name or "").partition(".")[0]
+        if isinstance(error, ModuleNotFoundError) and package in ("", "drone_env"):
+            raise
+        missing = error if isinstance(error, MissingPackageError) else MissingPackageError(package, extra)
+        if module == "__main__":
+            sys.exit(f"drone-env: {missing}")
+        raise missing from None

@@ -197,8 +197,8 @@ def _recorded_digests() -> dict[str, bool]:
 
 
 def _folders(data: Path) -> Iterator[Finding]:
-    yield _folder("data", data, "episodes, sessions, logs, checkpoints")
-    yield _folder("results", Path("results"), "curves of training, runs of language models")
+    yield _folder("data", data, "episodes, sessions, logs, checkpoints, runs of language models")
+    yield _folder("results", Path("results"), "curves of training")
     try:
         cache = cache_folder()
     except OSError as error:

@@ -33,7 +33,7 @@ from drone_env.episodes.rows import (
     listed_episode,
     session_row,
 )
-from drone_env.episodes.sessions import SessionRow, known_task, new_episode_id
+from drone_env.episodes.sessions import EPISODE_ID, SessionRow, known_task, new_episode_id
 from drone_env.errors import CapacityError, InvalidValueError, UnknownNameError
 
 FILE_NAME = "drone_env.sqlite3"
@@ -91,7 +91,9 @@ class Store:
 
     # Finished episodes
 
-    def add_episode(self, episode: EpisodeRecord | Episode, agent: str | None = None) -> str:
+    def add_episode(
+        self, episode: EpisodeRecord | Episode, agent: str | None = None, episode_id: str | None = None
+    ) -> str:
         """Store a finished episode and return its id; `memory.json` shows it a moment later.
 
         A record is flown again first, so that nothing is stored that is not so; an `Episode` is taken as it is.
@@ -99,6 +101,8 @@ class Store:
         Args:
             episode: The flight.
             agent: Who flew an `Episode`; a record says so itself.
+            episode_id: Its id, 16 hex digits, for one that may be stored already: the one of this id is then kept as it
+                is. None for a new one.
 
         Raises:
             EpisodeError: if the episode has not ended.
@@ -111,9 +115,12 @@ class Store:
             raise InvalidValueError("agent belongs to an Episode; a record names its own")
         if isinstance(episode, EpisodeRecord):
             agent, episode = episode.agent, replay(episode)
-        stored = StoredEpisode.of(new_episode_id(), episode, str(agent))
+        if episode_id is not None and not EPISODE_ID.fullmatch(episode_id):
+            raise InvalidValueError(f"the id of an episode is 16 hex digits, got {episode_id!r}")
+        stored = StoredEpisode.of(episode_id or new_episode_id(), episode, str(agent))
         with self._database.writing() as connection:
-            insert_episode(connection, stored)
+            if episode_id is None or not episode_rows(connection, "WHERE id = ?", (episode_id,)):
+                insert_episode(connection, stored)
         self._view.refresh()
         return stored.id
 

@@ -109,11 +109,13 @@ def load_config(path: Path) -> RunConfig:
     """What the run in a folder is.
 
     Raises:
-        OSError: if there is none.
-        InvalidValueError: if the file is not the configuration of a run.
+        OSError: if it cannot be read.
+        InvalidValueError: if there is none, or the file is not the configuration of a run.
     """
     try:
         return RunConfig.model_validate_json((path / CONFIG).read_bytes())
+    except (FileNotFoundError, NotADirectoryError):
+        raise InvalidValueError(f"{path}: this is not the folder of a run: there is no {CONFIG} in it") from None
     except ValidationError as error:
         raise InvalidValueError(f"{path / CONFIG} is not the configuration of a run: {first_problem(error)}") from None
 

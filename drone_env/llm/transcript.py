@@ -4,12 +4,11 @@ It is the one source of a run: flights, records and figures all follow from it, 
 it. A process that dies while it writes leaves at most a cut last line, whose call was not acknowledged.
 """
 
-import json
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, cast
+from typing import Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
@@ -17,10 +16,8 @@ from drone_env.errors import InvalidValueError
 from drone_env.files import lock_file
 from drone_env.llm.answers import Answer
 from drone_env.llm.prompt import ChatMessage
+from drone_env.llm.redaction import without_secret_in
 from drone_env.models import Count, Message
-
-SHORTEST_SECRET = 8
-"""Shorter tokens, such as the `x` that local servers are content with, are no secrets: they are parts of words."""
 
 
 class CallKey(NamedTuple):
@@ -85,7 +82,7 @@ class Transcript:
 
     def __init__(self, path: Path, secret: str | None = None) -> None:
         self.path = path
-        self._secret = secret if secret is not None and len(secret) >= SHORTEST_SECRET else None
+        self._secret = secret
         self.calls: list[Call] = []
         try:
             self._lock = lock_file(path.with_suffix(".lock"))
@@ -104,11 +101,13 @@ class Transcript:
         Raises:
             OSError: if it cannot be written.
         """
+        # An endpoint may quote the token, in an error or in an answer. What is asked holds none: the next request
+        # quotes an answer as it is here.
+        told = call.model_dump(mode="json", include={"answer", "failures"})
+        cleaned = without_secret_in(told, self._secret)
+        if cleaned != told:
+            call = Call.model_validate({**call.model_dump(), **cleaned})
         line = call.model_dump_json()
-        if self._secret and self._secret in line:
-            # An endpoint may quote the token, in an error or in an answer.
-            call = Call.model_validate_json(json.dumps(_without(json.loads(line), self._secret)))
-            line = call.model_dump_json()
         data = f"{line}\n".encode()
         written = self._file.write(data)
         if written != len(data):
@@ -133,17 +132,6 @@ class Transcript:
             end += size
             self.calls.append(call)
         self._file.truncate(end)
-
-
-def _without(value: Any, secret: str) -> Any:
-    """A JSON value with a text taken out of all its texts."""
-    if isinstance(value, str):
-        return value.replace(secret, "***")
-    if isinstance(value, list):
-        return [_without(item, secret) for item in cast(list[Any], value)]
-    if isinstance(value, dict):
-        return {name: _without(item, secret) for name, item in cast(dict[str, Any], value).items()}
-    return value
 
 
 def read_calls(path: Path) -> Iterator[tuple[int, Call]]:

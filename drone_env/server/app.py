@@ -17,17 +17,19 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from fastapi import FastAPI
-from fastapi.responses import FileResponse
-from fastapi.staticfiles import StaticFiles
-from starlette.concurrency import run_in_threadpool
-from starlette.responses import Response
-from starlette.routing import WebSocketRoute
-
 from drone_env import __version__
 from drone_env.core.tasks import get_task
 from drone_env.episodes.store import Store
-from drone_env.errors import DroneEnvError, InvalidValueError, StoreError
+from drone_env.errors import DroneEnvError, InvalidValueError, StoreError, needs
+
+with needs("server", __name__):
+    from fastapi import FastAPI
+    from fastapi.responses import FileResponse
+    from fastapi.staticfiles import StaticFiles
+    from starlette.concurrency import run_in_threadpool
+    from starlette.responses import Response
+    from starlette.routing import WebSocketRoute
+
 from drone_env.registry import load_plugins
 from drone_env.server.flight import DEFAULT_TASK
 from drone_env.server.live.socket import LiveSocket

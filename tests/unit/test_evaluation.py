@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drone_env.agents import make_agent
+from drone_env.agents import AGENTS, make_agent
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.seeds import split_seeds
 from drone_env.core.state_manager import Episode
-from drone_env.core.tasks import TASKS, get_task
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.evaluation import EpisodeResults, concatenate, episodes_key, run_episodes, run_in_chunks, summarise
 from drone_env.evaluation_folder import ResultsFolder
@@ -146,6 +146,18 @@ def test_a_key_names_a_network_by_what_its_file_holds(tmp_path: Path) -> None:
         for agent in ("pathqnet", f"pathqnet:{copy}", f"pathqnet:{medium}")
     )
     assert shipped == same != other
+
+
+@pytest.mark.parametrize("config", [None, 7, {"network": object()}])
+def test_an_agent_must_say_what_decides_how_it_flies(config: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Silent:
+        def __init__(self, task: TaskConfig) -> None:
+            if config is not None:
+                self.config = config
+
+    monkeypatch.setitem(AGENTS, "silent", Silent)
+    with pytest.raises(InvalidValueError, match="agent 'silent' must have `config`, a mapping of JSON values"):
+        episodes_key("easy", "silent", range(1))
 
 
 def test_keys_differ_where_task_or_agent_differ() -> None:
