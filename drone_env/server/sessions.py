@@ -134,7 +134,9 @@ class Sessions:
             flown = len(row.actions)
             if after is not None and after != flown:
                 if after == flown - 1 and row.actions[-1] == action.action:
-                    return Stepped(observation_fields(episode), episode.reward_last)
+                    # Flown anew: a step after the end may have been sent meanwhile, and the answer must not tell of it.
+                    flight = row.fly()
+                    return Stepped(observation_fields(flight), flight.reward_last)
                 raise EpisodeError(
                     f"this action is to follow step {after}, and the session has flown {flown} steps: GET /state tells "
                     "where it stands"

@@ -13,7 +13,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.server.app import create_app
 from drone_env.server.security import JsonBodies
 from drone_env.server.settings import Settings, load_settings, misspelt_variables
-from drone_env.server.strict_json import MAX_DEPTH, parse_json
+from drone_env.server.strict_json import MAX_DEPTH, _unique, parse_json
 
 JSON = {"Content-Type": "application/json"}
 
@@ -94,6 +94,24 @@ class TestStrictJson:
         for text in (f"[{deepest}]", '{"a":' * (MAX_DEPTH + 1) + "1" + "}" * (MAX_DEPTH + 1)):
             with pytest.raises(InvalidValueError, match="nested"):
                 parse_json(text)
+
+    def test_the_first_key_that_stands_twice_is_named_in_linear_time(self) -> None:
+        with pytest.raises(InvalidValueError, match="the key 'a' stands there twice"):
+            parse_json('{"b": 0, "a": 1, "c": 2, "c": 3, "a": 4}')
+        compared = 0
+
+        class Name(str):
+            def __eq__(self, other: object) -> bool:
+                nonlocal compared
+                compared += 1
+                return str.__eq__(self, other)
+
+            __hash__ = str.__hash__
+
+        pairs = [(Name(f"{i:04}"), i) for i in [*range(1000), 999]]
+        with pytest.raises(ValueError, match="the key '0999' stands there twice"):
+            _unique(pairs)
+        assert compared < 10 * len(pairs)
 
     def test_brackets_in_strings_do_not_count(self) -> None:
         assert parse_json('["' + "[" * 100 + '"]') == ["[" * 100]

@@ -146,7 +146,8 @@ class TestEnvironment:
         assert env.rubric is not None
         assert env.rubric.last_score == observation.score == GRADERS["medium_delivery"](_plain(env.state))
         official.DroneEnvObservation.model_validate(observation.model_dump())
-        assert env.step(official.DroneEnvAction(direction="UP")).reward == 0.0
+        after = env.step(official.DroneEnvAction(direction="UP"))
+        assert (after.reward, after.reward_last, after.reward_total) == (0, 0, observation.reward_total)
 
     def test_a_reset_resets_the_rubric(self) -> None:
         class Counting(official.GradeRubric):
