@@ -92,6 +92,9 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         lifespan=lifespan,
         responses=answers(401, 403),
         generate_unique_id_function=lambda route: route.name,
+        # FastAPI's own pages fetch their scripts from elsewhere.
+        docs_url=None,
+        redoc_url=None,
     )
     app.state.shared = shared
     app.state.socket = socket
@@ -113,6 +116,10 @@ def _add_page(app: FastAPI, live: LiveSocket) -> None:
         # Whoever opens the page will soon look at what can still be reached, and the first solver compiles for seconds.
         live.values.request(get_task(DEFAULT_TASK), 0)
         return FileResponse(PAGE / "index.html", headers=REVALIDATED)
+
+    @app.get("/docs", include_in_schema=False)
+    async def docs() -> FileResponse:
+        return FileResponse(PAGE / "docs.html", headers=REVALIDATED)
 
     app.mount("/static", _Static(directory=PAGE))
 

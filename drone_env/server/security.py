@@ -21,7 +21,6 @@ from drone_env.server.strict_json import parse_json
 OPEN_PATHS = frozenset({"/health", "/"})
 OPEN_FOLDER = "/static/"
 """Answered without a token: whoever watches over the process has none, and the page asks for it."""
-SWAGGER = "https://cdn.jsdelivr.net"
 POLICY_VIOLATION = 1008
 OFFER = "bearer."
 
@@ -37,12 +36,9 @@ class SecurityHeaders:
     def __init__(self, app: ASGIApp, frame_ancestors: Collection[str]) -> None:
         self.app = app
         framing = " ".join(frame_ancestors) or "'none'"
-        common = f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}"
-        self.policy = f"{common}; img-src 'self' data: blob:; connect-src 'self' ws: wss:"
-        # Swagger's page is made by FastAPI, with a script in it and the rest from a CDN.
-        self.docs_policy = (
-            f"{common}; script-src 'self' 'unsafe-inline' {SWAGGER}; style-src 'self' 'unsafe-inline' {SWAGGER}; "
-            "img-src 'self' data: https://fastapi.tiangolo.com; worker-src 'self' blob:"
+        self.policy = (
+            f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}; "
+            "img-src 'self' data: blob:; connect-src 'self' ws: wss:"
         )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -50,12 +46,11 @@ class SecurityHeaders:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        policy = self.docs_policy if scope["path"] in ("/docs", "/redoc") else self.policy
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                headers["Content-Security-Policy"] = policy
+                headers["Content-Security-Policy"] = self.policy
                 headers["X-Content-Type-Options"] = "nosniff"
                 headers["Referrer-Policy"] = "no-referrer"
                 headers["Cross-Origin-Resource-Policy"] = "same-origin"

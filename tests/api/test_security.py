@@ -185,7 +185,7 @@ class TestToken:
 
 class TestHeaders:
     def test_every_answer_carries_them(self, client: TestClient) -> None:
-        for answer in (client.get("/health"), client.get("/nowhere"), client.post("/step"), client.get("/docs")):
+        for answer in (client.get("/health"), client.get("/nowhere"), client.post("/step"), client.get("/openapi.json")):
             policy = answer.headers["Content-Security-Policy"]
             assert "frame-ancestors 'self' https://huggingface.co https://*.hf.space" in policy
             assert answer.headers["X-Content-Type-Options"] == "nosniff"
@@ -194,9 +194,12 @@ class TestHeaders:
             assert answer.headers["Cache-Control"] == "no-store"
             assert "X-Frame-Options" not in answer.headers
 
-    def test_scripts_from_elsewhere_are_for_the_docs_alone(self, client: TestClient) -> None:
-        assert "unsafe-inline" not in client.get("/health").headers["Content-Security-Policy"]
-        assert "https://cdn.jsdelivr.net" in client.get("/docs").headers["Content-Security-Policy"]
+    def test_no_page_takes_scripts_from_elsewhere_or_from_its_own_text(self, client: TestClient) -> None:
+        for path in ("/", "/docs"):
+            policy = client.get(path).headers["Content-Security-Policy"]
+            assert policy.startswith("default-src 'self';")
+            assert "unsafe" not in policy
+            assert "http" not in policy.partition("frame-ancestors")[0]
 
 
 def test_an_unforeseen_failure_tells_no_trace(tmp_path: Path) -> None:
