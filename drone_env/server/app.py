@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
-from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI
@@ -35,7 +34,7 @@ from drone_env.server.openenv_socket import OpenEnvSocket
 from drone_env.server.problems import answers, install
 from drone_env.server.request_log import LogRequests
 from drone_env.server.routes import catalogue, flight, history, openenv, replay
-from drone_env.server.security import protect
+from drone_env.server.security import PAGE, protect
 from drone_env.server.settings import Settings, load_settings, misspelt_variables
 from drone_env.server.state import Shared
 
@@ -49,7 +48,6 @@ A drone delivers parcels on a generated city grid. Version {__version__} of the 
 with what follows. OpenEnv's clients connect to the WebSocket `/ws` instead, which is a session of its own.
 """
 SWEEP_SECONDS = 5.0
-PAGE = Path(__file__).with_name("static")
 REVALIDATED = {"Cache-Control": "no-cache"}
 """Browsers ask whether a file has changed, so that an update of the package is seen at once."""
 

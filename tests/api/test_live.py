@@ -353,7 +353,7 @@ class TestToken:
     def test_the_page_itself_is_open_and_nothing_behind_it(self, client: TestClient) -> None:
         assert client.get("/").status_code == 200
         assert client.get("/static/js/main.js").status_code == 200
-        for path in ("/tasks", "/static/../tasks", "/episodes", "/staticx"):
+        for path in ("/tasks", "/static/../tasks", "/static/splits", "/static/js", "/episodes", "/staticx"):
             assert client.get(path).status_code == 401
 
 

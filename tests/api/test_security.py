@@ -22,6 +22,12 @@ def app_with(tmp_path: Path, **settings: Any) -> TestClient:
     return TestClient(create_app(Settings(data=tmp_path, **settings)))
 
 
+def at(tmp_path: Path, address: str, **settings: Any) -> TestClient:
+    """An application that is called at an address of this machine."""
+    url = f"http://[{address}]" if ":" in address else f"http://{address}"
+    return TestClient(create_app(Settings(data=tmp_path, **settings)), url, client=(address, 5000))
+
+
 class TestBodies:
     @pytest.mark.parametrize(
         ("text", "told"),
@@ -161,6 +167,33 @@ class TestHosts:
         with app_with(tmp_path, allowed_hosts=("drone.example",)) as client:
             assert client.get("/health", headers={"Host": host}).status_code == (200 if allowed else 403)
 
+    @pytest.mark.parametrize(
+        "host", ["localhost", "LOCALHOST:9", "a.localhost", "127.0.0.1", "127.8.9.1:1", "[::1]:80"]
+    )
+    def test_a_server_on_loopback_answers_for_this_machine(self, tmp_path: Path, host: str) -> None:
+        with at(tmp_path, "127.0.0.1") as client:
+            assert client.get("/health", headers={"Host": host}).status_code == 200
+
+    @pytest.mark.parametrize(
+        "host", ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "", "10.0.0.1"]
+    )
+    def test_and_for_no_other_name_that_is_not_listed(self, tmp_path: Path, host: str) -> None:
+        with at(tmp_path, "127.0.0.1", allowed_hosts=("drone.example",)) as client:
+            for listed in ("drone.example", "localhost"):
+                assert client.get("/health", headers={"Host": listed}).status_code == 200
+            assert "DRONE_ENV_ALLOWED_HOSTS" in client.get("/health", headers={"Host": host}).json()["detail"]
+        with at(tmp_path, "::1") as client:
+            assert client.get("/health", headers={"Host": host}).status_code == 403
+            with pytest.raises(WebSocketDisconnect), client.websocket_connect("ws://[::1]/ws", headers={"Host": host}):
+                pass
+
+    def test_a_server_that_others_reach_answers_for_all(self, tmp_path: Path) -> None:
+        other = {"Host": "drone.example"}
+        with at(tmp_path, "10.0.0.1") as client:
+            assert client.get("/health", headers=other).status_code == 200
+        with at(tmp_path, "127.0.0.1", host="0.0.0.0") as client:
+            assert client.get("/health", headers=other).status_code == 200
+
 
 class TestToken:
     def test_all_but_the_health_and_the_page_asks_for_it(self, tmp_path: Path) -> None:
@@ -185,7 +218,12 @@ class TestToken:
 
 class TestHeaders:
     def test_every_answer_carries_them(self, client: TestClient) -> None:
-        for answer in (client.get("/health"), client.get("/nowhere"), client.post("/step"), client.get("/openapi.json")):
+        for answer in (
+            client.get("/health"),
+            client.get("/nowhere"),
+            client.post("/step"),
+            client.get("/openapi.json"),
+        ):
             policy = answer.headers["Content-Security-Policy"]
             assert "frame-ancestors 'self' https://huggingface.co https://*.hf.space" in policy
             assert answer.headers["X-Content-Type-Options"] == "nosniff"

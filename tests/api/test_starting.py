@@ -72,6 +72,9 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
     with serving(tmp_path / "data", tuple(rest)) as server:
         with httpx.Client(base_url=server.url, timeout=60) as http:
             assert http.get("/health").json()["status"] == "healthy"
+            public = "0.0.0.0" in command
+            foreign = http.get("/health", headers={"Host": "drone.example"})
+            assert foreign.status_code == (200 if public else 403)
             assert http.post("/reset", json={"seed": 14}).status_code == 200
         server.process.send_signal(asked)
         assert server.process.wait(timeout=60) == status

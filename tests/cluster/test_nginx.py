@@ -23,7 +23,7 @@ SESSIONS = int(os.environ.get("DRONE_ENV_NGINX_SESSIONS", "12"))
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     folder = tmp_path_factory.mktemp("cluster")
-    with cluster(folder, SERVERS, CAPACITY="1000", ALLOWED_HOSTS="localhost,127.0.0.1") as found:
+    with cluster(folder, SERVERS, CAPACITY="1000", ALLOWED_HOSTS="drone.example") as found:
         yield found
 
 
@@ -38,6 +38,7 @@ def test_callers_see_a_server(running: Cluster) -> None:
         assert steps == list(range(1, 10))
         too_large = client.post("/reset", content=b" " * 100_000, headers={"Content-Type": "application/json"})
         assert (too_large.status_code, too_large.json()["code"]) == (413, "too_large")
+        assert client.get("/health", headers={"Host": "drone.example"}).status_code == 200
         assert client.get("/health", headers={"Host": "elsewhere.example"}).json()["code"] == "host"
         own, foreign = running.url, "http://elsewhere.example"
         assert client.get("/tasks", headers={"Origin": own}).status_code == 200
