@@ -26,7 +26,7 @@ from drone_env.models import Message
 
 log = logging.getLogger(__name__)
 
-WHAT_TO_DO = "POST /reset opens a session; send its session_id in the header X-Session-Id, or keep the cookie"
+WHAT_TO_DO = "POST /reset opens a session; send the header X-Session-Id: SESSION_ID, as it answers, or keep the cookie"
 
 
 class FieldProblem(Message):

@@ -3,13 +3,14 @@
 import threading
 import time
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
-from fastapi import Cookie, Depends, Header, Request
+from fastapi import Cookie, Depends, Header, Request, Response
 
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.store import Store
 from drone_env.planning.optimal import best_of
+from drone_env.server.local import local_address
 from drone_env.server.predict import Networks
 from drone_env.server.problems import WHAT_TO_DO, RequestError
 from drone_env.server.request_log import RequestLog
@@ -18,7 +19,10 @@ from drone_env.server.settings import Settings
 
 COOKIE = "drone_env_session"
 HEADER = "X-Session-Id"
+SHARED_HEADER = "X-Session-Shared"
 STEP_HEADER = "X-Step-Count"
+NEW = "new"
+"""Named as a session it stands for none: a caller that sends it with a reset shares with nobody."""
 LONGEST_ID = 200
 
 
@@ -91,26 +95,50 @@ async def shared_of(request: Request) -> Shared:
     return request.app.state.shared
 
 
-async def named_session(
+class Caller(NamedTuple):
+    """Who sends a request: `named`, the session that it names, or `address`, of those here who name none."""
+
+    named: str | None
+    address: str | None
+
+    def session(self, shared: Shared, answer: Response) -> str:
+        """The session that is meant; where it is shared, the answer says so.
+
+        Raises:
+            RequestError: if there is none.
+        """
+        if self.named is not None:
+            return self.named
+        session = None if self.address is None else shared.store.unnamed_session(self.address)
+        if session is None:
+            raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
+        self.tell(session, answer)
+        return session
+
+    def tell(self, session: str, answer: Response) -> None:
+        """Have an answer name the session, and say where it is shared."""
+        answer.headers[HEADER] = session
+        if self.address is not None:
+            answer.headers[SHARED_HEADER] = self.address
+
+
+async def caller_of(
+    request: Request,
     x_session_id: Annotated[
         str | None,
-        Header(max_length=LONGEST_ID, description="The session, as `/reset` gave it; goes before the cookie."),
+        Header(
+            max_length=LONGEST_ID,
+            description="The session, as `/reset` gave it; goes before the cookie. With `new` a reset opens one.",
+        ),
     ] = None,
     drone_env_session: Annotated[str | None, Cookie(max_length=LONGEST_ID, include_in_schema=False)] = None,
-) -> str | None:
-    """The session that a request names, None for none; an empty header or cookie names none."""
-    return x_session_id or drone_env_session or None
-
-
-async def needed_session(named: Annotated[str | None, Depends(named_session)]) -> str:
-    """The session that a request names.
-
-    Raises:
-        RequestError: if it names none.
-    """
-    if named is None:
-        raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
-    return named
+) -> Caller:
+    """Who sends a request; an empty header or cookie names no session."""
+    named = x_session_id or drone_env_session or None
+    settings = request.app.state.shared.settings
+    if named is not None or settings.token is not None:
+        return Caller(None if named == NEW else named, None)
+    return Caller(None, local_address(request.scope, settings.host))
 
 
 async def known_steps(
@@ -127,6 +155,5 @@ async def known_steps(
 
 
 SharedParts = Annotated[Shared, Depends(shared_of)]
-NamedSession = Annotated[str | None, Depends(named_session)]
-SessionId = Annotated[str, Depends(needed_session)]
+CallerOf = Annotated[Caller, Depends(caller_of)]
 KnownSteps = Annotated[int | None, Depends(known_steps)]

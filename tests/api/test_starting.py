@@ -76,6 +76,8 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
             foreign = http.get("/health", headers={"Host": "drone.example"})
             assert foreign.status_code == (200 if public else 403)
             assert http.post("/reset", json={"seed": 14}).status_code == 200
+            http.cookies.clear()
+            assert http.get("/state").status_code == (409 if public else 200), "callers who name no session"
         server.process.send_signal(asked)
         assert server.process.wait(timeout=60) == status
         assert "Traceback" not in server.log.read_text()
