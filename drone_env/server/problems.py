@@ -125,7 +125,7 @@ async def _own(request: Request, error: Exception) -> JSONResponse:
         log.error("%s %s", request.method, request.url.path, exc_info=error)
         return problem(500, code, "the server failed; its log says why")
     detail = f"{error}: {WHAT_TO_DO}" if status == 410 else str(error)
-    waiting_helps = status == 503 and code != "no_network"
+    waiting_helps = status == 503 and code not in ("no_network", "not_started")
     return problem(status, code, detail, headers={"Retry-After": "5"} if waiting_helps else None)
 
 

@@ -60,7 +60,8 @@ class Shared:
             RequestError: if the server has not started, or has ended.
         """
         if self._sessions is None:
-            raise RequestError(503, "not_started", "the server is not running")
+            told = "the server has not started, or has ended: a test client starts it with `with TestClient(app) as client:`"
+            raise RequestError(503, "not_started", told)
         return self._sessions
 
     @property

@@ -111,8 +111,8 @@ def end_session(shared: SharedParts, caller: CallerOf, response: Response) -> No
 @router.get("/state", responses=SESSION_ERRORS)
 def state(shared: SharedParts, caller: CallerOf, answer: Response) -> DroneState:
     """The full state of the session's episode."""
-    with shared.sessions.reading(caller.session(shared, answer)) as (_, episode):
-        return DroneState.of(episode)
+    with shared.sessions.reading(caller.session(shared, answer)) as (row, episode):
+        return DroneState.of(episode).model_copy(update={"episode_id": row.episode_id})
 
 
 @router.get("/grade/{task_name}", responses=SESSION_ERRORS | answers(404))
@@ -131,7 +131,8 @@ def path_history(shared: SharedParts, caller: CallerOf, answer: Response) -> Pat
     """The flight of the session's episode so far."""
     with shared.sessions.reading(caller.session(shared, answer)) as (_, episode):
         flown = DroneState.of(episode)
-    return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=flown.path_history)
+    path = flown.path_history
+    return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=path, path_history=path)
 
 
 @router.get("/solution", responses=SESSION_ERRORS)
