@@ -1,10 +1,12 @@
 """What the routes share: one `Shared` per application, found at `app.state.shared`."""
 
+import os
 import threading
 import time
 from collections.abc import Callable
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypeVar
 
+import anyio.to_thread
 from fastapi import Cookie, Depends, Header, Request, Response
 
 from drone_env.core.tasks import TaskConfig, get_task
@@ -24,6 +26,11 @@ STEP_HEADER = "X-Step-Count"
 NEW = "new"
 """Named as a session it stands for none: a caller that sends it with a reset shares with nobody."""
 LONGEST_ID = 200
+STUDIES = max(1, (os.cpu_count() or 1) // 2)
+"""Studies at once: the other cores are for those who fly."""
+WAITING_STUDIES = 16
+"""Studies that may wait, each of which may take a second."""
+Found = TypeVar("Found")
 
 
 class Shared:
@@ -40,6 +47,7 @@ class Shared:
         self.requests = RequestLog()
         self.networks = Networks(settings.weights)
         self._sessions: Sessions | None = None
+        self._studies: anyio.CapacityLimiter | None = None
         self._warm: set[TaskConfig] = set()
 
     def warm_up(self, task: str | TaskConfig) -> None:
@@ -52,6 +60,18 @@ class Shared:
             self._warm.add(known)
             threading.Thread(target=best_of, args=(known, 0), name="drone_env-warm-up", daemon=True).start()
 
+    async def study(self, work: Callable[[], Found]) -> Found:
+        """Do what takes long in a thread that no other request needs, a few at a time.
+
+        Raises:
+            RequestError: if too many wait already.
+        """
+        if self._studies is None:  # made here, in the event loop that it belongs to
+            self._studies = anyio.CapacityLimiter(STUDIES)
+        if self._studies.statistics().tasks_waiting >= WAITING_STUDIES:
+            raise RequestError(503, "busy", f"{WAITING_STUDIES} flights are waiting to be looked at: try again later")
+        return await anyio.to_thread.run_sync(work, limiter=self._studies)
+
     @property
     def sessions(self) -> Sessions:
         """The HTTP sessions.
@@ -60,7 +80,7 @@ class Shared:
             RequestError: if the server has not started, or has ended.
         """
         if self._sessions is None:
-            told = "the server has not started, or has ended: a test client starts it with `with TestClient(app) as client:`"
+            told = "the server is not running: a test client starts it in a block, `with TestClient(app) as client:`"
             raise RequestError(503, "not_started", told)
         return self._sessions
 
@@ -88,6 +108,7 @@ class Shared:
         if self._sessions is not None:
             self._sessions.store.close()
             self._sessions = None
+        self._studies = None
         self.requests.close()
 
 
