@@ -36,6 +36,11 @@ def test_callers_see_a_server(running: Cluster) -> None:
         # The cookie is enough to be found again.
         steps = [client.post("/step", json={"direction": "WAIT"}).json()["step_count"] for _ in range(9)]
         assert steps == list(range(1, 10))
+        # To the servers all callers are nginx, of their own machine: strangers, who do not share a session.
+        client.cookies.clear()
+        assert "X-Session-Shared" not in client.post("/reset").headers
+        client.cookies.clear()
+        assert client.post("/step", json={"direction": "WAIT"}).json()["code"] == "no_session"
         too_large = client.post("/reset", content=b" " * 100_000, headers={"Content-Type": "application/json"})
         assert (too_large.status_code, too_large.json()["code"]) == (413, "too_large")
         assert client.get("/health", headers={"Host": "drone.example"}).status_code == 200
