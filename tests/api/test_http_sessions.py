@@ -186,6 +186,7 @@ class TestUnnamed:
     def plain(self, start: Callable[..., TestClient]) -> TestClient:
         return start()
 
+    @pytest.mark.feature("H2", "H3", "H4", "H6")
     def test_they_fly_one_session_which_the_answers_name(self, plain: TestClient) -> None:
         opened = plain.post("/reset", json={"seed": 14})
         session = opened.json()["session_id"]
