@@ -254,8 +254,8 @@ class Episode:
 
     @property
     def reward_last(self) -> float:
-        """What the last step paid."""
-        return self._reward_last
+        """What the last step paid; 0 where it came after the end."""
+        return 0.0 if self._refused else self._reward_last
 
     @property
     def reward_total(self) -> float:

@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
-from pathlib import Path
 from typing import Any
 
 from drone_env import __version__
@@ -37,7 +36,7 @@ from drone_env.server.openenv_socket import OpenEnvSocket
 from drone_env.server.problems import answers, install
 from drone_env.server.request_log import LogRequests
 from drone_env.server.routes import catalogue, flight, history, openenv, replay
-from drone_env.server.security import protect
+from drone_env.server.security import PAGE, protect
 from drone_env.server.settings import Settings, load_settings, misspelt_variables
 from drone_env.server.state import Shared
 
@@ -51,7 +50,6 @@ A drone delivers parcels on a generated city grid. Version {__version__} of the 
 with what follows. OpenEnv's clients connect to the WebSocket `/ws` instead, which is a session of its own.
 """
 SWEEP_SECONDS = 5.0
-PAGE = Path(__file__).with_name("static")
 REVALIDATED = {"Cache-Control": "no-cache"}
 """Browsers ask whether a file has changed, so that an update of the package is seen at once."""
 
@@ -94,6 +92,9 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         lifespan=lifespan,
         responses=answers(401, 403),
         generate_unique_id_function=lambda route: route.name,
+        # FastAPI's own pages fetch their scripts from elsewhere.
+        docs_url=None,
+        redoc_url=None,
     )
     app.state.shared = shared
     app.state.socket = socket
@@ -115,6 +116,10 @@ def _add_page(app: FastAPI, live: LiveSocket) -> None:
         # Whoever opens the page will soon look at what can still be reached, and the first solver compiles for seconds.
         live.values.request(get_task(DEFAULT_TASK), 0)
         return FileResponse(PAGE / "index.html", headers=REVALIDATED)
+
+    @app.get("/docs", include_in_schema=False)
+    async def docs() -> FileResponse:
+        return FileResponse(PAGE / "docs.html", headers=REVALIDATED)
 
     app.mount("/static", _Static(directory=PAGE))
 
