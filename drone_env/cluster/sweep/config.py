@@ -87,7 +87,7 @@ class SweepConfig(Message):
     def command(self, trial: Trial) -> str:
         """The command that trains the same network alone, in a folder of its own."""
         training = self.training(trial)
-        defaults = preset(self.preset, training.task)
+        defaults = preset(self.preset, training.task, training.episodes)
         words = ["python", "train.py", "--task", training.task, "--preset", self.preset, "--seed", str(trial.seed)]
         for name, value in asdict(training).items():
             if name in ("task", "seed", "checkpoint_seconds") or value == getattr(defaults, name):

@@ -95,7 +95,7 @@ def replay_record(shared: SharedParts, record: Record) -> Flight:
     start = Episode(flown.task, flown.reward_profile)
     start.reset(flown.seed)
     mission = Mission.of(start, record.agent)
-    return Flight(mission=mission, frames=list(frames_of(start, flown.actions, shared.networks)))
+    return Flight(mission=mission, frames=list(frames_of(start, flown.actions, shared.networks, record.agent)))
 
 
 @router.post("/annotate", responses=RECORD_ERRORS | answers(409))
