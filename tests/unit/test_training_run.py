@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from fastapi.testclient import TestClient
 
 from drone_env.agents.network import load_network
 from drone_env.cli import main
@@ -25,6 +26,8 @@ from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
 from drone_env.rl.config import ORIGINAL, TrainConfig, preset
 from drone_env.rl.run import Run, log_line
 from drone_env.rl.trainer import Progress, Trainer
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
 from tests.unit.small_training import SMALL, assert_same, do_nothing
 
 ROOT = Path(__file__).parents[2]
@@ -184,6 +187,11 @@ def test_the_command_trains_and_leaves_what_it_says(
                  "--episodes", "20", "--json", "-"]) == 0  # fmt: skip
     figures = json.loads(capsys.readouterr().out)["tasks"]["easy_delivery"]["agents"]["pathqnet:data/easy.npz"]
     assert 0.01 <= figures["mean_score"] <= 0.99
+    # A server in the same folder answers from it.
+    with TestClient(create_app(Settings(data=tmp_path / "data"))) as http:
+        http.post("/reset", json={"seed": 7})
+        model = http.post("/predict").json()["model"]
+    assert (model["file"], model["digest"]) == ("easy.npz", network.digest)
     # There is nothing left to do, until more is asked for.
     assert main(TRAIN) == 0
     assert "has 40 episodes already" in capsys.readouterr().err
