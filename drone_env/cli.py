@@ -22,7 +22,7 @@ from drone_env.commands.replay import replay
 from drone_env.commands.serve import serve
 from drone_env.commands.solve import solve
 from drone_env.commands.sweep import sweep
-from drone_env.commands.train import train_command
+from drone_env.commands.train import one_by_one, train_command
 from drone_env.errors import DroneEnvError
 from drone_env.registry import load_plugins
 
@@ -55,9 +55,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if list(arguments[:1]) != ["doctor"]:  # which says what is wrong with them
             load_plugins()
-        status = _app(arguments).cli(
-            prog="drone-env", description=DESCRIPTION, args=arguments, config=[tyro.conf.DisallowNone]
-        )
+        status = 0
+        for one in one_by_one(arguments):
+            status = status or _app(one).cli(
+                prog="drone-env", description=DESCRIPTION, args=one, config=[tyro.conf.DisallowNone]
+            )
         sys.stdout.flush()
         return int(status or 0)
     except DroneEnvError as error:

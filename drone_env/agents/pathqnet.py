@@ -1,6 +1,5 @@
 """The agent that a trained network flies: always the action of the highest value."""
 
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -49,8 +48,7 @@ class PathQNetAgent:
             raise CheckpointError(
                 f"{path} takes {takes} values of telemetry, and {task.id!r} has {task.telemetry_size}"
             )
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-        self.config: Mapping[str, object] = {"agent": "pathqnet", "version": 1, "network": digest}
+        self.config: Mapping[str, object] = {"agent": "pathqnet", "version": 1, "network": self._network.digest}
 
     def reset(self, seed: int) -> None:
         """Nothing to forget."""

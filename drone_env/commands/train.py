@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -9,10 +10,15 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from drone_env.errors import InvalidValueError, MissingPackageError, UnknownNameError
+from drone_env.core.tasks import get_task
+from drone_env.errors import CheckpointError, InvalidValueError, MissingPackageError, UnknownNameError
 
 if TYPE_CHECKING:
+    from drone_env.rl.config import TrainConfig
     from drone_env.rl.run import Run
+
+ALL = ("easy", "medium", "hard")
+"""What `--task all` stands for."""
 
 COLUMNS = (
     TextColumn("{task.description}"),
@@ -23,18 +29,27 @@ COLUMNS = (
 )
 
 
+def one_by_one(arguments: Sequence[str]) -> list[Sequence[str]]:
+    """The arguments of each training, one for each task where they say `train --task all`; else as they are."""
+    if "train" not in arguments[:1] or _value_of("--task", arguments) != "all":
+        return [arguments]
+    return [
+        [
+            f"--task={task}" if it == "--task=all" else task if before == "--task" else it
+            for before, it in zip(["", *arguments], arguments, strict=False)
+        ]
+        for task in ALL
+    ]
+
+
 def train_command(arguments: Sequence[str]) -> Callable[..., int]:
-    """The subcommand, its defaults being those of the preset and the task that stand in the arguments."""
+    """The subcommand, its defaults being those of the preset, task, episodes and checkpoint that the arguments name."""
     if "train" not in arguments[:1]:
         # Others need not know the hyperparameters, nor wait for them to be loaded.
         return _described
-    from drone_env.rl.config import PRESETS, TrainConfig, preset
+    from drone_env.rl.config import PRESETS, TrainConfig
 
-    chosen, task = _value_of("--preset", arguments) or "fast", _value_of("--task", arguments) or "easy"
-    try:
-        defaults = preset(chosen, task)
-    except (InvalidValueError, UnknownNameError):
-        defaults = preset("fast", "easy")  # tyro or TrainConfig says what is wrong with the arguments
+    defaults = _defaults(arguments)
 
     def train(
         config: Annotated[TrainConfig, tyro.conf.arg(name="")] = defaults,
@@ -46,11 +61,13 @@ def train_command(arguments: Sequence[str]) -> Callable[..., int]:
     ) -> int:
         """Train a network to fly a task, and judge it against the exact optimum while it learns.
 
-        Goes on from `data/TASK.pth` if that is there; Ctrl-C saves it and ends. Next to it stands the best network by
-        validation, `data/TASK.npz`: `drone-env evaluate --agents pathqnet --checkpoint data/TASK.npz`.
+        Goes on from `data/TASK.pth` if that is there, with its settings; Ctrl-C saves it and ends. Next to it stands
+        the best network by validation, `data/TASK.npz`: `drone-env serve` in the same folder flies it, and so does
+        `drone-env evaluate --agents pathqnet --checkpoint data/TASK.npz`.
 
-        The defaults below are those of the preset for the task. `original` has the hyperparameters of the first
-        version of this project, `fast` those that were found to learn fastest.
+        The defaults below are those of the preset for the task and the number of episodes. `original` has the
+        hyperparameters of the first version of this project, `fast` those that were found to learn fastest.
+        `--task all` trains easy, medium and hard, one after the other.
 
         Example: drone-env train --task hard
 
@@ -73,6 +90,29 @@ def train_command(arguments: Sequence[str]) -> Callable[..., int]:
     return train
 
 
+def _defaults(arguments: Sequence[str]) -> "TrainConfig":
+    from drone_env.rl.config import preset
+
+    chosen, task, episodes = (_value_of(flag, arguments) for flag in ("--preset", "--task", "--episodes"))
+    try:
+        number = int(episodes) if episodes and episodes.isdecimal() else None
+        defaults = preset(chosen or "fast", task or "easy", number)
+    except (InvalidValueError, UnknownNameError):
+        return preset("fast", "easy")  # tyro or TrainConfig says what is wrong with the arguments
+    checkpoint = Path(_value_of("--data", arguments) or "data") / f"{get_task(defaults.task).short_name}.pth"
+    if chosen or "--fresh" in arguments or not checkpoint.exists():
+        return defaults
+    # How many fly side by side follows from how many were asked for at first, which is forgotten by now.
+    try:
+        from drone_env.rl.checkpoint import load_checkpoint
+
+        kept = load_checkpoint(checkpoint)["config"]
+        names = [field.name for field in fields(defaults) if field.name != "task" and field.name in kept]
+        return replace(defaults, **{name: kept[name] for name in names})
+    except (CheckpointError, OSError, ModuleNotFoundError, KeyError, TypeError, InvalidValueError):
+        return defaults  # `Run` says what is wrong with it, or what is missing
+
+
 def _described() -> int:
     """Train a network to fly a task, and judge it against the exact optimum while it learns."""
     raise AssertionError("replaced by train_command where it is called")
@@ -92,11 +132,16 @@ def _run(config: Any, data: Path, results: Path, fresh: bool) -> "Run":
 
 
 def _train(run: "Run") -> int:
+    from drone_env.rl.run import figure
+
     trainer, console = run.trainer, Console(stderr=True)
     wanted, begun = run.config.episodes, trainer.episodes
     if trainer.episodes >= wanted:
         console.print(
-            f"{run.checkpoint} has {trainer.episodes} episodes already: ask for more with --episodes, or --fresh"
+            f"{run.checkpoint} has {trainer.episodes} episodes already, and {wanted} were asked for: nothing to do. "
+            f"--episodes {2 * trainer.episodes} goes on from it; --fresh starts anew and keeps it as "
+            f"{run.checkpoint}.old",
+            soft_wrap=True,
         )
         return 0
     if run.resumed:
@@ -109,8 +154,8 @@ def _train(run: "Run") -> int:
         def show(line: Any) -> None:
             rate = (line.steps - steps) / max(clock() - started, 1e-9)
             figures = (
-                f"{rate:.0f} steps/s  epsilon {line.epsilon:.2f}  loss {line.loss:.5f}  "
-                f"validation {line.validation:.4f} of {line.validation_optimum:.4f}"
+                f"{rate:.0f} steps/s  epsilon {line.epsilon:.2f}  loss {figure(line.loss, 5)}  "
+                f"validation {figure(line.validation, 4)} of {line.validation_optimum:.4f}"
             )
             progress.update(bar, completed=line.episode, figures=figures)
             if not console.is_terminal and line.episode % run.config.validation_every == 0:

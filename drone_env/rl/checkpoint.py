@@ -16,7 +16,7 @@ from drone_env.errors import CheckpointError
 from drone_env.files import replacing
 
 FORMAT = "drone_env/checkpoint"
-VERSION = 1
+VERSION = 2
 
 
 def save_checkpoint(path: Path, contents: dict[str, Any]) -> None:
@@ -37,7 +37,7 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
 
     Raises:
         OSError: if it cannot be read.
-        CheckpointError: if it is cut short, no checkpoint of this project, or of a newer version.
+        CheckpointError: if it is cut short, no checkpoint of this project, or of another version.
     """
     try:
         contents: Any = torch.load(path, map_location=device, weights_only=True)
@@ -46,10 +46,10 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
     if not isinstance(contents, dict) or cast(dict[str, Any], contents).get("format") != FORMAT:
         raise CheckpointError(f"{path} is not a checkpoint of this project")
     contents = cast(dict[str, Any], contents)
-    if contents["version"] != VERSION:
-        raise CheckpointError(
-            f"{path} is a checkpoint of version {contents['version']}; this program reads version {VERSION}"
-        )
+    version = contents.get("version")
+    if not isinstance(version, int) or version != VERSION:
+        said = f"of version {version}" if isinstance(version, int) else "that does not say its version"
+        raise CheckpointError(f"{path} is a checkpoint {said}; this program reads version {VERSION}")
     return contents
 
 

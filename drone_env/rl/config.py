@@ -81,10 +81,10 @@ class TrainConfig:
     """Maps of the validation split that each flies."""
     log_every: int = 20
     """Episodes per line of the log."""
-    checkpoint_episodes: int = 0
-    """Episodes between two checkpoints; 0 for by time."""
-    checkpoint_seconds: float = 60.0
-    """Seconds between two checkpoints, where they are by time."""
+    checkpoint_episodes: int = 50
+    """Episodes up to the first checkpoint, and at least so many between two."""
+    checkpoint_seconds: float = 10.0
+    """At least so many seconds between two checkpoints."""
 
     def __post_init__(self) -> None:
         get_task(self.task)
@@ -92,11 +92,12 @@ class TrainConfig:
         positive = (
             "episodes", "num_threads", "num_envs", "n_step", "batch_size", "learning_rate", "replay_size",
             "reward_scale", "steps_per_update", "target_every", "epsilon_steps", "validation_every", "validation_maps",
-            "log_every", "checkpoint_seconds",
+            "log_every",
         )  # fmt: skip
         for name in positive:
             _require(getattr(self, name) > 0, f"{name} must be above 0, got {getattr(self, name)}")
-        for name in ("final_learning_rate", "learning_starts", "max_grad_norm", "checkpoint_episodes", "seed"):
+        not_below = ("final_learning_rate", "learning_starts", "max_grad_norm", "seed")
+        for name in (*not_below, "checkpoint_episodes", "checkpoint_seconds"):
             _require(getattr(self, name) >= 0, f"{name} must not be below 0, got {getattr(self, name)}")
         for name in ("gamma", "tau", "advantage_learning", "epsilon_start", "epsilon_end", "epsilon_factor"):
             _require(0 <= getattr(self, name) <= 1, f"{name} must be in [0, 1], got {getattr(self, name)}")
@@ -139,7 +140,7 @@ ORIGINAL = TrainConfig(
     epsilon_end=0.05,
     validation_every=50,
     log_every=1,
-    checkpoint_episodes=50,
+    checkpoint_seconds=0,
 )
 """The original's hyperparameters."""
 
@@ -156,13 +157,35 @@ FAST: dict[str, TrainConfig] = {
 PRESETS = ("fast", "original")
 
 
-def preset(name: str, task: str) -> TrainConfig:
+def preset(name: str, task: str, episodes: int | None = None) -> TrainConfig:
     """The configuration of a preset for a task.
+
+    Args:
+        name: `fast` or `original`.
+        task: The task.
+        episodes: How many to fly; None for as many as the preset has. `fast` flies the fewer side by side the fewer
+            there are to fly, so that the later ones can be flown by what was learned from the earlier.
 
     Raises:
         UnknownNameError: if there is no such task.
-        InvalidValueError: if there is no such preset.
+        InvalidValueError: if there is no such preset, or no such number of episodes.
     """
     _require(name in PRESETS, f"preset must be one of {', '.join(PRESETS)}, got {name!r}")
-    task_id = get_task(task).id
-    return replace(ORIGINAL if name == "original" else FAST.get(task_id, FAST["hard_delivery"]), task=task)
+    known = get_task(task)
+    config = replace(ORIGINAL if name == "original" else FAST.get(known.id, FAST["hard_delivery"]), task=task)
+    if episodes is None:
+        return config
+    config, usual = replace(config, episodes=episodes), config.episodes
+    if name == "original" or episodes >= usual:
+        return config
+    # A power of two; each place flies at least 16 of the episodes, one after the other.
+    num_envs = min(1 << max((episodes // 16).bit_length() - 1, 0), config.num_envs)
+    return replace(
+        config,
+        num_envs=num_envs,
+        learning_starts=32 * num_envs,
+        steps_per_update=max(known.max_steps / 4, num_envs / 2),
+        epsilon_end=0.1,
+        epsilon_steps=max(episodes * known.max_steps * 2 // 5, 1),
+        validation_every=max(episodes // 10, 1),
+    )

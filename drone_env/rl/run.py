@@ -36,13 +36,22 @@ class Run:
         data: Folder of checkpoint and log.
         results: Folder of tables and curves.
         fresh: Start anew; the checkpoint that is there is renamed to `.old`.
+        clock: What tells the time in seconds, by which checkpoints are due.
 
     Raises:
         CheckpointError: if the checkpoint cannot be read or is of another run; it is left as it was.
     """
 
-    def __init__(self, config: TrainConfig, data: Path, results: Path, fresh: bool = False) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        data: Path,
+        results: Path,
+        fresh: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.trainer = Trainer(config)
+        self._clock = clock
         name = self.trainer.task.short_name
         self.checkpoint = data / f"{name}.pth"
         self.log = data / "train.log"
@@ -51,14 +60,15 @@ class Run:
         if fresh and self.checkpoint.exists():
             self.checkpoint.replace(self.checkpoint.with_suffix(".pth.old"))
         self.resumed = self.checkpoint.exists()
-        self._seconds, self._since = 0.0, time.monotonic()
+        self._seconds, self._since = 0.0, clock()
         if self.resumed:
             try:
                 state = load_checkpoint(self.checkpoint, str(self.trainer.device))
                 self.trainer.set_state(state)
-            except CheckpointError as error:
-                raise CheckpointError(f"{error}; --fresh starts anew and keeps it as {self.checkpoint}.old") from None
-            self._seconds = state["seconds"]
+                self._seconds = state["seconds"]
+            except (CheckpointError, KeyError) as error:
+                told = f"{self.checkpoint} lacks {error}" if isinstance(error, KeyError) else error
+                raise CheckpointError(f"{told}; --fresh starts anew and keeps it as {self.checkpoint}.old") from None
         self.stopped = False
 
     def train(self, show: Callable[[Progress], None]) -> None:
@@ -70,27 +80,28 @@ class Run:
         config, trainer = self.config, self.trainer
         for folder in (self.log.parent, self.results):
             folder.mkdir(parents=True, exist_ok=True)
-        saved_at, saved_episodes = time.monotonic(), trainer.episodes
-        self._since = time.monotonic()
+        self._since = self._clock()
+        saved_at, saved_episodes = self._since if self.resumed else None, trainer.episodes
         with self._log_file() as write, self._tensorboard() as add, self._stopping_on_interrupt():
 
+            def save_if_due() -> None:
+                nonlocal saved_at, saved_episodes
+                late = saved_at is None or self._clock() - saved_at >= config.checkpoint_seconds
+                if late and trainer.episodes - saved_episodes >= config.checkpoint_episodes:
+                    self.save()
+                    saved_at, saved_episodes = self._clock(), trainer.episodes
+
             def after_log(progress: Progress) -> None:
+                # Saved before it is told: whoever reads that so many have been flown finds them after a kill, too.
+                save_if_due()
                 write(progress)
                 add(progress)
                 show(progress)
 
             def after_step() -> None:
-                nonlocal saved_at, saved_episodes
-                by_episodes = config.checkpoint_episodes
-                due = (
-                    trainer.episodes - saved_episodes >= by_episodes
-                    if by_episodes
-                    else time.monotonic() - saved_at >= config.checkpoint_seconds
-                )
-                if due and not self.stopped:
-                    self.save()
-                    saved_at, saved_episodes = time.monotonic(), trainer.episodes
-                if self.stopped:
+                if not self.stopped:
+                    save_if_due()
+                else:
                     raise StopTraining
 
             with suppress(StopTraining):
@@ -107,7 +118,7 @@ class Run:
     @property
     def seconds(self) -> float:
         """How long this run has been trained, in all its parts, validations and files included."""
-        return self._seconds + time.monotonic() - self._since
+        return self._seconds + self._clock() - self._since
 
     def save(self) -> None:
         """Write the checkpoint, and the best network beside it."""
@@ -199,10 +210,21 @@ class StopTraining(Exception):  # noqa: N818 (it is no error)
 
 
 def log_line(progress: Progress) -> str:
-    """A line of `data/train.log`."""
-    return (
-        f"episode={progress.episode} steps={progress.steps} updates={progress.updates} epsilon={progress.epsilon:.3f} "
-        f"loss={progress.loss:.6f} reward={progress.reward:.4f} score={progress.score:.4f} "
-        f"success={progress.success:.3f} length={progress.length:.1f} validation={progress.validation:.4f} "
-        f"optimum={progress.validation_optimum:.4f}"
-    )
+    """A line of `data/train.log`; a figure that there is not yet is `-`."""
+    figures = {
+        "epsilon": (progress.epsilon, 3),
+        "loss": (progress.loss, 6),
+        "reward": (progress.reward, 4),
+        "score": (progress.score, 4),
+        "success": (progress.success, 3),
+        "length": (progress.length, 1),
+        "validation": (progress.validation, 4),
+        "optimum": (progress.validation_optimum, 4),
+    }
+    shown = " ".join(f"{name}={figure(value, digits)}" for name, (value, digits) in figures.items())
+    return f"episode={progress.episode} steps={progress.steps} updates={progress.updates} {shown}"
+
+
+def figure(value: float, digits: int) -> str:
+    """A number for people; `-` for one that there is not yet."""
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"

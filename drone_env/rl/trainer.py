@@ -31,18 +31,24 @@ from drone_env.rl.replay_buffer import ReplayBuffer
 from drone_env.rl.validation import Validation, Validator
 
 LOSSES = {"huber": smooth_l1_loss, "mse": mse_loss}
+Figures = tuple[float, float, bool, int]
+"""What came of an episode: undiscounted sum of rewards, score, whether all was delivered, steps."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How a run stands: one line of its log. Means are over the episodes since the line before.
+    """How a run stands: one line of its log.
+
+    The episodes that end first are the short ones. So means are not over those that ended last: they are over those
+    that have ended and before which, in the order of their starts, all have ended; over those of them that no line
+    has told yet, and at least over `log_every`, told before or not. NaN while there are none.
 
     Attributes:
         episode: Episodes ended so far.
         steps: Steps flown.
         updates: Batches that the network was fitted to.
         epsilon: Share of random actions.
-        loss: Mean loss of the updates, NaN before the first.
+        loss: Mean loss of the updates since the line before, of the last ones if there were none; NaN before the first.
         reward: Mean undiscounted sum of rewards.
         score: Mean graded score.
         success: Share of episodes that delivered everything.
@@ -100,7 +106,16 @@ class Trainer:
         self.validated_updates = -1
         self.updates_due = 0.0
         self.rewards = np.zeros(config.num_envs)
-        self.window: list[tuple[float, float, bool, int]] = []
+        self.numbers = np.arange(config.num_envs)
+        """Which episode each flies, counted in the order of their starts."""
+        self.ended: list[tuple[int, float, int, int]] = []
+        """Place, score, steps and deliveries of the episodes that the last step ended, not accounted for yet."""
+        self.early: dict[int, Figures] = {}
+        """Episodes that have ended before an older one, by number."""
+        self.window: list[Figures] = []
+        """The last episodes that all older ones ended before."""
+        self.untold = 0
+        """How many of them no line has told."""
         self.losses: list[float] = []
         self.history: list[Progress] = []
         self.validation = Validation(float("nan"), self.validator.optimum, float("nan"))
@@ -115,12 +130,13 @@ class Trainer:
             after_step: Called when a step of all episodes is over; may save, or stop the run by an exception.
         """
         while self.episodes < self.config.episodes:
-            self.fly()
-            if self.steps > self.config.learning_starts and self.replay.can_sample(self.config.n_step):
-                self.updates_due += self.config.num_envs / self.config.steps_per_update
-            while self.updates_due >= 1:
-                self.learn()
-                self.updates_due -= 1
+            if not self.ended:  # else the run before ended amid them
+                self.fly()
+                if self.steps > self.config.learning_starts and self.replay.can_sample(self.config.n_step):
+                    self.updates_due += self.config.num_envs / self.config.steps_per_update
+                while self.updates_due >= 1:
+                    self.learn()
+                    self.updates_due -= 1
             for progress in self.finish_episodes():
                 after_log(progress)
             after_step()
@@ -134,6 +150,9 @@ class Trainer:
         self.replay.add(grids, telemetry, actions, batch.rewards * self.config.reward_scale, batch.terminated)
         self.rewards += batch.rewards
         self.steps += self.config.num_envs
+        finals = batch.finals()
+        columns = (batch.ended, finals["score"], finals["steps"], finals["deliveries"])
+        self.ended = list(zip(*(column.tolist() for column in columns), strict=True))
 
     def learn(self) -> None:
         """Fit the network to one batch of the replay."""
@@ -168,14 +187,16 @@ class Trainer:
                     ours.lerp_(theirs, config.tau)
 
     def finish_episodes(self) -> list[Progress]:
-        """Account for the episodes that the last step ended; validate and log where it is time to."""
-        config, finals = self.config, self.batch.finals()
+        """Account for the episodes that the last step ended, up to the last that is wanted; validate and log.
+
+        Those beyond it are left for a run that goes on.
+        """
+        config = self.config
         lines: list[Progress] = []
-        for i, score, steps, deliveries in zip(
-            self.batch.ended.tolist(), finals["score"], finals["steps"], finals["deliveries"], strict=True
-        ):
-            success = bool(deliveries == self.task.deliveries)
-            self.window.append((float(self.rewards[i]), float(score), success, int(steps)))
+        while self.ended and self.episodes < config.episodes:
+            i, score, steps, deliveries = self.ended.pop(0)
+            number, self.numbers[i] = int(self.numbers[i]), self.episodes + config.num_envs
+            self.early[number] = (float(self.rewards[i]), score, deliveries == self.task.deliveries, steps)
             self.rewards[i] = 0.0
             self.episodes += 1
             if config.target_update == "episodes" and self.episodes % config.target_every == 0:
@@ -185,8 +206,6 @@ class Trainer:
                 self.validate()
             if self.episodes % config.log_every == 0 or self.episodes == config.episodes:
                 lines.append(self.log())
-            if self.episodes == config.episodes:
-                break
         return lines
 
     def validate(self) -> None:
@@ -209,21 +228,26 @@ class Trainer:
 
     def log(self) -> Progress:
         """The next line of the log."""
-        rewards, scores, successes, lengths = zip(*self.window, strict=True)
+        oldest = self.numbers.min()
+        come = [self.early.pop(number) for number in sorted(self.early) if number < oldest]
+        self.untold += len(come)
+        self.window = [*self.window, *come][-max(self.untold, self.config.log_every) :]
+        reward, score, success, length = np.mean(self.window, axis=0).tolist() if self.window else [float("nan")] * 4
+        last = self.history[-1].loss if self.history else float("nan")
         progress = Progress(
             episode=self.episodes,
             steps=self.steps,
             updates=self.updates,
             epsilon=self.epsilon,
-            loss=float(np.mean(self.losses)) if self.losses else float("nan"),
-            reward=float(np.mean(rewards)),
-            score=float(np.mean(scores)),
-            success=float(np.mean(successes)),
-            length=float(np.mean(lengths)),
+            loss=float(np.mean(self.losses)) if self.losses else last,
+            reward=reward,
+            score=score,
+            success=success,
+            length=length,
             validation=self.validation.score,
             validation_optimum=self.validation.optimum,
         )
-        self.window, self.losses = [], []
+        self.losses, self.untold = [], 0
         self.history.append(progress)
         return progress
 
@@ -269,7 +293,11 @@ class Trainer:
             "rng": self.rng.bit_generator.state,
             "rewards": torch.from_numpy(self.rewards),
             "counters": [self.steps, self.updates, self.episodes, self.updates_due, self.validated_updates],
+            "numbers": torch.from_numpy(self.numbers),
+            "ended": [list(entry) for entry in self.ended],
+            "early": {number: list(entry) for number, entry in self.early.items()},
             "window": [list(entry) for entry in self.window],
+            "untold": self.untold,
             "losses": self.losses,
             "history": [vars(progress) for progress in self.history],
             "validation": list(self.validation),
@@ -300,7 +328,11 @@ class Trainer:
         self.rng.bit_generator.state = state["rng"]
         self.rewards[:] = state["rewards"].cpu().numpy()
         self.steps, self.updates, self.episodes, self.updates_due, self.validated_updates = state["counters"]
-        self.window = [(reward, score, success, length) for reward, score, success, length in state["window"]]
+        self.numbers[:] = state["numbers"].cpu().numpy()
+        self.ended = [(i, score, steps, deliveries) for i, score, steps, deliveries in state["ended"]]
+        self.early = {number: as_figures(entry) for number, entry in state["early"].items()}
+        self.window = [as_figures(entry) for entry in state["window"]]
+        self.untold = state["untold"]
         self.losses = list(state["losses"])
         self.history = [Progress(**line) for line in state["history"]]
         self.validation = Validation(*state["validation"])
@@ -324,3 +356,9 @@ def as_array(tensor: Tensor, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Back from `as_tensor`."""
     array: npt.NDArray[Any] = tensor.cpu().numpy()
     return array.view(np.uint16) if like.dtype == np.uint16 else array
+
+
+def as_figures(entry: list[Any]) -> Figures:
+    """Back from a checkpoint, which has lists."""
+    reward, score, success, steps = entry
+    return reward, score, success, steps

@@ -33,6 +33,7 @@ from drone_env.registry import load_plugins
 from drone_env.server.flight import DEFAULT_TASK
 from drone_env.server.live.socket import LiveSocket
 from drone_env.server.openenv_socket import OpenEnvSocket
+from drone_env.server.predict import Networks
 from drone_env.server.problems import answers, install
 from drone_env.server.request_log import LogRequests
 from drone_env.server.routes import catalogue, flight, history, openenv, replay
@@ -74,6 +75,9 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None, None]:
         await run_in_threadpool(shared.open)
+        # Seen where uvicorn itself was started; the command has printed it.
+        for line in shared.networks.told():
+            logging.getLogger("uvicorn.error").info("%s", line)
         sweeper = asyncio.create_task(_sweep(shared, socket, live))
         try:
             yield
@@ -198,6 +202,8 @@ def run(host: str, port: int, workers: int, data: str) -> None:
         print(f"drone-env: {name} is not a setting and is ignored; is {meant} meant?", file=sys.stderr)
     url = f"http://{settings.host}:{settings.port}"
     print(f"drone-env {__version__}: {url}, docs at {url}/docs, data in {settings.data}", file=sys.stderr, flush=True)
+    for line in Networks(settings.weights, settings.data).told():
+        print(f"drone-env: {line}", file=sys.stderr, flush=True)
     uvicorn.run(
         "drone_env.server.app:app",
         host=settings.host,

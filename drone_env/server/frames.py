@@ -89,23 +89,23 @@ class Frame(Message):
     done: bool
     outcome: OutcomeName
     q_values: dict[Direction, float] | None = Field(
-        description="The trained network's value of each action from here; null where none is shipped, or at the end."
+        description="The network's value of each action from here: of the one that flies, else of the one that "
+        "/predict asks; null where there is none that can be read, or at the end."
     )
     value: Score | None = Field(default=None, description="The best score that can still be reached; null if not told.")
     regret: float | None = Field(default=None, ge=0, description="Optimum of the map - value.")
 
 
-def frame_of(episode: Episode, networks: Networks) -> Frame:
+def frame_of(episode: Episode, networks: Networks, pilot: str) -> Frame:
     """The frame of an episode as it stands.
 
     Raises:
         EpisodeError: before the first reset.
-        CheckpointError: if the network of the task cannot be read.
     """
     x, y = episode.position
     last = episode.last_step
     observation = episode.observation()
-    q_values = None if episode.ended else networks.q_values(episode.task, observation)
+    q_values = None if episode.ended else networks.q_values(episode.task, observation, pilot)
     return Frame(
         step=episode.steps,
         action=None if last is None else last.action.name,
@@ -134,9 +134,9 @@ def frame_of(episode: Episode, networks: Networks) -> Frame:
     )
 
 
-def frames_of(episode: Episode, actions: Iterable[int], networks: Networks) -> Iterator[Frame]:
+def frames_of(episode: Episode, actions: Iterable[int], networks: Networks, pilot: str) -> Iterator[Frame]:
     """The frames of `actions`, flown from where an episode stands, its own first."""
-    yield frame_of(episode, networks)
+    yield frame_of(episode, networks, pilot)
     for action in actions:
         episode.step(action)
-        yield frame_of(episode, networks)
+        yield frame_of(episode, networks, pilot)

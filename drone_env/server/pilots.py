@@ -5,10 +5,10 @@ from typing import NamedTuple
 from drone_env.agents import make_agent
 from drone_env.agents.base import Agent
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.server.predict import Networks
+from drone_env.server.predict import NETWORK, TRAINED, Networks
 
 HUMAN = "human"
-NETWORK = "pathqnet"
+NETWORKS = (TRAINED, NETWORK)
 
 
 class Pilot(NamedTuple):
@@ -19,7 +19,8 @@ class Pilot(NamedTuple):
 
 
 PILOTS: dict[str, Pilot] = {
-    NETWORK: Pilot("PathQNet", "The trained network: sees the map, takes the action of the highest value."),
+    TRAINED: Pilot("Trained here", "The network that you trained, from the data folder of this server."),
+    NETWORK: Pilot("PathQNet", "The network that is shipped: sees the map, takes the action of the highest value."),
     "greedy": Pilot("Greedy", "Flies to the nearest parcel and looks no further."),
     "optimal": Pilot("Optimal", "Plans a best flight over the whole map and flies it."),
     "random": Pilot("Random", "Takes any action; the floor that everybody must beat."),
@@ -29,7 +30,7 @@ PILOTS: dict[str, Pilot] = {
 
 def tasks_of(pilot: str, networks: Networks) -> list[str]:
     """Ids of the tasks that a pilot can fly."""
-    return [task.id for task in TASKS.values() if pilot != NETWORK or networks.has(task)]
+    return [task.id for task in TASKS.values() if pilot not in NETWORKS or networks.flies(pilot, task)]
 
 
 def agent_of(pilot: str, task: TaskConfig, networks: Networks) -> Agent | None:
@@ -37,9 +38,9 @@ def agent_of(pilot: str, task: TaskConfig, networks: Networks) -> Agent | None:
 
     Raises:
         UnknownNameError: if there is no such pilot.
-        OSError: if there is no network for the task.
+        UnsupportedTaskError: if there is no network for the task.
         CheckpointError: if its file holds none that fits.
     """
     if pilot == HUMAN:
         return None
-    return networks.pilot(task) if pilot == NETWORK else make_agent(pilot, task)
+    return networks.agent(pilot, task) if pilot in NETWORKS else make_agent(pilot, task)

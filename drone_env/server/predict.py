@@ -6,79 +6,132 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents.pathqnet import PathQNetAgent
+from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
 from drone_env.core.actions import Action
 from drone_env.core.observation import write_telemetry
 from drone_env.core.rules import BATTERY, CELL, NOWHERE, STEPS, TARGET, interpreted, row_size, view
 from drone_env.core.state_manager import Observation
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.errors import InvalidValueError
+from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
 from drone_env.models import NAMES, Direction, DroneObservation
 from drone_env.server.problems import RequestError
 from drone_env.server.schemas import ModelInfo, Prediction
 
+NETWORK, TRAINED = "pathqnet", "trained"
+"""The pilots that fly by a network: by the one that is shipped, and by the one that was trained here."""
+
 
 class Networks:
-    """The trained networks in a folder, each loaded when it is first asked; safe to share between threads."""
+    """The networks of the server: for each task the one that is shipped, and the one that was trained here.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self._loaded: dict[TaskConfig, PathQNetAgent] = {}
+    The trained one goes before: it answers `/predict`, and tells what the network thinks on the page. A file that is
+    written anew, as training does, is read anew, so nothing has to be restarted. Safe to share between threads.
+
+    Args:
+        shipped: Folder of the networks that are shipped, `<task id>_v<version>.npz`.
+        trained: The data folder, `<short name>.npz`.
+    """
+
+    def __init__(self, shipped: Path, trained: Path) -> None:
+        self._folders = {NETWORK: shipped, TRAINED: trained}
+        self._read: dict[Path, tuple[object, PathQNetAgent | CheckpointError]] = {}
         self._lock = threading.Lock()
 
     def predict(self, task: TaskConfig, observation: Observation) -> Prediction:
-        """The network's values of the actions.
+        """The values of the actions by the network that goes before.
 
         Raises:
             RequestError: if there is no network for the task.
             CheckpointError: if its file holds none that fits.
         """
-        if not self.has(task):
+        source = self._first(task)
+        if source is None:
             raise RequestError(
                 503,
                 "no_network",
-                f"there is no network for {task.id!r}: {self._file(task).name} is not in the folder of weights. Train "
-                f"one with drone-env train --task {task.short_name}, and copy data/{task.short_name}.npz there under "
-                "that name",
+                f"there is no network for {task.id!r}: neither {self._file(TRAINED, task).name} in the data folder nor "
+                f"{self._file(NETWORK, task).name} in the folder of weights. drone-env train --task {task.short_name} "
+                "trains one; the data folder of the server is where it should leave it (--data)",
             )
-        agent = self._agent(task)
+        agent = self.agent(source, task)
         values = agent.q_values(observation)
         return Prediction(
             action=Action(int(np.argmax(values))).name,
             q_values=_by_action(values),
-            model=ModelInfo(file=self._file(task).name, digest=str(agent.config["network"])),
+            model=ModelInfo(file=self._file(source, task).name, digest=str(agent.config["network"])),
         )
 
-    def has(self, task: TaskConfig) -> bool:
-        """Whether there is a network for a task."""
-        return self._file(task).is_file()
+    def q_values(self, task: TaskConfig, observation: Observation, pilot: str) -> dict[Direction, float] | None:
+        """What the network of a pilot values each action at; for others than networks the one that goes before.
 
-    def q_values(self, task: TaskConfig, observation: Observation) -> dict[Direction, float] | None:
-        """The network's value of each action, None where there is no network for the task.
+        None where there is none, or its file holds none that fits.
+        """
+        source = pilot if pilot in self._folders else self._first(task)
+        if source is None or not self.flies(source, task):
+            return None
+        return _by_action(self.agent(source, task).q_values(observation))
+
+    def flies(self, source: str, task: TaskConfig) -> bool:
+        """Whether there is a network for a task that can be read; `source` is `NETWORK` or `TRAINED`."""
+        return isinstance(self._at(source, task), PathQNetAgent)
+
+    def agent(self, source: str, task: TaskConfig) -> PathQNetAgent:
+        """What flies by the network of a task. It keeps nothing of a flight, so all may share it.
 
         Raises:
-            CheckpointError: if its file holds none that fits.
+            UnsupportedTaskError: if there is none.
+            CheckpointError: if its file holds none that fits; the message names it.
         """
-        return _by_action(self._agent(task).q_values(observation)) if self.has(task) else None
+        found = self._at(source, task)
+        if found is None:
+            raise UnsupportedTaskError(f"there is no network for {task.id!r}: {self._file(source, task)} is not there")
+        if isinstance(found, CheckpointError):
+            raise CheckpointError(str(found))
+        return found
 
-    def pilot(self, task: TaskConfig) -> PathQNetAgent:
-        """A new agent that flies by the network of a task.
+    def told(self) -> list[str]:
+        """Which network flies which task, in lines for whoever starts the server; files that are refused, by name."""
+        lines: list[str] = []
+        for task in TASKS.values():
+            parts: list[str] = []
+            for source, what in ((TRAINED, "trained here"), (NETWORK, "shipped")):
+                found = self._at(source, task)
+                if isinstance(found, CheckpointError):
+                    parts.append(f"refused: {found}")
+                elif found is not None:
+                    parts.append(f"flown by {self._file(source, task)} ({what}, pilot {source!r})")
+            if parts:
+                lines.append(f"{task.short_name}: {'; '.join(parts)}")
+        return lines
 
-        Raises:
-            OSError: if there is none.
-            CheckpointError: if its file holds none that fits.
-        """
-        return PathQNetAgent(task, self._file(task))
+    def _first(self, task: TaskConfig) -> str | None:
+        return next((source for source in (TRAINED, NETWORK) if self._at(source, task) is not None), None)
 
-    def _file(self, task: TaskConfig) -> Path:
-        return self.folder / f"{task.id}_v{task.version}.npz"
+    def _file(self, source: str, task: TaskConfig) -> Path:
+        name = f"{task.short_name}.npz" if source == TRAINED else shipped_network(task).name
+        return self._folders[source] / name
 
-    def _agent(self, task: TaskConfig) -> PathQNetAgent:
+    def _at(self, source: str, task: TaskConfig) -> PathQNetAgent | CheckpointError | None:
+        """What flies by a file as it is now; what is wrong with it; None where there is none."""
+        file = self._file(source, task)
+        try:
+            status = file.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            return CheckpointError(f"{file} cannot be read: {error}")
+        now = (status.st_ino, status.st_size, status.st_mtime_ns)
         with self._lock:
-            agent = self._loaded.get(task)
-            if agent is None:
-                agent = self._loaded[task] = self.pilot(task)
-            return agent
+            read = self._read.get(file)
+            if read is None or read[0] != now:
+                try:
+                    found = PathQNetAgent(task, file)
+                except CheckpointError as error:
+                    found = error
+                except OSError as error:
+                    found = CheckpointError(f"{file} cannot be read: {error}")
+                read = self._read[file] = (now, found)
+            return read[1]
 
 
 def _by_action(values: npt.NDArray[np.float32]) -> dict[Direction, float]:

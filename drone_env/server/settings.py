@@ -26,7 +26,10 @@ class Settings(BaseSettings):
     port: int = Field(default=8000, ge=0, le=65535, description="Port to listen on.")
     workers: int = Field(default=1, ge=1, le=64, description="Processes that serve.")
     data: Path = Field(default=Path("data"), description="Folder of all that is kept: episodes, sessions, logs.")
-    weights: Path = Field(default=WEIGHTS, description="Folder of the networks that `/predict` asks.")
+    weights: Path = Field(
+        default=WEIGHTS,
+        description="Folder of the networks that are shipped; one trained into the data folder goes before.",
+    )
     capacity: int = Field(
         default=256, ge=1, le=100_000, description="Open HTTP sessions in all, and open WebSocket sessions per process."
     )

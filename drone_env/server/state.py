@@ -45,7 +45,7 @@ class Shared:
         self.settings = settings
         self._clock = clock
         self.requests = RequestLog()
-        self.networks = Networks(settings.weights)
+        self.networks = Networks(settings.weights, settings.data)
         self._sessions: Sessions | None = None
         self._studies: anyio.CapacityLimiter | None = None
         self._warm: set[TaskConfig] = set()

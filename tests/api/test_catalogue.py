@@ -22,7 +22,7 @@ from drone_env.server.routes.history import LINES
 from drone_env.server.schemas import Prediction
 from drone_env.server.settings import Settings
 from drone_env.server.train_log import TrainLog
-from tests.api.networks import put_network
+from tests.api.networks import put_network, put_trained
 from tests.tools import reserved_port
 
 Header = dict[str, str]
@@ -119,6 +119,41 @@ class TestPredictions:
         session = {"X-Session-Id": client.post("/reset", json={"task_name": "hard"}).json()["session_id"]}
         answer = client.post("/predict", headers=session)
         assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
+
+    def test_what_was_trained_here_goes_before_what_is_shipped(
+        self, client: TestClient, settings: dict[str, Any], session: Header
+    ) -> None:
+        """Also what is trained while the server runs, and trained again."""
+
+        def told() -> tuple[str, str, list[float]]:
+            prediction = client.post("/predict", headers=session).json()
+            return prediction["model"]["file"], prediction["model"]["digest"], list(prediction["q_values"].values())
+
+        def pilots() -> dict[str, list[str]]:
+            return {pilot["id"]: pilot["tasks"] for pilot in client.get("/pilots").json()["pilots"]}
+
+        shipped = told()
+        assert shipped[0] == "easy_delivery_v1.npz"
+        assert "trained" not in pilots()
+        for times in (-1, -2):
+            file = put_trained(get_task("easy"), settings["data"], times)
+            digest = PathQNetAgent(get_task("easy"), file).config["network"]
+            assert told() == ("easy.npz", digest, pytest.approx([times * value for value in shipped[2]]))
+        assert pilots()["trained"] == ["easy_delivery"]
+        assert pilots()["pathqnet"] == ["easy_delivery", "skyline_easy"]
+        file.unlink()
+        assert told() == shipped
+
+    def test_a_broken_file_is_refused_by_name_and_nothing_flies_in_its_stead(
+        self, client: TestClient, settings: dict[str, Any], session: Header
+    ) -> None:
+        (settings["data"] / "easy.npz").write_bytes(b"nothing")
+        answer = client.post("/predict", headers=session)
+        assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
+        assert "easy.npz is not an exported network" in answer.json()["detail"]
+        assert {pilot["id"] for pilot in client.get("/pilots").json()["pilots"]} == {
+            "pathqnet", "greedy", "optimal", "random", "human",
+        }  # fmt: skip
 
     def test_after_the_end_there_is_nothing_to_predict(self, client: TestClient, session: Header) -> None:
         observation: dict[str, Any] = {"done": False}

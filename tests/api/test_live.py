@@ -1,6 +1,7 @@
 """The WebSocket of the page: missions that fly by themselves or by hand, and come back after a loss."""
 
 import base64
+import itertools
 import json
 import threading
 import time
@@ -23,6 +24,7 @@ from drone_env.server.app import create_app
 from drone_env.server.live.commands import MOST_MISSIONS
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
+from tests.api.networks import put_trained
 
 Message = dict[str, Any]
 
@@ -99,6 +101,45 @@ def test_a_race_is_what_the_agents_fly(client: TestClient, task: str) -> None:
         pilot: frames[number][-1]["score"] for number, pilot in enumerate(pilots)
     }
     assert stored["optimal"]["regret"] == 0
+
+
+def test_the_network_that_was_trained_here_flies_beside_the_shipped_one(
+    client: TestClient, settings: dict[str, Any]
+) -> None:
+    file = put_trained(get_task("easy"), settings["data"])
+    pilots = {"trained": f"pathqnet:{file}", "pathqnet": "pathqnet"}
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start(*pilots)
+        page.send("play", speed=60)
+        frames = page.flight()
+    for number, agent in enumerate(pilots.values()):
+        episode = flown("easy", 7, agent)
+        assert names(frames[number]) == [Action(action).name for action in episode.actions]
+        # Each is shown with what its own network thinks.
+        for frame, following in itertools.pairwise(frames[number]):
+            assert following["action"] == max(frame["q_values"], key=frame["q_values"].get)
+    assert names(frames[0]) != names(frames[1])
+
+
+def test_a_broken_network_grounds_its_own_pilot_alone(client: TestClient, settings: dict[str, Any]) -> None:
+    (settings["data"] / "easy.npz").write_bytes(b"nothing")
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.send("start", task="easy", seed=7, pilots=["greedy", "trained"])
+        told = json.loads(socket.receive_text())
+        assert (told["type"], told["code"]) == ("error", "no_network")
+        assert "easy.npz is not an exported network" in told["detail"]
+        shipped, greedy = page.start("pathqnet", "greedy")
+        assert shipped["frames"][0]["q_values"] is not None
+        assert greedy["frames"][0]["q_values"] is None
+        page.send("step")
+        assert [moved["mission"] for moved in page.until("frames")["frames"]] == [0, 1]
+        page.send("start", task="medium", seed=7, pilots=["trained"])
+        told = json.loads(socket.receive_text())
+        assert (told["type"], told["code"]) == ("error", "unsupported")
+        assert "there is no network for 'medium_delivery'" in told["detail"]
+    assert client.get("/health").status_code == 200
 
 
 def test_a_frame_shows_what_the_observation_says(client: TestClient) -> None:

@@ -14,9 +14,11 @@ import pytest
 
 from drone_env import client
 from drone_env.cli import main as command_line
+from drone_env.core.tasks import get_task
 from drone_env.episodes.schema import MIGRATIONS
 from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.server import app
+from tests.api.networks import put_trained
 from tests.api.serving import ROOT, Server, serving
 from tests.tools import find_uv, reserved_port
 
@@ -69,6 +71,8 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
     if first == "uv":
         # In the environment of the tests, as it is: what `uv run` would install is there.
         rest = ["-c", RUN_UV, find_uv(), sys.prefix, *rest]
+    put_trained(get_task("medium"), tmp_path / "data")
+    (tmp_path / "data/easy.npz").write_bytes(b"nothing")
     with serving(tmp_path / "data", tuple(rest)) as server:
         with httpx.Client(base_url=server.url, timeout=60) as http:
             assert http.get("/health").json()["status"] == "healthy"
@@ -78,6 +82,14 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
             assert http.post("/reset", json={"seed": 14}).status_code == 200
             http.cookies.clear()
             assert http.get("/state").status_code == (409 if public else 200), "callers who name no session"
+        # Which network flies which task, the trained one before the shipped, and which file is none.
+        told = server.log.read_text()
+        for line in (
+            rf"easy: refused: {tmp_path}/data/easy.npz is not .*; flown by .*easy_delivery_v1.npz \(shipped",
+            rf"medium: flown by {tmp_path}/data/medium.npz \(trained here.*; flown by .*medium_delivery_v1.npz",
+            r"hard: flown by .*hard_delivery_v1.npz \(shipped, pilot 'pathqnet'\)",
+        ):
+            assert len(re.findall(line, told)) == 1, told
         server.process.send_signal(asked)
         assert server.process.wait(timeout=60) == status
         assert "Traceback" not in server.log.read_text()

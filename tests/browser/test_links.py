@@ -7,6 +7,8 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
+from drone_env.core.tasks import get_task
+from tests.api.networks import put_trained
 from tests.api.serving import Server
 from tests.browser.stage import fly, results, view
 from tests.browser.tabs import Tabs
@@ -43,6 +45,25 @@ def test_a_link_to_a_view_that_is_none_opens_watch(page: Page) -> None:
         expect(page).to_have_title("Technical specifications · Drone Delivery")
         page.evaluate("name => { location.hash = name; }", name)
         expect(page).not_to_have_title("Technical specifications · Drone Delivery")
+
+
+@pytest.mark.feature("L7")
+def test_where_no_pilot_is_named_the_network_that_was_trained_here_flies(page: Page, server: Server) -> None:
+    file = put_trained(get_task("easy"), server.data)
+    try:
+        page.goto("/")
+        expect(page.get_by_role("radio", name="Trained here")).to_be_checked()
+        expect(page).to_have_url(re.compile("pilot=trained"))
+        expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
+        # What it cannot fly, the shipped one does.
+        page.get_by_role("radio", name="Medium", exact=True).check()
+        expect(page.get_by_role("radio", name="PathQNet")).to_be_checked()
+        expect(page.get_by_role("radio", name="Trained here")).to_be_disabled()
+    finally:
+        file.unlink()
+    page.goto("/")
+    expect(page.get_by_role("radio", name="PathQNet")).to_be_checked()
+    expect(page.get_by_role("radio", name="Trained here")).to_have_count(0)
 
 
 @pytest.mark.parametrize("link", ["/?episode=#constructor", "/?pilots=,,#nothing"])

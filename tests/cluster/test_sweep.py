@@ -1,5 +1,6 @@
 """Sweeps: what is tried, what is stopped, and that nothing is lost or done twice, whatever is killed."""
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from drone_env.cluster.sweep.report import sweep_report, write_report
 from drone_env.cluster.sweep.settings import settings_of
 from drone_env.cluster.sweep.trial import train_trial
 from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.rl.config import TrainConfig
 
 SMALL = (
     "num_envs=8", "batch_size=16", "replay_size=400", "learning_starts=50", "steps_per_update=8", "validation_every=10",
@@ -197,3 +199,20 @@ def test_a_folder_keeps_to_its_sweep(tmp_path: Path) -> None:
     (tmp_path / "other" / "letter.txt").write_text("dear")
     with pytest.raises(InvalidValueError, match="holds other things"):
         SweepFolder(tmp_path / "other").begin(sweep_of())
+
+
+def test_the_command_of_a_trial_trains_by_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few episodes change the defaults of `train.py`, not what a trial was trained by."""
+    asked: list[TrainConfig] = []
+
+    def stop(config: TrainConfig, *_: object) -> None:
+        asked.append(config)
+        raise InvalidValueError("seen")
+
+    monkeypatch.setattr("drone_env.commands.train._run", stop)
+    changed = [{"episodes": 80}, {"episodes": 80, "num_envs": 4}, {"episodes": 5000}, {"tau": 0.5}]
+    config = make_config("easy", "fast", changed, 1, 1, False, 20)
+    for trial in config.trials():
+        assert main(["train", *shlex.split(config.command(trial))[2:]]) == 2
+        assert asked[-1].identity() == config.training(trial).identity()
+        assert asked[-1].episodes == config.training(trial).episodes

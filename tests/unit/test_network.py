@@ -1,7 +1,14 @@
 """PathQNet: its layers, the same in PyTorch and in NumPy, the agent that flies by it, and the shipped networks."""
 
+import io
+import json
 import os
+import struct
+import tracemalloc
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +16,7 @@ import torch
 from fastapi.testclient import TestClient
 
 from drone_env.agents import make_agent
-from drone_env.agents.network import load_network, pooling
+from drone_env.agents.network import LARGEST, MOST_BYTES, load_network, pooling
 from drone_env.agents.pathqnet import CHUNK, PathQNetAgent, shipped_network
 from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
@@ -185,3 +192,123 @@ def test_a_network_that_does_not_fit_is_refused(tmp_path: Path) -> None:
         make_agent(f"pathqnet:{tmp_path / 'gone.npz'}", "easy")
     with pytest.raises(UnsupportedTaskError, match="no network is shipped"):
         make_agent("pathqnet", "skyline_hard")
+
+
+# Files that are no networks
+
+
+@pytest.fixture
+def parts(tmp_path: Path) -> dict[str, bytes]:
+    """The entries of an exported network."""
+    export_network(PathQNet(), tmp_path / "whole.npz", {"telemetry_size": 5})
+    with zipfile.ZipFile(tmp_path / "whole.npz") as archive:
+        return {entry.filename: archive.read(entry) for entry in archive.infolist()}
+
+
+def packed(parts: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytearray:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", compression) as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content)
+    return bytearray(file.getvalue())
+
+
+def array(value: Any) -> bytes:
+    file = io.BytesIO()
+    np.save(file, np.asarray(value), allow_pickle=True)
+    return file.getvalue()
+
+
+def header(text: str) -> bytes:
+    """An array without values whose header is this text."""
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text.encode()
+
+
+def claims(shape: str, descr: str = "'<f4'") -> bytes:
+    return header(f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n")
+
+
+def encrypted(parts: dict[str, bytes]) -> bytearray:
+    content = packed(parts)
+    for signature, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        found = content.find(signature)
+        while found >= 0:
+            content[found + offset] |= 1
+            found = content.find(signature, found + 4)
+    return content
+
+
+def lying_bomb(parts: dict[str, bytes]) -> bytearray:
+    """30 MB of zeros in an entry that says it has as many as it should."""
+    told = len(parts["head.3.weight.npy"])
+    content = packed({**parts, "head.3.weight.npy": parts["head.3.weight.npy"] + bytes(30_000_000)})
+    real = struct.pack("<I", told + 30_000_000)
+    assert content.count(real) == 2
+    return content.replace(real, struct.pack("<I", told))
+
+
+FIRST, METADATA = "head.0.weight.npy", "metadata.npy"
+HOSTILE: dict[str, tuple[Callable[[dict[str, bytes]], bytes], str]] = {
+    "a bomb": (lambda parts: packed({**parts, FIRST: bytes(30_000_000)}), "unpacked it would have 30"),
+    "a bomb that lies": (lying_bomb, ""),
+    "too large": (lambda parts: bytes(MOST_BYTES + 1), f"more than {MOST_BYTES} bytes"),
+    "cut short": (lambda parts: packed(parts)[:-30], "not a zip file"),
+    "encrypted": (encrypted, "encrypted"),
+    "packed otherwise": (lambda parts: packed(parts, zipfile.ZIP_LZMA), "packed in a way"),
+    "an entry is missing": (lambda parts: packed({FIRST: parts[FIRST]}), "does not hold the parameters"),
+    "an entry too many": (lambda parts: packed({**parts, "more.npy": b""}), "and nothing else"),
+    "more than there is": (lambda parts: packed({**parts, FIRST: claims(f"({10**15},)")}), "has 0"),
+    "nested header": (lambda parts: packed({**parts, FIRST: header("-" * 9000 + "1\n")}), ""),
+    "no array": (lambda parts: packed({**parts, FIRST: b"nothing"}), ""),
+    "objects": (lambda parts: packed({**parts, FIRST: array([print])}), ""),
+    "another shape": (lambda parts: packed({**parts, FIRST: array(np.zeros((128, 70), np.float32))}),
+                      r"head.0.weight is float32\[128, 70\] instead of float32\[128, 69\]"),
+    "whole numbers": (lambda parts: packed({**parts, FIRST: array(np.zeros((128, 69), np.int32))}), "is int32"),
+    "no number": (lambda parts: packed({**parts, "head.7.bias.npy": array(np.float32([0, 0, np.nan, 0, 0]))}),
+                  "head.7.bias has values that are no numbers"),
+    "overflow": (lambda parts: packed({**parts, "head.7.bias.npy": array(np.full(5, 2 * LARGEST, np.float32))}),
+                 "beyond 100"),
+    "metadata of a list": (lambda parts: packed({**parts, METADATA: array(json.dumps([5]))}), "no JSON object"),
+    "metadata of numbers": (lambda parts: packed({**parts, METADATA: array(5)}), "no text"),
+    "nested metadata": (lambda parts: packed({**parts, METADATA: array("[" * 50_000)}), ""),
+    "metadata without a size": (lambda parts: packed({**parts, METADATA: array("{}")}), "telemetry_size"),
+    "a size that is none": (lambda parts: packed({**parts, METADATA: array('{"telemetry_size": [5]}')}),
+                            "telemetry_size"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_file_is_refused_by_name_and_in_bounded_memory(
+    name: str, tmp_path: Path, parts: dict[str, bytes]
+) -> None:
+    make, why = HOSTILE[name]
+    path = tmp_path / "hostile.npz"
+    path.write_bytes(make(parts))
+    load_network(tmp_path / "whole.npz")
+    tracemalloc.start()
+    try:
+        with pytest.raises(CheckpointError, match=rf"hostile\.npz is not an exported network.*: .*{why}"):
+            load_network(path)
+        assert tracemalloc.get_traced_memory()[1] < 8_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_what_is_no_file_is_refused_without_waiting_for_it(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "net.npz")
+    with pytest.raises(CheckpointError, match="it is no file"):
+        load_network(tmp_path / "net.npz")
+
+
+def test_the_largest_weights_that_are_taken_do_not_overflow(tmp_path: Path, parts: dict[str, bytes]) -> None:
+    rng = np.random.default_rng(0)
+    for sign in (np.ones_like, lambda shape: rng.choice(np.float32([-1, 1]), shape.shape)):
+        large = {
+            name: array(np.float32(LARGEST) * sign(np.load(io.BytesIO(content))))
+            for name, content in parts.items()
+            if name != METADATA
+        }
+        (tmp_path / "large.npz").write_bytes(packed({**large, METADATA: parts[METADATA]}))
+        network = load_network(tmp_path / "large.npz")
+        grids = rng.integers(0, N_CELL_KINDS, (8, 18, 18), dtype=np.uint8)
+        assert np.isfinite(network(grids, np.ones((8, 5), np.float32))).all()

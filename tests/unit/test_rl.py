@@ -113,7 +113,8 @@ def test_the_original_preset_is_the_originals() -> None:
         1e-4,
         10_000,
     )
-    assert (ORIGINAL.target_update, ORIGINAL.target_every, ORIGINAL.checkpoint_episodes) == ("episodes", 10, 50)
+    assert (ORIGINAL.target_update, ORIGINAL.target_every) == ("episodes", 10)
+    assert (ORIGINAL.checkpoint_episodes, ORIGINAL.checkpoint_seconds) == (50, 0)
     assert (ORIGINAL.epsilon_start, ORIGINAL.epsilon_end, ORIGINAL.epsilon_factor) == (1.0, 0.05, 0.995)
     assert ORIGINAL.exploration == "multiplicative"
     assert (ORIGINAL.double, ORIGINAL.advantage_learning, ORIGINAL.max_grad_norm) == (False, 0, 0)
@@ -125,6 +126,23 @@ def test_every_task_has_both_presets(task: str) -> None:
     assert preset("original", task) == replace(ORIGINAL, task=task)
     assert set(FAST) <= set(TASKS)
     assert preset("fast", task) == replace(FAST.get(task, FAST["hard_delivery"]), task=task)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_few_episodes_are_flown_on_few_places(task: str) -> None:
+    """So that each place flies many, one after the other, and chance has gone before the last."""
+    usual = preset("fast", task)
+    for episodes in (1, 15, 60, 200, 500, usual.episodes - 1):
+        few = preset("fast", task, episodes)
+        assert few.episodes == episodes
+        assert few.num_envs == 1 or few.num_envs * 16 <= episodes < few.num_envs * 32
+        assert few.learning_starts <= few.num_envs * get_task(task).max_steps
+        assert few.epsilon_steps <= episodes * get_task(task).max_steps
+    for episodes in (usual.episodes, usual.episodes + 1):
+        assert preset("fast", task, episodes) == replace(usual, episodes=episodes)
+    assert preset("original", task, 7) == replace(ORIGINAL, task=task, episodes=7)
+    with pytest.raises(InvalidValueError, match="episodes must be above 0"):
+        preset("fast", task, 0)
 
 
 @pytest.mark.parametrize(

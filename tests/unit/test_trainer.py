@@ -24,37 +24,54 @@ from drone_env.rl.validation import Validation, Validator
 from tests.unit.small_training import SMALL, assert_same, do_nothing
 
 
+class Landed(NamedTuple):
+    """An episode that was seen to its end."""
+
+    started: tuple[int, int]
+    """The step before which it started, and its place."""
+    ended: int
+    """The step that ended it."""
+    reward: float
+    """Undiscounted, added up from the batch."""
+    score: float
+    steps: int
+    deliveries: int
+
+
 class Flown(NamedTuple):
     """One whole run of `SMALL`, with what was seen beside it."""
 
     trainer: Trainer
     seeds: set[int]
     """All maps that were flown."""
-    returns: list[float]
-    """Undiscounted rewards of the episodes, added up from the batch, in the order in which they ended."""
-    finals: list[tuple[float, int, int]]
-    """Score, steps and deliveries of the same."""
+    landed: list[Landed]
+    """In the order in which they ended."""
+    told: list[int]
+    """How many had ended at each line of the log."""
 
 
 @pytest.fixture(scope="module")
 def whole() -> Flown:
     trainer = Trainer(SMALL)
     flown = Flown(trainer, set(trainer.batch.seeds.tolist()), [], [])
-    paid = np.zeros(SMALL.num_envs)
+    paid, started, step = np.zeros(SMALL.num_envs), [0] * SMALL.num_envs, 0
+    fly = trainer.fly
 
-    def after_step() -> None:
-        batch = trainer.batch
+    def flying() -> None:
+        nonlocal step
+        fly()
+        batch, step = trainer.batch, step + 1
         paid[:] += batch.rewards
         finals = batch.finals()
         for k, i in enumerate(batch.ended.tolist()):
-            flown.returns.append(float(paid[i]))
-            flown.finals.append(
-                (float(finals["score"][k]), int(finals["steps"][k]), int(finals["deliveries"][k])),
-            )
-            paid[i] = 0
+            came = float(finals["score"][k]), int(finals["steps"][k]), int(finals["deliveries"][k])
+            flown.landed.append(Landed((started[i], i), step, float(paid[i]), *came))
+            paid[i], started[i] = 0, step
         flown.seeds.update(batch.seeds.tolist())
 
-    trainer.train(do_nothing, after_step)
+    trainer.fly = flying  # type: ignore[method-assign]
+    trainer.train(lambda _: flown.told.append(step), do_nothing)
+    trainer.fly = fly  # type: ignore[method-assign]
     return flown
 
 
@@ -244,13 +261,24 @@ def test_training_learns() -> None:
 def test_its_figures_are_those_of_its_flights(whole: Flown) -> None:
     history = whole.trainer.history
     assert [line.episode for line in history] == list(range(5, 41, 5))
-    for k, line in enumerate(history):
-        scores, steps, deliveries = zip(*whole.finals[5 * k : 5 * k + 5], strict=True)
-        assert line.reward == pytest.approx(np.mean(whole.returns[5 * k : 5 * k + 5]))
-        assert line.score == pytest.approx(np.mean(scores))
-        assert line.length == pytest.approx(np.mean(steps))
-        assert line.success == pytest.approx(np.mean([number == 1 for number in deliveries]))
+    before = 0
+    for line, step in zip(history, whole.told, strict=True):
+        # Of all that have ended when it is told (of those of the last step only up to this number) ...
+        ended = [landed for landed in whole.landed if landed.ended <= step][: line.episode]
+        flying = {(s, i) for s, i in starts(whole, step)} - {landed.started for landed in ended}
+        # ... those that started before every one that still flies.
+        of_age = sorted(landed for landed in ended if landed.started < min(flying))
+        told = of_age[-max(len(of_age) - before, 5) :]
+        before = len(of_age)
+        if not told:
+            assert np.isnan([line.reward, line.score, line.success, line.length]).all()
+            continue
+        assert line.reward == pytest.approx(np.mean([landed.reward for landed in told]))
+        assert line.score == pytest.approx(np.mean([landed.score for landed in told]))
+        assert line.length == pytest.approx(np.mean([landed.steps for landed in told]))
+        assert line.success == pytest.approx(np.mean([landed.deliveries == 1 for landed in told]))
         assert line.validation_optimum == whole.trainer.validator.optimum
+    assert before > 20
     assert [line.steps for line in history] == sorted(line.steps for line in history)
     assert history[-1].steps == whole.trainer.steps
     assert history[-1].updates == whole.trainer.updates > 0
@@ -260,23 +288,38 @@ def test_its_figures_are_those_of_its_flights(whole: Flown) -> None:
     assert history[-1].validation == whole.trainer.validation.score
 
 
+def starts(whole: Flown, step: int) -> set[tuple[int, int]]:
+    """All episodes that had started when a step was over."""
+    return {(0, i) for i in range(SMALL.num_envs)} | {
+        (landed.ended, landed.started[1]) for landed in whole.landed if landed.ended <= step
+    }
+
+
+def test_short_flights_are_not_told_before_the_long_ones_of_their_age() -> None:
+    """Those that end first went well: told as they end, a run seems to unlearn from its first line on."""
+    config = replace(SMALL, num_envs=64, episodes=128, log_every=16, replay_size=4000, epsilon_end=1.0)
+    trainer = Trainer(replace(config, learning_starts=10**6))  # all by chance, from first to last
+    trainer.train(do_nothing, do_nothing)
+    told = [line for line in trainer.history if not np.isnan(line.score)]
+    assert len(told) > 3
+    assert all(line.success < 0.7 and line.length > 35 for line in told), told
+
+
 def test_the_last_line_is_logged_and_judged_wherever_it_falls() -> None:
     trainer = Trainer(replace(SMALL, episodes=12))
     trainer.train(do_nothing, do_nothing)
     assert [line.episode for line in trainer.history] == [5, 10, 12]
     assert trainer.validated_updates == trainer.updates
-    assert trainer.losses == trainer.window == []
+    assert (trainer.losses, trainer.untold) == ([], 0)
 
 
 def test_losses_are_the_mean_since_the_line_before() -> None:
     trainer = Trainer(SMALL)
-    trainer.window, trainer.losses = [(1.0, 0.5, True, 10), (2.0, 0.7, False, 20)], [1.0, 3.0]
-    first = trainer.log()
-    assert (first.loss, first.reward, first.score, first.success, first.length) == (2.0, 1.5, 0.6, 0.5, 15.0)
-    trainer.window = [(4.0, 0.1, False, 60)]
-    second = trainer.log()
-    assert (np.isnan(second.loss), second.reward) == (True, 4.0)
-    assert trainer.history == [first, second]
+    assert np.isnan(trainer.log().loss)
+    trainer.losses = [1.0, 3.0]
+    assert [trainer.log().loss for _ in range(2)] == [2.0, 2.0]  # no update between them: still the last that is known
+    trainer.losses = [5.0]
+    assert trainer.log().loss == 5.0
 
 
 def test_a_validation_is_what_evaluation_says_of_the_same_maps(whole: Flown, tmp_path: Path) -> None:
@@ -357,6 +400,25 @@ def test_a_resumed_run_is_the_uninterrupted_one_bit_for_bit(task: str, tmp_path:
             resumed.set_state(load_checkpoint(tmp_path / "run.pth"))
     assert stops > 2
     assert_same(uninterrupted.get_state(), resumed.get_state())
+
+
+def test_one_that_is_asked_for_more_later_is_the_same_from_then_on(whole: Flown) -> None:
+    """Also where several episodes end in the step that ends the first part."""
+    steps = [landed.ended for landed in whole.landed]
+    part = next(n for n in range(1, SMALL.episodes) if steps[n - 1] == steps[n])
+    config = replace(SMALL, final_learning_rate=SMALL.learning_rate, episodes=part + 12)
+    once, twice = Trainer(config), Trainer(replace(config, episodes=part))
+    once.train(do_nothing, do_nothing)
+    twice.train(do_nothing, do_nothing)
+    assert twice.episodes == part
+    state, twice = twice.get_state(), Trainer(config)
+    twice.set_state(state)
+    twice.train(do_nothing, do_nothing)
+    # But for the validation and the line of the log that end the first part.
+    same = ("online", "optimizer", "replay", "batch", "rng", "rewards", "numbers", "ended", "early")
+    for name in same:
+        assert_same(once.get_state()[name], twice.get_state()[name])
+    assert (once.steps, once.updates, once.episodes) == (twice.steps, twice.updates, twice.episodes)
 
 
 def test_equal_seeds_make_equal_runs_and_others_do_not(whole: Flown) -> None:

@@ -17,14 +17,17 @@ from pathlib import Path
 
 import pytest
 import torch
+from fastapi.testclient import TestClient
 
 from drone_env.agents.network import load_network
 from drone_env.cli import main
 from drone_env.errors import CheckpointError
 from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
-from drone_env.rl.config import ORIGINAL, TrainConfig
+from drone_env.rl.config import ORIGINAL, TrainConfig, preset
 from drone_env.rl.run import Run, log_line
 from drone_env.rl.trainer import Progress, Trainer
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
 from tests.unit.small_training import SMALL, assert_same, do_nothing
 
 ROOT = Path(__file__).parents[2]
@@ -56,8 +59,14 @@ def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> 
     with pytest.raises(CheckpointError, match="not a checkpoint of this project"):
         load_checkpoint(path)
     save_checkpoint(path, {"version": 99})
-    with pytest.raises(CheckpointError, match="version 99; this program reads version 1"):
+    with pytest.raises(CheckpointError, match="version 99; this program reads version 2"):
         load_checkpoint(path)
+    torch.save({"format": "drone_env/checkpoint"}, path)
+    with pytest.raises(CheckpointError, match="does not say its version"):
+        load_checkpoint(path)
+    save_checkpoint(path, {"config": SMALL.identity()})
+    with pytest.raises(CheckpointError, match=r"easy\.pth lacks 'online'; --fresh"):
+        Run(SMALL, tmp_path, tmp_path / "results")
     assert [file.name for file in tmp_path.iterdir()] == ["easy.pth"]
 
 
@@ -95,19 +104,46 @@ def saved_at(run: Run) -> list[tuple[int, int]]:
     return kept
 
 
+@pytest.mark.feature("L5")
 @pytest.mark.usefixtures("no_curves")
-def test_a_checkpoint_is_saved_every_so_many_episodes(tmp_path: Path) -> None:
-    run = Run(replace(SMALL, num_envs=1, checkpoint_episodes=15, learning_starts=10_000), tmp_path, tmp_path / "r")
-    assert [episodes for _, episodes in saved_at(run)] == [15, 30, 40]
+def test_checkpoints_are_so_many_episodes_and_seconds_apart_but_for_the_first(tmp_path: Path) -> None:
+    config = replace(SMALL, num_envs=1, learning_starts=10_000, episodes=20)
+
+    def saved(episodes: int, seconds: float) -> list[tuple[int, int]]:
+        place = tmp_path / f"{episodes} {seconds}"
+        config_here = replace(config, checkpoint_episodes=episodes, checkpoint_seconds=seconds)
+        runs: list[Run] = []
+        runs.append(Run(config_here, place, place, clock=lambda: runs[0].trainer.steps if runs else 0))
+        return saved_at(runs[0])
+
+    steps = sorted(set(saved(0, 0)))
+    assert [flown for flown, _ in steps] == list(range(1, steps[-1][0] + 1))
+    for episodes, seconds in ((6, 0), (2, 300)):
+        expected: list[tuple[int, int]] = []
+        for flown, ended in steps:
+            late = not expected or flown - expected[-1][0] >= seconds
+            if late and ended - (expected[-1][1] if expected else 0) >= episodes:
+                expected.append((flown, ended))
+        assert len(expected) > 1
+        assert saved(episodes, seconds) == [*expected, steps[-1]]
 
 
-@pytest.mark.usefixtures("no_curves")
-def test_or_by_time(tmp_path: Path) -> None:
-    config = replace(SMALL, episodes=3, learning_starts=10_000)
-    run = Run(replace(config, checkpoint_seconds=1e-9), tmp_path, tmp_path / "r")
-    assert [steps for steps, _ in saved_at(run)] == [*range(8, run.trainer.steps + 1, 8), run.trainer.steps]
-    run = Run(replace(config, checkpoint_seconds=3600), tmp_path, tmp_path / "r")
-    assert [steps for steps, _ in saved_at(run)] == [run.trainer.steps]
+class Killed(Exception):  # noqa: N818
+    """What ends a run here, without its saving anything."""
+
+
+@pytest.mark.feature("L5")
+def test_what_the_log_has_told_is_not_lost_by_a_kill(tmp_path: Path) -> None:
+    """The settings are those of `train.py --episodes 500`, but for what takes long."""
+    config = replace(preset("fast", "easy", 500), validation_maps=5, validation_every=500, steps_per_update=1e9)
+
+    def kill(line: Progress) -> None:
+        if line.episode >= 60:
+            raise Killed
+
+    with pytest.raises(Killed):
+        Run(config, tmp_path, tmp_path / "results").train(kill)
+    assert Run(config, tmp_path, tmp_path / "results").trainer.episodes >= 50
 
 
 # The command
@@ -151,12 +187,47 @@ def test_the_command_trains_and_leaves_what_it_says(
                  "--episodes", "20", "--json", "-"]) == 0  # fmt: skip
     figures = json.loads(capsys.readouterr().out)["tasks"]["easy_delivery"]["agents"]["pathqnet:data/easy.npz"]
     assert 0.01 <= figures["mean_score"] <= 0.99
+    # A server in the same folder answers from it.
+    with TestClient(create_app(Settings(data=tmp_path / "data"))) as http:
+        http.post("/reset", json={"seed": 7})
+        model = http.post("/predict").json()["model"]
+    assert (model["file"], model["digest"]) == ("easy.npz", network.digest)
     # There is nothing left to do, until more is asked for.
     assert main(TRAIN) == 0
     assert "has 40 episodes already" in capsys.readouterr().err
+    written = (tmp_path / "data/easy.pth").read_bytes()
+    assert main(["train", "--episodes", "20"]) == 0
+    told = capsys.readouterr().err
+    assert "easy.pth has 40 episodes already, and 20 were asked for: nothing to do. --episodes 80 goes on" in told
+    assert "--fresh starts anew" in told
+    assert (tmp_path / "data/easy.pth").read_bytes() == written
     assert main([*TRAIN, "--episodes", "50"]) == 0
     assert "going on from data/easy.pth: 40 of 50 episodes" in " ".join(capsys.readouterr().err.split())
     assert len((tmp_path / "data/train.log").read_text().splitlines()) == 10
+    # What is not said is as it was at first, not as it would be for that many episodes.
+    assert main(["train", "--episodes", "55"]) == 0
+    assert load_checkpoint(tmp_path / "data/easy.pth")["config"] == state["config"]
+    assert main(["train", "--episodes", "60", "--gamma", "0.9"]) == 2
+    assert "gamma 0.99 (now 0.9); --fresh" in capsys.readouterr().err
+    assert main(["train", "--episodes", "60", "--preset", "original"]) == 2
+    assert "num_envs 8 (now 1)" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("no_curves")
+def test_all_tasks_are_trained_one_after_the_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    places = ["--data", str(tmp_path / "data"), "--results", str(tmp_path / "results")]
+    few = [*TRAIN[3:], "--episodes", "2", "--validation-maps", "1"]
+    assert main(["train", "--task", "all", *few, *places]) == 0
+    for task in ("easy", "medium", "hard"):
+        assert load_checkpoint(tmp_path / f"data/{task}.pth")["config"]["task"] == f"{task}_delivery"
+        assert load_network(tmp_path / f"data/{task}.npz").metadata["task"] == f"{task}_delivery"
+    # The first that cannot be trained ends it.
+    (tmp_path / "data/easy.pth").write_bytes(b"nothing")
+    capsys.readouterr()
+    assert main(["train", "--task=all", *few, *places]) == 2
+    told = capsys.readouterr().err
+    assert "easy.pth" in told
+    assert "medium" not in told
 
 
 @pytest.mark.parametrize(
@@ -256,6 +327,26 @@ def test_killed_it_goes_on_and_comes_to_the_same_end(
         assert runs[name].pop("seconds") > 0
     assert_same(runs["whole"], runs["killed"])
     assert (tmp_path / "whole/data/train.log").read_bytes() == log.read_bytes()
+
+
+@pytest.mark.long
+@pytest.mark.feature("L4")
+def test_the_first_training_of_the_manual_reads_as_one_that_learns(tmp_path: Path) -> None:
+    command = [sys.executable, str(ROOT / "train.py"), "--task", "easy_delivery", "--episodes", "500"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=900)
+    assert done.returncode == 0, done.stderr
+    log = (tmp_path / "data/train.log").read_text()
+    assert "nan" not in log + done.stderr
+    lines = [dict(part.split("=") for part in line.split()) for line in log.splitlines()]
+    assert [int(line["episode"]) for line in lines] == list(range(20, 501, 20))
+    for figure in ("score", "success", "reward"):
+        first, last = (sum(float(line[figure]) for line in part) / 8 for part in (lines[:8], lines[-8:]))
+        assert last > first + 0.15
+    assert all(float(line["success"]) > 0.9 for line in lines[-8:])
+    validated = [float(line["validation"]) for line in lines if line["validation"] != "-"]
+    assert validated[0] < 0.8
+    assert validated[-1] > 0.9
 
 
 @pytest.mark.feature("L5")

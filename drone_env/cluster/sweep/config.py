@@ -3,7 +3,7 @@
 import json
 import shlex
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
@@ -87,7 +87,9 @@ class SweepConfig(Message):
     def command(self, trial: Trial) -> str:
         """The command that trains the same network alone, in a folder of its own."""
         training = self.training(trial)
-        defaults = preset(self.preset, training.task)
+        # As the command finds them: those that are not said follow from the number of episodes, which is.
+        usual = preset(self.preset, training.task).episodes
+        defaults = replace(preset(self.preset, training.task, training.episodes), episodes=usual)
         words = ["python", "train.py", "--task", training.task, "--preset", self.preset, "--seed", str(trial.seed)]
         for name, value in asdict(training).items():
             if name in ("task", "seed", "checkpoint_seconds") or value == getattr(defaults, name):

@@ -32,7 +32,7 @@ class LiveMission:
         NoSessionError: if there never was such a session.
         SessionGoneError: if it has ended or expired.
         EpisodeError: if none of our pilots flies it.
-        OSError: if there is no network that its pilot needs.
+        UnsupportedTaskError: if there is no network that its pilot needs.
         CheckpointError: if that cannot be read.
     """
 
@@ -66,7 +66,7 @@ class LiveMission:
         episode = Episode(self.episode.task, self.episode.reward_profile)
         episode.reset(self.episode.seed)
         values = self.reachable()
-        frames = list(frames_of(episode, self.episode.actions, self._networks))
+        frames = list(frames_of(episode, self.episode.actions, self._networks, self.pilot))
         if values is None:
             return frames
         return [self._with_value(frame, value, values[0]) for frame, value in zip(frames, values, strict=True)]
@@ -152,7 +152,7 @@ class LiveMission:
         return self._values.get(self.episode.task, self.episode.seed) if told else None
 
     def _frame(self) -> Frame:
-        frame = frame_of(self.episode, self._networks)
+        frame = frame_of(self.episode, self._networks, self.pilot)
         solver = self._solver()
         if solver is None:
             return frame

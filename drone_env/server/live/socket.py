@@ -17,7 +17,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from drone_env.core.tasks import get_task
-from drone_env.errors import DroneEnvError, UnknownNameError, UnsupportedTaskError
+from drone_env.errors import DroneEnvError, UnknownNameError
 from drone_env.server.flight import start_of
 from drone_env.server.frames import Frame
 from drone_env.server.live.commands import (
@@ -34,7 +34,7 @@ from drone_env.server.live.commands import (
 from drone_env.server.live.feeds import Feed
 from drone_env.server.live.missions import LiveMission
 from drone_env.server.live.values import ExactValues
-from drone_env.server.pilots import PILOTS, tasks_of
+from drone_env.server.pilots import PILOTS, agent_of
 from drone_env.server.problems import printable, status_of
 from drone_env.server.schemas import EpisodeSummary, ResetOptions
 from drone_env.server.state import Shared
@@ -182,8 +182,7 @@ class Cockpit:
         for pilot in command.pilots:
             if pilot not in PILOTS:
                 raise UnknownNameError("pilot", pilot, PILOTS)
-            if task.id not in tasks_of(pilot, self._shared.networks):
-                raise UnsupportedTaskError(f"there is no network for {task.id!r}: choose another pilot")
+            agent_of(pilot, task, self._shared.networks)  # says why it cannot fly before anything is opened
         last = self.missions[0].episode if self.missions and self.missions[0].episode.task == task else None
         options = ResetOptions(task_name=task.id, seed=command.seed, reward_profile=command.reward_profile)
         seed = start_of(options, None if last is None else last.seed).seed

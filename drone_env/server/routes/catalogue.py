@@ -7,6 +7,7 @@ from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.server.pilots import HUMAN, PILOTS, tasks_of
+from drone_env.server.predict import TRAINED
 from drone_env.server.schemas import (
     GraderInfo,
     GraderList,
@@ -53,8 +54,8 @@ async def kinds() -> KindList:
 
 
 @router.get("/pilots")
-async def pilots(shared: SharedParts) -> PilotList:
-    """Who can fly on the page, and which tasks."""
+def pilots(shared: SharedParts) -> PilotList:
+    """Who can fly on the page, and which tasks; a network of your own is among them once it is trained."""
     return PilotList(
         pilots=[
             PilotInfo(
@@ -65,6 +66,7 @@ async def pilots(shared: SharedParts) -> PilotList:
                 tasks=tasks_of(name, shared.networks),
             )
             for name, pilot in PILOTS.items()
+            if name != TRAINED or tasks_of(name, shared.networks)
         ]
     )
 

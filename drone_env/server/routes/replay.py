@@ -97,7 +97,8 @@ async def replay_record(shared: SharedParts, record: Record) -> Response:
         start = Episode(flown.task, flown.reward_profile)
         start.reset(flown.seed)
         mission = Mission.of(start, record.agent)
-        return _json(Flight(mission=mission, frames=list(frames_of(start, flown.actions, shared.networks))))
+        frames = frames_of(start, flown.actions, shared.networks, record.agent)
+        return _json(Flight(mission=mission, frames=list(frames)))
 
     return await shared.study(flight)
 

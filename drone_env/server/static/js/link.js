@@ -2,12 +2,12 @@
 import { DEFAULT_PROFILE, FIRST_TASK } from "./fleet.js";
 
 const FIRST_PILOT = "pathqnet";
+const OWN_PILOT = "trained";
 
-/** @returns {import("./fleet.js").Setup} What the address of the page asks for. */
+/** @returns {import("./fleet.js").Setup} What the address of the page asks for; no pilots where it names none. */
 export function setupFromLink() {
   const link = new URLSearchParams(location.search);
-  const pilots = (link.get("pilots") ?? link.get("pilot") ?? FIRST_PILOT).split(",").filter(Boolean);
-  if (!pilots.length) pilots.push(FIRST_PILOT);
+  const pilots = (link.get("pilots") ?? link.get("pilot") ?? "").split(",").filter(Boolean);
   const seed = link.get("seed");
   return {
     task: link.get("task") ?? FIRST_TASK,
@@ -16,6 +16,12 @@ export function setupFromLink() {
     profile: link.get("profile") ?? DEFAULT_PROFILE,
     pilots,
   };
+}
+
+/** Who flies where nobody was named: the visitor's own network, if one was trained for the task. */
+export function firstPilot(fleet) {
+  const own = fleet.context.pilots.some(({ id }) => id === OWN_PILOT) && fleet.flies(OWN_PILOT);
+  return own ? OWN_PILOT : FIRST_PILOT;
 }
 
 /** The address at which the same missions open. @param {import("./fleet.js").Setup} setup */

@@ -10,7 +10,7 @@ import { mountHuman } from "./human.js";
 import { mountInstruments } from "./instruments.js";
 import { mountKeys } from "./keys.js";
 import { mountLegend } from "./legend.js";
-import { setupFromLink, showLink } from "./link.js";
+import { firstPilot, setupFromLink, showLink } from "./link.js";
 import { mountPlan, RACERS } from "./plan.js";
 import { mountResults } from "./results.js";
 import { mountStandings } from "./standings.js";
@@ -21,6 +21,7 @@ import { mountThinking } from "./thinking.js";
 export function mountStage(context) {
   const part = (id) => document.getElementById(id);
   const fleet = new Fleet(context, setupFromLink());
+  if (!fleet.setup.pilots.length) fleet.setup.pilots.push(firstPilot(fleet));
   context.view = fleet.setup.pilots.length > 1 ? "race" : "watch";
   const side = part("side");
   const panel = (name, mount, ...more) => {
