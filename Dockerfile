@@ -1,16 +1,16 @@
 # The server in a container: docker build -t drone-env . (docs/deployment.md)
 ARG BASE=python:3.12-slim-bookworm
 
-# What the server needs, at the versions of uv.lock. The package openenv is left out, and Gradio and pandas with it: the
-# server speaks OpenEnv's protocol itself.
+# What the server and inference.py need, at the versions of uv.lock. The package openenv is left out, and Gradio and
+# pandas with it: the server speaks OpenEnv's protocol itself.
 FROM ${BASE} AS dependencies
 ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_ROOT_USER_ACTION=ignore
 WORKDIR /locked
 RUN python -m venv /opt/uv && /opt/uv/bin/python -m pip install --quiet uv==0.13.9
 RUN python -m venv --without-pip /opt/venv
 COPY pyproject.toml uv.lock ./
-RUN /opt/uv/bin/uv export --quiet --frozen --no-dev --no-emit-project --extra server --prune openenv --output-file server.txt \
-    && /opt/uv/bin/python -m pip --python /opt/venv install --quiet --require-hashes --requirement server.txt
+RUN /opt/uv/bin/uv export --quiet --frozen --no-dev --no-emit-project --extra server --extra llm --prune openenv --output-file locked.txt \
+    && /opt/uv/bin/python -m pip --python /opt/venv install --quiet --require-hashes --requirement locked.txt
 
 FROM ${BASE}
 LABEL org.opencontainers.image.title="Drone Delivery Env" \
@@ -20,7 +20,7 @@ LABEL org.opencontainers.image.title="Drone Delivery Env" \
 RUN useradd --uid 1000 --create-home drone && install --directory --owner=drone --group=drone /data
 COPY --from=dependencies /opt/venv /opt/venv
 WORKDIR /app
-COPY LICENSE openenv.yaml ./
+COPY LICENSE openenv.yaml inference.py ./
 COPY server server
 COPY drone_env drone_env
 RUN /opt/venv/bin/python -m compileall -q drone_env server
@@ -29,7 +29,8 @@ RUN /opt/venv/bin/python -m compileall -q drone_env server
 ENV PATH=/opt/venv/bin:$PATH \
     PYTHONPATH=/app \
     PYTHONUNBUFFERED=1 \
-    DRONE_ENV_DATA=/tmp/drone-env
+    DRONE_ENV_DATA=/tmp/drone-env \
+    MPLCONFIGDIR=/tmp/matplotlib
 USER 1000:1000
 EXPOSE 8000
 HEALTHCHECK --interval=30s --timeout=5s --start-period=30s CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8000/health', timeout=3)"]

@@ -8,13 +8,17 @@ PYTEST := $(BIN)/python -m pytest
 # What was compiled once is kept: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features bench-capacity bench-cluster
+.PHONY: demo serve test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features bench-capacity bench-cluster
 .DEFAULT_GOAL := demo
 
 $(VENV)/.base: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Python 3.10 or newer is needed; try: make PYTHON=python3.12")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable .
+	touch $@
+
+$(VENV)/.server: $(VENV)/.base
+	$(BIN)/python -m pip install --quiet --editable '.[server]'
 	touch $@
 
 # PyTorch by pip, which knows of builds that lie on this machine; then the rest by uv, which takes what it finds installed.
@@ -33,6 +37,12 @@ demo: $(VENV)/.base
 	@echo "== 100 test maps of each task =="
 	@$(BIN)/drone-env evaluate --task easy medium hard --agents random greedy pathqnet optimal --split test --episodes 100
 	@$(BIN)/drone-env evaluate --task skyline_easy skyline_medium skyline_hard --split test --episodes 100
+	@echo
+	@echo "To watch and fly in the browser: make serve, then open http://127.0.0.1:8000"
+
+# The server with its page, until Ctrl-C; make serve ARGS="--port 9000".
+serve: $(VENV)/.server
+	@$(BIN)/drone-env serve $(ARGS)
 
 # Every behaviour; what is marked long is left to test-long.
 test: $(VENV)/.dev

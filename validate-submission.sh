@@ -74,6 +74,11 @@ without_skipped() {
     [ -n "$skipping" ] || printf '%s\n' "$line"
   done <"$1"
 }
+# What openenv reads, and refuses without saying where: everything that is neither a file nor a folder.
+refused() {
+  find "$dir" \( -name .git -o -name __pycache__ -o -name .venv -o -name .worktrees -o -name outputs \) -prune \
+    -o ! -type f ! -type d -print 2>/dev/null
+}
 end_of() { sed 's/^/  | /' < <(tail -n 20 "$1"); }
 
 check_space() {
@@ -133,7 +138,11 @@ check_openenv() {
   echo "[3/3] Does openenv validate pass in $dir?"
   if ! command -v openenv >/dev/null; then
     fail 'openenv is not installed'
-    hint "pip install 'openenv>=0.10'"
+    if [ -x "$dir/.venv/bin/openenv" ]; then
+      hint "it is in $dir/.venv: run '. $dir/.venv/bin/activate', and this again"
+    else
+      hint "pip install 'openenv>=0.10'"
+    fi
   elif (cd "$dir" && limited "$build_timeout" openenv validate) >"$scratch/openenv" 2>&1; then
     end_of "$scratch/openenv"
     pass 'openenv validate'
@@ -141,6 +150,11 @@ check_openenv() {
     without_skipped "$scratch/openenv" >"$scratch/looked_at"
     end_of "$scratch/looked_at"
     fail 'openenv validate'
+    refused >"$scratch/refused"
+    if [ -s "$scratch/refused" ]; then
+      hint 'openenv takes no symbolic links, sockets or pipes; remove these, or put files in their place:'
+      end_of "$scratch/refused"
+    fi
     hint "(cd $dir && openenv validate) shows all of it; --level static needs no Docker, and finds most mistakes"
   fi
 }

@@ -326,7 +326,8 @@ def analyse_actions(start: Episode, actions: Iterable[int], agent: str) -> Fligh
 
 def _move(flight: Episode, values: list[float]) -> Move:
     """The last step of `flight`, before which Q* was `values`."""
-    step = flight.path[-1]
+    step = flight.last_step
+    assert step is not None
     best = max(values)
     regret = best - values[step.action]
     margin = best - max((value for value in values if value < best), default=best)

@@ -53,7 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"drone-env {__version__}")
         return 0
     try:
-        load_plugins()
+        if list(arguments[:1]) != ["doctor"]:  # which says what is wrong with them
+            load_plugins()
         status = _app(arguments).cli(
             prog="drone-env", description=DESCRIPTION, args=arguments, config=[tyro.conf.DisallowNone]
         )

@@ -17,11 +17,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, cast
 
-import httpx
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
-from drone_env.errors import DroneEnvError
+from drone_env.errors import DroneEnvError, needs
+
+with needs("server", __name__):
+    import httpx
 
 if TYPE_CHECKING:
     from drone_env.openenv_client import DroneDeliveryClient as DroneDeliveryClient
@@ -197,9 +199,8 @@ class DroneEnvClient:
         Raises:
             ServerError: if there is no answer, one that tells a problem, or one that is not a JSON object.
         """
-        headers = {} if more is None else dict(more)
-        if self.session_id is not None:
-            headers["X-Session-Id"] = self.session_id
+        # On its own machine a server has callers share a session who name none.
+        headers = {"X-Session-Id": self.session_id or "new", **(more or {})}
         answer: Any
         try:
             try:

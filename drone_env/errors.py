@@ -19,11 +19,28 @@
 Each message says what was given and what is allowed.
 """
 
-from collections.abc import Iterable
+import sys
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
+from typing import Any
+
+from drone_env.installer import install_command
 
 
 class DroneEnvError(Exception):
-    """Base class of all errors of this package."""
+    """Base class of all errors of this package. They travel between processes, whatever their constructors take."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (type(self), self.args, vars(self))
+
+
+def _again(kind: type[DroneEnvError], args: tuple[Any, ...], attributes: dict[str, Any]) -> DroneEnvError:
+    """An error from its parts: Python would call the class with the message alone."""
+    error = kind.__new__(kind, *args)
+    builtin = next(base for base in kind.__mro__ if base.__module__ == "builtins")
+    builtin.__init__(error, *args)
+    vars(error).update(attributes)
+    return error
 
 
 class UnknownNameError(DroneEnvError, LookupError):
@@ -64,7 +81,7 @@ class MissingPackageError(DroneEnvError, ImportError):
     """A package that only an extra installs; the message says how."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed: run pip install -e '.[{extra}]' in the clone")
+        super().__init__(f"{package} is not installed: run {install_command(extra)} in the clone")
 
 
 class StoreError(DroneEnvError, OSError):
@@ -89,3 +106,26 @@ class ClusterError(DroneEnvError, RuntimeError):
 
 class EndpointError(DroneEnvError, RuntimeError):
     """An endpoint of language models refuses, so that no further call makes sense: a wrong token, no such model."""
+
+
+@contextmanager
+def needs(extra: str, module: str = "") -> Generator[None, None, None]:
+    """What is imported inside the `with` comes with an extra: where it is missing, the error says so.
+
+    Args:
+        extra: The extra.
+        module: `__name__` of a file that may be run as a program: it then ends with the message alone.
+
+    Raises:
+        MissingPackageError: if a package from elsewhere is missing.
+    """
+    try:
+        yield
+    except (ModuleNotFoundError, MissingPackageError) as error:
+        package = (error.name or "").partition(".")[0]
+        if isinstance(error, ModuleNotFoundError) and package in ("", "drone_env"):
+            raise
+        missing = error if isinstance(error, MissingPackageError) else MissingPackageError(package, extra)
+        if module == "__main__":
+            sys.exit(f"drone-env: {missing}")
+        raise missing from None

@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from itertools import pairwise
@@ -64,7 +65,7 @@ def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = 
     Raises:
         UnknownNameError: if there is no such task, agent or split.
         InvalidValueError: if the seeds are not consecutive integers in [0, 2^53), there are none, they are not of the
-            split, or the task is not the registered one of its name.
+            split, the task is not the registered one of its name, or the agent does not say what decides how it flies.
     """
     task = get_task(task)
     if get_task(task.id, task.version) != task:
@@ -81,10 +82,19 @@ def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = 
 
 
 def config_hash(task: TaskConfig, agent: str) -> str:
-    """16 hex digits that change with any number of the task and with anything that decides how the agent flies."""
+    """16 hex digits that change with any number of the task and with anything that decides how the agent flies.
+
+    Raises:
+        InvalidValueError: if the agent does not say what decides how it flies.
+    """
     numbers = asdict(task) | {"impassable": sorted(task.impassable)}
-    config = {"task": numbers, "agent": dict(make_agent(agent, task).config)}
-    return hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16]
+    flies: Any = getattr(make_agent(agent, task), "config", None)
+    try:
+        text = json.dumps({"task": numbers, "agent": dict(flies)}, sort_keys=True)
+    except (TypeError, ValueError):
+        told = "a mapping of JSON values, of all that decides how it flies"
+        raise InvalidValueError(f"agent {agent!r} must have `config`, {told}; got {flies!r}") from None
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def run_episodes(key: EpisodesKey) -> EpisodeResults:
@@ -105,7 +115,8 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
         )
     seeds = np.arange(*key.seeds, dtype=np.int64)
     optimal = _fly_optimally(task, *key.seeds)
-    flights = optimal if optimal and key.agent == "optimal" else _fly(task, key.agent, seeds)
+    flights = deepcopy(optimal) if optimal and key.agent == "optimal" else _fly(task, key.agent, seeds)
+    optimal = deepcopy(optimal)  # what is kept stays as it is, whatever the caller does with the results
     return EpisodeResults(
         key=key,
         seeds=seeds,

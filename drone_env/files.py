@@ -1,14 +1,14 @@
 """Files that are there whole or not at all."""
 
 import os
-import sys
 import threading
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-if sys.platform != "win32":
-    import fcntl
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 
 @contextmanager
@@ -25,17 +25,18 @@ def replacing(path: Path) -> Generator[Path, None, None]:
         temporary.unlink(missing_ok=True)
 
 
-def lock_file(path: Path) -> int:
-    """A descriptor of the file, which is made; until it is closed, or this process dies, no other gets one.
+def lock_file(path: Path) -> "FileLock":
+    """A lock that this file stands for, which is made; until it is released, or this process dies, no other gets one.
 
     Raises:
         BlockingIOError: if another has one.
+        OSError: if the file cannot be made.
     """
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
-    if sys.platform != "win32":
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(descriptor)
-            raise
-    return descriptor
+    from filelock import FileLock, Timeout  # slow to load, and most who import this module lock nothing
+
+    lock = FileLock(path, mode=0o600, thread_local=False)
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        raise BlockingIOError(f"{path} is locked by another process") from None
+    return lock

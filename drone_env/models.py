@@ -202,6 +202,10 @@ class ParcelState(Message):
 class DroneState(Message):
     """The full state of an episode, with the flight so far."""
 
+    episode_id: str | None = Field(
+        default=None,
+        description="Names the episode: over `/ws` as its reset did; over HTTP as the store does, once it has ended.",
+    )
     task_name: str = Field(description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
     seed: int = Field(ge=0, lt=2**53, description="Number of the map.")

@@ -5,11 +5,11 @@ from typing import Any
 from openenv.core.client_types import StepResult
 from openenv.core.env_client import EnvClient
 
-from drone_env.models import DroneAction, DroneObservation
-from drone_env.server.schemas import WireState
+from drone_env.errors import InvalidValueError
+from drone_env.models import DroneAction, DroneObservation, DroneState
 
 
-class DroneDeliveryClient(EnvClient[DroneAction, DroneObservation, WireState]):
+class DroneDeliveryClient(EnvClient[DroneAction, DroneObservation, DroneState]):
     """Flies over `/ws`: asynchronous as it is, synchronous through `sync()`.
 
         with DroneDeliveryClient("http://localhost:8000").sync() as env:
@@ -20,7 +20,9 @@ class DroneDeliveryClient(EnvClient[DroneAction, DroneObservation, WireState]):
     `reset` takes `seed`, `episode_id`, `task_name`, `reward_profile`, `agent`, or `split` and `index`.
     """
 
-    def _step_payload(self, action: DroneAction) -> dict[str, Any]:
+    def _step_payload(self, action: object) -> dict[str, Any]:
+        if not isinstance(action, DroneAction):
+            raise InvalidValueError(f'step takes a DroneAction, such as DroneAction(direction="UP"); got {action!r}')
         return action.model_dump()
 
     def _parse_result(self, payload: dict[str, Any]) -> StepResult[DroneObservation]:
@@ -28,5 +30,5 @@ class DroneDeliveryClient(EnvClient[DroneAction, DroneObservation, WireState]):
         observation = DroneObservation(**fields, done=payload["done"])
         return StepResult(observation=observation, reward=payload["reward"], done=payload["done"])
 
-    def _parse_state(self, payload: dict[str, Any]) -> WireState:
-        return WireState.model_validate(payload)
+    def _parse_state(self, payload: dict[str, Any]) -> DroneState:
+        return DroneState.model_validate(payload)

@@ -68,8 +68,11 @@ def load_reward_profile(path: str | Path) -> RewardProfile:
 
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=Decimal)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InvalidTaskError(f"reward profile {path}: not TOML: {error}") from None
+        repr(table)  # so that the messages below can show all that it holds
+    except ArithmeticError:
+        raise InvalidTaskError(f"reward profile {path}: the exponent of a number is too large") from None
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is one, a number of thousands of digits another
+        raise InvalidTaskError(f"reward profile {path}: not TOML that can be read: {error}") from None
     for key, value in table.items():
         require(key in KEYS, f"unknown key {key!r}; allowed: {', '.join(KEYS)}")
         fits = isinstance(value, KEYS[key]) and (bool in KEYS[key] or not isinstance(value, bool))

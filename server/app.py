@@ -1,7 +1,10 @@
 """The server's application and command where OpenEnv's tools look for them."""
 
-from drone_env.server import app as server
-from drone_env.server.app import app
+from drone_env.errors import needs
+
+with needs("server", __name__):
+    from drone_env.server import app as server
+    from drone_env.server.app import app
 
 __all__ = ["app", "main"]
 

@@ -1,12 +1,15 @@
 """What all tests share: which features they speak for, and what is said of tools that are missing."""
 
 import os
+from collections.abc import Generator
+from typing import TypeVar
 
 import pytest
 
 from tests.feature_table import FEATURES, FeatureTable
-from tests.tools import install_command, missing_in
+from tests.tools import install_command, missing_in, missing_package
 
+Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
 # The tests run side by side: threads that wait for each other must not spin on cores that others need.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
@@ -32,10 +35,33 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if any(name == "feature" for name, _ in item.user_properties)]
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    return skipped_for_want((yield), str(collector.path))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    return skipped_for_want((yield), str(item.path))
+
+
+def skipped_for_want(report: Report, path: str) -> Report:
+    """The report; a skip where it tells of a failure for want of a package that `uv sync` leaves out."""
+    package = missing_package(str(report.longrepr)) if report.failed else None
+    if package:
+        report.outcome = "skipped"
+        report.longrepr = (path, 0, f"Skipped: missing tool: {package}")
+    return report
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     skipped = terminalreporter.stats.get("skipped", [])
     missing = missing_in(str(report.longrepr) for report in skipped)
     if missing:
         command = install_command(missing)
         how = f"; to run them: {command}" if command else ""
-        terminalreporter.write_line(f"{len(skipped)} tests skipped; missing: {', '.join(missing)}{how}")
+        terminalreporter.write_line(
+            f"{len(skipped)} tests or files of tests skipped; missing: {', '.join(missing)}{how}"
+        )

@@ -25,7 +25,7 @@ from collections.abc import Generator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-SERVES = "drone-env serve"
+SERVES = ("drone-env serve", "make serve")
 FILL_IN = "cp .env.example .env"
 PATIENCE = 120.0
 """Seconds within which what is started in the background must answer."""

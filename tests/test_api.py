@@ -70,7 +70,8 @@ def test_post_step(flying: TestClient) -> None:
     last = fly(flying, "UP", "UP")
     assert (last["done"], last["deliveries_done"], last["reward_last"], last["score"]) == (True, 1, 0.99, 0.99)
     after = fly(flying, "UP")
-    assert after == {**last, "message": after["message"]}, "after the end a step pays nothing and changes nothing"
+    nothing = {"message": after["message"], "reward_last": 0}
+    assert after == {**last, **nothing}, "after the end a step pays nothing and changes nothing"
     assert after["message"].startswith("Nothing done")
     assert flying.post("/step", json={"direction": "SIDEWAYS"}).status_code == 422
 
@@ -82,6 +83,9 @@ def test_get_state(flying: TestClient) -> None:
     assert (state.task_name, state.seed, state.drone_x, state.drone_y) == ("easy_delivery", 14, 5, 2)
     assert (state.step_count, state.battery_steps_remaining, state.outcome) == (2, 58, "flying")
     assert [point.action for point in state.path_history] == ["LEFT", "UP"]
+    assert get(flying, "/state")["episode_id"] is None
+    fly(flying, "UP")
+    assert get(flying, "/state")["episode_id"] == get(flying, "/memory_logs")["episodes"][0]["id"]
 
 
 @pytest.mark.feature("H4")
@@ -94,6 +98,7 @@ def test_get_grade(flying: TestClient) -> None:
 
 @pytest.mark.feature("H5")
 def test_get_analyse(http: TestClient, tmp_path: Path) -> None:
+    assert get(http, "/analyse/easy_delivery")["status"] == "No data"
     flights: list[Episode] = []
     with Store(tmp_path / "data") as store:
         for actions in (BEST, ["WAIT"], BEST, ["UP", "WAIT"], ["WAIT"]):
@@ -104,6 +109,7 @@ def test_get_analyse(http: TestClient, tmp_path: Path) -> None:
             store.add_episode(record_of(episode, "someone"))
             flights.append(episode)
     told = get(http, "/analyse/easy_delivery")
+    assert told["status"] == "Success"
     assert (told["task"], told["episodes"], told["episodes_total"], told["deliveries"]) == ("easy_delivery", 5, 5, 2)
     assert told["average_reward"] == pytest.approx(sum(flight.reward_total for flight in flights) / 5)
     assert told["average_steps"] == pytest.approx(sum(flight.steps for flight in flights) / 5)
@@ -119,7 +125,9 @@ def test_get_analyse(http: TestClient, tmp_path: Path) -> None:
 @pytest.mark.feature("H6")
 def test_get_path_history(flying: TestClient) -> None:
     fly(flying, *BEST)
-    path = get(flying, "/path_history")["path"]
+    answer = get(flying, "/path_history")
+    path = answer["path"]
+    assert answer["path_history"] == path
     assert [(at["step"], at["action"], at["x"], at["y"], at["reward"]) for at in path] == [
         (1, "LEFT", 5, 3, 0.15),
         (2, "UP", 5, 2, 0.15),
@@ -161,13 +169,16 @@ def test_get_terminal_logs(http: TestClient) -> None:
 @pytest.mark.feature("H10")
 def test_get_tasks_and_graders(http: TestClient) -> None:
     tasks = {task["id"]: task for task in get(http, "/tasks")["tasks"]}
+    assert list(tasks) == [task["name"] for task in tasks.values()]
     assert list(tasks) == list(drone_env.TASKS)
     for task_id, task in drone_env.TASKS.items():
         for name in ("width", "height", "deliveries", "max_steps", "r_delivery", "r_wall", "version", "grader"):
             assert tasks[task_id][name] == getattr(task, name)
     published = [task_id for task_id, task in tasks.items() if task["published"]]
     assert published == ["easy_delivery", "medium_delivery", "hard_delivery"]
-    graders = get(http, "/graders")["graders"]
+    answer = get(http, "/graders")
+    graders = answer["graders"]
+    assert answer["ids"] == [grader["id"] for grader in graders]
     assert graders == [{"id": task["grader"], "task": task_id} for task_id, task in tasks.items()]
     assert [one["id"] for one in graders[:3]] == [f"drone_env.graders:grade_{n}" for n in ("easy", "medium", "hard")]
     for grader in graders:

@@ -7,13 +7,19 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
 
+from drone_env import installer
+
 PACKAGES = {"chromium": "chromium", "nginx": "nginx-light", "ss": "iproute2"}
 """Debian's packages of the programs that tests need."""
+LEFT_OUT = ("pyright", "ray", "stable_baselines3", "tensorboard", "torch")
+"""The large packages that tests need and `uv sync` leaves out; the extra `dev` brings them."""
+ABSENT = [name for name in LEFT_OUT if find_spec(name) is None]
 
 
 def missing_tool(name: str) -> NoReturn:
@@ -23,15 +29,27 @@ def missing_tool(name: str) -> NoReturn:
     pytest.skip(f"missing tool: {name}")
 
 
+def missing_package(failure: str) -> str | None:
+    """The large package for want of which something failed, by what pytest tells of it; None if it failed otherwise."""
+    if os.environ.get("DRONE_ENV_REQUIRE_TOOLS") == "1":
+        return None
+    named = re.findall(r"(?<=No module named ')\w+|\w+(?= is not installed: run)", failure)
+    return next((name for name in named if name in ABSENT), None)
+
+
 def missing_in(reasons: Iterable[str]) -> list[str]:
     """The tools for want of which tests were skipped, by what pytest tells of them."""
     return sorted({found[1] for reason in reasons if (found := re.search(r"missing tool: ([^'\n]+)", reason))})
 
 
 def install_command(tools: Iterable[str]) -> str:
-    """The command that brings those of them that are packages of Debian; empty if none is."""
+    """The command that brings those of them that are packages of Debian or of Python; empty if none is."""
+    tools = list(tools)
     packages = [PACKAGES[tool] for tool in tools if tool in PACKAGES]
-    return f"apt-get install {' '.join(packages)}" if packages else ""
+    commands = [f"apt-get install {' '.join(packages)}"] if packages else []
+    if set(tools) & set(LEFT_OUT):
+        commands.append(installer.install_command("dev"))
+    return " && ".join(commands)
 
 
 def find_python(version: str) -> str:

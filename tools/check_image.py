@@ -29,7 +29,30 @@ HARDENED = ("--read-only", "--tmpfs", "/tmp", "--cap-drop", "ALL", "--security-o
 KEPT = ("--env", "DRONE_ENV_DATA=/data", "--env", "DRONE_ENV_CACHE=/data/cache")
 # How `openenv validate` starts an image.
 AS_VALIDATED = (*HARDENED, "--user", "65532:65532", "--memory", "1024m", "--cpus", "1", "--pids-limit", "256")
-MUST_BE_ABSENT = ("torch", "openenv", "gradio", "pandas", "matplotlib", "pytest")
+MUST_BE_ABSENT = ("torch", "openenv", "gradio", "pandas", "pytest")
+
+WAITS = """
+import http.server, json, os, subprocess, sys, threading
+
+class Model(http.server.BaseHTTPRequestHandler):
+    def do_POST(self):
+        self.rfile.read(int(self.headers["Content-Length"]))
+        body = json.dumps({"choices": [{"message": {"content": "WAIT"}, "finish_reason": "stop"}]}).encode()
+        self.send_response(200)
+        self.send_header("Content-Type", "application/json")
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_):
+        pass
+
+server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Model)
+threading.Thread(target=server.serve_forever, daemon=True).start()
+address = {"API_BASE_URL": f"http://127.0.0.1:{server.server_port}/v1", "MODEL_NAME": "waits"}
+sys.exit(subprocess.call([sys.executable, "inference.py"], env={**os.environ, **address}))
+"""
+"""Lets a model that always waits, in the container itself, fly by `inference.py`."""
 
 
 class WrongError(Exception):
@@ -177,6 +200,7 @@ def check_service(image: Image, volume: str) -> None:
         report = validate_running_environment(server.url)
         passed, total = report["summary"]["passed_count"], report["summary"]["total_count"]
         require(bool(report["passed"]), f"openenv validate --url passes {passed}/{total}")
+        check_model(server)
         session, steps = check_restart(image, server)
         started = time.monotonic()
         image.call("stop", "--time", str(STOP_SECONDS), server.name)
@@ -189,6 +213,17 @@ def check_service(image: Image, volume: str) -> None:
     with image.running(*HARDENED, *KEPT, "--volume", f"{volume}:/data") as successor:
         successor.wait()
         require(steps_of(successor, session) == steps, "a session goes on in a new container with the same volume")
+
+
+def check_model(server: Container) -> None:
+    """`inference.py` beside the server, which shows the flight."""
+    done = server.inside("python", "-c", WAITS)
+    if done.returncode != 0:
+        raise WrongError(f"inference.py in it ends with {done.returncode}: {done.stderr}")
+    lines = [line.partition(" ")[0] for line in done.stdout.splitlines()]
+    require(lines == ["[START]", *["[STEP]"] * 60, "[END]"], "inference.py lets a model fly in it")
+    flown = httpx.get(f"{server.url}/memory_logs").json()["episodes"]
+    require([episode["agent"] for episode in flown][:1] == ["waits"], "the server shows that flight")
 
 
 def check_restart(image: Image, server: Container) -> tuple[str, int]:

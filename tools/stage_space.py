@@ -17,6 +17,7 @@ PARTS = (
     "Dockerfile",
     "LICENSE",
     "drone_env",
+    "inference.py",
     "openenv.yaml",
     "pyproject.toml",
     "server",

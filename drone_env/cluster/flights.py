@@ -225,7 +225,7 @@ async def run_on_nodes(
             flyers[index % len(flyers)].fly.remote(this_driver(), desk, config, options, index)
         )
         # A flight that the limits did not let begin is not one.
-        if flight is not None and flight.turns != ["budget_stop"]:
+        if flight is not None and (flight.begun or flight.status != "budget_stop"):
             flights.append(flight)
             observer.flown(flight)
         return flight is not None and fatal is None

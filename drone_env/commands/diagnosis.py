@@ -23,6 +23,8 @@ from drone_env.core.compile_cache import cache_folder
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import DroneEnvError
+from drone_env.installer import install_command
+from drone_env.registry import load_plugins, plugin_names
 
 Status = Literal["ok", "absent", "attention", "broken"]
 DISTRIBUTION = "drone-env"
@@ -66,6 +68,7 @@ def diagnose(port: int | None, host: str | None, data: Path | None) -> list[Find
         _port(found_host if host is None else host, found_port if port is None else port),
         *settings,
         *_inference_settings(),
+        *_plugins(),
     ]
 
 
@@ -136,7 +139,7 @@ def _extras() -> Iterator[Finding]:
         missing = sorted({unmet for r in _brought_by(extra) if (unmet := _unmet(r)) is not None})
         facts: dict[str, object] = {"missing": missing}
         if missing:
-            detail = f"pip install '{DISTRIBUTION}[{extra}]' brings {', '.join(missing)}"
+            detail = f"{install_command(extra)} brings {', '.join(missing)}"
             yield Finding("extras", extra, "absent", detail, facts)
         else:
             yield Finding("extras", extra, "ok", "complete", facts)
@@ -194,8 +197,8 @@ def _recorded_digests() -> dict[str, bool]:
 
 
 def _folders(data: Path) -> Iterator[Finding]:
-    yield _folder("data", data, "episodes, sessions, logs, checkpoints")
-    yield _folder("results", Path("results"), "curves of training, runs of language models")
+    yield _folder("data", data, "episodes, sessions, logs, checkpoints, runs of language models")
+    yield _folder("results", Path("results"), "curves of training")
     try:
         cache = cache_folder()
     except OSError as error:
@@ -282,3 +285,13 @@ def _inference_settings() -> Iterator[Finding]:
         return
     carried = "without a token" if token is None else "with a token"
     yield Finding("settings", "llm", "ok", f"understood: {settings.model_name}, asked {carried}")
+
+
+def _plugins() -> Iterator[Finding]:
+    for name in filter(None, map(str.strip, plugin_names().split(","))):
+        try:
+            load_plugins(name)
+        except Exception as error:  # whatever a module from outside raises when it is imported
+            yield Finding("plugins", name, "broken", f"{type(error).__name__}: {error}")
+        else:
+            yield Finding("plugins", name, "ok", "imported")

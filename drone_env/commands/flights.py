@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from drone_env.agents import Agent
+from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
 from drone_env.envs.ansi import draw_text
 from drone_env.episodes.log_lines import end_line, start_line, step_line
@@ -30,11 +31,11 @@ def log_flight(episode: Episode, agent: str, actions: Iterable[int], render: boo
     print(start_line(episode.task, agent))
     for action in actions:
         reward = episode.step(action)
-        print(step_line(episode.steps, episode.path[-1].action, reward, episode.ended), flush=render)
+        print(step_line(episode.steps, Action(action), reward, episode.ended), flush=render)
         if render:
             print(draw_text(episode), file=sys.stderr)
     score = episode.counted_score()
-    print(end_line(episode.success, score, [point.reward for point in episode.path]))
+    print(end_line(episode.success, score, episode.rewards))
     optimum = best_of(episode.task, episode.seed)
     known = f"the optimum is {optimum.score:.4f} in {optimum.steps}" if optimum else "the optimum is not known"
     steps = (

@@ -13,7 +13,7 @@ import tyro
 from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileName, parse_seeds
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError, MissingPackageError
+from drone_env.errors import InvalidValueError, needs
 
 if TYPE_CHECKING:
     from drone_env.llm import runner
@@ -24,7 +24,6 @@ SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 PromptName = Annotated[str, tyro.conf.arg(metavar="minimal|grid|coordinates|plan")]
 Number = Annotated[float | None, tyro.conf.arg(metavar="X")]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
-NEEDED = ("httpx", "httpx2", "matplotlib", "openai", "pydantic_settings", "tenacity")
 
 
 def infer(
@@ -40,7 +39,7 @@ def infer(
     answers: Literal["text", "json", "tool"] = "text",
     stream: bool = False,
     temperature: Number = 0.0,
-    no_temperature: bool = False,
+    no_temperature: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     top_p: Number = None,
     max_answer_tokens: int = 1024,
     sampling_seed: Whole = None,
@@ -60,6 +59,7 @@ def infer(
     price_prompt: Number = None,
     price_completion: Number = None,
     cache: Path | None = None,
+    data: Path | None = None,
     out: Path | None = None,
     resume: bool = False,
     report: bool = True,
@@ -113,7 +113,9 @@ def infer(
         price_prompt: US dollars per million prompt tokens.
         price_completion: US dollars per million completion tokens.
         cache: Folder of answers that equal requests of other runs share.
-        out: The run folder; results/llm/ and a name of its own if nothing is said.
+        data: Folder of the store that keeps the flights, where a server finds them; DRONE_ENV_DATA if nothing is said,
+            else data. A server that flies along keeps them itself.
+        out: The run folder; llm/ in the folder of the store and a name of its own if nothing is said.
         resume: Go on with the run in --out, under the same configuration.
         report: Check the whole run once more and write report.md, report.json and report.html into its folder.
         moves: Say in the report how many moves were blunders, beside the exact value of every state.
@@ -125,20 +127,19 @@ def infer(
         address: The cluster: local starts one on this machine (if nothing is said), auto joins the one that runs here,
             HOST:PORT joins that one.
     """
-    try:
-        import asyncio
+    import asyncio
 
+    from drone_env.episodes.store import Store, data_folder
+
+    with needs("llm"):
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import RunConfig, Sampling
         from drone_env.llm.image import running_image
+        from drone_env.llm.keeper import Keeper
         from drone_env.llm.limits import Limits, Prices
         from drone_env.llm.progress import ConsoleObserver
         from drone_env.llm.prompt import get_prompt
         from drone_env.llm.settings import check_url, load_settings, token_for
-    except ModuleNotFoundError as error:
-        if error.name not in NEEDED:
-            raise
-        raise MissingPackageError(error.name, "llm") from None
     from pydantic import ValidationError
 
     if seeds is not None and (split is not None or episodes is not None):
@@ -149,7 +150,7 @@ def infer(
         raise InvalidValueError("--resume needs --out, the folder of the run to go on with")
     if (price_prompt is None) != (price_completion is None):
         raise InvalidValueError("--price-prompt and --price-completion belong together")
-    settings = load_settings()
+    settings = load_settings(base_url)
     config_task = get_task(settings.drone_task if task is None else task)
     chosen_split = "custom" if seeds is not None else split or "test"
     maps = split_seeds(chosen_split, episodes or 1) if seeds is None else parse_seeds(seeds)
@@ -158,7 +159,7 @@ def infer(
         more = json_format.loads(extra)
         config = RunConfig(
             model=settings.model_name if model is None else model,
-            base_url=check_url(settings.api_base_url if base_url is None else base_url),
+            base_url=check_url(settings.api_base_url),
             task=config_task.id,
             task_version=config_task.version,
             split=chosen_split,
@@ -201,27 +202,35 @@ def infer(
         requests_per_minute=requests_per_minute,
         tokens_per_minute=tokens_per_minute,
     )
-    folder = run_folder.RunFolder(out or _new_folder(config.model, config_task.short_name), config, resume)
-    try:
-        with contextlib.ExitStack() as stack:
-            if use_image:
-                url = stack.enter_context(running_image(settings.local_image_name))
-                options = dataclasses.replace(options, server=url)
-            run = runner.run if engine == "local" else _on_cluster(stack, address)
-            observer = stack.enter_context(ConsoleObserver())
-            result = asyncio.run(run(config, folder, token, options, observer))
-        if report:
-            from drone_env.llm.report import report as figures_of
-            from drone_env.llm.report import write_report
-            from drone_env.llm.verify import verified_run
+    data = data_folder() if data is None else data
+    with contextlib.ExitStack() as opened:
+        store = None if use_image or server is not None else opened.enter_context(Store(data))
+        folder = run_folder.RunFolder(out or _new_folder(data, config.model, config_task.short_name), config, resume)
+        opened.callback(folder.close)
+        keeper = None if store is None else Keeper(store, folder.path / run_folder.TRANSCRIPT, config.model)
+        go_on = f"give the same options with --out {folder.path} --resume"
+        try:
+            with contextlib.ExitStack() as stack:
+                if use_image:
+                    url = stack.enter_context(running_image(settings.local_image_name))
+                    options = dataclasses.replace(options, server=url)
+                run = runner.run if engine == "local" else _on_cluster(stack, address)
+                observer = stack.enter_context(ConsoleObserver(None if keeper is None else keeper.keep))
+                result = asyncio.run(run(config, folder, token, options, observer))
+            if report:
+                from drone_env.llm.report import report as figures_of
+                from drone_env.llm.report import write_report
+                from drone_env.llm.verify import verified_run
 
-            checked = verified_run(folder.path)
-            write_report(checked, figures_of(checked, prices, moves))
-    except KeyboardInterrupt:
-        print(f"interrupted; to go on, give the same options with --out {folder.path} --resume", file=sys.stderr)
-        raise
-    finally:
-        folder.close()
+                checked = verified_run(folder.path)
+                write_report(checked, figures_of(checked, prices, moves))
+        except KeyboardInterrupt:
+            print(f"interrupted; to go on, {go_on}", file=sys.stderr)
+            raise
+        finally:
+            if keeper is not None and keeper.problems:
+                lost = f"{len(keeper.problems)} flights are not in the store: {keeper.problems[0]}"
+                print(f"{lost}; to add them, {go_on}", file=sys.stderr)
     for line in runner.summary_lines(result):
         print(line, file=sys.stderr)
     print(f"run: {folder.path}", file=sys.stderr)
@@ -237,7 +246,7 @@ def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "runner.Run
     return run_on_nodes
 
 
-def _new_folder(model: str, task: str) -> Path:
+def _new_folder(data: Path, model: str, task: str) -> Path:
     name = "".join(letter if letter.isalnum() or letter in ".-_" else "-" for letter in model[:50])
     now = datetime.now(timezone.utc).strftime("%Y%m%d-%H%M%S-%f")
-    return Path("results") / "llm" / f"{now}-{task}-{name}"
+    return data / "llm" / f"{now}-{task}-{name}"

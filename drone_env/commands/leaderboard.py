@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from drone_env.errors import InvalidValueError, MissingPackageError
+from drone_env.errors import InvalidValueError, needs
 
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 
@@ -22,18 +22,14 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
     Each run is flown again from the model's own answers first. A run whose flights do not come to what it says is
     refused, and so is one that is invalid or not whole. Exit status: 0, or 1 if a run does not come to what it says.
 
-    Example: drone-env leaderboard results/llm/*
+    Example: drone-env leaderboard data/llm/*
 
     Args:
         folders: The run folders.
         json: Print JSON instead of tables.
     """
-    try:
+    with needs("llm"):
         from drone_env.llm.leaderboard import leaderboard as rank
-    except ModuleNotFoundError as error:
-        if error.name not in ("httpx2", "openai", "pydantic_settings", "tenacity"):
-            raise
-        raise MissingPackageError(error.name, "llm") from None
 
     if not folders:
         raise InvalidValueError("leaderboard takes the folders of one run or more")

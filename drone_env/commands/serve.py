@@ -3,7 +3,7 @@
 from importlib.util import find_spec
 from pathlib import Path
 
-from drone_env.errors import MissingPackageError
+from drone_env.errors import MissingPackageError, needs
 
 NEEDED = ("fastapi", "uvicorn", "websockets", "pydantic_settings", "sse_starlette")
 
@@ -36,3 +36,10 @@ def serve(
         defaults.workers if workers is None else workers,
         str(defaults.data if data is None else data),
     )
+
+
+def main() -> None:
+    """The program `server`; see `server --help`."""
+    with needs("server", "__main__"):
+        from drone_env.server.app import main as server
+    server()

@@ -49,3 +49,26 @@ class Outcome(IntEnum):
     DELIVERED = 1
     BATTERY_DEAD = 2
     OUT_OF_STEPS = 3
+
+
+MESSAGES = {
+    Event.NONE: "Ready for take-off: {total} to deliver.",
+    Event.DELIVERY: "Delivered: {done} of {total}.",
+    Event.BATTERY_DEAD: "The battery is empty: {done} of {total} delivered.",
+    Event.WALL: "Bumped into the edge of the city.",
+    Event.BLOCKED: "The way is blocked.",
+    Event.OBSTACLE: "Above an obstacle.",
+    Event.BUILDING: "Above a building.",
+    Event.TREE: "Above a tree.",
+    Event.WAIT: "Waiting.",
+    Event.STEP: "On the way.",
+}
+"""The last event, for people."""
+
+ENDINGS = {
+    Outcome.FLYING: "",
+    Outcome.DELIVERED: " Mission accomplished.",
+    Outcome.BATTERY_DEAD: " The mission is over.",
+    Outcome.OUT_OF_STEPS: " Out of steps: the mission is over.",
+}
+"""What is said after it."""

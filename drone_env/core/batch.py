@@ -3,8 +3,9 @@
 Every buffer of a `Batch` is overwritten by the next step; whoever keeps one copies it.
 """
 
+import operator
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, SupportsIndex
 
 import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
@@ -28,6 +29,7 @@ from drone_env.core.score import score
 from drone_env.core.seeds import N_SEEDS, next_seed
 from drone_env.core.state_manager import ALLOWED_ACTIONS
 from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.threads import require_threads
 from drone_env.errors import EpisodeError, InvalidValueError
 
 FLYING = int(Outcome.FLYING)
@@ -166,7 +168,7 @@ def entry_point(kernel: Any, *arguments: Any) -> Any:
 
 
 class Batch:
-    """N episodes of one task, stepped together.
+    """N episodes of one task, stepped together. A copy, by `copy.deepcopy` or by pickle, flies on as the original does.
 
     Attributes, all arrays over the episodes and overwritten by the next step:
         grids: uint8[N, height, width], cell ids as the drone sees them.
@@ -188,22 +190,21 @@ class Batch:
 
     Raises:
         UnknownNameError: if there is no such task or profile.
-        InvalidValueError: if a number is below 1.
+        InvalidValueError: if a number is not an integer or below 1.
     """
 
     def __init__(
         self,
         task: str | TaskConfig,
-        num_envs: int,
+        num_envs: SupportsIndex,
         reward_profile: str | RewardProfile = "aligned",
         same_step: bool = False,
-        num_threads: int = 1,
+        num_threads: SupportsIndex = 1,
     ) -> None:
-        for name, value in (("num_envs", num_envs), ("num_threads", num_threads)):
-            if value < 1:
-                raise InvalidValueError(f"{name} must be at least 1, got {value}")
+        num_envs, num_threads = _count("num_envs", num_envs), _count("num_threads", num_threads)
         self.task = get_task(task)
         self.num_envs = num_envs
+        self.num_threads = num_threads
         self.reward_profile = get_reward_profile(reward_profile)
         self.same_step = same_step
         self.rules = tabulate(self.task)
@@ -277,7 +278,8 @@ class Batch:
 
         Raises:
             InvalidValueError: if they are not; nothing is flown.
-            EpisodeError: if some episode has not been reset yet.
+            EpisodeError: if some episode has not been reset yet, or threads are to share the step in a process forked
+                from one where OpenMP's did; nothing is flown.
         """
         values: Any = np.asarray(actions)
         if values.shape != (self.num_envs,) or values.dtype.kind not in "iu":
@@ -292,6 +294,7 @@ class Batch:
         if len(self._bounds) == 2:
             self._n_ended[0] = self._step(*tables, *self._bounds, self.same_step)
         else:
+            require_threads(self.num_threads)
             self._step(*tables, self._bounds, self.same_step, self._n_ended)
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:
@@ -315,6 +318,16 @@ class Batch:
         for name, buffer in own.items():
             buffer[...] = state[name]
         self.started = bool(self._started.all())
+
+    def __getstate__(self) -> tuple[tuple[Any, ...], dict[str, npt.NDArray[Any]]]:
+        arguments = (self.task, self.num_envs, self.reward_profile, self.same_step, self.num_threads)
+        return arguments, self.get_state()
+
+    def __setstate__(self, state: tuple[tuple[Any, ...], dict[str, npt.NDArray[Any]]]) -> None:
+        # Attributes are views of the buffers: copied one by one they would be none any more.
+        arguments, snapshot = state
+        Batch.__init__(self, *arguments)
+        self.set_state(snapshot)
 
     @property
     def ended(self) -> npt.NDArray[np.int64]:
@@ -357,6 +370,16 @@ class Batch:
             return buffer[: counts[0]]
         starts = self._bounds[:-1].tolist()
         return np.concatenate([buffer[start : start + n] for start, n in zip(starts, counts, strict=True)])
+
+
+def _count(name: str, value: SupportsIndex) -> int:
+    try:
+        number = 0 if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = 0
+    if number < 1:
+        raise InvalidValueError(f"{name} must be an integer of at least 1, got {value!r}")
+    return number
 
 
 def _unpack(packed: npt.NDArray[np.int64]) -> npt.NDArray[np.int8]:

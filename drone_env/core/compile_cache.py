@@ -41,8 +41,8 @@ LOADED = digest_of_sources()
 def cache_folder() -> Path:
     """The folder for the compiled code of these sources; made if need be.
 
-    Under `DRONE_ENV_CACHE` if that is set, else under the user's cache folder, else (where that cannot be written)
-    under the folder for temporary files, in one that is this user's alone.
+    Under `DRONE_ENV_CACHE` if that is set, else under the user's cache folder, else (where that cannot be written, or
+    others can write there) under the folder for temporary files, in one that is this user's alone.
 
     Raises:
         OSError: if there is none, or the sources are no longer those that were loaded.
@@ -54,29 +54,49 @@ def cache_folder() -> Path:
         folder = Path(chosen).absolute() / LOADED  # a program may go to another folder later
         folder.mkdir(parents=True, exist_ok=True)
         return folder
-    try:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "drone_env" / LOADED
-        folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
-            return folder
-    except (OSError, RuntimeError):  # the latter where nobody knows this user's home
-        pass
-    folder = _private_folder() / LOADED
-    folder.mkdir(exist_ok=True)
+    from platformdirs import user_cache_path  # slow to load, as `tempfile` is: most processes compile nothing
+
+    with suppress(OSError, RuntimeError):  # the latter where nobody knows this user's home
+        folder = user_cache_path("drone_env", appauthor=False) / LOADED
+        if folder.is_absolute():  # else its `~` is that of a user without a home
+            folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            _make_private(folder)
+            _require_no_way_for_others(folder)
+            if os.access(folder, os.W_OK):
+                return folder
+    import tempfile
+
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    folder = Path(tempfile.gettempdir()) / f"drone_env-{user}"
+    _make_private(folder)
+    folder /= LOADED
+    _make_private(folder)
     return folder
 
 
-def _private_folder() -> Path:
-    """One in the folder for temporary files. Others may write there too, and who loads code runs it."""
-    import tempfile  # rarely needed, and slow to load
+def _make_private(folder: Path) -> None:
+    """Make a folder that this user alone can write: who loads code from it runs that code, machine code or pickle.
 
-    user = os.getuid() if hasattr(os, "getuid") else None
-    folder = Path(tempfile.gettempdir()) / f"drone_env-{'user' if user is None else user}"
+    Raises:
+        OSError: if it cannot be made, or is there and others can write it.
+    """
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
-    if user is not None and (found.st_uid != user or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
+    if hasattr(os, "getuid") and (found.st_uid != os.getuid() or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
         raise PermissionError(f"{folder} is not a folder that this user alone can write")
-    return folder
+
+
+def _require_no_way_for_others(folder: Path) -> None:
+    """See that nobody else can put another folder in the place of one.
+
+    Raises:
+        PermissionError: if a folder above it is another user's (the system's is none), or everybody can rename in it.
+    """
+    for above in folder.resolve().parents if hasattr(os, "getuid") else ():
+        found = above.stat()
+        renaming = found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX
+        if found.st_uid not in (0, os.getuid()) or renaming:
+            raise PermissionError(f"in {above} others can put another folder in the place of {folder}")
 
 
 class KeptCode:

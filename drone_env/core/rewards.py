@@ -16,6 +16,8 @@ from drone_env.errors import InvalidTaskError, UnknownNameError
 
 FLYING = int(Outcome.FLYING)
 MAX_REWARD = 1_000_000
+MAX_PLACES = 400
+"""Decimal places of the numbers of a profile: more than any float has, and few enough to calculate with exactly."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,10 @@ class RewardProfile:
         )
         if not all(isinstance(number, Decimal) for number in numbers):
             raise InvalidTaskError(f"reward profile {self.id!r}: numbers must be Decimal, such as Decimal('0.05')")
-        if not all(number.is_finite() and abs(number) <= MAX_REWARD for number in numbers):
+        if not all(number.is_finite() and number.copy_abs() <= MAX_REWARD for number in numbers):
             raise InvalidTaskError(f"reward profile {self.id!r}: numbers must be from -{MAX_REWARD} to {MAX_REWARD}")
+        if any(int(number.as_tuple().exponent) < -MAX_PLACES for number in numbers):
+            raise InvalidTaskError(f"reward profile {self.id!r}: numbers may have {MAX_PLACES} decimal places at most")
         if self.clamp is not None and self.clamp[0] > self.clamp[1]:
             bounds = f"{self.clamp[0]} to {self.clamp[1]}"
             raise InvalidTaskError(f"reward profile {self.id!r}: a clamp from {bounds} has no room between its bounds")

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core import dynamics
-from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
+from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome
 from drone_env.core.observation import Observation, open_actions, write_telemetry
 from drone_env.core.rewards import RewardProfile, get_reward_profile, interpreted_rewards
 from drone_env.core.rules import (
@@ -254,8 +254,8 @@ class Episode:
 
     @property
     def reward_last(self) -> float:
-        """What the last step paid."""
-        return self._reward_last
+        """What the last step paid; 0 where it came after the end."""
+        return 0.0 if self._refused else self._reward_last
 
     @property
     def reward_total(self) -> float:
@@ -265,10 +265,12 @@ class Episode:
     @property
     def path(self) -> list[PathStep]:
         """All steps flown, in order."""
-        return [
-            PathStep(Action(action), *self._xy(cell), Event(event), reward, battery)
-            for action, cell, event, reward, battery in self._path
-        ]
+        return [self._path_step(entry) for entry in self._path]
+
+    @property
+    def last_step(self) -> PathStep | None:
+        """The last step flown, None before the first: what stands at the end of `path`, without the rest."""
+        return self._path_step(self._path[-1]) if self._path else None
 
     @property
     def actions(self) -> list[int]:
@@ -288,7 +290,7 @@ class Episode:
         if self._refused:
             return f"Nothing done: the episode has ended ({self.outcome.name.lower()}). Reset to fly again."
         return (
-            _MESSAGES[self.event].format(done=self.deliveries_done, total=self.task.deliveries) + _ENDINGS[self.outcome]
+            MESSAGES[self.event].format(done=self.deliveries_done, total=self.task.deliveries) + ENDINGS[self.outcome]
         )
 
     def counted_score(self) -> float:
@@ -375,25 +377,9 @@ class Episode:
         self.reward_profile = profile
         self._rewards = interpreted_rewards(self.task, profile)
 
+    def _path_step(self, entry: tuple[int, int, int, float, int]) -> PathStep:
+        action, cell, event, reward, battery = entry
+        return PathStep(Action(action), *self._xy(cell), Event(event), reward, battery)
+
     def _xy(self, cell: int) -> tuple[int, int]:
         return self.rules.columns[cell], self.rules.lines[cell]
-
-
-_MESSAGES = {
-    Event.NONE: "Ready for take-off: {total} to deliver.",
-    Event.DELIVERY: "Delivered: {done} of {total}.",
-    Event.BATTERY_DEAD: "The battery is empty: {done} of {total} delivered.",
-    Event.WALL: "Bumped into the edge of the city.",
-    Event.BLOCKED: "The way is blocked.",
-    Event.OBSTACLE: "Above an obstacle.",
-    Event.BUILDING: "Above a building.",
-    Event.TREE: "Above a tree.",
-    Event.WAIT: "Waiting.",
-    Event.STEP: "On the way.",
-}
-_ENDINGS = {
-    Outcome.FLYING: "",
-    Outcome.DELIVERED: " Mission accomplished.",
-    Outcome.BATTERY_DEAD: " The mission is over.",
-    Outcome.OUT_OF_STEPS: " Out of steps: the mission is over.",
-}

@@ -85,9 +85,10 @@ class TaskConfig:
             require(bool(valid), f"{name} must be lower-case letters, digits and _, got {value!r}")
         for number in fields(self):
             value = getattr(self, number.name)
-            if number.type is int:
+            # A type is its name where annotations are not evaluated.
+            if number.type in (int, "int"):
                 require(type(value) is int, f"{number.name} must be an integer, got {value!r}")
-            elif number.type is float:
+            elif number.type in (float, "float"):
                 finite = type(value) in (int, float) and math.isfinite(value)
                 require(finite, f"{number.name} must be a finite number, got {value!r}")
         try:

@@ -12,6 +12,7 @@ from drone_env.core.rewards import RewardProfile
 from drone_env.core.state_manager import Episode, Observation
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.ansi import draw_text
+from drone_env.envs.registration import check_gym_id
 from drone_env.envs.rendering import draw_mission
 from drone_env.envs.spaces import observation_space
 from drone_env.envs.window import Window
@@ -36,10 +37,11 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         version: The task's version, None for the current one.
         reward_profile: A reward profile or its name.
         render_mode: `ansi` (text), `rgb_array` (a picture, uint8[h, w, 3]), `human` (a window) or None.
+        gym_id: The id that the environment is made under: it must be the task's own.
 
     Raises:
         UnknownNameError: if the task, version or profile does not exist.
-        InvalidValueError: if the render mode does not exist.
+        InvalidValueError: if the render mode does not exist, or the id is another task's.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["ansi", "rgb_array", "human"], "render_fps": 8}
@@ -50,11 +52,13 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         version: int | None = None,
         reward_profile: str | RewardProfile = "aligned",
         render_mode: str | None = None,
+        gym_id: str | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             allowed = ", ".join(self.metadata["render_modes"])
             raise InvalidValueError(f"unknown render_mode {render_mode!r}; allowed: {allowed}")
         self.task = get_task(task, version)
+        check_gym_id(gym_id, self.task)
         self.render_mode = render_mode
         self.episode = Episode(self.task, reward_profile)
         self.observation_space = observation_space(self.task)  # type: ignore[assignment]

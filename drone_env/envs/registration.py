@@ -2,7 +2,8 @@
 
 import gymnasium
 
-from drone_env.core.tasks import PAST_TASKS, TASKS
+from drone_env.core.tasks import PAST_TASKS, TASKS, TaskConfig
+from drone_env.errors import InvalidValueError
 
 
 def register_envs() -> None:
@@ -13,5 +14,15 @@ def register_envs() -> None:
                 id=task.gym_id,
                 entry_point="drone_env.envs.drone_delivery:DroneDeliveryEnv",
                 vector_entry_point="drone_env.envs.vector:DroneDeliveryVectorEnv",
-                kwargs={"task": task.id, "version": task.version},
+                kwargs={"task": task.id, "version": task.version, "gym_id": task.gym_id},
             )
+
+
+def check_gym_id(gym_id: str | None, task: TaskConfig) -> None:
+    """See that an environment made under a Gymnasium id flies the task of that id.
+
+    Raises:
+        InvalidValueError: if it is another task's.
+    """
+    if gym_id not in (None, task.gym_id):
+        raise InvalidValueError(f"{gym_id} does not fly task {task.id!r}: make {task.gym_id}, or leave the task out")

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +17,13 @@ from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.vector import DroneDeliveryVectorEnv
 from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, one_hot
 from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.installer import pip
 
 try:
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
 except ModuleNotFoundError as error:
-    raise ImportError("drone_env.envs.sb3 needs Stable-Baselines3: pip install stable-baselines3") from error
+    raise ImportError(f"drone_env.envs.sb3 needs Stable-Baselines3: {pip()} install stable-baselines3") from error
 
 Observations = npt.NDArray[Any] | dict[str, npt.NDArray[Any]]
 
@@ -54,16 +55,16 @@ class DroneDeliveryVecEnv(VecEnv):
 
     Raises:
         UnknownNameError: if the task, version, profile or form of the observation does not exist.
-        InvalidValueError: if a number is below 1.
+        InvalidValueError: if a number is not an integer or below 1.
     """
 
     def __init__(
         self,
         task: str | TaskConfig,
-        num_envs: int,
+        num_envs: SupportsIndex,
         version: int | None = None,
         reward_profile: str | RewardProfile = "aligned",
-        num_threads: int = 1,
+        num_threads: SupportsIndex = 1,
         observation: str = "dict",
     ) -> None:
         if observation not in list(FORMS):
@@ -76,10 +77,17 @@ class DroneDeliveryVecEnv(VecEnv):
         self.observation = observation
         self.render_mode = None  # the base class asks for it through get_attr()
         single = FORMS[observation](DroneDeliveryEnv(self.task))
-        super().__init__(num_envs, single.observation_space, spaces.Discrete(N_ACTIONS))
+        super().__init__(self.batch.num_envs, single.observation_space, spaces.Discrete(N_ACTIONS))
         self._actions: Any = None
-        self._returns = np.zeros(num_envs)
+        self._returns = np.zeros(self.num_envs)
         self._start = time.perf_counter()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_start": time.perf_counter() - self._start}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._start = time.perf_counter() - self._start  # clocks of processes start anywhere
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Choose the maps seed, seed + 1, ..., seed + N - 1 for the next reset; None draws the first at random.

@@ -1,7 +1,7 @@
 """Many drones as one `gymnasium.vector.VectorEnv`, stepped by compiled code."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -14,10 +14,12 @@ from drone_env.core.batch import Batch
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.envs.registration import check_gym_id
 from drone_env.envs.spaces import observation_space
 from drone_env.errors import EpisodeError, InvalidValueError
 
 Observations = dict[str, npt.NDArray[Any]]
+PREPARED = ("_truncations", "_everyone", "_live", "_live_outcome", "_live_masks")
 
 
 class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]]):
@@ -38,24 +40,26 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         autoreset_mode: `NEXT_STEP` or `SAME_STEP`, as `AutoresetMode` or its value.
         num_threads: How many threads share a step.
         copy: Whether observations, rewards and masks are copies that stay as they are; otherwise they are the live
-            buffers, which the next step overwrites.
+            buffers, which the next step overwrites and nobody else can write to.
         render_mode: None; a batch has no picture.
+        gym_id: The id that the environment is made under: it must be the task's own.
 
     Raises:
         UnknownNameError: if the task, version or profile does not exist.
-        InvalidValueError: if a number, the mode or the render mode is not allowed.
+        InvalidValueError: if a number, the mode, the render mode or the id is not allowed.
     """
 
     def __init__(
         self,
-        num_envs: int = 1,
+        num_envs: SupportsIndex = 1,
         task: str | TaskConfig = "easy_delivery",
         version: int | None = None,
         reward_profile: str | RewardProfile = "aligned",
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        num_threads: int = 1,
+        num_threads: SupportsIndex = 1,
         copy: bool = True,
         render_mode: str | None = None,
+        gym_id: str | None = None,
     ) -> None:
         if render_mode is not None:
             raise InvalidValueError(f"a batch has no pictures: render_mode must be None, got {render_mode!r}")
@@ -64,21 +68,35 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         if not modes:
             raise InvalidValueError(f"autoreset_mode must be NEXT_STEP or SAME_STEP, got {autoreset_mode!r}")
         self.task = get_task(task, version)
-        self.num_envs = num_envs
+        check_gym_id(gym_id, self.task)
         self.metadata = {"render_modes": [], "autoreset_mode": modes[0]}
         self.render_mode = None
         self.copy = copy
         self.batch = Batch(
             self.task, num_envs, reward_profile, same_step=modes[0] is AutoresetMode.SAME_STEP, num_threads=num_threads
         )
+        self.num_envs = self.batch.num_envs
         self.single_observation_space = observation_space(self.task)
         self.single_action_space = spaces.Discrete(N_ACTIONS)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self._truncations = np.zeros(num_envs, np.bool_)
-        self._everyone = np.ones(num_envs, np.bool_)
-        for constant in (self._truncations, self._everyone):
-            constant.setflags(write=False)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """What every step hands out, and nobody is to write to."""
+        batch = self.batch
+        self._truncations = _read_only(np.zeros(self.num_envs, np.bool_))
+        self._everyone = _read_only(np.ones(self.num_envs, np.bool_))
+        self._live = {"grid": _read_only(batch.grids), "telemetry": _read_only(batch.telemetry)}
+        self._live_outcome = (_read_only(batch.rewards), _read_only(batch.terminated), self._truncations)
+        self._live_masks = _read_only(batch.action_masks)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in PREPARED}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._prepare()
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -122,7 +140,7 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         ended = self.batch.ended
         if len(ended):
             self._add_finals(info, ended)
-        outcome = (self.batch.rewards, self.batch.terminated, self._truncations)
+        outcome = self._live_outcome
         if self.copy:
             outcome = tuple(array.copy() for array in outcome)
         rewards, terminations, truncations = outcome
@@ -137,27 +155,20 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
             following = np.asarray(next_seed(flown))
         if seed is None:
             return following
-        if isinstance(seed, int | np.integer):
-            check_seed(seed)
-            check_seed(int(seed) + self.num_envs - 1)
-            return np.arange(int(seed), int(seed) + self.num_envs)
+        given: Any = seed
+        if isinstance(seed, int) or np.ndim(given) == 0:
+            start = check_seed(given)
+            check_seed(start + self.num_envs - 1)
+            return np.arange(start, start + self.num_envs)
         if len(seed) != self.num_envs:
             raise InvalidValueError(f"seed must be one seed or {self.num_envs}, got {len(seed)}")
         return np.array([own if s is None else check_seed(s) for s, own in zip(seed, following, strict=True)], np.int64)
 
     def _observations(self) -> Observations:
-        grid, telemetry = self.batch.grids, self.batch.telemetry
-        return (
-            {"grid": grid.copy(), "telemetry": telemetry.copy()}
-            if self.copy
-            else {
-                "grid": grid,
-                "telemetry": telemetry,
-            }
-        )
+        return {name: array.copy() if self.copy else array for name, array in self._live.items()}
 
     def _info(self) -> dict[str, Any]:
-        masks = self.batch.copy_action_masks() if self.copy else self.batch.action_masks
+        masks = self.batch.copy_action_masks() if self.copy else self._live_masks
         return {"action_mask": masks, "_action_mask": self._everyone}
 
     def _add_finals(self, info: dict[str, Any], ended: npt.NDArray[np.int64]) -> None:
@@ -177,3 +188,10 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
             final_obs[ended] = [{"grid": grid, "telemetry": row} for grid, row in zip(grids, telemetry, strict=True)]
             info["final_obs"] = final_obs
             info["_final_obs"] = mask
+
+
+def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A view of an array that cannot be written to."""
+    view = array.view()
+    view.setflags(write=False)
+    return view

@@ -7,6 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.error import DependencyNotInstalled
 
+from drone_env.installer import install_command
+
 
 class Window:
     """A window that opens with the first picture and changes its size with the pictures.
@@ -68,7 +70,7 @@ class Window:
             import pygame
         except ImportError as error:
             raise DependencyNotInstalled(
-                'pygame is not installed, run `pip install -e ".[human]"` in the clone'
+                f"pygame is not installed, run `{install_command('human')}` in the clone"
             ) from error
         pygame.display.init()
         pygame.display.set_caption(self.caption)

@@ -5,7 +5,7 @@ from datetime import datetime, timezone
 from typing import Any, NamedTuple
 
 from drone_env.core.actions import Action
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.analysis import FinishedRow
 from drone_env.episodes.finished import StoredEpisode
 from drone_env.episodes.record import parse_record
@@ -36,6 +36,35 @@ def episode_rows(connection: sqlite3.Connection, where: str, values: tuple[objec
         f"o.score FROM episodes LEFT JOIN optima o USING (task, task_version, seed) {where}",
         values,
     ).fetchall()
+
+
+def selection(
+    task: str | TaskConfig | None,
+    agent: str | None = None,
+    before: int | None = None,
+    after: int | None = None,
+    episode_id: str | None = None,
+) -> tuple[str, tuple[object, ...]]:
+    """The WHERE of `episode_rows`, and its values.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+    """
+    known = None if task is None else get_task(task)
+    conditions = [
+        (value, condition)
+        for value, condition in (
+            (None if known is None else known.id, "task = ?"),
+            (None if known is None else known.version, "task_version = ?"),
+            (agent, "agent = ?"),
+            (before, "number < ?"),
+            (after, "number > ?"),
+            (episode_id, "id = ?"),
+        )
+        if value is not None
+    ]
+    where = " AND ".join(condition for _, condition in conditions)
+    return f"WHERE {where}" if where else "", tuple(value for value, _ in conditions)
 
 
 def listed_episode(row: Any, name: str) -> ListedEpisode:
@@ -112,15 +141,15 @@ def session_row(connection: sqlite3.Connection, session_id: str) -> SessionRow:
     # What is not ASCII cannot be an id, and may be no text for SQLite either.
     known = session_id if session_id.isascii() else ""
     found = connection.execute(
-        "SELECT task, task_version, seed, reward_profile, agent, actions, episode_id, opened_at, touched_at "
-        "FROM sessions WHERE id = ?",
+        "SELECT task, task_version, seed, reward_profile, agent, actions, episode_id, opened_at, touched_at, "
+        "address FROM sessions WHERE id = ?",
         (known,),
     ).fetchone()
     if found is None:
         if connection.execute("SELECT 1 FROM gone_sessions WHERE id = ?", (known,)).fetchone():
             raise SessionGoneError("this session has ended or was idle for too long: open a new one")
         raise NoSessionError("there is no such session: open one first")
-    task, task_version, seed, reward_profile, agent, actions, episode_id, opened_at, touched_at = found
+    task, task_version, seed, reward_profile, agent, actions, episode_id, opened_at, touched_at, address = found
     return SessionRow(
         id=session_id,
         task=task,
@@ -132,7 +161,17 @@ def session_row(connection: sqlite3.Connection, session_id: str) -> SessionRow:
         episode_id=episode_id,
         opened_at=_utc(opened_at),
         touched_at=_utc(touched_at),
+        address=address,
     )
+
+
+def unnamed_session(connection: sqlite3.Connection, address: str, oldest: bool) -> str | None:
+    """The session of those at an address who name none: the one that was used last, or that was unused for longest."""
+    order = "" if oldest else "DESC"
+    found = connection.execute(
+        f"SELECT id FROM sessions WHERE address = ? ORDER BY touched_at {order} LIMIT 1", (address,)
+    ).fetchone()
+    return None if found is None else found[0]
 
 
 def end_session(connection: sqlite3.Connection, session_id: str, now: float) -> None:

@@ -63,6 +63,11 @@ MIGRATIONS: tuple[str, ...] = (
     CREATE INDEX finished_sessions_by_use ON sessions (touched_at) WHERE episode_id IS NOT NULL;
     CREATE INDEX gone_sessions_by_time ON gone_sessions (gone_at);
     """,
+    # 3. `address` is that of the caller who has opened a session without naming one, until somebody names it.
+    """
+    ALTER TABLE sessions ADD COLUMN address TEXT;
+    CREATE INDEX unnamed_sessions_by_use ON sessions (address, touched_at) WHERE address IS NOT NULL;
+    """,
 )
 
 

@@ -35,6 +35,7 @@ class SessionRow:
         opened_at: When the session was opened, UTC.
         touched_at: When it was last used, UTC, before this use.
         finished: The episodes that `finish` noted.
+        address: Where those are who fly it without naming it; None for a session that has been named.
     """
 
     id: str
@@ -48,6 +49,7 @@ class SessionRow:
     opened_at: datetime
     touched_at: datetime
     finished: list[StoredEpisode] = field(default_factory=list[StoredEpisode])
+    address: str | None = None
 
     def append(self, action: object) -> None:
         """Note one more action.

@@ -31,9 +31,11 @@ from drone_env.episodes.rows import (
     finished_rows,
     insert_episode,
     listed_episode,
+    selection,
     session_row,
+    unnamed_session,
 )
-from drone_env.episodes.sessions import SessionRow, known_task, new_episode_id
+from drone_env.episodes.sessions import EPISODE_ID, SessionRow, known_task, new_episode_id
 from drone_env.errors import CapacityError, InvalidValueError, UnknownNameError
 
 FILE_NAME = "drone_env.sqlite3"
@@ -91,7 +93,9 @@ class Store:
 
     # Finished episodes
 
-    def add_episode(self, episode: EpisodeRecord | Episode, agent: str | None = None) -> str:
+    def add_episode(
+        self, episode: EpisodeRecord | Episode, agent: str | None = None, episode_id: str | None = None
+    ) -> str:
         """Store a finished episode and return its id; `memory.json` shows it a moment later.
 
         A record is flown again first, so that nothing is stored that is not so; an `Episode` is taken as it is.
@@ -99,6 +103,8 @@ class Store:
         Args:
             episode: The flight.
             agent: Who flew an `Episode`; a record says so itself.
+            episode_id: Its id, 16 hex digits, for one that may be stored already: the one of this id is then kept as it
+                is. None for a new one.
 
         Raises:
             EpisodeError: if the episode has not ended.
@@ -111,9 +117,12 @@ class Store:
             raise InvalidValueError("agent belongs to an Episode; a record names its own")
         if isinstance(episode, EpisodeRecord):
             agent, episode = episode.agent, replay(episode)
-        stored = StoredEpisode.of(new_episode_id(), episode, str(agent))
+        if episode_id is not None and not EPISODE_ID.fullmatch(episode_id):
+            raise InvalidValueError(f"the id of an episode is 16 hex digits, got {episode_id!r}")
+        stored = StoredEpisode.of(episode_id or new_episode_id(), episode, str(agent))
         with self._database.writing() as connection:
-            insert_episode(connection, stored)
+            if episode_id is None or not episode_rows(connection, "WHERE id = ?", (episode_id,)):
+                insert_episode(connection, stored)
         self._view.refresh()
         return stored.id
 
@@ -139,7 +148,7 @@ class Store:
             InvalidValueError: if n is negative.
             StoreError: if the store cannot be read.
         """
-        where, values = _selection(task)
+        where, values = selection(task)
         return [
             row.episode for row in self._read_episodes(f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n)))
         ]
@@ -172,9 +181,9 @@ class Store:
             InvalidValueError: if n is negative.
             StoreError: if the store cannot be read, or the optima could not be written.
         """
-        where, values = _selection(task, agent, before, after, episode_id)
-        selection = f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n))
-        found = self._read_episodes(*selection)
+        where, values = selection(task, agent, before, after, episode_id)
+        chosen = f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n))
+        found = self._read_episodes(*chosen)
         unsolved: dict[TaskConfig, list[int]] = {}
         for row in found:
             if not row.solved:
@@ -182,7 +191,7 @@ class Store:
                 unsolved.setdefault(get_task(record.task, record.task_version), []).append(record.seed)
         for known, seeds in unsolved.items():
             self._optima.solve(known, list(dict.fromkeys(seeds)), patience / len(unsolved))
-        return self._read_episodes(*selection) if unsolved else found
+        return self._read_episodes(*chosen) if unsolved else found
 
     def episodes(self) -> Iterator[StoredEpisode]:
         """All finished episodes, oldest first, read as they are asked for.
@@ -221,12 +230,19 @@ class Store:
     # Sessions
 
     def open_session(
-        self, task: str, task_version: int, seed: int, reward_profile: str, agent: str, capacity: int
+        self,
+        task: str,
+        task_version: int,
+        seed: int,
+        reward_profile: str,
+        agent: str,
+        capacity: int,
+        address: str | None = None,
     ) -> str:
         """Open a session on a map and return its id, which cannot be guessed.
 
         Where there is no room, the session that was finished first gives way, if it has not been used for
-        30 s.
+        30 s. `address` makes it the one of those there who name none (`unnamed_session`).
 
         Raises:
             CapacityError: if `capacity` sessions are open already; expire the idle ones first.
@@ -237,11 +253,11 @@ class Store:
         session_id = secrets.token_urlsafe(24)
         task = known_task(task, task_version, seed, reward_profile)
         now = self._clock()
-        row = (session_id, task, task_version, seed, reward_profile, check_agent(agent), "", None, now, now)
+        row = (session_id, task, task_version, seed, reward_profile, check_agent(agent), "", None, now, now, address)
         with self._database.writing() as connection:
             if count_sessions(connection) >= capacity and not end_finished(connection, now):
                 raise CapacityError(f"all {capacity} sessions are taken: try again later")
-            connection.execute("INSERT INTO sessions VALUES (?,?,?,?,?,?,?,?,?,?)", row)
+            connection.execute("INSERT INTO sessions VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
         return session_id
 
     @contextmanager
@@ -270,7 +286,7 @@ class Store:
                 insert_episode(connection, stored)
             connection.execute(
                 "UPDATE sessions SET task = ?, task_version = ?, seed = ?, reward_profile = ?, agent = ?, actions = ?, "
-                "episode_id = ?, touched_at = ? WHERE id = ?",
+                "episode_id = ?, touched_at = ?, address = ? WHERE id = ?",
                 (
                     row.task,
                     row.task_version,
@@ -280,6 +296,7 @@ class Store:
                     "".join(map(str, row.actions)),
                     row.episode_id,
                     self._clock(),
+                    row.address,
                     session_id,
                 ),
             )
@@ -296,6 +313,19 @@ class Store:
         """
         with self._database.reading() as connection:
             return session_row(connection, session_id)
+
+    def unnamed_session(self, address: str, oldest: bool = False) -> str | None:
+        """The session of those at an address who name none, None where they have none.
+
+        Args:
+            address: Where they are.
+            oldest: Of several, the one that was not used for longest, instead of the one that was used last.
+
+        Raises:
+            StoreError: if the store cannot be read.
+        """
+        with self._database.reading() as connection:
+            return unnamed_session(connection, address, oldest)
 
     def end_session(self, session_id: str) -> None:
         """End a session: from now on it is gone.
@@ -364,28 +394,3 @@ def _at_most(n: int) -> int:
     if n < 0:
         raise InvalidValueError(f"n must be at least 0, got {n}")
     return min(n, MOST_ROWS)
-
-
-def _selection(
-    task: str | TaskConfig | None,
-    agent: str | None = None,
-    before: int | None = None,
-    after: int | None = None,
-    episode_id: str | None = None,
-) -> tuple[str, tuple[object, ...]]:
-    """The WHERE of a query for episodes, and its values."""
-    known = None if task is None else get_task(task)
-    conditions = [
-        (value, condition)
-        for value, condition in (
-            (None if known is None else known.id, "task = ?"),
-            (None if known is None else known.version, "task_version = ?"),
-            (agent, "agent = ?"),
-            (before, "number < ?"),
-            (after, "number > ?"),
-            (episode_id, "id = ?"),
-        )
-        if value is not None
-    ]
-    where = " AND ".join(condition for _, condition in conditions)
-    return f"WHERE {where}" if where else "", tuple(value for value, _ in conditions)

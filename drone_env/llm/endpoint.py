@@ -2,7 +2,7 @@
 
 import asyncio
 import itertools
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
 from email.utils import parsedate_to_datetime
 from time import time
 from typing import Any, NoReturn, cast
@@ -18,8 +18,8 @@ from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import AnswerForm, RunConfig
 from drone_env.llm.prompt import ChatMessage
+from drone_env.llm.redaction import without_secret
 from drone_env.llm.settings import LOOPBACK
-from drone_env.llm.transcript import SHORTEST_SECRET
 
 RETRIED = {408, 409, 429}
 SENT_HEADERS = {
@@ -29,6 +29,10 @@ SENT_HEADERS = {
 REASON_CHARACTERS = 300
 MOST_TOKENS = 10**12
 """A count of tokens from here on is none."""
+MOST_BYTES = 1 << 22
+"""A longer answer is not read on: a million tokens take less, and an endpoint must not fill the memory."""
+PACKED = 64
+"""How many times less a compressed answer may have. None is asked for, and one may grow a thousandfold."""
 POOLS = 8
 """Pools of connections. A pool looks at all of its own for each request, which hundreds in one would make slow."""
 DIRECTIONS = [action.name for action in Action]
@@ -60,6 +64,34 @@ class TryFailedError(DroneEnvError):
         super().__init__(f"{status or 'no answer'}: {reason}")
 
 
+class _TooLongError(ValueError):
+    """An answer that takes more than is read."""
+
+
+class _Bounded(httpx2.AsyncByteStream):
+    """What comes in, up to a limit."""
+
+    def __init__(self, stream: httpx2.AsyncByteStream, most: int) -> None:
+        self._stream = stream
+        self._left = most
+        self._most = most
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        async for chunk in self._stream:
+            self._left -= len(chunk)
+            if self._left < 0:
+                raise _TooLongError(f"it takes more than {self._most:,} bytes")
+            yield chunk
+
+    async def aclose(self) -> None:
+        await self._stream.aclose()
+
+
+async def _bound(response: httpx2.Response) -> None:
+    stream = cast(httpx2.AsyncByteStream, response.stream)
+    response.stream = _Bounded(stream, MOST_BYTES // PACKED if "content-encoding" in response.headers else MOST_BYTES)
+
+
 class Endpoint:
     """Sends requests. To be closed.
 
@@ -80,6 +112,7 @@ class Endpoint:
             # The client adds headers from variables of the environment that are meant for one certain host.
             for name in [name for name in request.headers if name.lower() not in SENT_HEADERS]:
                 del request.headers[name]
+            request.headers["accept-encoding"] = "identity"
             if token is None:
                 request.headers.pop("authorization", None)
             else:
@@ -93,7 +126,7 @@ class Endpoint:
                 verify=certificates,
                 follow_redirects=False,
                 limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
-                event_hooks={"request": [keep_to_ourselves]},
+                event_hooks={"request": [keep_to_ourselves], "response": [_bound]},
             )
             return AsyncOpenAI(
                 api_key=token or "none", base_url=config.base_url, max_retries=0, timeout=timeout, http_client=http
@@ -118,6 +151,8 @@ class Endpoint:
             self._status_failed(error)
         except (openai.APIConnectionError, httpx2.TransportError) as error:
             cause = error.__cause__ or error
+            if isinstance(cause, _TooLongError):
+                raise TryFailedError(200, f"not an answer: {cause}", retried=False) from None
             reason = f"{type(cause).__name__}: {cause}".rstrip(": ")
             raise TryFailedError(0, self._clean(reason), retried=True) from None
         except (openai.APIError, ValueError) as error:
@@ -165,8 +200,7 @@ class Endpoint:
 
     def _clean(self, text: str) -> str:
         """The text on one line, without the token, and without what moves a terminal or cannot be written."""
-        if self._token and len(self._token) >= SHORTEST_SECRET:
-            text = text.replace(self._token, "***")
+        text = without_secret(text, self._token)
         # Cut last: half of a token would not be found.
         text = " ".join(text.split())[:REASON_CHARACTERS]
         return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)

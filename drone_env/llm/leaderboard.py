@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from drone_env.errors import DroneEnvError
 from drone_env.llm.report import report
+from drone_env.llm.run_folder import RESULTS, load_config
 from drone_env.llm.verify import verified_run
 
 
@@ -37,6 +38,12 @@ def leaderboard(paths: Iterable[Path]) -> tuple[list[Board], list[Refused]]:
     refused: list[Refused] = []
     for path in {path.resolve(): path for path in paths}.values():
         try:
+            load_config(path)
+            if not (path / RESULTS).exists():
+                # Written at the end of each part of a run.
+                under_way = "no flights yet: it is under way, or was killed and can be gone on with (--resume)"
+                refused.append(Refused(path, under_way, damaged=False))
+                continue
             run = verified_run(path)
         except (DroneEnvError, OSError, ValueError) as error:
             refused.append(Refused(path, str(error).removeprefix(f"{path}: "), damaged=True))

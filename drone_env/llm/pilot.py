@@ -64,6 +64,7 @@ class Flight:
         step_errors: For each step, why it is a WAIT that the model did not choose; None where it chose.
         status: `finished` also where a route that was planned at once ended before the episode did.
         error: Why it was not finished.
+        begun: Whether any answer came.
     """
 
     index: int
@@ -74,6 +75,7 @@ class Flight:
     step_errors: list[str | None] = field(default_factory=list[str | None])
     status: Status = "finished"
     error: str | None = None
+    begun: bool = False
 
 
 async def fly(mission: Mission, prompt: Prompt, ask: Ask, server: ServerFlight | None = None) -> Flight:
@@ -100,6 +102,7 @@ async def fly(mission: Mission, prompt: Prompt, ask: Ask, server: ServerFlight |
         asked = first_messages(prompt, task, DroneObservation.of(episode), flown, mission.history)
         try:
             answer = await ask(CallKey(index, turn, 1), asked)
+            flight.begun = True
             reading = read_answer(answer, prompt.plan)
             outcome: Outcome = reading.kind
             if reading.kind != "ok":

@@ -1,6 +1,7 @@
 """Progress of a run on standard error: a bar in a terminal, a line now and then elsewhere. Waits are always told."""
 
 import time
+from collections.abc import Callable
 from types import TracebackType
 
 from rich.console import Console
@@ -20,10 +21,15 @@ QUIET_SECONDS = 1.0
 
 
 class ConsoleObserver:
-    """Prints the log lines of each flight to standard output, together, and all else to standard error."""
+    """Prints the log lines of each flight to standard output, together, and all else to standard error.
 
-    def __init__(self) -> None:
-        self._console = Console(stderr=True, highlight=False, markup=False)
+    Args:
+        keep: Is given each flight before its log lines are printed.
+    """
+
+    def __init__(self, keep: Callable[[Flight], None] | None = None) -> None:
+        self._keep = keep
+        self._console = Console(stderr=True, highlight=False, markup=False, emoji=False)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         terminal = self._console.is_terminal
         self._progress = Progress(
@@ -75,6 +81,8 @@ class ConsoleObserver:
 
     def flown(self, flight: Flight) -> None:
         """A flight is over: its log lines."""
+        if self._keep is not None:
+            self._keep(flight)
         print(log_text(flight, self._model), end="", flush=True)
         self._done += 1
         if flight.status != "finished":

@@ -56,7 +56,7 @@ class Prompt:
         id: Name and version, such as `minimal-1`.
         plan: Whether it asks for a whole route.
         system, user, repair: Templates; `repair` takes `reason` alone.
-        digest: SHA-256 of the file, 16 hex digits.
+        digest: SHA-256 of the file, whose lines end in LF here, 16 hex digits.
     """
 
     id: str
@@ -109,7 +109,8 @@ def read_prompt(path: Path) -> Prompt:
         OSError: if it cannot be read.
         InvalidValueError: if it is not a prompt; the message says why.
     """
-    raw = path.read_bytes()
+    # A checkout may have CRLF, which is no other prompt.
+    raw = path.read_bytes().replace(b"\r\n", b"\n")
     try:
         data: dict[str, Any] = tomllib.loads(raw.decode())
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -1,9 +1,9 @@
 """The folder of a run: what it is, its transcript, and what follows from that. One process at a time writes to it."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from filelock import FileLock
 from pydantic import Field, ValidationError
 from typing_extensions import Self
 
@@ -102,20 +102,20 @@ class RunFolder:
 
     def close(self) -> None:
         """Let other processes in."""
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+        self._lock.release()
 
 
 def load_config(path: Path) -> RunConfig:
     """What the run in a folder is.
 
     Raises:
-        OSError: if there is none.
-        InvalidValueError: if the file is not the configuration of a run.
+        OSError: if it cannot be read.
+        InvalidValueError: if there is none, or the file is not the configuration of a run.
     """
     try:
         return RunConfig.model_validate_json((path / CONFIG).read_bytes())
+    except (FileNotFoundError, NotADirectoryError):
+        raise InvalidValueError(f"{path}: this is not the folder of a run: there is no {CONFIG} in it") from None
     except ValidationError as error:
         raise InvalidValueError(f"{path / CONFIG} is not the configuration of a run: {first_problem(error)}") from None
 
@@ -148,8 +148,8 @@ def _begun(path: Path) -> bool:
     return all(entry.name == "lock" or entry.name.endswith(".part") for entry in path.iterdir())
 
 
-def _lock(path: Path) -> int | None:
-    """Keep other processes out until the returned file is closed, or this process dies."""
+def _lock(path: Path) -> FileLock:
+    """Keep other processes out until the lock is released, or this process dies."""
     try:
         return lock_file(path / "lock")
     except BlockingIOError:

@@ -158,7 +158,7 @@ async def run(
                 if server is not None:
                     server.close()
             # A flight that the limits did not let begin is not one.
-            if flight.turns != ["budget_stop"]:
+            if flight.begun or flight.status != "budget_stop":
                 flights.append(flight)
                 observer.flown(flight)
             return desk.fatal is None

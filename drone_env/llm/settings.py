@@ -3,15 +3,18 @@
 import os
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 from dotenv import dotenv_values
-from pydantic import Field, SecretStr, ValidationError
+from pydantic import Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drone_env.errors import InvalidValueError
 
 HUGGING_FACE = "https://router.huggingface.co/v1"
+OPENAI = "https://api.openai.com/v1"
+OPENAI_MODEL = "gpt-4o"
 HUGGING_FACE_HOSTS = ("huggingface.co", "hf.co", "hf.space", "endpoints.huggingface.cloud")
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
@@ -19,7 +22,7 @@ SUPPORTED_MODELS = (
     ("Qwen/Qwen2.5-7B-Instruct", "HF Router", "Free", "Fast, good baseline"),
     ("Qwen/Qwen2.5-72B-Instruct", "HF Router", "Credits", "High capability"),
     ("Qwen/QwQ-32B-Preview", "HF Router", "Credits", "Reasoning-optimized"),
-    ("gpt-4o", "OpenAI", "Paid", "Reference performance"),
+    (OPENAI_MODEL, "OpenAI", "Paid", "Reference performance"),
 )
 """Model, provider, tier, notes. Any other model of an OpenAI-compatible endpoint can be named as well."""
 
@@ -40,22 +43,40 @@ class InferenceSettings(BaseSettings):
     openai_api_key: SecretStr | None = Field(
         default=None, description="Token for any other endpoint; never sent to Hugging Face."
     )
-    api_base_url: str = Field(default=HUGGING_FACE, description="The OpenAI-compatible endpoint.")
-    model_name: str = Field(default="Qwen/Qwen2.5-7B-Instruct", description="The model.")
+    api_base_url: str = Field(
+        default=HUGGING_FACE,
+        description=f"The OpenAI-compatible endpoint; `{OPENAI}` where `OPENAI_API_KEY` is set and `HF_TOKEN` is not.",
+    )
+    model_name: str = Field(
+        default="Qwen/Qwen2.5-7B-Instruct", description=f"The model; `{OPENAI_MODEL}` at OpenAI's address."
+    )
     drone_task: str = Field(default="easy_delivery", description="The task to fly: id, short name or grader.")
     local_image_name: str = Field(
         default="drone-inference-v1", description="Docker image of the server that `--use-image` starts."
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _openai_alone(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """Where the key of OpenAI is the only one, its address and a model that is there are meant."""
+        if given.get("openai_api_key") and not given.get("hf_token"):
+            given = {"api_base_url": OPENAI, **given}
+        if str(given.get("api_base_url")).rstrip("/") == OPENAI:
+            given = {"model_name": OPENAI_MODEL, **given}
+        return given
 
-def load_settings() -> InferenceSettings:
+
+def load_settings(api_base_url: str | None = None) -> InferenceSettings:
     """The settings from the environment and `.env` of the working folder.
+
+    Args:
+        api_base_url: The endpoint; it goes before both.
 
     Raises:
         InvalidValueError: if a variable has a value that it cannot have, or `.env` is no text; the message says which.
     """
     try:
-        return InferenceSettings()
+        return InferenceSettings() if api_base_url is None else InferenceSettings(api_base_url=api_base_url)
     except UnicodeDecodeError as error:
         raise InvalidValueError(f".env is not UTF-8 text: {error.reason} at byte {error.start}") from None
     except ValidationError as error:
@@ -124,7 +145,8 @@ def token_for(settings: InferenceSettings, url: str) -> str | None:
     if secret is None:
         if host in LOOPBACK:
             return None
-        raise InvalidValueError(f"{host} needs {name}: set it in the environment or in .env")
+        other = ", or OPENAI_API_KEY alone to ask OpenAI" if "api_base_url" not in settings.model_fields_set else ""
+        raise InvalidValueError(f"{host} needs {name}: set it in the environment or in .env{other}")
     token = secret.get_secret_value().strip()
     if not token or not token.isascii() or not token.isprintable() or any(letter in " \"'\\" for letter in token):
         # Quoted in JSON, quotes and backslashes look different, and would not be found and taken out.

@@ -4,25 +4,20 @@ It is the one source of a run: flights, records and figures all follow from it, 
 it. A process that dies while it writes leaves at most a cut last line, whose call was not acknowledged.
 """
 
-import json
 import os
-import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, cast
+from typing import Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
 from drone_env.errors import InvalidValueError
+from drone_env.files import lock_file
 from drone_env.llm.answers import Answer
 from drone_env.llm.prompt import ChatMessage
+from drone_env.llm.redaction import without_secret_in
 from drone_env.models import Count, Message
-
-if sys.platform != "win32":
-    import fcntl
-
-SHORTEST_SECRET = 8
-"""Shorter tokens, such as the `x` that local servers are content with, are no secrets: they are parts of words."""
 
 
 class CallKey(NamedTuple):
@@ -87,15 +82,17 @@ class Transcript:
 
     def __init__(self, path: Path, secret: str | None = None) -> None:
         self.path = path
-        self._secret = secret if secret is not None and len(secret) >= SHORTEST_SECRET else None
+        self._secret = secret
         self.calls: list[Call] = []
-        self._file = path.open("ab+", buffering=0)
         try:
-            self._keep_others_out()
+            self._lock = lock_file(path.with_suffix(".lock"))
+        except BlockingIOError:
+            raise InvalidValueError(f"another process writes to {path}") from None
+        with ExitStack() as on_error:
+            on_error.callback(self._lock.release)
+            self._file = on_error.enter_context(path.open("ab+", buffering=0))
             self._read()
-        except BaseException:
-            self._file.close()
-            raise
+            on_error.pop_all()
         self.answered = {call.key: call for call in self.calls if call.answer is not None}
 
     def append(self, call: Call) -> Call:
@@ -104,11 +101,13 @@ class Transcript:
         Raises:
             OSError: if it cannot be written.
         """
+        # An endpoint may quote the token, in an error or in an answer. What is asked holds none: the next request
+        # quotes an answer as it is here.
+        told = call.model_dump(mode="json", include={"answer", "failures"})
+        cleaned = without_secret_in(told, self._secret)
+        if cleaned != told:
+            call = Call.model_validate({**call.model_dump(), **cleaned})
         line = call.model_dump_json()
-        if self._secret and self._secret in line:
-            # An endpoint may quote the token, in an error or in an answer.
-            call = Call.model_validate_json(json.dumps(_without(json.loads(line), self._secret)))
-            line = call.model_dump_json()
         data = f"{line}\n".encode()
         written = self._file.write(data)
         if written != len(data):
@@ -125,13 +124,7 @@ class Transcript:
         if not self._file.closed:
             os.fsync(self._file.fileno())
             self._file.close()
-
-    def _keep_others_out(self) -> None:
-        if sys.platform != "win32":
-            try:
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise InvalidValueError(f"another process writes to {self.path}") from None
+            self._lock.release()
 
     def _read(self) -> None:
         end = 0
@@ -139,17 +132,6 @@ class Transcript:
             end += size
             self.calls.append(call)
         self._file.truncate(end)
-
-
-def _without(value: Any, secret: str) -> Any:
-    """A JSON value with a text taken out of all its texts."""
-    if isinstance(value, str):
-        return value.replace(secret, "***")
-    if isinstance(value, list):
-        return [_without(item, secret) for item in cast(list[Any], value)]
-    if isinstance(value, dict):
-        return {name: _without(item, secret) for name, item in cast(dict[str, Any], value).items()}
-    return value
 
 
 def read_calls(path: Path) -> Iterator[tuple[int, Call]]:

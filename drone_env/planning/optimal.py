@@ -70,12 +70,11 @@ def solve_episode(episode: Episode) -> Solution:
     """
     flight = Episode(episode.task, episode.reward_profile)
     flight.set_state(episode.get_state())
-    flown = len(episode.path)
     for action in best_actions(episode):
         flight.step(action)
     while not flight.ended:
         flight.step(Action.WAIT)
-    path = flight.path[flown:]
+    path = flight.path[episode.steps :]
     order = tuple((point.x, point.y) for point in path if point.event is Event.DELIVERY)
     actions = tuple(point.action for point in path)
     return Solution(flight.score, flight.success, len(actions), flight.deliveries_done, order, actions)

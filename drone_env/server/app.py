@@ -12,22 +12,23 @@ import sys
 import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import ExitStack, asynccontextmanager, suppress
-from pathlib import Path
 from typing import Any
-
-from fastapi import FastAPI
-from fastapi.responses import FileResponse
-from fastapi.staticfiles import StaticFiles
-from pydantic_core import to_json
-from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
-from starlette.responses import Response
-from starlette.routing import Route, WebSocketRoute
 
 from drone_env import __version__
 from drone_env.core.tasks import get_task
 from drone_env.episodes.store import Store
-from drone_env.errors import DroneEnvError, StoreError
+from drone_env.errors import DroneEnvError, StoreError, needs
+
+with needs("server", __name__):
+    from fastapi import FastAPI
+    from fastapi.responses import FileResponse
+    from fastapi.staticfiles import StaticFiles
+    from pydantic_core import to_json
+    from starlette.concurrency import run_in_threadpool
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from starlette.routing import Route, WebSocketRoute
+
 from drone_env.registry import load_plugins
 from drone_env.server.flight import DEFAULT_TASK
 from drone_env.server.live.socket import LiveSocket
@@ -36,7 +37,7 @@ from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, listen, most_connections
 from drone_env.server.request_log import LogRequests
 from drone_env.server.routes import catalogue, flight, history, openenv, replay
-from drone_env.server.security import protect
+from drone_env.server.security import PAGE, protect
 from drone_env.server.settings import Settings, load_settings, misspelt_variables
 from drone_env.server.state import Shared
 
@@ -54,7 +55,6 @@ CONNECTIONS = 1000
 """Connections of a process, beside one for each session that it may have."""
 STARTUP_FAILED = 3
 """Exit status where the application could not start, as uvicorn has it."""
-PAGE = Path(__file__).with_name("static")
 REVALIDATED = {"Cache-Control": "no-cache"}
 """Browsers ask whether a file has changed, so that an update of the package is seen at once."""
 
@@ -97,6 +97,9 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         lifespan=lifespan,
         responses=answers(401, 403),
         generate_unique_id_function=lambda route: route.name,
+        # FastAPI's own pages fetch their scripts from elsewhere.
+        docs_url=None,
+        redoc_url=None,
     )
     app.state.shared = shared
     app.state.socket = socket
@@ -119,6 +122,10 @@ def _add_page(app: FastAPI, live: LiveSocket) -> None:
         # Whoever opens the page will soon look at what can still be reached, and the first solver compiles for seconds.
         live.values.request(get_task(DEFAULT_TASK), 0)
         return FileResponse(PAGE / "index.html", headers=REVALIDATED)
+
+    @app.get("/docs", include_in_schema=False)
+    async def docs() -> FileResponse:
+        return FileResponse(PAGE / "docs.html", headers=REVALIDATED)
 
     app.mount("/static", _Static(directory=PAGE))
 

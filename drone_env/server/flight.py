@@ -121,7 +121,7 @@ class Flight:
 
     def state(self) -> str:
         """The JSON of the full state as OpenEnv sends it."""
-        return _json({"episode_id": self.episode_id, **DroneState.of(self.episode).model_dump()})
+        return _json({**DroneState.of(self.episode).model_dump(), "episode_id": self.episode_id})
 
 
 def openenv_result(fields: dict[str, Any], reward: float | None) -> dict[str, Any]:

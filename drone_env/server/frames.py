@@ -103,7 +103,7 @@ def frame_of(episode: Episode, networks: Networks) -> Frame:
         CheckpointError: if the network of the task cannot be read.
     """
     x, y = episode.position
-    last = episode.path[-1] if episode.steps else None
+    last = episode.last_step
     observation = episode.observation()
     q_values = None if episode.ended else networks.q_values(episode.task, observation)
     return Frame(

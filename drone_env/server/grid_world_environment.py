@@ -22,7 +22,7 @@ from drone_env.models import DroneState, observation_fields
 from drone_env.server import task_api
 from drone_env.server.flight import DEFAULT_TASK, DESCRIPTION, ENV_NAME, Flight
 from drone_env.server.problems import where
-from drone_env.server.schemas import ResetOptions, WireAction, WireObservation, WireState
+from drone_env.server.schemas import ResetOptions, WireAction, WireObservation
 
 
 class DroneEnvAction(WireAction, Action):
@@ -37,7 +37,7 @@ class DroneEnvObservation(WireObservation, Observation):
     model_config = ConfigDict(frozen=False)
 
 
-class DroneEnvState(WireState, State):
+class DroneEnvState(DroneState, State):
     """The full state, as OpenEnv's classes have it."""
 
     model_config = ConfigDict(frozen=False, extra="forbid")
@@ -123,8 +123,8 @@ class DroneDeliveryEnvironment(Environment[DroneEnvAction, DroneEnvObservation, 
         Raises:
             EpisodeError: before the first reset.
         """
-        flown = DroneState.of(self._flight.episode)
-        return DroneEnvState(episode_id=self._flight.episode_id, **dict(flown))
+        flown = DroneState.of(self._flight.episode).model_copy(update={"episode_id": self._flight.episode_id})
+        return DroneEnvState(**dict(flown))
 
     def get_metadata(self) -> EnvironmentMetadata:
         """What the environment is."""

@@ -26,7 +26,7 @@ from drone_env.models import Message
 
 log = logging.getLogger(__name__)
 
-WHAT_TO_DO = "POST /reset opens a session; send its session_id in the header X-Session-Id, or keep the cookie"
+WHAT_TO_DO = "POST /reset opens a session; send the header X-Session-Id: SESSION_ID, as it answers, or keep the cookie"
 
 
 class FieldProblem(Message):
@@ -82,7 +82,7 @@ _MEANINGS = {
     413: "The body is too large.",
     415: "The body is not declared as JSON.",
     422: "A value that is not allowed.",
-    503: "No room, no network, or the store is busy.",
+    503: "No room, no network, or the server or its store is busy.",
 }
 
 
@@ -125,7 +125,7 @@ async def _own(request: Request, error: Exception) -> JSONResponse:
         log.error("%s %s", request.method, request.url.path, exc_info=error)
         return problem(500, code, "the server failed; its log says why")
     detail = f"{error}: {WHAT_TO_DO}" if status == 410 else str(error)
-    waiting_helps = status == 503 and code != "no_network"
+    waiting_helps = status == 503 and code not in ("no_network", "not_started")
     return problem(status, code, detail, headers={"Retry-After": "5"} if waiting_helps else None)
 
 

@@ -9,6 +9,7 @@ from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig
+from drone_env.episodes.analysis import Analysis
 from drone_env.episodes.finished import check_agent
 from drone_env.episodes.rows import ListedEpisode
 from drone_env.models import (
@@ -16,7 +17,6 @@ from drone_env.models import (
     Direction,
     DroneAction,
     DroneObservation,
-    DroneState,
     Message,
     PathPoint,
     Position,
@@ -119,10 +119,10 @@ class WireObservation(DroneObservation):
     metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Empty.")
 
 
-class WireState(DroneState):
-    """The full state of an episode with all that OpenEnv adds."""
+class AnalysisAnswer(Analysis):
+    """What the finished episodes of a task come to."""
 
-    episode_id: str | None = Field(default=None, description="Names the episode.")
+    status: Literal["Success", "No data"] = Field(description="Whether there are any, as older clients are told.")
 
 
 class Grade(Message):
@@ -140,6 +140,7 @@ class PathHistory(Message):
     seed: Seed = Field(description="Number of the map.")
     step_count: Count = Field(description="Steps flown.")
     path: list[PathPoint] = Field(description="All steps, in order.")
+    path_history: list[PathPoint] = Field(description="The same, as older clients call it.")
 
 
 class SolutionAnswer(Message):
@@ -160,6 +161,7 @@ class TaskInfo(Message):
     """One task: every number of it."""
 
     id: str
+    name: str = Field(description="The id, as older clients call it.")
     short_name: str
     grader: str
     version: int
@@ -189,9 +191,10 @@ class TaskInfo(Message):
     @classmethod
     def of(cls, task: TaskConfig, published: bool) -> Self:
         """The numbers of a task."""
-        own = {"drain", "impassable", "published"}
+        own = {"name", "drain", "impassable", "published"}
         return cls(
             **{name: getattr(task, name) for name in cls.model_fields if name not in own},
+            name=task.id,
             drain={CELL_KINDS[cell].name: units for cell, units in task.drain},
             impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
             published=published,
@@ -223,6 +226,7 @@ class GraderList(Message):
     """All graders."""
 
     graders: list[GraderInfo]
+    ids: list[str] = Field(description="The ids alone, in the same order.")
 
 
 class KindInfo(Message):

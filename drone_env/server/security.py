@@ -7,21 +7,21 @@ import base64
 import binascii
 import hmac
 from collections.abc import Callable, Collection
-from urllib.parse import urlsplit
+from pathlib import Path
 
 from fastapi import FastAPI
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drone_env.errors import InvalidValueError
+from drone_env.server.local import host_name, is_local_name, listens_on_loopback
 from drone_env.server.problems import problem
 from drone_env.server.settings import Settings
 from drone_env.server.strict_json import parse_json
 
-OPEN_PATHS = frozenset({"/health", "/"})
-OPEN_FOLDER = "/static/"
+PAGE = Path(__file__).with_name("static")
+OPEN_PATHS = {"/health", "/"} | {f"/static/{path.relative_to(PAGE).as_posix()}" for path in PAGE.rglob("*.*")}
 """Answered without a token: whoever watches over the process has none, and the page asks for it."""
-SWAGGER = "https://cdn.jsdelivr.net"
 POLICY_VIOLATION = 1008
 OFFER = "bearer."
 
@@ -37,12 +37,9 @@ class SecurityHeaders:
     def __init__(self, app: ASGIApp, frame_ancestors: Collection[str]) -> None:
         self.app = app
         framing = " ".join(frame_ancestors) or "'none'"
-        common = f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}"
-        self.policy = f"{common}; img-src 'self' data: blob:; connect-src 'self' ws: wss:"
-        # Swagger's page is made by FastAPI, with a script in it and the rest from a CDN.
-        self.docs_policy = (
-            f"{common}; script-src 'self' 'unsafe-inline' {SWAGGER}; style-src 'self' 'unsafe-inline' {SWAGGER}; "
-            "img-src 'self' data: https://fastapi.tiangolo.com; worker-src 'self' blob:"
+        self.policy = (
+            f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}; "
+            "img-src 'self' data: blob:; connect-src 'self' ws: wss:"
         )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -50,12 +47,11 @@ class SecurityHeaders:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        policy = self.docs_policy if scope["path"] in ("/docs", "/redoc") else self.policy
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                headers["Content-Security-Policy"] = policy
+                headers["Content-Security-Policy"] = self.policy
                 headers["X-Content-Type-Options"] = "nosniff"
                 headers["Referrer-Policy"] = "no-referrer"
                 headers["Cross-Origin-Resource-Policy"] = "same-origin"
@@ -68,24 +64,36 @@ class SecurityHeaders:
 class AllowedHosts:
     """Answers only what is addressed to these hosts.
 
+    A server that listens on loopback also answers for the names of this machine, and where `hosts` is empty for them
+    alone: otherwise any web page whose name is made to lead there could call it.
+
     Args:
         app: The application within.
         hosts: Names without port; empty for all.
+        listens: Where the settings have the server listen.
     """
 
-    def __init__(self, app: ASGIApp, hosts: Collection[str]) -> None:
+    def __init__(self, app: ASGIApp, hosts: Collection[str], listens: str) -> None:
         self.app = app
         self.hosts = {host.lower() for host in hosts}
+        self.listens = listens.lower()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on what is addressed to us."""
-        if scope["type"] in ("http", "websocket") and self.hosts:
+        if scope["type"] in ("http", "websocket"):
             host = host_name(Headers(scope=scope).get("host", ""))
-            if host not in self.hosts:
+            if not self._answers(host, scope):
                 detail = f"this server does not answer for host {host!r}; DRONE_ENV_ALLOWED_HOSTS lists those it does"
                 await refuse(scope, receive, send, 403, "host", detail)
                 return
         await self.app(scope, receive, send)
+
+    def _answers(self, host: str, scope: Scope) -> bool:
+        if host in self.hosts:
+            return True
+        if not listens_on_loopback(scope, self.listens):
+            return not self.hosts
+        return is_local_name(host) or host == self.listens
 
 
 class AllowedOrigins:
@@ -131,7 +139,7 @@ class BearerToken:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on what carries the token."""
-        if self.expected is not None and scope["type"] in ("http", "websocket") and not _is_open(scope["path"]):
+        if self.expected is not None and scope["type"] in ("http", "websocket") and scope["path"] not in OPEN_PATHS:
             given = _sent_token(scope) or _offered_token(scope)
             if not hmac.compare_digest(given, self.expected):
                 detail = "this server asks for a token: send Authorization: Bearer TOKEN"
@@ -156,10 +164,6 @@ def _offered_token(scope: Scope) -> bytes:
             except binascii.Error:
                 return b""
     return b""
-
-
-def _is_open(path: str) -> bool:
-    return path in OPEN_PATHS or path.startswith(OPEN_FOLDER)
 
 
 class JsonBodies:
@@ -240,14 +244,6 @@ async def refuse(
     await problem(status, code, detail, headers=headers)(scope, receive, send)
 
 
-def host_name(header: str) -> str:
-    """The name in a `Host` header, without port."""
-    try:
-        return urlsplit(f"//{header}").hostname or ""
-    except ValueError:
-        return ""
-
-
 def protect(app: FastAPI, settings: Settings) -> None:
     """Put the middlewares around an application."""
     token = None if settings.token is None else settings.token.get_secret_value()
@@ -255,7 +251,7 @@ def protect(app: FastAPI, settings: Settings) -> None:
         (JsonBodies, {"max_bytes": settings.max_bytes}),
         (BearerToken, {"token": token}),
         (AllowedOrigins, {"origins": settings.allowed_origins}),
-        (AllowedHosts, {"hosts": settings.allowed_hosts}),
+        (AllowedHosts, {"hosts": settings.allowed_hosts, "listens": settings.host}),
         (SecurityHeaders, {"frame_ancestors": settings.frame_ancestors}),
     ]
     for layer, options in layers:

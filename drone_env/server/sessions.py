@@ -42,7 +42,7 @@ class _Live:
         episode = self.episode
         if episode is None or not _is_before(episode, row):
             episode = self.episode = row.fly()
-        for action in row.actions[len(episode.path) :]:
+        for action in row.actions[episode.steps :]:
             episode.step(action)
         return episode
 
@@ -80,8 +80,14 @@ class Sessions:
         self._live: OrderedDict[str, _Live] = OrderedDict()
         self._lock = threading.Lock()
 
-    def reset(self, session: str | None, options: ResetOptions) -> tuple[str, Stepped]:
+    def reset(self, session: str | None, options: ResetOptions, address: str | None = None) -> tuple[str, Stepped]:
         """Start an episode in the session, or in a new one where none is named or it is gone; return its id too.
+
+        Args:
+            session: The session that the caller names, None for none.
+            options: What to fly.
+            address: Of a caller who names none and shares a session with others there who name none. It is used again
+                once it has been flown so. One that has not may be that of a caller who will name it.
 
         Raises:
             UnknownNameError: if there is no such task, profile or split.
@@ -93,14 +99,23 @@ class Sessions:
                 return session, self._reset_row(session, options)
             except (NoSessionError, SessionGoneError):
                 pass  # the caller does what the error would tell: open a new one
+        shared = None if address is None else self.store.unnamed_session(address)
+        if shared is not None:
+            try:
+                return shared, self._reset_row(shared, options, address, flown=True)
+            except (NoSessionError, SessionGoneError):
+                pass
         start = start_of(options, None)
         wanted = (start.task.id, start.task.version, start.seed, start.reward_profile.id, options.agent or ANONYMOUS)
         try:
-            session = self.store.open_session(*wanted, capacity=self.capacity)
+            session = self.store.open_session(*wanted, capacity=self.capacity, address=address)
         except CapacityError:
             if not self.expire():
-                raise
-            session = self.store.open_session(*wanted, capacity=self.capacity)
+                oldest = None if address is None else self.store.unnamed_session(address, oldest=True)
+                if oldest is None:
+                    raise
+                return oldest, self._reset_row(oldest, options, address)
+            session = self.store.open_session(*wanted, capacity=self.capacity, address=address)
         episode = Episode(start.task, start.reward_profile)
         episode.reset(start.seed)
         live = self._entry(session)
@@ -108,15 +123,19 @@ class Sessions:
             live.episode = episode
         return session, Stepped(observation_fields(episode), None)
 
-    def _reset_row(self, session: str, options: ResetOptions) -> Stepped:
-        with self._writing(session) as (live, row):
+    def _reset_row(
+        self, session: str, options: ResetOptions, address: str | None = None, flown: bool = False
+    ) -> Stepped:
+        with self._writing(session, address) as (live, row):
+            if flown and not row.actions:
+                raise NoSessionError("nobody has flown this session yet")
             start = start_of(options, row.seed)
             row.reset(start.task.id, start.task.version, start.seed, start.reward_profile.id, options.agent)
             episode = live.episode = Episode(start.task, start.reward_profile)
             episode.reset(start.seed)
             return Stepped(observation_fields(episode), None)
 
-    def step(self, session: str, action: DroneAction, after: int | None = None) -> Stepped:
+    def step(self, session: str, action: DroneAction, after: int | None = None, address: str | None = None) -> Stepped:
         """Fly one action. What it returns is kept: the step, and the finished episode if it was the last.
 
         Args:
@@ -124,17 +143,20 @@ class Sessions:
             action: The action.
             after: How many steps the sender knows of. The step that comes after these is flown once, however often it
                 is sent, and the same is returned each time; None flies it in any case.
+            address: Of a caller who does not name the session.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
             EpisodeError: if the session stands at another step than `after`, and not because of this action.
         """
-        with self.stepping(session) as (row, episode):
+        with self.stepping(session, address) as (row, episode):
             flown = len(row.actions)
             if after is not None and after != flown:
                 if after == flown - 1 and row.actions[-1] == action.action:
-                    return Stepped(observation_fields(episode), episode.reward_last)
+                    # Flown anew: a step after the end may have been sent meanwhile, and the answer must not tell of it.
+                    flight = row.fly()
+                    return Stepped(observation_fields(flight), flight.reward_last)
                 raise EpisodeError(
                     f"this action is to follow step {after}, and the session has flown {flown} steps: GET /state tells "
                     "where it stands"
@@ -143,7 +165,7 @@ class Sessions:
             return Stepped(observation_fields(episode), reward)
 
     @contextmanager
-    def stepping(self, session: str) -> Generator[tuple[SessionRow, Episode], None, None]:
+    def stepping(self, session: str, address: str | None = None) -> Generator[tuple[SessionRow, Episode], None, None]:
         """The row and the episode of a session, to be flown by `fly` inside the block; kept when it ends.
 
         Nobody else writes to the store meanwhile: keep the block short.
@@ -152,12 +174,12 @@ class Sessions:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        with self._writing(session) as (live, row):
+        with self._writing(session, address) as (live, row):
             yield row, live.caught_up(row)
 
     @contextmanager
-    def reading(self, session: str) -> Generator[Episode, None, None]:
-        """The episode of a session, to be read inside the block.
+    def reading(self, session: str) -> Generator[tuple[SessionRow, Episode], None, None]:
+        """The row and the episode of a session, to be read inside the block.
 
         Raises:
             NoSessionError: if there never was such a session.
@@ -165,7 +187,8 @@ class Sessions:
         """
         live = self._entry(session)
         with self._dropping(session), live.lock:
-            yield live.caught_up(self.store.read_session(session))
+            row = self.store.read_session(session)
+            yield row, live.caught_up(row)
 
     def end(self, session: str) -> None:
         """End a session: it is gone, and its place free.
@@ -185,11 +208,15 @@ class Sessions:
         return gone
 
     @contextmanager
-    def _writing(self, session: str) -> Generator[tuple[_Live, SessionRow], None, None]:
+    def _writing(self, session: str, address: str | None = None) -> Generator[tuple[_Live, SessionRow], None, None]:
         live = self._entry(session)
         with self._dropping(session), live.lock:
             try:
                 with self.store.session(session) as row:
+                    if address is None:
+                        row.address = None  # who names it has it to himself
+                    elif row.address != address:
+                        raise NoSessionError("somebody has named this session meanwhile")
                     yield live, row
             except BaseException:
                 # Nothing was kept, so what was flown inside is not so.

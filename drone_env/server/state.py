@@ -1,15 +1,18 @@
 """What the routes share: one `Shared` per application, found at `app.state.shared`."""
 
+import os
 import threading
 import time
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, NamedTuple, TypeVar
 
-from fastapi import Cookie, Depends, Header, Request
+import anyio.to_thread
+from fastapi import Cookie, Depends, Header, Request, Response
 
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.store import Store
 from drone_env.planning.optimal import best_of
+from drone_env.server.local import local_address
 from drone_env.server.predict import Networks
 from drone_env.server.problems import WHAT_TO_DO, RequestError
 from drone_env.server.request_log import RequestLog
@@ -18,8 +21,16 @@ from drone_env.server.settings import Settings
 
 COOKIE = "drone_env_session"
 HEADER = "X-Session-Id"
+SHARED_HEADER = "X-Session-Shared"
 STEP_HEADER = "X-Step-Count"
+NEW = "new"
+"""Named as a session it stands for none: a caller that sends it with a reset shares with nobody."""
 LONGEST_ID = 200
+STUDIES = max(1, (os.cpu_count() or 1) // 2)
+"""Studies at once: the other cores are for those who fly."""
+WAITING_STUDIES = 16
+"""Studies that may wait, each of which may take a second."""
+Found = TypeVar("Found")
 
 
 class Shared:
@@ -36,6 +47,7 @@ class Shared:
         self.requests = RequestLog()
         self.networks = Networks(settings.weights)
         self._sessions: Sessions | None = None
+        self._studies: anyio.CapacityLimiter | None = None
         self._warm: set[TaskConfig] = set()
 
     def warm_up(self, task: str | TaskConfig) -> None:
@@ -48,6 +60,18 @@ class Shared:
             self._warm.add(known)
             threading.Thread(target=best_of, args=(known, 0), name="drone_env-warm-up", daemon=True).start()
 
+    async def study(self, work: Callable[[], Found]) -> Found:
+        """Do what takes long in a thread that no other request needs, a few at a time.
+
+        Raises:
+            RequestError: if too many wait already.
+        """
+        if self._studies is None:  # made here, in the event loop that it belongs to
+            self._studies = anyio.CapacityLimiter(STUDIES)
+        if self._studies.statistics().tasks_waiting >= WAITING_STUDIES:
+            raise RequestError(503, "busy", f"{WAITING_STUDIES} flights are waiting to be looked at: try again later")
+        return await anyio.to_thread.run_sync(work, limiter=self._studies)
+
     @property
     def sessions(self) -> Sessions:
         """The HTTP sessions.
@@ -56,7 +80,8 @@ class Shared:
             RequestError: if the server has not started, or has ended.
         """
         if self._sessions is None:
-            raise RequestError(503, "not_started", "the server is not running")
+            told = "the server is not running: a test client starts it in a block, `with TestClient(app) as client:`"
+            raise RequestError(503, "not_started", told)
         return self._sessions
 
     @property
@@ -83,6 +108,7 @@ class Shared:
         if self._sessions is not None:
             self._sessions.store.close()
             self._sessions = None
+        self._studies = None
         self.requests.close()
 
 
@@ -91,26 +117,50 @@ async def shared_of(request: Request) -> Shared:
     return request.app.state.shared
 
 
-async def named_session(
+class Caller(NamedTuple):
+    """Who sends a request: `named`, the session that it names, or `address`, of those here who name none."""
+
+    named: str | None
+    address: str | None
+
+    def session(self, shared: Shared, answer: Response) -> str:
+        """The session that is meant; where it is shared, the answer says so.
+
+        Raises:
+            RequestError: if there is none.
+        """
+        if self.named is not None:
+            return self.named
+        session = None if self.address is None else shared.store.unnamed_session(self.address)
+        if session is None:
+            raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
+        self.tell(session, answer)
+        return session
+
+    def tell(self, session: str, answer: Response) -> None:
+        """Have an answer name the session, and say where it is shared."""
+        answer.headers[HEADER] = session
+        if self.address is not None:
+            answer.headers[SHARED_HEADER] = self.address
+
+
+async def caller_of(
+    request: Request,
     x_session_id: Annotated[
         str | None,
-        Header(max_length=LONGEST_ID, description="The session, as `/reset` gave it; goes before the cookie."),
+        Header(
+            max_length=LONGEST_ID,
+            description="The session, as `/reset` gave it; goes before the cookie. With `new` a reset opens one.",
+        ),
     ] = None,
     drone_env_session: Annotated[str | None, Cookie(max_length=LONGEST_ID, include_in_schema=False)] = None,
-) -> str | None:
-    """The session that a request names, None for none; an empty header or cookie names none."""
-    return x_session_id or drone_env_session or None
-
-
-async def needed_session(named: Annotated[str | None, Depends(named_session)]) -> str:
-    """The session that a request names.
-
-    Raises:
-        RequestError: if it names none.
-    """
-    if named is None:
-        raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
-    return named
+) -> Caller:
+    """Who sends a request; an empty header or cookie names no session."""
+    named = x_session_id or drone_env_session or None
+    settings = request.app.state.shared.settings
+    if named is not None or settings.token is not None:
+        return Caller(None if named == NEW else named, None)
+    return Caller(None, local_address(request.scope, settings.host))
 
 
 async def known_steps(
@@ -127,6 +177,5 @@ async def known_steps(
 
 
 SharedParts = Annotated[Shared, Depends(shared_of)]
-NamedSession = Annotated[str | None, Depends(named_session)]
-SessionId = Annotated[str, Depends(needed_session)]
+CallerOf = Annotated[Caller, Depends(caller_of)]
 KnownSteps = Annotated[int | None, Depends(known_steps)]

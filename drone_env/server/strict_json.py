@@ -1,6 +1,7 @@
 """JSON as the standard has it: no NaN, no Infinity, no key twice, nothing nested deeply."""
 
 import json
+from collections import Counter
 from typing import Any, cast
 
 from drone_env.errors import InvalidValueError
@@ -15,8 +16,8 @@ def _no_constant(name: str) -> Any:
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) != len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
+        counts = Counter(name for name, _ in pairs)
+        twice = next(name for name, _ in pairs if counts[name] > 1)
         raise ValueError(f"the key {twice!r} stands there twice")
     return found
 

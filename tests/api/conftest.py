@@ -23,7 +23,7 @@ def settings(tmp_path: Path) -> dict[str, Any]:
 def client(settings: dict[str, Any]) -> Generator[TestClient, None, None]:
     """A client that keeps no cookies, so that sessions are named by their header alone."""
     with TestClient(create_app(Settings(**settings))) as running:
-        running.cookies.jar.set_policy(_NoCookies())
+        running.cookies.jar.set_policy(NoCookies())
         yield running
 
 
@@ -53,7 +53,7 @@ def clock() -> Clock:
 def shared_client(tmp_path_factory: pytest.TempPathFactory) -> Generator[TestClient, None, None]:
     """The same of the usual settings, for all tests of a module that mind nothing but their own session."""
     with TestClient(create_app(Settings(data=tmp_path_factory.mktemp("shared") / "data"))) as running:
-        running.cookies.jar.set_policy(_NoCookies())
+        running.cookies.jar.set_policy(NoCookies())
         yield running
 
 
@@ -63,7 +63,7 @@ def shared_session(shared_client: TestClient) -> dict[str, str]:
     return {"X-Session-Id": shared_client.post("/reset", json={"seed": 7}).json()["session_id"]}
 
 
-class _NoCookies:
+class NoCookies:
     """A cookie policy that keeps none."""
 
     netscape = True

@@ -290,5 +290,10 @@ class TestClientInProcess:
 
 def test_an_application_that_is_not_running_says_so(tmp_path: Path) -> None:
     client = TestClient(create_app(Settings(data=tmp_path / "data")))
-    assert client.post("/reset").status_code == 503
+    refused = client.post("/reset")
+    assert (refused.status_code, refused.json()["code"]) == (503, "not_started")
+    assert "`with TestClient(app) as client:`" in refused.json()["detail"]
+    assert "Retry-After" not in refused.headers
+    with pytest.raises(ServerError, match="with TestClient"):
+        DroneEnvClient(http=client).reset()
     assert not (tmp_path / "data").exists()

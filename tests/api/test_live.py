@@ -2,6 +2,7 @@
 
 import base64
 import json
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -207,6 +208,22 @@ def test_two_pages_on_one_session_never_fly_it_astray(client: TestClient) -> Non
         assert names(seen) == actions[: len(seen)]
 
 
+def test_a_page_has_one_map_solved_at_a_time_and_none_when_it_has_gone(
+    client: TestClient, eventually: Callable[..., None]
+) -> None:
+    values, go_on = client.app.state.live.values, threading.Event()  # type: ignore[attr-defined]
+    values._thread.submit(go_on.wait)
+    try:
+        with client.websocket_connect("/live") as socket:
+            page = Page(socket)
+            for seed in range(20):
+                page.start("greedy", seed=seed)
+            eventually(lambda: [seed for _, seed in values._pending] == [19])
+        eventually(lambda: not values._pending)
+    finally:
+        go_on.set()
+
+
 def test_missions_that_are_given_up_free_their_places(client: TestClient) -> None:
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
@@ -353,7 +370,7 @@ class TestToken:
     def test_the_page_itself_is_open_and_nothing_behind_it(self, client: TestClient) -> None:
         assert client.get("/").status_code == 200
         assert client.get("/static/js/main.js").status_code == 200
-        for path in ("/tasks", "/static/../tasks", "/episodes", "/staticx"):
+        for path in ("/tasks", "/static/../tasks", "/static/splits", "/static/js", "/episodes", "/staticx"):
             assert client.get(path).status_code == 401
 
 

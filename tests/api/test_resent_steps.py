@@ -33,6 +33,9 @@ def test_so_is_the_last_step_of_an_episode_and_in_openenvs_form(client: TestClie
         answers = [client.post("/step", json=body, headers=headers).json() for _ in range(2)]
         assert answers[0] == answers[1]
     assert answers[0]["done"]
+    ended = {**session, "X-Step-Count": str(len(actions))}
+    assert client.post("/step", json=body, headers=ended).json()["reward"] == 0
+    assert client.post("/step", json=body, headers=headers).json() == answers[0], "a step after the end went before"
     assert client.get("/analyse/medium").json()["episodes_total"] == 1
 
 

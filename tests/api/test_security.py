@@ -13,13 +13,19 @@ from drone_env.errors import InvalidValueError
 from drone_env.server.app import create_app
 from drone_env.server.security import JsonBodies
 from drone_env.server.settings import Settings, load_settings, misspelt_variables
-from drone_env.server.strict_json import MAX_DEPTH, parse_json
+from drone_env.server.strict_json import MAX_DEPTH, _unique, parse_json
 
 JSON = {"Content-Type": "application/json"}
 
 
 def app_with(tmp_path: Path, **settings: Any) -> TestClient:
     return TestClient(create_app(Settings(data=tmp_path, **settings)))
+
+
+def at(tmp_path: Path, address: str, **settings: Any) -> TestClient:
+    """An application that is called at an address of this machine."""
+    url = f"http://[{address}]" if ":" in address else f"http://{address}"
+    return TestClient(create_app(Settings(data=tmp_path, **settings)), url, client=(address, 5000))
 
 
 class TestBodies:
@@ -95,6 +101,24 @@ class TestStrictJson:
             with pytest.raises(InvalidValueError, match="nested"):
                 parse_json(text)
 
+    def test_the_first_key_that_stands_twice_is_named_in_linear_time(self) -> None:
+        with pytest.raises(InvalidValueError, match="the key 'a' stands there twice"):
+            parse_json('{"b": 0, "a": 1, "c": 2, "c": 3, "a": 4}')
+        compared = 0
+
+        class Name(str):
+            def __eq__(self, other: object) -> bool:
+                nonlocal compared
+                compared += 1
+                return str.__eq__(self, other)
+
+            __hash__ = str.__hash__
+
+        pairs = [(Name(f"{i:04}"), i) for i in [*range(1000), 999]]
+        with pytest.raises(ValueError, match="the key '0999' stands there twice"):
+            _unique(pairs)
+        assert compared < 10 * len(pairs)
+
     def test_brackets_in_strings_do_not_count(self) -> None:
         assert parse_json('["' + "[" * 100 + '"]') == ["[" * 100]
 
@@ -143,6 +167,33 @@ class TestHosts:
         with app_with(tmp_path, allowed_hosts=("drone.example",)) as client:
             assert client.get("/health", headers={"Host": host}).status_code == (200 if allowed else 403)
 
+    @pytest.mark.parametrize(
+        "host", ["localhost", "LOCALHOST:9", "a.localhost", "127.0.0.1", "127.8.9.1:1", "[::1]:80"]
+    )
+    def test_a_server_on_loopback_answers_for_this_machine(self, tmp_path: Path, host: str) -> None:
+        with at(tmp_path, "127.0.0.1") as client:
+            assert client.get("/health", headers={"Host": host}).status_code == 200
+
+    @pytest.mark.parametrize(
+        "host", ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "", "10.0.0.1"]
+    )
+    def test_and_for_no_other_name_that_is_not_listed(self, tmp_path: Path, host: str) -> None:
+        with at(tmp_path, "127.0.0.1", allowed_hosts=("drone.example",)) as client:
+            for listed in ("drone.example", "localhost"):
+                assert client.get("/health", headers={"Host": listed}).status_code == 200
+            assert "DRONE_ENV_ALLOWED_HOSTS" in client.get("/health", headers={"Host": host}).json()["detail"]
+        with at(tmp_path, "::1") as client:
+            assert client.get("/health", headers={"Host": host}).status_code == 403
+            with pytest.raises(WebSocketDisconnect), client.websocket_connect("ws://[::1]/ws", headers={"Host": host}):
+                pass
+
+    def test_a_server_that_others_reach_answers_for_all(self, tmp_path: Path) -> None:
+        other = {"Host": "drone.example"}
+        with at(tmp_path, "10.0.0.1") as client:
+            assert client.get("/health", headers=other).status_code == 200
+        with at(tmp_path, "127.0.0.1", host="0.0.0.0") as client:
+            assert client.get("/health", headers=other).status_code == 200
+
 
 class TestToken:
     def test_all_but_the_health_and_the_page_asks_for_it(self, tmp_path: Path) -> None:
@@ -167,7 +218,12 @@ class TestToken:
 
 class TestHeaders:
     def test_every_answer_carries_them(self, client: TestClient) -> None:
-        for answer in (client.get("/health"), client.get("/nowhere"), client.post("/step"), client.get("/docs")):
+        for answer in (
+            client.get("/health"),
+            client.get("/nowhere"),
+            client.post("/step"),
+            client.get("/openapi.json"),
+        ):
             policy = answer.headers["Content-Security-Policy"]
             assert "frame-ancestors 'self' https://huggingface.co https://*.hf.space" in policy
             assert answer.headers["X-Content-Type-Options"] == "nosniff"
@@ -176,9 +232,12 @@ class TestHeaders:
             assert answer.headers["Cache-Control"] == "no-store"
             assert "X-Frame-Options" not in answer.headers
 
-    def test_scripts_from_elsewhere_are_for_the_docs_alone(self, client: TestClient) -> None:
-        assert "unsafe-inline" not in client.get("/health").headers["Content-Security-Policy"]
-        assert "https://cdn.jsdelivr.net" in client.get("/docs").headers["Content-Security-Policy"]
+    def test_no_page_takes_scripts_from_elsewhere_or_from_its_own_text(self, client: TestClient) -> None:
+        for path in ("/", "/docs"):
+            policy = client.get(path).headers["Content-Security-Policy"]
+            assert policy.startswith("default-src 'self';")
+            assert "unsafe" not in policy
+            assert "http" not in policy.partition("frame-ancestors")[0]
 
 
 def test_an_unforeseen_failure_tells_no_trace(tmp_path: Path) -> None:

@@ -72,7 +72,12 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
     with serving(tmp_path / "data", tuple(rest)) as server:
         with httpx.Client(base_url=server.url, timeout=60) as http:
             assert http.get("/health").json()["status"] == "healthy"
+            public = "0.0.0.0" in command
+            foreign = http.get("/health", headers={"Host": "drone.example"})
+            assert foreign.status_code == (200 if public else 403)
             assert http.post("/reset", json={"seed": 14}).status_code == 200
+            http.cookies.clear()
+            assert http.get("/state").status_code == (409 if public else 200), "callers who name no session"
         server.process.send_signal(asked)
         assert server.process.wait(timeout=60) == status
         assert "Traceback" not in server.log.read_text()

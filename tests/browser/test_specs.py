@@ -6,6 +6,7 @@ from playwright.sync_api import Page, expect
 
 from tests.api.serving import Server
 from tests.browser.stage import view
+from tests.browser.tabs import Tabs
 
 
 def table(page: Page, name: str) -> dict[str, list[str]]:
@@ -42,6 +43,22 @@ def test_the_levels_stand_side_by_side_as_the_server_tells_them(page: Page, serv
             assert shown["Grid"] == ["10 × 10", "14 × 14", "18 × 18"]
             assert shown["Parcels"] == ["1", "3", "5"]
     assert "Charging pads" in shown
+
+
+def test_all_calls_stand_at_docs_and_can_be_tried_without_the_internet(shared: Tabs, server: Server) -> None:
+    shared.forget()
+    docs = shared.open(go=False)
+    asked: list[str] = []
+    docs.on("request", lambda request: asked.append(request.url))
+    docs.goto("/docs")
+    call = docs.locator("#operations-catalogue-health")
+    call.click()
+    call.get_by_role("button", name="Try it out").click()
+    call.get_by_role("button", name="Execute").click()
+    expect(call.get_by_text('"status": "healthy"').first).to_be_visible()
+    assert [url for url in asked if not url.startswith((server.url, "data:", "blob:"))] == []
+    assert shared.unexpected() == []
+    docs.close()
 
 
 def test_the_legend_tells_what_each_kind_of_cell_does(page: Page, server: Server) -> None:

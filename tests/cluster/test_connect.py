@@ -9,6 +9,7 @@ from drone_env.cli import main
 from drone_env.cluster.connect import connect
 from drone_env.cluster.nodes import check_node, this_driver
 from drone_env.errors import ClusterError
+from drone_env.installer import install_command
 
 
 def test_where_nobody_listens_and_what_is_no_address(capsys: pytest.CaptureFixture[str]) -> None:
@@ -40,7 +41,7 @@ def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys:
     monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.setenv("RAY_AUTH_TOKEN", "none is made")
     assert main(["evaluate", "--task", "easy", "--episodes", "1", "--engine", "ray"]) == 2
-    assert "pip install -e '.[cluster]'" in capsys.readouterr().err
+    assert install_command("cluster") in capsys.readouterr().err
 
 
 def test_a_node_with_another_package_is_refused() -> None:

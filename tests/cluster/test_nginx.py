@@ -23,7 +23,7 @@ SESSIONS = int(os.environ.get("DRONE_ENV_NGINX_SESSIONS", "12"))
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     folder = tmp_path_factory.mktemp("cluster")
-    with cluster(folder, SERVERS, CAPACITY="1000", ALLOWED_HOSTS="localhost,127.0.0.1") as found:
+    with cluster(folder, SERVERS, CAPACITY="1000", ALLOWED_HOSTS="drone.example") as found:
         yield found
 
 
@@ -36,8 +36,14 @@ def test_callers_see_a_server(running: Cluster) -> None:
         # The cookie is enough to be found again.
         steps = [client.post("/step", json={"direction": "WAIT"}).json()["step_count"] for _ in range(9)]
         assert steps == list(range(1, 10))
+        # To the servers all callers are nginx, of their own machine: strangers, who do not share a session.
+        client.cookies.clear()
+        assert "X-Session-Shared" not in client.post("/reset").headers
+        client.cookies.clear()
+        assert client.post("/step", json={"direction": "WAIT"}).json()["code"] == "no_session"
         too_large = client.post("/reset", content=b" " * 100_000, headers={"Content-Type": "application/json"})
         assert (too_large.status_code, too_large.json()["code"]) == (413, "too_large")
+        assert client.get("/health", headers={"Host": "drone.example"}).status_code == 200
         assert client.get("/health", headers={"Host": "elsewhere.example"}).json()["code"] == "host"
         own, foreign = running.url, "http://elsewhere.example"
         assert client.get("/tasks", headers={"Origin": own}).status_code == 200

@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def linter(name: str) -> str | None:
-    """A linter of the `dev` extra, which stands beside the interpreter, or the system's."""
+    """A linter of the `test` extra, which stands beside the interpreter, or the system's."""
     return shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.api.serving import Server
+from tests.package.extras import brought, loaded_by
 from tests.tools import missing_tool, reserved_port
 
 from .commands import ROOT, linter
@@ -62,6 +63,20 @@ def test_the_sources_do_not_invalidate_the_dependencies() -> None:
     assert [rest for name, rest in first_stage if name == "COPY"] == ["pyproject.toml uv.lock ./"]
     lock, sources = known.index(("COPY", "pyproject.toml uv.lock ./")), known.index(("COPY", "drone_env drone_env"))
     assert any(name == "RUN" and "pip" in rest for name, rest in known[lock:sources])
+
+
+@pytest.mark.feature("P2")
+def test_a_language_model_can_fly_in_it() -> None:
+    (locked,) = [rest for name, rest in instructions(ROOT / "Dockerfile") if name == "RUN" and "uv export" in rest]
+    given = re.findall(r"--extra (\S+)", locked)
+    assert loaded_by("drone_env.llm.runner") | loaded_by("drone_env.llm.report_plots") <= brought(*given)
+    copied = [rest.split() for name, rest in instructions(ROOT / "Dockerfile") if name == "COPY"]
+    assert [sources[-1] for sources in copied if "inference.py" in sources] == ["./"]
+    # Under a read-only root, what a run writes goes where the server's data goes.
+    (environment,) = [rest for name, rest in instructions(ROOT / "Dockerfile") if name == "ENV" and "DATA" in rest]
+    folders = dict(part.split("=") for part in environment.split())
+    assert folders["DRONE_ENV_DATA"].startswith("/tmp/")
+    assert folders["MPLCONFIGDIR"].startswith("/tmp/")
 
 
 def test_what_it_copies_is_there_and_not_ignored() -> None:

@@ -16,7 +16,7 @@ from tests.tools import missing_tool, reserved_port
 from .commands import ROOT, Commands, linter
 
 SCRIPT = str(ROOT / "validate-submission.sh")
-NEEDED = ("cat", "curl", "head", "mktemp", "rm", "sed", "tail", "timeout", "tr")
+NEEDED = ("cat", "curl", "find", "head", "mktemp", "rm", "sed", "tail", "timeout", "tr")
 BANNER = """
 ========================================
   All 3/3 checks passed!
@@ -145,15 +145,42 @@ def test_podman_builds_if_it_is_chosen(space: str, commands: Commands) -> None:
     assert "podman build ." in done.stdout
 
 
-def test_openenv_that_fails_or_is_missing_fails_the_third_check(space: str, commands: Commands) -> None:
+def test_openenv_that_fails_fails_the_third_check(space: str, commands: Commands) -> None:
     commands.add("openenv", 'echo "FAIL static.manifest"; exit 1')
     assert "  | FAIL static.manifest\n  FAILED: openenv validate" in failure(commands.run(SCRIPT, space))
     skipped = 'for i in {1..20}; do echo "  SKIP  check.$i"; echo "          not written yet"; done'
     commands.add("openenv", f'echo "  FAIL  run.it"; echo "          why"; {skipped}; echo "Verdict: FAIL"; exit 1')
     told = "  |   FAIL  run.it\n  |           why\n  | Verdict: FAIL\n  FAILED: openenv validate"
     assert told in failure(commands.run(SCRIPT, space))
-    (commands.folder / "openenv").unlink()
-    assert "pip install 'openenv>=0.10'" in failure(commands.run(SCRIPT, space))
+
+
+@pytest.fixture
+def clone(tmp_path: Path) -> Path:
+    """A folder with a Dockerfile and an environment."""
+    made = tmp_path / "a clone"
+    (made / ".venv" / "bin").mkdir(parents=True)
+    (made / "Dockerfile").touch()
+    return made
+
+
+def test_a_missing_openenv_fails_the_third_check(space: str, commands: Commands, clone: Path) -> None:
+    openenv = clone / ".venv" / "bin" / "openenv"
+    (commands.folder / "openenv").rename(openenv)
+    assert f"run '. {clone}/.venv/bin/activate', and this" in failure(commands.run(SCRIPT, space, str(clone)))
+    openenv.unlink()
+    assert "pip install 'openenv>=0.10'" in failure(commands.run(SCRIPT, space, str(clone)))
+
+
+def test_what_openenv_refuses_without_a_name_is_named(space: str, commands: Commands, clone: Path) -> None:
+    commands.add("openenv", "exit 1")
+    (clone / ".venv" / "bin" / "python").symlink_to("/usr/bin/python3")
+    (clone / "data").mkdir()
+    link = clone / "data" / "a link"
+    link.symlink_to("../Dockerfile")
+    shown = failure(commands.run(SCRIPT, space, str(clone)))
+    assert f"or put files in their place:\n  | {link}\n  Hint: (cd" in shown
+    link.unlink()
+    assert "in their place" not in failure(commands.run(SCRIPT, space, str(clone)))
 
 
 def test_all_may_fail(commands: Commands) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
-from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.state_manager import Episode
@@ -65,10 +64,14 @@ def test_gymnasium_check_env_passes_on_wrapped_environments(wrapper: type[gymnas
 
 
 def test_sb3_check_env_passes_without_a_warning_on_the_flat_observation() -> None:
+    from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
     sb3_check_env(FlatObservation(make(SKYLINE)))
 
 
 def test_sb3_check_env_passes_with_nothing_but_its_advice_on_two_dimensional_boxes() -> None:
+    from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         sb3_check_env(make(SKYLINE))
@@ -202,6 +205,10 @@ def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:
         DroneDeliveryEnv(task="extreme")
     with pytest.raises(UnknownNameError, match="aligned, composite, score, tiered"):
         DroneDeliveryEnv(reward_profile="generous")
+    easy = "drone_env:DroneDelivery-Easy-v1"
+    with pytest.raises(InvalidValueError, match="Easy-v1 does not fly task 'hard_delivery': make"):
+        gymnasium.make(easy, task="hard")
+    assert gymnasium.make(easy, task="easy").unwrapped.task is TASKS["easy_delivery"]
 
 
 def test_observations_are_not_changed_by_later_steps() -> None:

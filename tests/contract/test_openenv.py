@@ -6,7 +6,7 @@ import shutil
 import uuid
 from collections.abc import Generator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import yaml
@@ -21,7 +21,6 @@ from drone_env.graders import GRADERS
 from drone_env.models import DroneAction, DroneObservation, DroneState
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
-from drone_env.server.schemas import WireState
 from drone_env.server.settings import Settings
 from tests.api.serving import ROOT, Server, serving
 from tests.contract import official
@@ -49,6 +48,8 @@ def test_the_official_client_flies_synchronously(server: Server, task: str) -> N
         result = env.reset(seed=7, task_name=task, episode_id="mine")
         assert (result.reward, result.done) == (None, False)
         assert result.observation == DroneObservation.of(flight)
+        with pytest.raises(InvalidValueError, match=r"step takes a DroneAction, such as .*; got 'UP'"):
+            env.step(cast(DroneAction, "UP"))
         for action in best_actions(task, 7):
             result = env.step(action)
             assert result.reward == flight.step(action.action)
@@ -56,10 +57,10 @@ def test_the_official_client_flies_synchronously(server: Server, task: str) -> N
         state = env.state()
         assert result.done
         assert result.observation.score == solve(task, 7).score
-        assert isinstance(state, WireState)
+        assert isinstance(state, DroneState)
         assert state.episode_id == "mine"
         assert DroneState.model_validate(state.model_dump(exclude={"episode_id"})) == DroneState.of(flight)
-        assert GRADERS[task](state.model_dump(exclude={"episode_id"})) == result.observation.score
+        assert GRADERS[task](state.model_dump()) == result.observation.score
 
 
 def test_official_clients_fly_asynchronously_and_at_once(server: Server) -> None:
@@ -146,7 +147,8 @@ class TestEnvironment:
         assert env.rubric is not None
         assert env.rubric.last_score == observation.score == GRADERS["medium_delivery"](_plain(env.state))
         official.DroneEnvObservation.model_validate(observation.model_dump())
-        assert env.step(official.DroneEnvAction(direction="UP")).reward == 0.0
+        after = env.step(official.DroneEnvAction(direction="UP"))
+        assert (after.reward, after.reward_last, after.reward_total) == (0, 0, observation.reward_total)
 
     def test_a_reset_resets_the_rubric(self) -> None:
         class Counting(official.GradeRubric):

@@ -1,10 +1,13 @@
 """The Stable-Baselines3 environment against SB3's own vectorisation of the single one, and SB3's learners on it."""
 
+import pickle
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from copy import deepcopy
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,9 +21,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.tasks import TASKS, get_task
+from drone_env.envs import sb3
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
 from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError
+from drone_env.installer import pip
 
 N = 6
 PAGE = Path(__file__).parents[2] / "docs" / "sb3.md"
@@ -156,6 +161,35 @@ def test_what_was_returned_stays_as_it_is(form: str) -> None:
     assert all(np.array_equal(array, copy) for array, copy in kept)
 
 
+@pytest.mark.parametrize("copied", [deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["deepcopy", "pickle"])
+def test_a_copy_flies_on_as_the_original_does(copied: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(sb3, "time", SimpleNamespace(perf_counter=lambda: now))
+    env = DroneDeliveryVecEnv("easy", N)
+    now = 105.0
+    env.seed(0)
+    env.reset()
+    for step in range(20):
+        env.step(actions_of(step))
+    twin = copied(env)
+    now = 106.0
+    episodes = 0
+    for step in range(70):
+        (got, *outcome, infos), (want, *expected, wanted) = twin.step(actions_of(step)), env.step(actions_of(step))
+        assert_same(got, want)
+        assert all(map(np.array_equal, outcome, expected))
+        for info, expected_info in zip(infos, wanted, strict=True):
+            assert info.keys() == expected_info.keys()
+            if info:
+                episodes += 1
+                assert info["episode"]["t"] == 6.0
+                for name in ("episode", "score", "seed"):
+                    assert info[name] == expected_info[name]
+    assert episodes >= N
+    assert twin.reset_infos == env.reset_infos
+    assert twin.batch is not env.batch
+
+
 def test_the_spaces_of_both_forms() -> None:
     task = get_task("hard")
     observations = DroneDeliveryVecEnv("hard", 2).reset()
@@ -272,6 +306,8 @@ def test_what_does_not_exist_is_refused_with_what_is_allowed() -> None:
         DroneDeliveryVecEnv("easy", N, reward_profile="generous")
     with pytest.raises(InvalidValueError, match="num_envs"):
         DroneDeliveryVecEnv("easy", 0)
+    with pytest.raises(InvalidValueError, match="num_envs must be an integer of at least 1, got"):
+        DroneDeliveryVecEnv("easy", 2.0)  # pyright: ignore[reportArgumentType]
     with pytest.raises(InvalidValueError, match="num_threads"):
         DroneDeliveryVecEnv("easy", N, num_threads=0)
     env = DroneDeliveryVecEnv("easy", N)
@@ -291,7 +327,7 @@ def test_without_stable_baselines3_the_import_says_what_to_install() -> None:
     code = "import sys; sys.modules['stable_baselines3'] = None; import drone_env.envs.sb3"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode == 1
-    assert "ImportError: drone_env.envs.sb3 needs Stable-Baselines3: pip install stable-baselines3" in run.stderr
+    assert f"drone_env.envs.sb3 needs Stable-Baselines3: {pip()} install stable-baselines3" in run.stderr
 
 
 def mean_score(model: Any, form: str) -> float:

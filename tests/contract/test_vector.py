@@ -1,5 +1,9 @@
 """The native vector environment against Gymnasium's own vectorisation of the single one."""
 
+import os
+import pickle
+import warnings
+from copy import deepcopy
 from typing import Any
 
 import gymnasium
@@ -110,6 +114,80 @@ def test_copies_stay_as_they_are_and_live_buffers_do_not() -> None:
             assert np.array_equal(first[1], rewards)
 
 
+def test_nobody_writes_to_what_a_step_hands_out_uncopied() -> None:
+    env = make(copy=False)
+    observations, info = env.reset(seed=0)
+    stepped, *outcome, stepped_info = env.step(np.zeros(N, int))
+    handed_out = [*observations.values(), *stepped.values(), *outcome, info["action_mask"], stepped_info["action_mask"]]
+    for array in handed_out:
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 0
+
+
+def flight(env: DroneDeliveryVectorEnv, steps: int) -> list[np.ndarray]:
+    """All that the steps bring, and the state that they lead to."""
+    brought: list[np.ndarray] = []
+    for step in range(steps):
+        observations, *outcome, info = env.step(actions_of(step))
+        finals = info.get("final_info", {})
+        arrays = [*observations.values(), *outcome, info["action_mask"], *(finals[name] for name in sorted(finals))]
+        brought += [array.copy() for array in arrays]
+        for last in filter(None, info.get("final_obs", [])):
+            brought += last.values()
+    return brought + list(env.batch.get_state().values())
+
+
+@pytest.mark.parametrize("copied", [deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize("options", [{"autoreset_mode": "SAME_STEP"}, {"copy": False, "num_threads": 2}], ids=str)
+def test_a_copy_flies_on_as_the_original_does_and_apart_from_it(options: dict[str, Any], copied: Any) -> None:
+    env = make(**options)
+    assert not copied(env).batch.started
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    flight(env, 20)
+    twin = copied(env)
+    assert twin.spec == env.spec
+    assert np.array_equal(twin.action_space.sample(), env.action_space.sample())
+    kept = twin.batch.get_state()
+    want = flight(env, 70)
+    assert all(np.array_equal(array, kept[name]) for name, array in twin.batch.get_state().items())
+    got = flight(twin, 70)
+    assert len(got) == len(want) > 70 * 6  # some episodes ended
+    assert all(map(np.array_equal, got, want))
+    if not env.copy:
+        with pytest.raises(ValueError, match="read-only"):
+            twin.step(actions_of(0))[0]["grid"][:] = 0
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are never forked here")
+def test_a_fork_after_threads_is_told_what_to_do_in_place_of_dying() -> None:
+    threads, single = make(num_threads=2), make()
+    for env in (threads, single):
+        env.reset(seed=0)
+        env.step(np.zeros(N, int))
+    reading, writing = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of newer Pythons, at a fork beside threads
+        child = os.fork()
+    if not child:
+        try:
+            single.step(np.ones(N, int))
+            os.write(writing, f"{single.batch.rewards.sum()!r} ".encode())
+            threads.step(np.ones(N, int))
+        except EpisodeError as error:
+            os.write(writing, str(error).encode())
+        finally:
+            os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as told:
+        rewards, _, message = told.read().partition(" ")
+    assert os.waitpid(child, 0)[1] == 0
+    assert rewards == repr(single.step(np.ones(N, int))[1].sum())
+    assert "num_threads=2 does not work in a process forked" in message
+    assert "'spawn'" in message
+    threads.step(np.ones(N, int))
+
+
 def test_reset_without_seeds_flies_each_episodes_next_map() -> None:
     env = make()
     _, first = env.reset()
@@ -149,7 +227,9 @@ def test_the_first_reset_must_begin_all() -> None:
         make().step(np.zeros(N, int))
 
 
-@pytest.mark.parametrize("seed", [-1, 2**53, 2**53 - 2, [0, 1], [0, 1, 2, 3, 4, -1], [0, 1, 2, 3, 4, 2.5]], ids=str)
+@pytest.mark.parametrize(
+    "seed", [-1, 2**53, 2**53 - 2, 7.0, True, "7", "123456", [0, 1], [0, 1, 2, 3, 4, -1], [0, 1, 2, 3, 4, 2.5]], ids=str
+)
 def test_a_seed_that_is_none_is_refused_and_nothing_is_changed(seed: Any) -> None:
     env = make()
     env.reset(seed=3)
@@ -178,8 +258,14 @@ def test_options_that_do_not_exist_are_refused_with_what_is_allowed() -> None:
         make(autoreset_mode=AutoresetMode.DISABLED)
     with pytest.raises(InvalidValueError, match="render_mode"):
         make(render_mode="rgb_array")
-    with pytest.raises(InvalidValueError, match="num_threads"):
-        make(num_threads=0)
+    for wrong in (0, "4", 2.0, None, True):
+        with pytest.raises(InvalidValueError, match="num_threads must be an integer of at least 1"):
+            make(num_threads=wrong)
+        with pytest.raises(InvalidValueError, match=f"num_envs must be an integer of at least 1, got {wrong!r}"):
+            gymnasium.make_vec(EASY, num_envs=wrong)
+    assert gymnasium.make_vec(EASY, num_envs=np.int64(N), task="easy").num_envs == N
+    with pytest.raises(InvalidValueError, match="Easy-v1 does not fly task 'hard_delivery': make"):
+        make(task="hard")
     with pytest.raises(UnknownNameError, match="aligned"):
         make(reward_profile="generous")
     env = make()

@@ -12,6 +12,7 @@ import asyncio
 import json
 import re
 import sys
+import zlib
 from pathlib import Path
 
 from drone_env.core.actions import Action
@@ -134,6 +135,14 @@ class Server:
             writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: %s\r\n" % kind)
             writer.write(b"Content-Length: %d\r\n\r\n" % len(data) + data)
             return True
+        if fault in ("flood", "packed flood"):
+            packed = fault == "packed flood"
+            writer.write(b"HTTP/1.1 200 OK\r\n" + (b"Content-Encoding: gzip\r\n" if packed else b"") + b"\r\n")
+            data = zlib.compress(bytes(1 << 26), wbits=31) if packed else b" " * 65536
+            for _ in range(1024):
+                writer.write(data)
+                await writer.drain()
+            return False
         if fault == "garbage":
             data = b"data: {\x00\xff not json\n\n"
             writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n")

@@ -1,6 +1,7 @@
 """The adapters to Inspect and TRL as far as they go without those packages; with them: `tests/adapters`."""
 
 import inspect
+import re
 import sys
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
 from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError, UnknownNameError
+from drone_env.installer import install_command
 from drone_env.llm.trl_environment import DroneEnvironment, training_maps
 from drone_env.planning.optimal import solve
 
@@ -65,12 +67,12 @@ def test_bad_rows_and_directions_are_told() -> None:
 
 def test_without_trl_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "datasets", None)
-    with pytest.raises(MissingPackageError, match=r"-e .\.\[trl\]"):
+    with pytest.raises(MissingPackageError, match=re.escape(install_command("trl"))):
         training_maps()
 
 
 def test_without_inspect_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "inspect_ai", None)
     monkeypatch.delitem(sys.modules, "drone_env.llm.inspect_task", raising=False)
-    with pytest.raises(MissingPackageError, match=r"-e .\.\[inspect\]"):
+    with pytest.raises(MissingPackageError, match=re.escape(install_command("inspect"))):
         import drone_env.llm.inspect_task  # noqa: F401

@@ -1,6 +1,7 @@
 """The desk that all flights of a run ask: places of flights that begin anew, answers that come twice."""
 
 import asyncio
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -109,7 +110,11 @@ def test_an_overloaded_endpoint_is_sent_less_and_for_a_while_nothing(tmp_path: P
     at_desk(tmp_path / "calls.jsonl", work, most=100, clock=clock)
 
 
-def test_one_process_at_a_time_writes_a_transcript(tmp_path: Path) -> None:
+@pytest.mark.parametrize("system", ["linux", "win32"])
+def test_one_process_at_a_time_writes_a_transcript(
+    system: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "platform", system)
     first = Transcript(tmp_path / "calls.jsonl")
     with pytest.raises(InvalidValueError, match="another process writes"):
         Transcript(tmp_path / "calls.jsonl")

@@ -149,6 +149,15 @@ def test_what_has_not_the_form_of_an_answer_is_an_api_error(endpoint: Start, val
     assert (done.status, done.turns) == (1, {"api_error": 2}), done.err
 
 
+@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
+@pytest.mark.parametrize(("fault", "most"), [("flood", "4,194,304"), ("packed flood", "65,536")])
+def test_an_answer_without_end_is_not_read_on(endpoint: Start, fault: str, most: str, stream: str) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[0, 0, fault]])
+    done = scripted.infer("--seeds", "14:15", stream)
+    assert [flight["error"] for flight in done.flights] == [f"200: not an answer: it takes more than {most} bytes"]
+    assert len(scripted.requests()) == 1
+
+
 def test_an_error_sent_as_200_is_told(endpoint: Start) -> None:
     fault = {"sends": json.dumps({"error": {"message": "quota exceeded"}})}
     done = endpoint(pilot="greedy", faults=[[0, 0, fault]]).infer("--seeds", "14:15")

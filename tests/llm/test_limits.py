@@ -7,6 +7,7 @@ import pytest
 from drone_env.errors import InvalidValueError
 from drone_env.llm.limits import Limits, Prices
 from drone_env.llm.runner import Options
+from drone_env.llm.verify import verified_run
 
 from .conftest import Endpoint
 from .log_lines import blocks, verified
@@ -49,6 +50,10 @@ def test_a_flight_that_the_limit_did_not_let_begin_is_none(endpoint: Start) -> N
     assert (done.status, [flight["seed"] for flight in done.flights]) == (3, [14])
     assert "0 flights were cut short and 1 not begun" in done.err
     assert len(blocks(done.out)) == 1
+    # A bad answer has begun it: without this flight the run would be no whole one.
+    done = endpoint(pilot="nonsense").infer("--seeds", "14:16", "--max-calls", "1", "--concurrency", "1")
+    assert (done.status, [flight["status"] for flight in done.flights]) == (3, ["budget_stop"])
+    assert len(verified_run(done.folder).results) == 1
 
 
 @pytest.mark.parametrize(

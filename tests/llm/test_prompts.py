@@ -1,6 +1,7 @@
 """Prompts: what the model is told, and files that are none."""
 
 import re
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,10 +12,23 @@ from drone_env.core.cells import Cell
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.llm.prompt import VALUES, Flown, first_messages, get_prompt, prompt_ids, read_prompt
+from drone_env.llm.prompt import FOLDER, VALUES, Flown, first_messages, get_prompt, prompt_ids, read_prompt
 from drone_env.models import DroneObservation
+from tests.tools import missing_tool
 
-from .conftest import Endpoint
+from .conftest import ROOT, Endpoint
+
+
+def test_a_checkout_with_other_ends_of_lines_has_the_same_prompts(tmp_path: Path) -> None:
+    for file in sorted(FOLDER.rglob("*.toml")):
+        copy = tmp_path / file.name
+        copy.write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
+        assert read_prompt(copy) == read_prompt(file)
+    written = ["-c", "core.autocrlf=true", "checkout-index", f"--prefix={tmp_path}/", "README.md"]
+    done = subprocess.run(["git", *written], cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        missing_tool("a git checkout")
+    assert b"\r\n" not in (tmp_path / "README.md").read_bytes()
 
 
 def test_prompts_tell_what_the_drone_sees() -> None:

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -191,6 +192,24 @@ def test_the_leaderboard_ranks_whole_runs_and_refuses_forged_ones(
     assert f"not ranked: {forged}: " in err
     assert "not what the model's answers come to" in err
     assert "scripted" in out
+
+
+def test_the_leaderboard_says_which_folders_hold_no_flights(
+    endpoint: Start, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    killed = endpoint(pilot="greedy").infer("--seeds", "14:15").folder
+    for name in ("episodes.jsonl", "flights.jsonl"):
+        (killed / name).unlink()
+    capfd.readouterr()
+    # Such a run is no forged one.
+    assert main(["leaderboard", str(killed)]) == 0
+    assert f"not ranked: {killed}: no flights yet: it is under way, or was killed" in capfd.readouterr().err
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").touch()
+    for folder in (tmp_path / "nowhere", tmp_path / "empty", tmp_path / "file"):
+        assert main(["leaderboard", str(folder)]) == 1
+        told = f"not ranked: {folder}: this is not the folder of a run: there is no run.json in it\n"
+        assert capfd.readouterr().err == told
 
 
 def test_a_record_that_does_not_replay_or_a_lost_flight_is_found(endpoint: Start) -> None:

@@ -1,18 +1,25 @@
 """Flying in a server beside the rules here."""
 
 import asyncio
+import json
 import os
 import shutil
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import httpx
 import pytest
+from starlette.testclient import TestClient
 
 from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
-from drone_env.errors import InvalidValueError
+from drone_env.episodes.store import FILE_NAME, Store
+from drone_env.errors import InvalidValueError, StoreError
 from drone_env.llm.image import ServerFlight
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
 from tests.api.serving import Server
 from tests.tools import reserved_port
 
@@ -37,6 +44,56 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         flight.close()
     finally:
         server.kill()
+
+
+@pytest.mark.feature("H7")
+def test_a_server_in_the_same_folder_shows_the_flights(
+    endpoint: Callable[..., Endpoint], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DRONE_ENV_DATA", raising=False)
+    waiting = {"sends": json.dumps({"choices": [{"message": {"content": "WAIT"}, "finish_reason": "stop"}]})}
+    scripted = endpoint(pilot="greedy", faults=[[0, 0, waiting]])
+    # What was cut short is none of them.
+    done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--max-calls", "5")
+    assert [flight["status"] for flight in done.flights] == ["finished", "budget_stop"], done.err
+    with TestClient(create_app(Settings(data=scripted.folder / "data"))) as client:
+        (flown,) = client.get("/memory_logs").json()["episodes"]
+        assert (flown["agent"], flown["seed"], flown["steps"], flown["success"]) == ("scripted", 14, 4, True)
+        # As if the run had been killed before it could keep the flight.
+        with closing(sqlite3.connect(scripted.folder / "data" / FILE_NAME)) as file:
+            file.execute("DELETE FROM episodes")
+            file.commit()
+        for _ in range(2):
+            assert scripted.infer("--seeds", "14:16", "--resume", folder=done.folder).status == 0
+            shown = client.get("/memory_logs").json()["episodes"]
+            assert [episode["seed"] for episode in shown] == [15, 14]
+            assert shown[1]["id"] == flown["id"]
+        analysis = client.get("/analyse/easy_delivery").json()
+        assert (analysis["episodes"], analysis["success_rate"]) == (2, 1.0)
+    # Another run of the same flight is another flight.
+    assert scripted.infer("--seeds", "14:15").status == 0
+    with Store(scripted.folder / "data") as store:
+        assert len(store.latest(9)) == 3
+
+
+def test_a_store_that_fails_costs_no_paid_flight(
+    endpoint: Callable[..., Endpoint], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    scripted = endpoint(pilot="greedy")
+    (tmp_path / "file").touch()
+    done = scripted.infer("--seeds", "14:15", "--data", str(tmp_path / "file"))
+    assert (done.status, scripted.requests(), done.folder.exists()) == (2, [], False)
+
+    def full(*_: object) -> None:
+        raise StoreError("no space")
+
+    monkeypatch.setattr(Store, "add_episode", full)
+    done = scripted.infer("--seeds", "14:16", DRONE_ENV_DATA=str(tmp_path / "kept"))
+    assert (done.status, len(done.flights)) == (0, 2)
+    assert f"2 flights are not in the store: no space; to add them, give the same options with --out {done.folder}" in (
+        done.err
+    )
+    assert (tmp_path / "kept" / "drone_env.sqlite3").exists()
 
 
 def test_a_server_that_is_none_is_an_error(endpoint: Callable[..., Endpoint]) -> None:

@@ -30,6 +30,14 @@ def test_an_extra_that_nests_too_deep_is_told(capsys: pytest.CaptureFixture[str]
     assert "--extra takes a JSON object" in capsys.readouterr().err
 
 
+def test_no_option_is_negated_twice(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["infer", "--help"])
+    told = capsys.readouterr().out
+    assert "--no-temperature" in told
+    assert "--no-no-" not in told
+
+
 def test_an_openai_key_does_not_go_to_hugging_face_by_another_spelling(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -67,6 +75,36 @@ def test_the_token_is_chosen_by_the_host(tmp_path: Path, monkeypatch: pytest.Mon
         with pytest.raises(InvalidValueError, match="API_BASE_URL"):
             token_for(both, url)
     assert "hf_a" not in repr(both)
+
+
+@pytest.mark.feature("I1")
+def test_the_key_of_openai_alone_is_for_openai(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+
+    def asked(**written: str) -> tuple[str, str, str | None]:
+        (tmp_path / ".env").write_text("".join(f"{name}={value}\n" for name, value in written.items()))
+        settings = load_settings()
+        return settings.api_base_url, settings.model_name, token_for(settings, settings.api_base_url)
+
+    qwen = InferenceSettings.model_fields["model_name"].default
+    assert asked(OPENAI_API_KEY="sk-b") == asked(OPENAI_API_KEY="sk-b", HF_TOKEN="") == (OTHER, "gpt-4o", "sk-b")
+    assert asked(OPENAI_API_KEY="sk-b", MODEL_NAME="o9") == (OTHER, "o9", "sk-b")
+    assert asked(OPENAI_API_KEY="sk-b", API_BASE_URL="https://x/v1") == ("https://x/v1", qwen, "sk-b")
+    assert asked(HF_TOKEN="hf_a") == asked(HF_TOKEN="hf_a", OPENAI_API_KEY="sk-b") == (HF, qwen, "hf_a")
+    assert asked(HF_TOKEN="hf_a", OPENAI_API_KEY="sk-b", API_BASE_URL=f"{OTHER}/") == (f"{OTHER}/", "gpt-4o", "sk-b")
+    for wrong, why in (
+        ({"OPENAI_API_KEY": "sk-b", "API_BASE_URL": HF}, r"needs HF_TOKEN: set it in the environment or in \.env$"),
+        ({"HF_TOKEN": "hf_a", "API_BASE_URL": OTHER}, "api.openai.com needs OPENAI_API_KEY"),
+        ({}, "needs HF_TOKEN: .* or OPENAI_API_KEY alone to ask OpenAI"),
+    ):
+        with pytest.raises(InvalidValueError, match=why):
+            asked(**wrong)
+    # An address on the command line goes before all.
+    (tmp_path / ".env").write_text("OPENAI_API_KEY=sk-b\nAPI_BASE_URL=https://x/v1\n")
+    assert load_settings(OTHER).model_name == "gpt-4o"
+    assert (load_settings(HF).api_base_url, load_settings(HF).model_name) == (HF, qwen)
 
 
 def test_settings_that_are_wrong_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,6 +22,9 @@ else:
 PACKAGE = ROOT / "drone_env"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
+COLLECTIONS = {"all", "dev", "test"}
+"""Extras that no hint names, and whose names are words: of all tasks, of the test maps."""
+
 
 class Import(NamedTuple):
     """One imported name, such as `drone_env.core.tasks.get_task` or `torch.nn`."""
@@ -163,6 +166,6 @@ def extras_named(module: str) -> frozenset[str]:
     texts = [node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
     return frozenset(
         extra
-        for extra in PROJECT["optional-dependencies"]
+        for extra in set(PROJECT["optional-dependencies"]) - COLLECTIONS
         if any(text == extra or f"`{extra}`" in text or f"[{extra}]" in text for text in texts)
     )

@@ -32,14 +32,19 @@ from tests.tools import path_of_python, reserved_port  # noqa: E402
 TASKS = ("easy_delivery", "medium_delivery", "hard_delivery")
 
 
-def build(folder: Path, *kinds: str) -> list[Path]:
-    """What `python -m build` makes of a copy of the tracked files, so that nothing is left in the checkout."""
+def copy_tracked(folder: Path) -> None:
+    """Copy the tracked files into a new folder, as they are now."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    source = folder / "source"
     for name in filter(None, listed.split("\0")):
         if (ROOT / name).is_file():
-            (source / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, source / name)
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+
+
+def build(folder: Path, *kinds: str) -> list[Path]:
+    """What `python -m build` makes of a copy of the tracked files, so that nothing is left in the checkout."""
+    source = folder / "source"
+    copy_tracked(source)
     command = [sys.executable, "-m", "build", "--no-isolation", *kinds, "--outdir", str(folder / "dist"), str(source)]
     subprocess.run(command, check=True, capture_output=True)
     return sorted((folder / "dist").iterdir())

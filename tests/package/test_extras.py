@@ -1,11 +1,17 @@
 """Each extra alone brings all that its part of the package imports; what needs another says which."""
 
+import json
+import os
+import re
+import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
+from drone_env import installer
+from drone_env.errors import MissingPackageError
 from tests.package import extras
 from tests.package.extras import PROJECT, brought, extras_named, file_of, imported_later, loaded_by, modules
 
@@ -63,6 +69,72 @@ def unannounced() -> list[str]:
     return problems
 
 
+BARE = """
+import contextlib, io, json, runpy, sys
+told, (there, runs) = {}, json.loads(sys.argv[1])
+
+class Bare:
+    def __init__(self, finder):
+        self.finder = finder
+
+    def __getattr__(self, name):
+        return getattr(self.finder, name)
+
+    def find_spec(self, name, path=None, target=None):
+        return self.finder.find_spec(name, path, target) if name.partition(".")[0] in there or name[0] == "_" else None
+
+sys.meta_path[:] = map(Bare, sys.meta_path)
+for program in runs:
+    sys.argv, before = program, set(sys.modules)
+    error = io.StringIO()
+    with contextlib.redirect_stderr(error):
+        try:
+            run = runpy.run_path if program[0].endswith(".py") else runpy.run_module
+            run(program[0], run_name="__main__")
+        except SystemExit as end:
+            status = end.code
+            if isinstance(status, str):
+                print(status, file=sys.stderr)
+        except BaseException as failure:
+            status = repr(failure)
+    told[" ".join(program)] = [str(status), error.getvalue()]
+    for name in set(sys.modules) - before:
+        if name.startswith("drone_env"):
+            del sys.modules[name]
+print(json.dumps(told))
+"""
+PROGRAMS: Mapping[str, str] = {
+    "drone_env.cli infer": "llm",
+    "drone_env.cli leaderboard x": "llm",
+    "drone_env.cli serve": "server",
+    "drone_env.cli train": "train",
+    "drone_env.cli sweep --task easy --set lr=1e-3 --out x": "train",
+    "drone_env.cli dataset --task easy --maps 1 --out x": "data",
+    "drone_env.cli evaluate --engine ray --task easy": "cluster",
+    "drone_env.client": "server",
+    "inference.py": "llm",
+    "train.py": "train",
+    "server/app.py": "server",
+    "drone_env/server/app.py": "server",
+}
+"""What ends for want of an extra, and of which."""
+
+
+def test_without_extras_every_program_says_in_a_line_which_it_needs(tmp_path: Path) -> None:
+    there = sorted({*brought(), *sys.stdlib_module_names, "drone_env"})
+    runs = [[str(extras.ROOT / part) if part.endswith(".py") else part for part in run.split()] for run in PROGRAMS]
+    arguments = [sys.executable, "-c", BARE, json.dumps([there, runs])]
+    environment = {**os.environ, "PYTHONPATH": str(extras.ROOT)}
+    done = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    told = dict(zip(PROGRAMS, json.loads(done.stdout).values(), strict=True))
+    assert [f"{k}: {v}" for k, v in told.items() if v[1].count("\n") != 1 or v[0] == "0"] == []
+    # Without pip, as here, the hint is one of uv.
+    command = {program: re.compile(rf"\[{extra}\]|--extra {extra}\b") for program, extra in PROGRAMS.items()}
+    wrong = {program: told[program] for program in PROGRAMS if not command[program].search(told[program][1])}
+    assert wrong == {}
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_each_extra_alone_brings_what_its_part_imports() -> None:
     assert not_brought() == []
 
@@ -80,6 +152,26 @@ def test_extras_bring_what_they_name_and_no_more() -> None:
     assert not brought("train") & {"fastapi", "openai", "ray"}
     assert brought("all") >= brought(*(extra for extra in ("data", "human", "server", "llm", "train")))
     assert {extra for named in NEEDS.values() for extra in named} <= set(PROJECT["optional-dependencies"])
+
+
+@pytest.mark.parametrize(
+    ("made_by", "where", "command", "pip"),
+    [
+        ("uv = 0.13.9", "clone/.venv", "uv sync --extra train --inexact", "uv pip"),
+        ("uv = 0.13.9", "elsewhere", "uv pip install -e '.[train]'", "uv pip"),
+        ("version = 3.11.2", "clone/.venv", "pip install -e '.[train]'", "pip"),
+    ],
+)
+def test_what_brings_an_extra_is_a_command_of_the_installer_in_use(
+    made_by: str, where: str, command: str, pip: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / where).mkdir(parents=True)
+    (tmp_path / where / "pyvenv.cfg").write_text(f"home = /usr/bin\n{made_by}\n")
+    monkeypatch.delenv("UV_PROJECT_ENVIRONMENT", raising=False)
+    monkeypatch.setattr(installer, "CLONE", tmp_path / "clone")
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / where))
+    assert str(MissingPackageError("torch", "train")).endswith(f"run {command} in the clone")
+    assert installer.pip() == pip
 
 
 FAULTS = {

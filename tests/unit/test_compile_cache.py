@@ -249,16 +249,43 @@ def test_without_a_home_it_is_kept_among_the_temporary_files(
         monkeypatch.setenv("HOME", str(tmp_path))
         monkeypatch.setattr(os, "access", lambda path, mode: False)
     elif home == "unknown":
-        monkeypatch.setattr(Path, "home", raises_runtime_error)
+        monkeypatch.delenv("HOME")
+        monkeypatch.setattr("pwd.getpwuid", raises_key_error)
+        monkeypatch.chdir(tmp_path)
     for expected in ((0, 1), (1, 0)):
         twice = load(tmp_path / "kernels").twice
         assert (twice(3), counts(twice)) == (6, expected)
     assert temporary.stat().st_mode & 0o777 == 0o700
     assert files(temporary)[0].parent == temporary / compile_cache.LOADED
+    assert not (tmp_path / "~").exists()
 
 
-def raises_runtime_error() -> Path:
-    raise RuntimeError("Could not determine home directory.")  # as `Path.home` does
+def raises_key_error(user: int) -> None:
+    raise KeyError(f"uid not found: {user}")
+
+
+@pytest.mark.parametrize("others", ["write where the code lies", "rename above it", "own where the code lies"])
+def test_a_cache_folder_that_others_can_write_is_passed_over(
+    others: str, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    folder = tmp_path / ".cache" / "drone_env" / compile_cache.LOADED
+    folder.mkdir(mode=0o700, parents=True)
+    if others == "write where the code lies":
+        folder.chmod(0o777)
+    elif others == "rename above it":
+        (tmp_path / ".cache").chmod(0o777)
+    else:
+        lstat = Path.lstat
+
+        def another_users(path: Path) -> os.stat_result:
+            found = lstat(path)
+            return os.stat_result((*found[:4], found.st_uid + 1, *found[5:])) if path == folder else found
+
+        monkeypatch.setattr(Path, "lstat", another_users)
+    assert cache_folder() == temporary / compile_cache.LOADED
+    (tmp_path / ".cache").chmod(0o1777)  # as folders for everybody are: there none can rename what is another's
+    assert (cache_folder() == folder) == (others == "rename above it")
 
 
 @pytest.mark.parametrize("whose", ["others may write", "another user's", "a link", "a file"])

@@ -1,6 +1,7 @@
 """Data sets: every row beside the exact values, the same in every run, there whole or not at all."""
 
 import json
+import re
 import sys
 from fractions import Fraction
 from pathlib import Path
@@ -20,6 +21,7 @@ from drone_env.datasets.build import build_dataset
 from drone_env.datasets.config import FORMAT, DatasetConfig, dataset_config
 from drone_env.datasets.flights import chance, fly_map
 from drone_env.errors import InvalidValueError, MissingPackageError, TooLargeError, UnknownNameError
+from drone_env.installer import install_command
 from drone_env.planning import map_graph
 from drone_env.planning.exact import ExactSolver
 from drone_env.planning.optimal import solve
@@ -308,7 +310,7 @@ def test_a_missing_package_is_said_before_anything_is_flown(
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.setattr(build, "fly_map", None)
-    with pytest.raises(MissingPackageError, match=r"pip install -e '\.\[data\]'"):
+    with pytest.raises(MissingPackageError, match=re.escape(install_command("data"))):
         build_dataset(dataset_config("easy", range(2)), tmp_path / "set", (format_,))
     assert list(tmp_path.iterdir()) == []
 
@@ -318,7 +320,7 @@ def test_a_minari_that_would_lose_cells_is_refused(tmp_path: Path, monkeypatch: 
     import minari
 
     monkeypatch.setattr(minari, "__version__", "0.5.3")
-    with pytest.raises(MissingPackageError, match=r"0\.5\.4 or newer.*0\.5\.3.*-e .\.\[data\]"):
+    with pytest.raises(MissingPackageError, match=r"0\.5\.4 or newer.*0\.5\.3.*" + re.escape(install_command("data"))):
         build_dataset(dataset_config("easy", range(2)), tmp_path / "set", ("minari",))
     assert list(tmp_path.iterdir()) == []
 

@@ -13,6 +13,7 @@ from drone_env import __version__
 from drone_env.agents.pathqnet import WEIGHTS
 from drone_env.cli import main
 from drone_env.commands.diagnosis import _folder
+from drone_env.errors import MissingPackageError
 from tests.tools import reserved_port
 
 SECRET = "hf_do_not_print_me"
@@ -171,3 +172,19 @@ def test_without_the_extras_nothing_is_broken(
     }  # fmt: skip
     assert found["all"]["facts"] == {"missing": ["fastapi"]}
     assert found["train"]["status"] == "ok"
+    command = found["all"]["detail"].removesuffix(" brings fastapi")
+    assert command in str(MissingPackageError("fastapi", "all"))
+
+
+def test_a_plugin_that_cannot_be_imported_is_broken(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, empty_folder: Path
+) -> None:
+    (empty_folder / "half_a_plugin.py").write_text("1 / 0")
+    monkeypatch.syspath_prepend(str(empty_folder))
+    monkeypatch.setenv("DRONE_ENV_PLUGINS", "nope, half_a_plugin,tests.toy")
+    status, found = diagnosis(capsys)
+    assert status == 1
+    assert [found[name]["status"] for name in ("nope", "half_a_plugin", "tests.toy")] == ["broken", "broken", "ok"]
+    assert "No module named 'nope'" in found["nope"]["detail"]
+    assert "division by zero" in found["half_a_plugin"]["detail"]
+    assert found["hard_delivery"]["status"] == "ok"

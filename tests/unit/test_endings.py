@@ -84,6 +84,7 @@ class TestEnd:
         fly(episode, actions)
         before, message = episode.get_state(), episode.message
         assert fly(episode, further) == [0.0]
+        assert episode.reward_last == 0
         assert episode.get_state() == before
         assert episode.message != message
         assert f"ended ({outcome})" in episode.message

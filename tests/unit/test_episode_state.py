@@ -1,16 +1,20 @@
 """An episode as an object: its start, its snapshots, and what it refuses."""
 
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from drone_env.core import state_manager
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.cells import Cell
 from drone_env.core.seeds import SPLITS, next_seed
-from drone_env.core.state_manager import Episode
+from drone_env.core.state_manager import Episode, PathStep
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, UnknownNameError
+from drone_env.server.frames import frame_of
+from drone_env.server.predict import Networks
 from tests.toy import fly, toy_episode
 
 
@@ -161,6 +165,25 @@ class TestState:
         assert episode.actions == [0, 3, 3]
         assert episode.reward_last == 0.95
         assert episode.reward_total == pytest.approx(1.68)
+
+    def test_the_last_step_is_told_without_all_the_others(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        made: list[PathStep] = []
+
+        def make(*values: Any) -> PathStep:
+            made.append(PathStep(*values))
+            return made[-1]
+
+        monkeypatch.setattr(state_manager, "PathStep", make)
+        episode = toy_episode(["@T0", "..."], battery_capacity=8)
+        assert episode.last_step is None
+        fly(episode, "URR")
+        assert episode.last_step == (Action.RIGHT, 2, 0, Event.DELIVERY, 0.95, 5)
+        assert len(made) == 1
+        assert frame_of(episode, Networks(tmp_path)).action == "RIGHT"
+        assert len(made) == 2
+        assert episode.path[-1] == episode.last_step
 
 
 class TestRefusedInput:

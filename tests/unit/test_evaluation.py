@@ -1,17 +1,17 @@
 """The one unit of evaluation and the figures made from it."""
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from drone_env.agents import make_agent
+from drone_env.agents import AGENTS, make_agent
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.seeds import split_seeds
 from drone_env.core.state_manager import Episode
-from drone_env.core.tasks import TASKS, get_task
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.evaluation import EpisodeResults, concatenate, episodes_key, run_episodes, run_in_chunks, summarise
 from drone_env.evaluation_folder import ResultsFolder
@@ -36,6 +36,21 @@ def test_no_agent_beats_the_optimum_and_the_optimal_agent_reaches_it() -> None:
         if agent == "optimal":
             assert (results.scores == results.optimal_scores).all()
             assert (results.steps == results.optimal_steps).all()
+
+
+@pytest.mark.parametrize("agent", ["greedy", "optimal"])
+def test_results_are_the_callers_own(agent: str) -> None:
+    key = episodes_key("medium", agent, range(7))
+    names = [field.name for field in fields(EpisodeResults) if field.name != "key"]
+    first = run_episodes(key)
+    before = {name: getattr(first, name).copy() for name in names}
+    for done, name in enumerate(names, start=1):
+        getattr(first, name)[:] = 0
+        for other in names[done:]:
+            assert np.array_equal(getattr(first, other), before[other]), other
+    second = run_episodes(key)
+    for name in names:
+        assert np.array_equal(getattr(second, name), before[name])
 
 
 def test_figures_by_hand() -> None:
@@ -131,6 +146,18 @@ def test_a_key_names_a_network_by_what_its_file_holds(tmp_path: Path) -> None:
         for agent in ("pathqnet", f"pathqnet:{copy}", f"pathqnet:{medium}")
     )
     assert shipped == same != other
+
+
+@pytest.mark.parametrize("config", [None, 7, {"network": object()}])
+def test_an_agent_must_say_what_decides_how_it_flies(config: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Silent:
+        def __init__(self, task: TaskConfig) -> None:
+            if config is not None:
+                self.config = config
+
+    monkeypatch.setitem(AGENTS, "silent", Silent)
+    with pytest.raises(InvalidValueError, match="agent 'silent' must have `config`, a mapping of JSON values"):
+        episodes_key("easy", "silent", range(1))
 
 
 def test_keys_differ_where_task_or_agent_differ() -> None:

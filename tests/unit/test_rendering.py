@@ -1,6 +1,7 @@
 """Pictures, text and the window."""
 
 import math
+import re
 import sys
 import time
 import unicodedata
@@ -25,6 +26,7 @@ from drone_env.envs.ansi import ROAD, TARGET, WAY, draw_text, draw_tour
 from drone_env.envs.rendering import PALETTE, PANEL, TEXT, draw_mission, save_picture
 from drone_env.envs.window import Window
 from drone_env.errors import EpisodeError, InvalidValueError
+from drone_env.installer import install_command
 from drone_env.planning.greedy import greedy_action
 from tests.toy import toy_episode
 
@@ -395,7 +397,7 @@ class TestWindow:
     def test_missing_pygame_is_named(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "pygame", None)
         window = Window()
-        with pytest.raises(DependencyNotInstalled, match=r'pip install -e "\.\[human\]"'):
+        with pytest.raises(DependencyNotInstalled, match=re.escape(install_command("human"))):
             window.show(np.zeros((20, 30, 3), np.uint8))
         assert not window.is_open
         window.close()

@@ -1,8 +1,13 @@
 """The numbers of the tasks, their names, and the splits of the seeds."""
 
+import __future__
+
 import itertools
-from dataclasses import replace
+import sys
+from dataclasses import fields, replace
 from decimal import Decimal
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -200,6 +205,20 @@ class TestInvalidTasks:
             replace(EASY, **changes)
         assert isinstance(caught.value, InvalidValueError)
         assert isinstance(caught.value, ValueError)
+
+    def test_a_number_is_checked_where_annotations_are_not_evaluated(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        module = ModuleType("tasks_of_texts")
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        source = Path(str(tasks.__file__)).read_text(encoding="utf-8")
+        exec(compile(source, "tasks", "exec", flags=__future__.annotations.compiler_flag), vars(module))
+        assert {field.type for field in fields(module.TaskConfig)} >= {"int", "float"}
+        easy = module.TASKS["easy_delivery"]
+        for changes, message in (
+            ({"width": 10.0}, "width must be an integer"),
+            ({"r_step": "x"}, "r_step must be a fini"),
+        ):
+            with pytest.raises(InvalidTaskError, match=message):
+                replace(easy, **changes)
 
     @pytest.mark.parametrize(
         "changes",

@@ -121,7 +121,7 @@ class SweepFolder:
         try:
             yield
         finally:
-            os.close(lock)
+            lock.release()
 
     @contextmanager
     def training(self, trial: Trial) -> Generator[Path, None, None]:
@@ -143,7 +143,7 @@ class SweepFolder:
         try:
             yield folder
         finally:
-            os.close(lock)
+            lock.release()
 
     def folder(self, trial: Trial) -> Path:
         """Where a trial's files lie."""

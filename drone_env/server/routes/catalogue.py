@@ -38,7 +38,8 @@ async def tasks() -> TaskList:
 @router.get("/graders")
 async def graders() -> GraderList:
     """The graders: functions that can be imported under these names."""
-    return GraderList(graders=[GraderInfo(id=task.grader, task=task.id) for task in TASKS.values()])
+    found = [GraderInfo(id=task.grader, task=task.id) for task in TASKS.values()]
+    return GraderList(graders=found, ids=[grader.id for grader in found])
 
 
 @router.get("/kinds")

@@ -27,13 +27,19 @@ from drone_env.server.schemas import (
     StepRequest,
     StepResult,
 )
-from drone_env.server.state import COOKIE, HEADER, KnownSteps, NamedSession, SessionId, SharedParts
+from drone_env.server.state import COOKIE, HEADER, SHARED_HEADER, CallerOf, KnownSteps, SharedParts
 
 router = APIRouter(tags=["flight"])
 SESSION_ERRORS = answers(409, 410, 422, 503)
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
 OPENED: dict[str, Any] = {
-    "headers": {HEADER: {"description": "The session.", "schema": {"type": "string"}}},
+    "headers": {
+        HEADER: {"description": "The session.", "schema": {"type": "string"}},
+        SHARED_HEADER: {
+            "description": "Where it is shared with other callers who name none: their address.",
+            "schema": {"type": "string"},
+        },
+    },
     "links": {
         name: {"operationId": name, "parameters": {f"header.{HEADER}": f"$response.header.{HEADER}"}}
         for name in IN_SESSION
@@ -51,22 +57,24 @@ def _examples(values: list[Any]) -> Any:
 def reset(
     request: Request,
     shared: SharedParts,
-    named: NamedSession,
+    caller: CallerOf,
     options: Annotated[ResetOptions | None, Body(openapi_examples=_examples(RESETS))] = None,
 ) -> Response:
     """Start an episode: in the session that the request names, or in a new one.
+
+    Programs on the server's own machine that name none share one, where nobody else reaches the server.
 
     An empty body is the same as `{}`. The answer is a `DroneObservation` with the `session_id`; where the body has
     `episode_id`, as OpenEnv's clients send it, it is `{"observation", "reward", "done"}` with the `session_id`.
     """
     options = options or ResetOptions()
-    session, stepped = shared.sessions.reset(named, options)
+    session, stepped = shared.sessions.reset(caller.named, options, caller.address)
     flown = options.task_name or (options.split or "").partition("/")[0]
     if flown:
         shared.warm_up(flown)
     content = stepped.fields if options.episode_id is None else openenv_result(stepped.fields, None)
     response = _json(content | {"session_id": session})
-    response.headers[HEADER] = session
+    caller.tell(session, response)
     secure = request.url.scheme == "https"
     # A frame of another site needs SameSite=None, which browsers take over https alone.
     response.set_cookie(COOKIE, session, httponly=True, secure=secure, samesite="none" if secure else "lax")
@@ -76,7 +84,8 @@ def reset(
 @router.post("/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | answers(400, 413, 415))
 def step(
     shared: SharedParts,
-    session: SessionId,
+    caller: CallerOf,
+    answer: Response,
     after: KnownSteps,
     body: Annotated[StepRequest, Body(openapi_examples=_examples(STEPS))],
 ) -> Response:
@@ -87,29 +96,30 @@ def step(
 
     With `X-Step-Count` an action is not flown twice: sent again after a lost answer, it is answered as it was.
     """
-    stepped = shared.sessions.step(session, body.chosen, after)
-    return _json(stepped.fields if body.action is None else openenv_result(stepped.fields, stepped.reward))
+    stepped = shared.sessions.step(caller.session(shared, answer), body.chosen, after, caller.address)
+    content = stepped.fields if body.action is None else openenv_result(stepped.fields, stepped.reward)
+    return _json(content, dict(answer.headers))
 
 
 @router.delete("/session", status_code=204, responses=SESSION_ERRORS)
-def end_session(shared: SharedParts, session: SessionId, response: Response) -> None:
+def end_session(shared: SharedParts, caller: CallerOf, response: Response) -> None:
     """End the session, so that its place is free for others. An episode that has not ended is dropped."""
-    shared.sessions.end(session)
+    shared.sessions.end(caller.session(shared, response))
     response.delete_cookie(COOKIE)
 
 
 @router.get("/state", responses=SESSION_ERRORS)
-def state(shared: SharedParts, session: SessionId) -> DroneState:
+def state(shared: SharedParts, caller: CallerOf, answer: Response) -> DroneState:
     """The full state of the session's episode."""
-    with shared.sessions.reading(session) as episode:
-        return DroneState.of(episode)
+    with shared.sessions.reading(caller.session(shared, answer)) as (row, episode):
+        return DroneState.of(episode).model_copy(update={"episode_id": row.episode_id})
 
 
 @router.get("/grade/{task_name}", responses=SESSION_ERRORS | answers(404))
-def grade(shared: SharedParts, session: SessionId, task_name: str) -> Grade:
+def grade(shared: SharedParts, caller: CallerOf, answer: Response, task_name: str) -> Grade:
     """The graded score of the session's episode, which must be of this task; provisional until it has ended."""
     task = get_task(task_name)
-    with shared.sessions.reading(session) as episode:
+    with shared.sessions.reading(caller.session(shared, answer)) as (_, episode):
         if episode.task.id != task.id:
             raise RequestError(409, "other_task", f"the session flies {episode.task.id!r}, not {task.id!r}")
         score = GRADERS[task.id](DroneState.of(episode))
@@ -117,17 +127,18 @@ def grade(shared: SharedParts, session: SessionId, task_name: str) -> Grade:
 
 
 @router.get("/path_history", responses=SESSION_ERRORS)
-def path_history(shared: SharedParts, session: SessionId) -> PathHistory:
+def path_history(shared: SharedParts, caller: CallerOf, answer: Response) -> PathHistory:
     """The flight of the session's episode so far."""
-    with shared.sessions.reading(session) as episode:
+    with shared.sessions.reading(caller.session(shared, answer)) as (_, episode):
         flown = DroneState.of(episode)
-    return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=flown.path_history)
+    path = flown.path_history
+    return PathHistory(task=flown.task_name, seed=flown.seed, step_count=flown.step_count, path=path, path_history=path)
 
 
 @router.get("/solution", responses=SESSION_ERRORS)
-def solution(shared: SharedParts, session: SessionId) -> SolutionAnswer:
+def solution(shared: SharedParts, caller: CallerOf, answer: Response) -> SolutionAnswer:
     """The best flight over the map of the session's episode, once that has ended."""
-    with shared.sessions.reading(session) as episode:
+    with shared.sessions.reading(caller.session(shared, answer)) as (_, episode):
         task, seed, score, ended = episode.task, episode.seed, episode.score, episode.ended
     if not ended:
         raise RequestError(409, "in_flight", "the best flight is told when the episode has ended")
@@ -146,21 +157,19 @@ def solution(shared: SharedParts, session: SessionId) -> SolutionAnswer:
 
 
 @router.post("/predict", responses=SESSION_ERRORS | answers(400, 413, 415))
-def predict(shared: SharedParts, named: NamedSession, body: PredictRequest | None = None) -> Prediction:
+def predict(shared: SharedParts, caller: CallerOf, answer: Response, body: PredictRequest | None = None) -> Prediction:
     """What the trained network would do: about the observation in the body, or, without one, about the session's."""
     if body is not None:
         if body.done:
             raise RequestError(422, "ended", "the episode of this observation has ended: there is nothing to fly")
         return shared.networks.predict(*arrays_of(body))
-    if named is None:
-        raise RequestError(409, "no_session", "send a DroneObservation, or name a session")
-    with shared.sessions.reading(named) as episode:
+    with shared.sessions.reading(caller.session(shared, answer)) as (_, episode):
         if episode.ended:
             raise RequestError(409, "ended", "the episode has ended: POST /reset starts another")
         task, observation = episode.task, episode.observation()
     return shared.networks.predict(task, observation)
 
 
-def _json(content: dict[str, Any]) -> Response:
+def _json(content: dict[str, Any], headers: dict[str, str] | None = None) -> Response:
     # Built from the rules, so it is not validated again; the tests hold it against the documented models.
-    return Response(to_json(content), media_type="application/json")
+    return Response(to_json(content), headers=headers, media_type="application/json")

@@ -10,12 +10,19 @@ from pydantic import Field
 from sse_starlette import EventSourceResponse
 
 from drone_env.core.tasks import get_task
-from drone_env.episodes.analysis import Analysis
 from drone_env.episodes.record import EpisodeRecord
 from drone_env.models import Message
 from drone_env.server.problems import answers
 from drone_env.server.request_log import LoggedRequest, RequestLog
-from drone_env.server.schemas import MAX_SEED, EpisodePage, EpisodeSummaries, EpisodeSummary, History, LogLines
+from drone_env.server.schemas import (
+    MAX_SEED,
+    AnalysisAnswer,
+    EpisodePage,
+    EpisodeSummaries,
+    EpisodeSummary,
+    History,
+    LogLines,
+)
 from drone_env.server.state import SharedParts
 from drone_env.server.train_log import FILE_NAME, TrainLog
 
@@ -33,9 +40,10 @@ class Requests(Message):
 
 
 @router.get("/analyse/{task_name}", responses=answers(404, 422, 503))
-def analyse(shared: SharedParts, task_name: str) -> Analysis:
+def analyse(shared: SharedParts, task_name: str) -> AnalysisAnswer:
     """What the finished episodes of a task come to."""
-    return shared.store.analysis(task_name)
+    found = shared.store.analysis(task_name)
+    return AnalysisAnswer(**dict(found), status="Success" if found.episodes else "No data")
 
 
 @router.get("/memory_logs", responses=answers(503))

@@ -6,12 +6,12 @@ from fastapi import APIRouter, Body, Path
 from pydantic import Field
 
 from drone_env import __version__
-from drone_env.models import Message
+from drone_env.models import DroneState, Message
 from drone_env.server import task_api
 from drone_env.server.flight import DESCRIPTION, ENV_NAME
 from drone_env.server.openenv_socket import mcp_answer
 from drone_env.server.problems import RequestError, answers
-from drone_env.server.schemas import WireAction, WireObservation, WireState
+from drone_env.server.schemas import WireAction, WireObservation
 
 router = APIRouter(tags=["openenv"])
 EnvName = Annotated[str, Path(description="Name of the environment.", examples=[ENV_NAME])]
@@ -112,7 +112,7 @@ async def schema() -> Schemas:
         action=WireAction.model_json_schema(),
         observation=observation,
         reset_observation=observation,
-        state=WireState.model_json_schema(),
+        state=DroneState.model_json_schema(),
     )
 
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated, cast
 
-from fastapi import APIRouter, Body
+from fastapi import APIRouter, Body, Response
 from pydantic import Field
 
 from drone_env.analysis import FlightAnalysis, Label, Move, analyse_flight
@@ -88,24 +88,32 @@ class Annotation(Message):
     optimal_path: list[Position] = Field(description="[x, y] of the drone on it, from its start on.")
 
 
-@router.post("/replay", responses=RECORD_ERRORS)
-def replay_record(shared: SharedParts, record: Record) -> Flight:
+@router.post("/replay", response_model=Flight, responses=RECORD_ERRORS)
+async def replay_record(shared: SharedParts, record: Record) -> Response:
     """Fly a record again, check every reward and the score, and show it frame by frame."""
-    flown = replay(record)
-    start = Episode(flown.task, flown.reward_profile)
-    start.reset(flown.seed)
-    mission = Mission.of(start, record.agent)
-    return Flight(mission=mission, frames=list(frames_of(start, flown.actions, shared.networks)))
+
+    def flight() -> Response:
+        flown = replay(record)
+        start = Episode(flown.task, flown.reward_profile)
+        start.reset(flown.seed)
+        mission = Mission.of(start, record.agent)
+        return _json(Flight(mission=mission, frames=list(frames_of(start, flown.actions, shared.networks))))
+
+    return await shared.study(flight)
 
 
-@router.post("/annotate", responses=RECORD_ERRORS | answers(409))
-def annotate(record: Record) -> Annotation:
+@router.post("/annotate", response_model=Annotation, responses=RECORD_ERRORS | answers(409))
+async def annotate(shared: SharedParts, record: Record) -> Response:
     """What each move of a finished flight gave away, and a best flight over its map. Large maps take seconds."""
     if not record.ended:
         raise RequestError(409, "in_flight", "only a flight that has ended is annotated")
-    analysis = analyse_flight(record)
-    best, path = best_flight(analysis.task, analysis.seed)
-    return _annotation(analysis, best, path)
+
+    def annotation() -> Response:
+        analysis = analyse_flight(record)
+        best, path = best_flight(analysis.task, analysis.seed)
+        return _json(_annotation(analysis, best, path))
+
+    return await shared.study(annotation)
 
 
 def best_flight(task: TaskConfig, seed: int) -> tuple[Solution, list[Position]]:
@@ -136,6 +144,11 @@ def _annotation(analysis: FlightAnalysis, best: Solution, path: list[Position]) 
         optimal_actions=[_name(action) for action in best.actions],
         optimal_path=path,
     )
+
+
+def _json(answer: Message) -> Response:
+    # Made in the thread of its study: FastAPI would do it where all requests are served.
+    return Response(answer.model_dump_json(), media_type="application/json")
 
 
 def _name(action: int) -> Direction:
