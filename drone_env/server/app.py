@@ -6,28 +6,28 @@ OpenEnv's server package is not imported: it costs seconds and 150 MB, most of i
 
 import argparse
 import asyncio
-import errno
 import logging
 import os
-import socket as sockets
 import sys
 import time
 from collections.abc import AsyncGenerator, Callable, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import ExitStack, asynccontextmanager, suppress
 from typing import Any
 
 from drone_env import __version__
 from drone_env.core.tasks import get_task
 from drone_env.episodes.store import Store
-from drone_env.errors import DroneEnvError, InvalidValueError, StoreError, needs
+from drone_env.errors import DroneEnvError, StoreError, needs
 
 with needs("server", __name__):
     from fastapi import FastAPI
     from fastapi.responses import FileResponse
     from fastapi.staticfiles import StaticFiles
+    from pydantic_core import to_json
     from starlette.concurrency import run_in_threadpool
+    from starlette.requests import Request
     from starlette.responses import Response
-    from starlette.routing import WebSocketRoute
+    from starlette.routing import Route, WebSocketRoute
 
 from drone_env.registry import load_plugins
 from drone_env.server.flight import DEFAULT_TASK
@@ -35,6 +35,7 @@ from drone_env.server.live.socket import LiveSocket
 from drone_env.server.openenv_socket import OpenEnvSocket
 from drone_env.server.predict import Networks
 from drone_env.server.problems import answers, install
+from drone_env.server.process import end_with_parent, listen, most_connections
 from drone_env.server.request_log import LogRequests
 from drone_env.server.routes import catalogue, flight, history, openenv, replay
 from drone_env.server.security import PAGE, protect
@@ -51,6 +52,10 @@ A drone delivers parcels on a generated city grid. Version {__version__} of the 
 with what follows. OpenEnv's clients connect to the WebSocket `/ws` instead, which is a session of its own.
 """
 SWEEP_SECONDS = 5.0
+CONNECTIONS = 1000
+"""Connections of a process, beside one for each session that it may have."""
+STARTUP_FAILED = 3
+"""Exit status where the application could not start, as uvicorn has it."""
 REVALIDATED = {"Cache-Control": "no-cache"}
 """Browsers ask whether a file has changed, so that an update of the package is seen at once."""
 
@@ -111,6 +116,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.router.routes.append(WebSocketRoute("/ws", socket))
     app.router.routes.append(WebSocketRoute("/live", live))
     _add_page(app, live)
+    _add_description(app)
     return app
 
 
@@ -126,6 +132,20 @@ def _add_page(app: FastAPI, live: LiveSocket) -> None:
         return FileResponse(PAGE / "docs.html", headers=REVALIDATED)
 
     app.mount("/static", _Static(directory=PAGE))
+
+
+def _add_description(app: FastAPI) -> None:
+    """`/openapi.json`, made once, beside the event loop: FastAPI's own holds that up, and writes it each time."""
+    lock = asyncio.Lock()
+    made: list[bytes] = []
+
+    async def description(_: Request) -> Response:
+        async with lock:
+            if not made:
+                made.append(await run_in_threadpool(lambda: to_json(app.openapi())))
+        return Response(made[0], media_type="application/json")
+
+    app.router.routes.insert(0, Route("/openapi.json", description))
 
 
 class _Static(StaticFiles):
@@ -187,61 +207,53 @@ def run(host: str, port: int, workers: int, data: str) -> None:
     chosen = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA": data}
     os.environ.update({f"DRONE_ENV_{name}": str(value) for name, value in chosen.items()})
     settings = load_settings()
-    _check_address(settings.host, settings.port)
-    try:
-        # Said here in a line: a worker that cannot open it prints a long trace, and so does each of the others.
-        Store(settings.data).close()
-    except StoreError:
-        raise
-    except OSError as error:
-        raise StoreError(f"the data folder {settings.data} cannot be used: {error}") from None
-
     import uvicorn
+    from uvicorn.supervisors import Multiprocess
 
-    for name, meant in misspelt_variables().items():
-        print(f"drone-env: {name} is not a setting and is ignored; is {meant} meant?", file=sys.stderr)
-    url = f"http://{settings.host}:{settings.port}"
-    print(f"drone-env {__version__}: {url}, docs at {url}/docs, data in {settings.data}", file=sys.stderr, flush=True)
-    for line in Networks(settings.weights, settings.data).told():
-        print(f"drone-env: {line}", file=sys.stderr, flush=True)
-    uvicorn.run(
-        "drone_env.server.app:app",
-        host=settings.host,
-        port=settings.port,
-        workers=settings.workers,
-        access_log=False,
-        # Below that uvicorn writes two lines for every WebSocket; `requests.log` has one, and is bounded.
-        log_level="warning",
-        server_header=False,
-        ws_max_size=settings.max_bytes,
-        ws_per_message_deflate=False,
-        timeout_graceful_shutdown=5,
-        # A caller that thinks for longer than the usual 5 s would find its connection closed under its next request.
-        timeout_keep_alive=75,
-        # After 5 s uvicorn would kill a worker that is merely slow, with its sockets, and without a word at this level.
-        timeout_worker_healthcheck=60,
-    )
-
-
-def _check_address(host: str, port: int) -> None:
-    """See whether one can listen there before anything is opened or made: uvicorn finds out last, and says less.
-
-    Raises:
-        InvalidValueError: if one cannot.
-    """
-    try:
-        found = sockets.getaddrinfo(host, port, type=sockets.SOCK_STREAM, flags=sockets.AI_PASSIVE)
-        for family, kind, protocol, _, address in found:
-            with sockets.socket(family, kind, protocol) as probe:
-                probe.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
-                if family == sockets.AF_INET6:
-                    probe.setsockopt(sockets.IPPROTO_IPV6, sockets.IPV6_V6ONLY, 1)
-                probe.bind(address)
-    except OSError as error:
-        if error.errno in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
-            return  # a name may stand for several addresses, some of which this machine lacks: uvicorn takes the others
-        told = f"cannot listen on {host}, port {port}: {error.strerror or error}"
-        raise InvalidValueError(f"{told}; --host and --port choose another address") from None
+    with ExitStack() as opened:
+        sockets = [opened.enter_context(sock) for sock in listen(settings.host, settings.port)]
+        try:
+            # Said here in a line: a worker that cannot open it prints a long trace, and so does each of the others.
+            Store(settings.data).close()
+        except StoreError:
+            raise
+        except OSError as error:
+            raise StoreError(f"the data folder {settings.data} cannot be used: {error}") from None
+        for name, meant in misspelt_variables().items():
+            print(f"drone-env: {name} is not a setting and is ignored; is {meant} meant?", file=sys.stderr)
+        url = f"http://{settings.host}:{sockets[0].getsockname()[1]}"
+        print(
+            f"drone-env {__version__}: {url}, docs at {url}/docs, data in {settings.data}", file=sys.stderr, flush=True
+        )
+        for line in Networks(settings.weights, settings.data).told():
+            print(f"drone-env: {line}", file=sys.stderr, flush=True)
+        config = uvicorn.Config(
+            "drone_env.server.app:app",
+            http="drone_env.server.protocols:Http",
+            ws="drone_env.server.protocols:WebSockets",
+            workers=settings.workers,
+            access_log=False,
+            # Below that uvicorn writes two lines for every WebSocket; `requests.log` has one, and is bounded.
+            log_level="warning",
+            server_header=False,
+            ws_max_size=settings.max_bytes,
+            ws_per_message_deflate=False,
+            limit_concurrency=most_connections(CONNECTIONS + settings.capacity),
+            timeout_graceful_shutdown=5,
+            # A caller that thinks for longer than the usual 5 s would find its connection closed under what it sends.
+            timeout_keep_alive=75,
+            # After 5 s uvicorn would kill a worker that is merely slow, with its sockets, and without a word.
+            timeout_worker_healthcheck=60,
+        )
+        # As `uvicorn.run` does, which would bind by itself.
+        with suppress(KeyboardInterrupt):
+            if settings.workers > 1:
+                Multiprocess(config, sockets).run()
+            else:
+                server = uvicorn.Server(config)
+                server.run(sockets)
+                if not server.started:
+                    sys.exit(STARTUP_FAILED)
 
 
 app: FastAPI
@@ -252,6 +264,7 @@ def __getattr__(name: str) -> FastAPI:
     if name != "app":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()["app"] = create_app()
+    end_with_parent()
     return value
 
 

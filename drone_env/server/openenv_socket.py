@@ -139,6 +139,8 @@ class OpenEnvSocket:
                 return  # closed as idle meanwhile
             await socket.send_text(answer)
             connection.touched = clock()
+            # Where more has come already, nothing above needs to wait: others get their turn.
+            await asyncio.sleep(0)
 
     async def _answer(self, flight: Flight, text: str) -> str | None:
         """The answer to a frame, None where it asks to close.

@@ -175,6 +175,33 @@ def test_clients_that_do_not_say_goodbye_hold_up_no_other_place() -> None:
     asyncio.run(sweep())
 
 
+@pytest.mark.parametrize("kind", ["/ws", "/live"])
+def test_whoever_sends_without_end_leaves_others_their_turn(tmp_path: Path, kind: str) -> None:
+    frames = iter([{"type": "websocket.connect"}, *[{"type": "websocket.receive", "text": '{"type":"none"}'}] * 200])
+    turns, answers = 0, 0
+
+    async def receive() -> Any:
+        return next(frames, {"type": "websocket.disconnect", "code": 1000})
+
+    async def send(message: Any) -> None:
+        nonlocal answers
+        answers += message["type"] == "websocket.send"
+
+    async def fly() -> None:
+        nonlocal turns
+        app = create_app(Settings(data=tmp_path)).state
+        served = asyncio.create_task(
+            (app.socket if kind == "/ws" else app.live)({"type": "websocket", "query_string": b""}, receive, send)
+        )
+        while not served.done():
+            await asyncio.sleep(0)
+            turns += 1
+
+    asyncio.run(asyncio.wait_for(fly(), 60))
+    assert answers == 200
+    assert turns >= 200
+
+
 def test_a_session_of_another_connection_cannot_be_taken_over(shared_client: TestClient) -> None:
     with shared_client.websocket_connect("/ws?session_id=1") as socket:
         assert socket.receive_json()["data"]["code"] == "SESSION_ERROR"

@@ -27,6 +27,7 @@ def connected(server: Server) -> socket.socket:
     sock = socket.socket()
     # What is on its way to the one who does not read is then little.
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
     sock.settimeout(60)
     sock.connect((address.hostname, address.port))
     return sock
@@ -59,6 +60,22 @@ def pushed(sock: socket.socket, data: bytes) -> int:
     while taken < MOST and select.select([], [sock], [], 3)[1]:
         taken += sock.send(many[taken % len(data) :])
     return taken
+
+
+LITTLE = 1 << 20
+"""What the kernels of both sides may keep, and some."""
+
+
+@pytest.mark.parametrize("request_line", ["GET /x", "POST /mcp"])
+def test_requests_whose_answers_nobody_reads_are_not_piled_up(server: Server, request_line: str) -> None:
+    request = f"{request_line} HTTP/1.1\r\nHost: {urlsplit(server.url).netloc}\r\nContent-Length: 0\r\n\r\n"
+    with connected(server) as sock:
+        assert pushed(sock, request.encode()) < LITTLE
+
+
+def test_pings_whose_answers_nobody_reads_are_not_piled_up(server: Server) -> None:
+    with open_page(server) as page:
+        assert pushed(page, b"\x89\xe4" + bytes(4 + 100)) < LITTLE
 
 
 def flown_mission(server: Server) -> list[str]:

@@ -145,6 +145,12 @@ class TestWhereItCannotBe:
                 app.main(["--port", str(port), "--workers", workers])
         assert not (tmp_path / "data").exists()
 
+    def test_an_address_of_another_machine(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        with pytest.raises(SystemExit, match=r"^server: cannot listen on 192\.0\.2\.1, port \d+: "):
+            app.main(["--host", "192.0.2.1"])
+        assert capsys.readouterr().err == ""
+        assert not (tmp_path / "data").exists()
+
     def test_the_command_line_says_the_same(self, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         with socket.create_server(("127.0.0.1", 0)) as taken:
             try:

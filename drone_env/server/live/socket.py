@@ -128,6 +128,8 @@ class Cockpit:
                 await self._socket.close(TOO_BIG, f"a frame may have {self._shared.settings.max_bytes} bytes")
                 return
             await self._answering(self._obey, text)
+            # Where more has come already, nothing above needs to wait: others get their turn.
+            await asyncio.sleep(0)
 
     async def _answering(self, act: Callable[..., Any], *arguments: Any) -> bool:
         """Do something; what goes wrong is told to the page. Whether it went well."""

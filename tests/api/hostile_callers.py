@@ -1,0 +1,363 @@
+"""Hostile callers against a server of their own: does it answer others meanwhile, and in how much memory?
+
+    python tests/api/hostile_callers.py [--seconds 10] [--fuzzed 20000] [--seed 1]
+
+A process of its own asks for `/health` all the time, each time over a new connection. In turn come 20 callers that
+send 26 MB of requests and read nothing, 1,000 that send half a request, floods over WebSocket, callers that read slowly
+or not at all, fuzzed requests, and an end while nobody reads. It fails where `/health` took longer than 0.5 s, where
+the server had more than 300 MB, where half requests stay, and where anything was answered with a 5xx other than 503 or
+left a traceback.
+
+The time of an answer is counted without that for which server or asker could have run while the machine was busy with
+others (`/proc/PID/task/*/schedstat`, Linux), but never as less than the server's own CPU time meanwhile. The whole time
+is shown beside it, and a quiet server's for comparison.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import http.client
+import multiprocessing
+import os
+import random
+import socket
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Awaitable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from tests.api.serving import Server, serving
+
+MOST_SECONDS, MOST_MEGABYTES = 0.5, 300
+HEAD = "{} HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+UPGRADE = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: {}\r\nSec-WebSocket-Version: 13\r\n\r\n"
+Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+def megabytes(process: int, what: str) -> float:
+    """A size of a process (Linux): `VmRSS` now, `VmHWM` the most."""
+    status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
+    return int(status.partition(f"{what}:")[2].split()[0]) / 1024
+
+
+def scheduled(process: int) -> tuple[float, float]:
+    """Seconds for which the threads of a process have run, and for which they could have and others had the cores."""
+    ran = waited = 0
+    for file in Path(f"/proc/{process}/task").glob("*/schedstat"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # a thread that has ended meanwhile
+            of_thread = file.read_text(encoding="utf-8").split()
+            ran, waited = ran + int(of_thread[0]), waited + int(of_thread[1])
+    return ran / 1e9, waited / 1e9
+
+
+def watch(port: int, process: int, told: Connection) -> None:
+    """Ask for its health until it is gone; tells when, seconds, seconds on a free machine, megabytes, what is wrong."""
+    while True:
+        wrong = ""
+        try:
+            (ran, waited), (_, own), began = scheduled(process), scheduled(os.getpid()), time.monotonic()
+            try:
+                asked = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
+                asked.request("GET", "/health")
+                wrong = "" if asked.getresponse().status == 200 else "not healthy"
+                asked.close()
+            except OSError as error:
+                wrong = repr(error)
+            took = time.monotonic() - began
+            (ran_since, waited_since), (_, own_since) = scheduled(process), scheduled(os.getpid())
+            # Threads wait side by side, so what they waited for together may be more than was lost.
+            free = min(took, max(ran_since - ran, took - (waited_since - waited) - (own_since - own)))
+            told.send((began, took, free, megabytes(process, "VmRSS"), wrong))
+        except (OSError, IndexError):
+            return
+        time.sleep(0.02)
+
+
+class Campaign:
+    """What is done to a server, and how it took that."""
+
+    def __init__(self, server: Server, seconds: float) -> None:
+        self.server = server
+        self.seconds = seconds
+        self.port = int(server.url.rpartition(":")[2])
+        self.faults: list[str] = []
+        self.told, telling = multiprocessing.Pipe(duplex=False)
+        self.watcher = multiprocessing.Process(target=watch, args=(self.port, server.process.pid, telling), daemon=True)
+        self.watcher.start()
+
+    async def under(self, name: str, attack: Awaitable[str]) -> None:
+        """Attack, and print how the server did."""
+        note = await attack
+        ended = time.monotonic()
+        samples: list[tuple[float, float, float, float, str]] = []
+        # Until one was asked after it: the last may still be on its way.
+        while not samples or samples[-1][0] < ended:
+            while not self.told.poll():
+                await asyncio.sleep(0.01)
+            samples.append(self.told.recv())
+        _, slowest, worst, most, _ = (max(column) for column in zip(*samples, strict=True))
+        wrong = Counter(s[4] for s in samples if s[4])
+        times = f"{worst:6.3f} s at worst of {len(samples):4} ({slowest:6.3f} s with waits for a core)"
+        print(f"{name:34} /health {times}, {most:4.0f} MB; {note}", flush=True)
+        if worst > MOST_SECONDS:
+            self.faults.append(f"{name}: /health took {worst:.2f} s")
+        self.faults += [f"{name}: /health: {what}, {times} times" for what, times in wrong.items()]
+
+    async def open(self, data: bytes = b"", limit: int = 1 << 16) -> Streams:
+        """A connection on which this was sent, and which keeps little of what is on its way."""
+        sock = socket.socket()
+        sock.setblocking(False)
+        for size in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+            sock.setsockopt(socket.SOL_SOCKET, size, 1 << 15)
+        await asyncio.get_running_loop().sock_connect(sock, ("127.0.0.1", self.port))
+        reader, writer = await asyncio.open_connection(sock=sock, limit=limit)
+        writer.write(data)
+        return reader, writer
+
+    async def open_socket(self, path: str) -> Streams:
+        """A WebSocket."""
+        reader, writer = await self.open((HEAD.format(f"GET {path}") + UPGRADE.format("A" * 22 + "==")).encode())
+        await reader.readuntil(b"\r\n\r\n")
+        return reader, writer
+
+    async def push(self, writer: asyncio.StreamWriter, data: bytes, times: int, until: float) -> int:
+        """Send the same again and again, as long as the server takes it: the bytes that it took."""
+        writer.transport.set_write_buffer_limits(0)
+        for sent in range(times):
+            writer.write(data)
+            try:
+                await asyncio.wait_for(writer.drain(), until - time.monotonic())
+            except (asyncio.TimeoutError, OSError):
+                return sent * len(data)
+        return times * len(data)
+
+    async def pipeline(self) -> str:
+        request = (HEAD.format("GET /x") + "\r\n").encode()
+        streams = [await self.open() for _ in range(20)]
+        data, until = request * (100_000 // len(request)), time.monotonic() + self.seconds
+        # As many bytes as 26 MB, also where it answers too fast.
+        pushes = [self.push(writer, data, 26_000_000 // len(data), until) for _, writer in streams]
+        for reader, _ in streams:
+            reader._transport.pause_reading()  # pyright: ignore
+        taken = await asyncio.gather(*pushes)
+        abort(streams)
+        return f"{sum(taken) / 1e6:.0f} MB taken from 20 that read nothing"
+
+    async def send_halves(self) -> str:
+        head = HEAD.format("POST /step") + "Content-Type: application/json\r\n"
+        halves = [head[:20], head, head + "Content-Length: 20\r\n\r\n", head + 'Content-Length: 20\r\n\r\n{"direc']
+        streams = [await self.open(halves[number % 4].encode()) for number in range(1000)]
+        began = time.monotonic()
+        ends = [asyncio.wait_for(reader.read(), 90) for reader, _ in streams]
+        ended = [end for end in await asyncio.gather(*ends, return_exceptions=True) if not is_late(end)]
+        abort(streams)
+        if len(ended) < 1000:
+            self.faults.append(f"{1000 - len(ended)} half requests stay")
+        return f"{len(ended)} of 1,000 halves were ended within {time.monotonic() - began:.0f} s"
+
+    async def flood(self, frame: bytes, reads: bool, path: str = "/ws") -> str:
+        streams = [await self.open_socket(path) for _ in range(10)]
+        until = time.monotonic() + self.seconds
+        readers = [asyncio.create_task(swallow(reader)) for reader, _ in streams if reads]
+        if not reads:
+            for reader, _ in streams:
+                reader._transport.pause_reading()  # pyright: ignore
+        data = frame * (100_000 // len(frame))
+        taken = await asyncio.gather(*[self.push(writer, data, 10_000, until) for _, writer in streams])
+        for task in readers:
+            task.cancel()
+        abort(streams)
+        return f"{sum(taken) / len(frame):,.0f} frames taken from 10"
+
+    async def read_slowly(self) -> str:
+        page = (HEAD.format("GET /") + "\r\n").encode() * 50
+        script = (HEAD.format("GET /openapi.json") + "\r\n").encode() * 50
+        streams = [await self.open(page if number % 2 else script, limit=16) for number in range(40)]
+        streams += [await self.open_socket("/live") for _ in range(10)]
+        for _, writer in streams[40:]:
+            writer.write(masked(b'{"type":"subscribe","topics":["requests","episodes"]}'))
+        until, read = time.monotonic() + self.seconds, 0
+        while time.monotonic() < until:
+            for reader, _ in streams[:40]:
+                read += len(await reader.read(1))
+            await asyncio.sleep(0.2)
+        abort(streams)
+        return f"{read} bytes read by 40, and none by 10 pages"
+
+    async def fuzz(self, times: int, seed: int) -> str:
+        chance = random.Random(seed)
+        requests = iter([fuzzed(chance) for _ in range(times)])
+        seen: Counter[str] = Counter()
+
+        async def go_on() -> None:
+            for request in requests:
+                try:
+                    reader, writer = await self.open(request, limit=1 << 22)
+                    answer = await asyncio.wait_for(reader.readline(), 5)
+                    status = answer[9:12].decode() or "none"
+                    writer.transport.abort()
+                except (asyncio.TimeoutError, OSError) as error:
+                    status = type(error).__name__
+                seen[status] += 1
+                if status[0] == "5" and status != "503":
+                    self.faults.append(f"{status} for {request!r}")
+
+        await asyncio.gather(*[go_on() for _ in range(16)])
+        return ", ".join(f"{status}: {number}" for status, number in sorted(seen.items()))
+
+    async def end(self) -> None:
+        """End it while nobody reads."""
+        streams = [await self.open((HEAD.format("GET /openapi.json") + "\r\n").encode() * 200) for _ in range(100)]
+        sockets = [await self.open_socket("/ws") for _ in range(10)]
+        for reader, _ in streams + sockets:
+            reader._transport.pause_reading()  # pyright: ignore
+        frames = masked(b'{"type":"mcp"}') * 5000
+        await asyncio.gather(*[self.push(writer, frames, 20, time.monotonic() + 2) for _, writer in sockets])
+        most = megabytes(self.server.process.pid, "VmHWM")
+        if most > MOST_MEGABYTES:
+            self.faults.append(f"the server had {most:.0f} MB")
+        print(f"{'most memory of all the time':34} {most:.0f} MB", flush=True)
+        self.server.process.terminate()
+        began = time.monotonic()
+        with contextlib.suppress(Exception):
+            await asyncio.to_thread(self.server.process.wait, 60)
+        print(f"{'asked to end':34} {time.monotonic() - began:.1f} s, with {self.server.process.poll()}", flush=True)
+        abort(streams + sockets)
+        told = self.server.log.read_text(errors="replace")
+        print(f"{'its log':34} {told.count(chr(10))} lines, {told.count('Traceback')} tracebacks", flush=True)
+        if "Traceback" in told:
+            self.faults.append(f"tracebacks in the log: {told[told.index('Traceback') :][:3000]}")
+
+
+def masked(payload: bytes, opcode: int = 1) -> bytes:
+    """A frame as clients send it, masked with zeros."""
+    return bytes([0x80 | opcode, 0x80 | len(payload)]) + bytes(4) + payload
+
+
+def is_late(end: Any) -> bool:
+    return isinstance(end, asyncio.TimeoutError)
+
+
+def abort(streams: list[Streams]) -> None:
+    for _, writer in streams:
+        writer.transport.abort()
+
+
+async def swallow(reader: asyncio.StreamReader) -> None:
+    while await reader.read(1 << 16):
+        pass
+
+
+PATHS = (
+    *("/reset", "/step", "/state", "/health", "/tasks", "/predict", "/replay", "/annotate", "/solution", "/session"),
+    *("/path_history", "/memory_logs", "/episodes", "/logs", "/terminal_logs", "/metadata", "/schema", "/mcp", "/live"),
+    *("/grade/easy", "/graders", "/analyse/hard", "/history/easy", "/episodes/x", "/static/js/main.js", "/ws", "/"),
+)
+VALUES = (
+    *(
+        "null",
+        "true",
+        "0",
+        "-1",
+        "1e400",
+        "NaN",
+        "18446744073709551616",
+        '""',
+        '"easy"',
+        '"UP"',
+        "[]",
+        "{}",
+        '"\\ud800"',
+    ),
+    *(
+        '"' + "x" * 3000 + '"',
+        "[" * 40 + "]" * 40,
+        "{" * 2000,
+        '{"a":1,"a":2}',
+        "1" * 5000,
+        '"🚁"',
+        '{"direction":"UP"}',
+    ),
+)
+FIELDS = (
+    "direction",
+    "task_name",
+    "seed",
+    "agent",
+    "reward_profile",
+    "task",
+    "grid",
+    "record",
+    "jsonrpc",
+    "method",
+    "id",
+)
+
+
+def fuzzed(chance: random.Random) -> bytes:
+    """A request that nobody would send, or nearly one."""
+    path = chance.choice(PATHS)
+    if chance.random() < 0.3:
+        path += (
+            chance.choice(("?", "/", "%00", "?limit=", "?before=-1", "//", "/..", "%ff")) + chance.choice(VALUES)[:50]
+        )
+    method = chance.choice(("GET", "POST", "POST", "POST", "DELETE", "PUT", "HEAD", "OPTIONS", "BREW"))
+    body = chance.choice(VALUES).encode()
+    if chance.random() < 0.7:
+        pairs = (f'"{chance.choice(FIELDS)}":{chance.choice(VALUES)}' for _ in range(chance.randrange(4)))
+        body = ("{" + ",".join(pairs) + "}").encode()
+    headers = [f"Content-Length: {len(body)}", f"Host: {chance.choice(('127.0.0.1', 'localhost', 'x' * 300))}"]
+    headers.append(f"Content-Type: {chance.choice(('application/json', 'application/json', 'text/plain', 'x'))}")
+    for name in chance.sample(
+        ("X-Session-Id", "X-Step-Count", "Origin", "Authorization", "Cookie", "Expect", "Accept"), 2
+    ):
+        headers.append(f"{name}: {chance.choice(VALUES)[:500]}")
+    text = " ".join((method, path.replace(" ", "%20"), "HTTP/1.1")) + "\r\n" + "\r\n".join(headers) + "\r\n\r\n"
+    request = bytearray(text.encode() + body)
+    if chance.random() < 0.25:
+        for _ in range(chance.randrange(1, 8)):
+            at = chance.randrange(len(request))
+            request[at : at + chance.randrange(3)] = chance.randbytes(chance.randrange(3))
+        # What waits for more gets it.
+        request += b"\r\n\r\n" + b" " * 100
+    return bytes(request)
+
+
+async def go(server: Server, given: argparse.Namespace) -> list[str]:
+    campaign = Campaign(server, given.seconds)
+    quiet = asyncio.sleep(given.seconds / 2, "nobody else calls")
+    await campaign.under("quiet", quiet)
+    await campaign.under("requests sent, none read", campaign.pipeline())
+    await campaign.under("half requests", campaign.send_halves())
+    await campaign.under("flood of frames", campaign.flood(masked(b'{"type":"mcp"}'), True))
+    await campaign.under("flood of frames, no answer read", campaign.flood(masked(b'{"type":"mcp"}'), False))
+    await campaign.under("flood of frames of pages", campaign.flood(masked(b'{"type":"pause"}'), True, "/live"))
+    await campaign.under("flood of pings, no answer read", campaign.flood(masked(b"x" * 100, 9), False))
+    await campaign.under("slow readers", campaign.read_slowly())
+    await campaign.under(f"{given.fuzzed:,} fuzzed requests", campaign.fuzz(given.fuzzed, given.seed))
+    await campaign.end()
+    return campaign.faults
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=10, help="how long an attack lasts")
+    parser.add_argument("--fuzzed", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    print(f"load of the machine before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    with tempfile.TemporaryDirectory() as folder, serving(Path(folder) / "data") as server:
+        faults = asyncio.run(go(server, given))
+    for fault in faults:
+        print(f"FAULT: {fault}")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

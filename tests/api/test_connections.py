@@ -1,0 +1,172 @@
+"""What a process allows its connections: how many, and how long; and where it listens."""
+
+import asyncio
+import logging
+import select
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
+
+import pytest
+import uvicorn
+from starlette.requests import Request
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from drone_env.server import protocols
+from drone_env.server.process import OTHER_FILES, listen, most_connections
+from drone_env.server.protocols import Http, WebSockets
+
+WHOLE = b"GET / HTTP/1.1\r\nHost: h\r\n\r\n"
+
+
+class Hurried(Http):
+    request_seconds = 2.0
+
+
+async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+    if scope["type"] == "http":
+        await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"2")]})
+        await send({"type": "http.response.body", "body": b"ok"})
+
+
+@contextmanager
+def running(app: ASGIApp, connections: int = 100, http: type[Http] = Http) -> Generator[Callable[[], socket.socket]]:
+    """A server of this application in a thread; opens connections to it."""
+    (listening,) = listen("127.0.0.1", 0)
+    config = uvicorn.Config(
+        app, http=http, ws=WebSockets, lifespan="off", log_config=None, limit_concurrency=connections + 1
+    )
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, args=([listening],))
+    thread.start()
+    with ExitStack() as opened:
+
+        def connect() -> socket.socket:
+            sock = opened.enter_context(socket.socket())
+            # What is on its way to the one who does not read is then little.
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16_384)
+            sock.settimeout(30)
+            sock.connect(listening.getsockname())
+            return sock
+
+        try:
+            yield connect
+        finally:
+            opened.close()
+            server.should_exit = True
+            thread.join(60)
+    assert not thread.is_alive()
+
+
+def everything(sock: socket.socket) -> bytes:
+    """All that comes until the other side closes."""
+    return b"".join(iter(lambda: sock.recv(65_536), b""))
+
+
+def taken_of(sock: socket.socket, data: bytes, most: int) -> int:
+    """How many bytes the other side takes before it takes none for a second."""
+    sock.setblocking(False)
+    taken = 0
+    while taken < most and select.select([], [sock], [], 1)[1]:
+        taken += sock.send(data)
+    return taken
+
+
+def test_half_requests_are_ended_and_whole_ones_have_time_to_be_answered() -> None:
+    release = asyncio.Event()
+    loops: list[asyncio.AbstractEventLoop] = []
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] == "/slow":
+            loops.append(asyncio.get_running_loop())
+            await release.wait()
+        elif scope["method"] == "POST" and b"".join([part async for part in Request(scope, receive).stream()]) == b"":
+            return
+        await answer(scope, receive, send)
+
+    with running(app, http=Hurried) as connect:
+        whole, kept = connect(), connect()
+        whole.sendall(WHOLE.replace(b"/", b"/slow", 1))
+        kept.sendall(WHOLE)
+        assert kept.recv(1000).startswith(b"HTTP/1.1 200 ")
+        halves = [b"", b"GE", WHOLE[:-2], b"POST / HTTP/1.1\r\nHost: h\r\nContent-Length: 9\r\n\r\nhal"]
+        late = [connect() for _ in halves]
+        for sock, half in zip(late, halves, strict=True):
+            sock.sendall(half)
+        again = connect()
+        again.sendall(WHOLE)
+        assert again.recv(1000).startswith(b"HTTP/1.1 200 ")
+        again.sendall(WHOLE[:-2])
+        for sock in (*late, again):
+            assert everything(sock).startswith(b"HTTP/1.1 408 ")
+        loops[0].call_soon_threadsafe(release.set)
+        assert whole.recv(1000).startswith(b"HTTP/1.1 200 ")
+        kept.sendall(WHOLE)
+        assert kept.recv(1000).startswith(b"HTTP/1.1 200 ")
+
+
+def test_a_request_that_is_being_answered_has_no_more_read_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(protocols, "END_SECONDS", 0.0)
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        # As streams do, to see whether somebody is still there.
+        while not await Request(scope, receive).is_disconnected():
+            await asyncio.sleep(0.005)
+
+    with running(app) as connect:
+        assert taken_of(connect(), WHOLE * 1000, most=2 << 20) < 1 << 20
+
+
+def test_more_connections_than_allowed_are_refused_with_one_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    with running(answer, connections=3) as connect:
+        first, *_ = kept = [connect() for _ in range(3)]
+        for sock in kept:
+            sock.sendall(WHOLE)
+            assert sock.recv(1000).startswith(b"HTTP/1.1 200 ")
+        for _ in range(5):
+            assert everything(connect()).startswith(b"HTTP/1.1 503 ")
+        assert caplog.messages == ["3 connections are open, and no more are allowed: others are refused"]
+        first.close()
+        deadline = time.monotonic() + 60
+        while True:  # until the server has noticed
+            sock = connect()
+            sock.sendall(WHOLE)
+            if sock.recv(1000).startswith(b"HTTP/1.1 200 "):
+                break
+            assert time.monotonic() < deadline
+        assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no limit of open files")
+def test_connections_leave_room_for_other_files() -> None:
+    import resource
+
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (1000, limits[1]))
+        assert [most_connections(wanted) for wanted in (500, 5000)] == [500, 1000 - OTHER_FILES]
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has connections inherit it")
+def test_who_never_reads_is_given_up() -> None:
+    (listening,) = listen("127.0.0.1", 0)
+    with listening, socket.create_connection(listening.getsockname()) as client, listening.accept()[0] as accepted:
+        assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 75_000
+        taken_of(client, bytes(65_536), most=64 << 20)
+        assert len(accepted.recv(1 << 20)) < 1 << 16
+
+
+def test_a_name_of_several_addresses_is_listened_on_at_one_port() -> None:
+    sockets = listen("localhost", 0)
+    try:
+        assert len({sock.getsockname()[1] for sock in sockets}) == 1
+        for sock in sockets:
+            socket.create_connection(sock.getsockname()[:2]).close()
+    finally:
+        for sock in sockets:
+            sock.close()
