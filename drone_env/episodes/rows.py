@@ -26,7 +26,7 @@ class ListedEpisode(NamedTuple):
     solved: bool
     """Whether its map has been given to the solver."""
     optimum: float | None
-    """The optimum of its map, None while it is not known or where the map is too large."""
+    """The optimum of its map, None while it is not known, the task is not registered, or the map is too large."""
 
 
 def episode_rows(connection: sqlite3.Connection, where: str, values: tuple[object, ...]) -> list[Any]:

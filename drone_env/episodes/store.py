@@ -156,7 +156,7 @@ class Store:
     ) -> list[ListedEpisode]:
         """The last `n` finished episodes with the optima of their maps, newest first.
 
-        Optima that are not known yet are solved as for `analysis`.
+        Optima that are not known yet are solved as for `analysis`; those of tasks that are not registered stay unknown.
 
         Args:
             n: How many, 0 or more.
@@ -177,9 +177,14 @@ class Store:
         found = self._read_episodes(*selection)
         unsolved: dict[TaskConfig, list[int]] = {}
         for row in found:
-            if not row.solved:
-                record = row.episode.record
-                unsolved.setdefault(get_task(record.task, record.task_version), []).append(record.seed)
+            record = row.episode.record
+            if row.solved:
+                continue
+            try:
+                known = get_task(record.task, record.task_version)
+            except UnknownNameError:
+                continue  # of a plugin that is gone: the flight is known all the same
+            unsolved.setdefault(known, []).append(record.seed)
         for known, seeds in unsolved.items():
             self._optima.solve(known, list(dict.fromkeys(seeds)), patience / len(unsolved))
         return self._read_episodes(*selection) if unsolved else found
