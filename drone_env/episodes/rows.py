@@ -5,7 +5,7 @@ from datetime import datetime, timezone
 from typing import Any, NamedTuple
 
 from drone_env.core.actions import Action
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.analysis import FinishedRow
 from drone_env.episodes.finished import StoredEpisode
 from drone_env.episodes.record import parse_record
@@ -59,6 +59,35 @@ def listed_episode(row: Any, name: str) -> ListedEpisode:
         record=parse_record(record, name),
     )
     return ListedEpisode(number, stored, bool(solved), optimum)
+
+
+def selection(
+    task: str | TaskConfig | None,
+    agent: str | None = None,
+    before: int | None = None,
+    after: int | None = None,
+    episode_id: str | None = None,
+) -> tuple[str, tuple[object, ...]]:
+    """The WHERE of a query for finished episodes, and its values.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+    """
+    known = None if task is None else get_task(task)
+    conditions = [
+        (value, condition)
+        for value, condition in (
+            (None if known is None else known.id, "task = ?"),
+            (None if known is None else known.version, "task_version = ?"),
+            (agent, "agent = ?"),
+            (before, "number < ?"),
+            (after, "number > ?"),
+            (episode_id, "id = ?"),
+        )
+        if value is not None
+    ]
+    where = " AND ".join(condition for _, condition in conditions)
+    return f"WHERE {where}" if where else "", tuple(value for value, _ in conditions)
 
 
 def finished_rows(connection: sqlite3.Connection, task: TaskConfig, last: int) -> tuple[int, list[FinishedRow]]:
@@ -155,6 +184,11 @@ def end_finished(connection: sqlite3.Connection, now: float) -> bool:
 def count_sessions(connection: sqlite3.Connection) -> int:
     """How many are open."""
     return connection.execute("SELECT count(*) FROM sessions").fetchone()[0]
+
+
+def newest_use(connection: sqlite3.Connection) -> float:
+    """When a session was used last; 0 where none is open."""
+    return connection.execute("SELECT coalesce(max(touched_at), 0) FROM sessions").fetchone()[0]
 
 
 def _utc(seconds: float) -> datetime:

@@ -7,7 +7,6 @@ must be on a local disk. A store must not be carried across a fork: open one in 
 
 import os
 import secrets
-import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing_extensions import Self
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.analysis import Analysis, FinishedRow, analyse
+from drone_env.episodes.clock import steady_clock
 from drone_env.episodes.database import BUSY_SECONDS, Database
 from drone_env.episodes.finished import StoredEpisode, check_agent
 from drone_env.episodes.memory_view import MemoryView
@@ -31,6 +31,8 @@ from drone_env.episodes.rows import (
     finished_rows,
     insert_episode,
     listed_episode,
+    newest_use,
+    selection,
     session_row,
 )
 from drone_env.episodes.sessions import SessionRow, known_task, new_episode_id
@@ -55,7 +57,9 @@ class Store:
 
     Args:
         folder: Made where it is missing.
-        clock: What tells the time, in seconds since 1970: by it sessions are idle.
+        clock: What tells the time, in seconds since 1970: by it sessions are idle. None for one that starts at the
+            machine's time and runs on evenly, whatever that is set to. It never tells less than the newest use of a
+            session.
         busy_seconds: For how long to wait while others write.
 
     Raises:
@@ -64,13 +68,13 @@ class Store:
     """
 
     def __init__(
-        self, folder: str | Path, clock: Callable[[], float] = time.time, busy_seconds: float = BUSY_SECONDS
+        self, folder: str | Path, clock: Callable[[], float] | None = None, busy_seconds: float = BUSY_SECONDS
     ) -> None:
         self.folder = Path(folder)
-        self._clock = clock
         self.folder.mkdir(parents=True, exist_ok=True)
         self._database = Database(self.folder / FILE_NAME, busy_seconds)
         try:
+            self._clock = self._continued(clock or steady_clock())
             self._view = MemoryView(self.folder / VIEW_NAME, self._newer)
         except BaseException:
             self._database.close()
@@ -82,6 +86,14 @@ class Store:
         self._optima.close()
         self._view.close()
         self._database.close()
+
+    def check(self) -> None:
+        """See whether the file is still where it was opened; every method that writes does so, too.
+
+        Raises:
+            StoreError: if it is not: it can be read, and nothing more is kept.
+        """
+        self._database.check()
 
     def __enter__(self) -> Self:
         return self
@@ -139,7 +151,7 @@ class Store:
             InvalidValueError: if n is negative.
             StoreError: if the store cannot be read.
         """
-        where, values = _selection(task)
+        where, values = selection(task)
         return [
             row.episode for row in self._read_episodes(f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n)))
         ]
@@ -172,9 +184,9 @@ class Store:
             InvalidValueError: if n is negative.
             StoreError: if the store cannot be read, or the optima could not be written.
         """
-        where, values = _selection(task, agent, before, after, episode_id)
-        selection = f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n))
-        found = self._read_episodes(*selection)
+        where, values = selection(task, agent, before, after, episode_id)
+        query = f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n))
+        found = self._read_episodes(*query)
         unsolved: dict[TaskConfig, list[int]] = {}
         for row in found:
             record = row.episode.record
@@ -187,7 +199,7 @@ class Store:
             unsolved.setdefault(known, []).append(record.seed)
         for known, seeds in unsolved.items():
             self._optima.solve(known, list(dict.fromkeys(seeds)), patience / len(unsolved))
-        return self._read_episodes(*selection) if unsolved else found
+        return self._read_episodes(*query) if unsolved else found
 
     def episodes(self) -> Iterator[StoredEpisode]:
         """All finished episodes, oldest first, read as they are asked for.
@@ -351,6 +363,12 @@ class Store:
         with self._database.reading() as connection:
             return count_sessions(connection)
 
+    def _continued(self, clock: Callable[[], float]) -> Callable[[], float]:
+        """A clock that has gone back since the last start would let sessions live on: it begins where they are."""
+        with self._database.reading() as connection:
+            ahead = max(0.0, newest_use(connection) - clock())
+        return lambda: clock() + ahead
+
     def _read_episodes(self, where: str, values: tuple[object, ...]) -> list[ListedEpisode]:
         with self._database.reading() as connection:
             found = episode_rows(connection, where, values)
@@ -369,28 +387,3 @@ def _at_most(n: int) -> int:
     if n < 0:
         raise InvalidValueError(f"n must be at least 0, got {n}")
     return min(n, MOST_ROWS)
-
-
-def _selection(
-    task: str | TaskConfig | None,
-    agent: str | None = None,
-    before: int | None = None,
-    after: int | None = None,
-    episode_id: str | None = None,
-) -> tuple[str, tuple[object, ...]]:
-    """The WHERE of a query for episodes, and its values."""
-    known = None if task is None else get_task(task)
-    conditions = [
-        (value, condition)
-        for value, condition in (
-            (None if known is None else known.id, "task = ?"),
-            (None if known is None else known.version, "task_version = ?"),
-            (agent, "agent = ?"),
-            (before, "number < ?"),
-            (after, "number > ?"),
-            (episode_id, "id = ?"),
-        )
-        if value is not None
-    ]
-    where = " AND ".join(condition for _, condition in conditions)
-    return f"WHERE {where}" if where else "", tuple(value for value, _ in conditions)

@@ -82,7 +82,7 @@ _MEANINGS = {
     413: "The body is too large.",
     415: "The body is not declared as JSON.",
     422: "A value that is not allowed.",
-    503: "No room, no network, or the store is busy.",
+    503: "No room, no network, or a store that is busy or gone.",
 }
 
 

@@ -1,7 +1,6 @@
 """What the routes share: one `Shared` per application, found at `app.state.shared`."""
 
 import threading
-import time
 from collections.abc import Callable
 from typing import Annotated
 
@@ -27,10 +26,10 @@ class Shared:
 
     Args:
         settings: The configuration.
-        clock: What tells the time, in seconds since 1970.
+        clock: What tells the time, in seconds since 1970; None for the store's own.
     """
 
-    def __init__(self, settings: Settings, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self, settings: Settings, clock: Callable[[], float] | None = None) -> None:
         self.settings = settings
         self._clock = clock
         self.requests = RequestLog()
