@@ -38,6 +38,35 @@ def episode_rows(connection: sqlite3.Connection, where: str, values: tuple[objec
     ).fetchall()
 
 
+def selection(
+    task: str | TaskConfig | None,
+    agent: str | None = None,
+    before: int | None = None,
+    after: int | None = None,
+    episode_id: str | None = None,
+) -> tuple[str, tuple[object, ...]]:
+    """The WHERE of `episode_rows`, and its values.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+    """
+    known = None if task is None else get_task(task)
+    conditions = [
+        (value, condition)
+        for value, condition in (
+            (None if known is None else known.id, "task = ?"),
+            (None if known is None else known.version, "task_version = ?"),
+            (agent, "agent = ?"),
+            (before, "number < ?"),
+            (after, "number > ?"),
+            (episode_id, "id = ?"),
+        )
+        if value is not None
+    ]
+    where = " AND ".join(condition for _, condition in conditions)
+    return f"WHERE {where}" if where else "", tuple(value for value, _ in conditions)
+
+
 def listed_episode(row: Any, name: str) -> ListedEpisode:
     """The episode of a row.
 
@@ -59,35 +88,6 @@ def listed_episode(row: Any, name: str) -> ListedEpisode:
         record=parse_record(record, name),
     )
     return ListedEpisode(number, stored, bool(solved), optimum)
-
-
-def selection(
-    task: str | TaskConfig | None,
-    agent: str | None = None,
-    before: int | None = None,
-    after: int | None = None,
-    episode_id: str | None = None,
-) -> tuple[str, tuple[object, ...]]:
-    """The WHERE of a query for finished episodes, and its values.
-
-    Raises:
-        UnknownNameError: if there is no such task.
-    """
-    known = None if task is None else get_task(task)
-    conditions = [
-        (value, condition)
-        for value, condition in (
-            (None if known is None else known.id, "task = ?"),
-            (None if known is None else known.version, "task_version = ?"),
-            (agent, "agent = ?"),
-            (before, "number < ?"),
-            (after, "number > ?"),
-            (episode_id, "id = ?"),
-        )
-        if value is not None
-    ]
-    where = " AND ".join(condition for _, condition in conditions)
-    return f"WHERE {where}" if where else "", tuple(value for value, _ in conditions)
 
 
 def finished_rows(connection: sqlite3.Connection, task: TaskConfig, last: int) -> tuple[int, list[FinishedRow]]:

@@ -185,8 +185,8 @@ class Store:
             StoreError: if the store cannot be read, or the optima could not be written.
         """
         where, values = selection(task, agent, before, after, episode_id)
-        query = f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n))
-        found = self._read_episodes(*query)
+        chosen = f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n))
+        found = self._read_episodes(*chosen)
         unsolved: dict[TaskConfig, list[int]] = {}
         for row in found:
             record = row.episode.record
@@ -199,7 +199,7 @@ class Store:
             unsolved.setdefault(known, []).append(record.seed)
         for known, seeds in unsolved.items():
             self._optima.solve(known, list(dict.fromkeys(seeds)), patience / len(unsolved))
-        return self._read_episodes(*query) if unsolved else found
+        return self._read_episodes(*chosen) if unsolved else found
 
     def episodes(self) -> Iterator[StoredEpisode]:
         """All finished episodes, oldest first, read as they are asked for.
