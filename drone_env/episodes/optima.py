@@ -2,11 +2,13 @@
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 
-from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.episodes.database import Database
+from drone_env.episodes.rows import ListedEpisode
+from drone_env.errors import UnknownNameError
 from drone_env.planning.optimal import best_of
 
 KEEP_SECONDS = 0.1
@@ -38,6 +40,23 @@ class Optima:
                 del self._jobs[task]
         if job.done():
             job.result()
+
+    def solve_maps_of(self, rows: Iterable[ListedEpisode], patience: float) -> bool:
+        """The same for the maps of episodes that were never given to the solver; whether there were any.
+
+        Raises:
+            StoreError: if the optima could not be written.
+        """
+        unsolved: dict[TaskConfig, list[int]] = {}
+        for record in [row.episode.record for row in rows if not row.solved]:
+            try:
+                task = get_task(record.task, record.task_version)
+            except UnknownNameError:
+                continue  # of a plugin that is gone: nobody can solve its maps
+            unsolved.setdefault(task, []).append(record.seed)
+        for task, seeds in unsolved.items():
+            self.solve(task, list(dict.fromkeys(seeds)), patience / len(unsolved))
+        return bool(unsolved)
 
     def close(self) -> None:
         """Stop; waits for the maps that are being solved just now."""

@@ -187,19 +187,7 @@ class Store:
         where, values = selection(task, agent, before, after, episode_id)
         chosen = f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n))
         found = self._read_episodes(*chosen)
-        unsolved: dict[TaskConfig, list[int]] = {}
-        for row in found:
-            record = row.episode.record
-            if row.solved:
-                continue
-            try:
-                known = get_task(record.task, record.task_version)
-            except UnknownNameError:
-                continue  # of a plugin that is gone: the flight is known all the same
-            unsolved.setdefault(known, []).append(record.seed)
-        for known, seeds in unsolved.items():
-            self._optima.solve(known, list(dict.fromkeys(seeds)), patience / len(unsolved))
-        return self._read_episodes(*chosen) if unsolved else found
+        return self._read_episodes(*chosen) if self._optima.solve_maps_of(found, patience) else found
 
     def episodes(self) -> Iterator[StoredEpisode]:
         """All finished episodes, oldest first, read as they are asked for.
