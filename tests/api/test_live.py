@@ -17,9 +17,13 @@ from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.models import DroneObservation
+from drone_env.planning import exact
 from drone_env.planning.exact import ExactSolver
 from drone_env.server.app import create_app
 from drone_env.server.live.commands import MOST_MISSIONS
+from drone_env.server.live.feeds import Feed
+from drone_env.server.live.missions import LiveMission
+from drone_env.server.live.values import UNSOLVED
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 
@@ -305,6 +309,56 @@ def test_a_session_that_was_taken_elsewhere_is_not_flown(client: TestClient) -> 
         message = json.loads(socket.receive_text())
         assert (message["type"], message["code"]) == ("error", "session_gone")
         assert client.get("/state", headers=header).json()["step_count"] == 0
+
+
+def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as today, client.websocket_connect("/live") as socket:
+        today.setattr(exact, "map_graph", lambda _: {}[0])
+        page = Page(socket)
+        (shown,) = page.start("greedy")
+        refused = json.loads(socket.receive_text())
+        assert (refused["type"], refused["code"], refused["detail"]) == ("error", "no_values", UNSOLVED)
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["value"] is None
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.send("attach", sessions=[shown["mission"]["session"]])
+        assert len(page.until("missions")["missions"][0]["frames"]) == 2
+        assert len(page.until("values")["values"]) == 2
+
+
+def test_what_nobody_foresaw_ends_no_connection(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start("greedy")
+        page.until("values")
+        with monkeypatch.context() as today:
+            today.setattr(LiveMission, "step", lambda _: {}["a fault"])
+            page.send("step")
+            message = json.loads(socket.receive_text())
+            assert (message["type"], message["code"]) == ("error", "internal")
+            assert message["detail"] == "the server failed; its log says why"
+        assert "KeyError: 'a fault'" in caplog.text
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
+
+
+def test_news_that_cannot_be_told_are_an_error_once(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, eventually: Callable[[Callable[[], bool]], None]
+) -> None:
+    asked: list[Feed] = []
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        with monkeypatch.context() as today:
+            today.setattr(Feed, "news", lambda feed: asked.append(feed) or {}["a fault"])
+            page.send("subscribe", topics=["training"])
+            assert json.loads(socket.receive_text())["type"] == "error"
+            eventually(lambda: len(asked) > 2)
+        assert page.until("training")["lines"] == []
 
 
 def test_news_of_the_server(
