@@ -182,7 +182,7 @@ class Store:
         Raises:
             UnknownNameError: if there is no such task.
             InvalidValueError: if n is negative.
-            StoreError: if the store cannot be read, or the optima could not be written.
+            StoreError: if the store cannot be read.
         """
         where, values = selection(task, agent, before, after, episode_id)
         chosen = f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n))
@@ -211,7 +211,7 @@ class Store:
         Raises:
             UnknownNameError: if there is no such task.
             InvalidValueError: if `last` is below 1.
-            StoreError: if the store cannot be read, or the optima could not be written.
+            StoreError: if the store cannot be read.
         """
         if last < 1:
             raise InvalidValueError(f"last must be at least 1, got {last}")
