@@ -299,16 +299,38 @@ def test_a_session_that_is_not_the_page_s_is_refused(client: TestClient, session
         assert json.loads(socket.receive_text())["code"] == "wrong_moment"
 
 
-def test_a_session_that_was_taken_elsewhere_is_not_flown(client: TestClient) -> None:
+@pytest.mark.parametrize(("seed", "steps"), [(8, 0), (7, 2)])
+def test_a_session_that_was_taken_elsewhere_is_not_flown(client: TestClient, seed: int, steps: int) -> None:
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
         header = {"X-Session-Id": page.start("greedy")[0]["mission"]["session"]}
         page.until("values")
-        client.post("/reset", headers=header, json={"seed": 8, "agent": "greedy"})
+        page.send("step")
+        page.until("frames")
+        client.post("/reset", headers=header, json={"seed": seed, "agent": "greedy"})
+        for _ in range(steps):
+            client.post("/step", headers=header, json={"direction": "WAIT"})
         page.send("step")
         message = json.loads(socket.receive_text())
         assert (message["type"], message["code"]) == ("error", "session_gone")
-        assert client.get("/state", headers=header).json()["step_count"] == 0
+        assert client.get("/state", headers=header).json()["step_count"] == steps
+        # Gone altogether, it is in nobody's way.
+        client.delete("/session", headers=header)
+        assert page.start("greedy")
+
+
+def test_after_the_end_nobody_flies_on_by_hand(client: TestClient) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start("human")
+        for _ in range(60):
+            page.send("fly", direction="WAIT")
+        assert page.until("ended")["episode"]["steps"] == 60
+        page.until("values")
+        page.send("fly", direction="WAIT")
+        message = json.loads(socket.receive_text())
+        assert (message["type"], message["code"]) == ("error", "wrong_moment")
+        assert "start another" in message["detail"]
 
 
 def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
@@ -413,19 +435,25 @@ class TestToken:
 
 def test_a_full_house_of_pages_is_told_so(tmp_path: Path) -> None:
     with (
-        TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client,
+        TestClient(create_app(Settings(data=tmp_path, capacity=2))) as client,
         client.websocket_connect("/live") as socket,
+        client.websocket_connect("/live"),
     ):
-        Page(socket).start("greedy")
+        page = Page(socket)
+        (shown,) = page.start("greedy")
         with client.websocket_connect("/live") as late, pytest.raises(WebSocketDisconnect) as closed:
             late.receive_text()
         assert closed.value.code == 1013
-        page = Page(socket)
         page.send("start", task="easy", pilots=["greedy", "random"], seed=7)
         message = json.loads(socket.receive_text())
         while message["type"] != "error":
             message = json.loads(socket.receive_text())
         assert message["code"] == "no_room"
+        # The place that the first of the two had is free again, and the mission before them is flown on.
+        assert client.post("/reset").status_code == 200
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
+        assert client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()["step_count"] == 1
 
 
 def test_the_observation_model_still_fits(client: TestClient) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from drone_env.core.tasks import get_task
 from drone_env.planning import exact
+from drone_env.server.live import values as module
 from drone_env.server.live.values import UNSOLVED, ExactValues
 
 EASY = get_task("easy")
@@ -79,3 +80,23 @@ def test_who_goes_takes_no_map_from_those_who_still_wait() -> None:
 
     with busy() as (values, free):
         asyncio.run(fly(values, free))
+
+
+def test_the_solvers_that_were_asked_for_last_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def ask(values: ExactValues) -> list[bool]:
+        for seed in (1, 2):
+            await values.solved(EASY, seed)
+        assert values.get(EASY, 1) is not None
+        await values.solved(EASY, 3)
+        return [values.get(EASY, seed) is not None for seed in (1, 2, 3)]
+
+    with busy() as (values, free):
+        free.set()
+        asyncio.run(values.solved(EASY, 0))
+        one = values.get(EASY, 0)
+        assert one is not None
+        monkeypatch.setattr(module, "MAX_BYTES", 2.5 * one.nbytes)
+        assert asyncio.run(ask(values)) == [True, False, True]
+        monkeypatch.setattr(module, "MAX_BYTES", 0)
+        asyncio.run(values.solved(EASY, 4))
+        assert [values.get(EASY, seed) is not None for seed in (1, 3, 4)] == [False, False, True]

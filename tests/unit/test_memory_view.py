@@ -9,7 +9,7 @@ import pytest
 
 from drone_env.episodes.memory_view import MemoryView
 from drone_env.episodes.store import FILE_NAME, Store, StoredEpisode
-from tests.unit.stores import eventually, flown, view
+from tests.unit.stores import eventually, finish_in, flown, opened, view
 
 
 def test_the_view_is_there_from_the_start_and_ends_with_the_last_episode(tmp_path: Path) -> None:
@@ -18,7 +18,12 @@ def test_the_view_is_there_from_the_start_and_ends_with_the_last_episode(tmp_pat
         store.add_episode(flown(seed=1), "ace")
         eventually(lambda: view(tmp_path) == store.latest(1))
         store.add_episode(flown(seed=2), "ace")
+        session_id = opened(store, seed=3)
+        with store.session(session_id) as row:
+            finish_in(row, flown(seed=3))
+        eventually(lambda: view(tmp_path) == store.latest(9)[::-1])
         expected = store.latest(9)[::-1]
+        assert [stored.record.seed for stored in expected] == [1, 2, 3]
     assert view(tmp_path) == expected
     assert sorted(path.name for path in tmp_path.iterdir()) == [FILE_NAME, "memory.json"]
 
