@@ -328,6 +328,7 @@ def test_after_the_end_nobody_flies_on_by_hand(client: TestClient) -> None:
         assert page.until("ended")["episode"]["steps"] == 60
         page.until("values")
         page.send("fly", direction="WAIT")
+        page.send("land")  # answered in any case
         message = json.loads(socket.receive_text())
         assert (message["type"], message["code"]) == ("error", "wrong_moment")
         assert "start another" in message["detail"]
