@@ -1,5 +1,6 @@
 """The SQLite file of the store: who may read and write it when."""
 
+import os
 import sqlite3
 import threading
 import time
@@ -12,6 +13,8 @@ from drone_env.errors import StoreError
 
 BUSY_SECONDS = 30.0
 POLL_SECONDS = 0.0005
+PARTS = ("", "-wal", "-shm")
+"""What SQLite adds to the name of the file: all three hold what has been written."""
 
 
 class Database:
@@ -42,6 +45,20 @@ class Database:
             except BaseException:
                 self._writer.close()
                 raise
+        self._parts = {part: _identity(part) for part in (f"{path}{added}" for added in PARTS)}
+
+    def check(self) -> None:
+        """See whether the files are still where they were opened: what is written into others is lost.
+
+        Raises:
+            StoreError: if they are not.
+        """
+        for part, opened in self._parts.items():
+            if _identity(part) != opened:
+                raise StoreError(
+                    f"store {self.path}: {part} was deleted, moved or replaced while it was in use: "
+                    "nothing more is kept until it is back, or the server is started again"
+                )
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""
@@ -64,7 +81,8 @@ class Database:
         """The connection to write to, in a transaction that is kept if the block ends well.
 
         Raises:
-            StoreError: if a statement fails, the file stays busy, or this thread is inside such a block already.
+            StoreError: if a statement fails, the file stays busy or is gone, or this thread is inside such a block
+                already.
         """
         if self._writing_thread == threading.get_ident():
             raise StoreError("this thread is inside another transaction of the store: end that first")
@@ -74,6 +92,7 @@ class Database:
             try:
                 self._when_free(lambda: connection.execute("BEGIN IMMEDIATE"))
                 yield connection
+                self.check()
                 connection.execute("COMMIT")
             except BaseException:
                 if connection.in_transaction:
@@ -112,3 +131,12 @@ class Database:
                 if "locked" not in str(error) or time.monotonic() > deadline:
                     raise
             time.sleep(POLL_SECONDS)
+
+
+def _identity(path: str) -> tuple[int, int] | None:
+    """Which file is at a path; None where none can be found."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino

@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 from drone_env.episodes.finished import StoredEpisode
@@ -15,7 +16,8 @@ from drone_env.files import replacing
 LENGTH = 100
 PAUSE_SECONDS = 0.05
 LEFTOVER_SECONDS = 60.0
-HEAD = '{"format": "drone_env/memory", "format_version": 1, "episodes": [\n'
+MARK = '{"format": "drone_env/memory"'
+HEAD = MARK + ', "format_version": 1, "episodes": [\n'
 TAIL = "\n]}\n"
 log = logging.getLogger(__name__)
 
@@ -78,11 +80,39 @@ class MemoryView:
     def _write(self) -> None:
         text = HEAD + ",\n".join([line for _, line in self._lines]) + TAIL
         try:
+            self._keep_what_is_not_ours()
             with replacing(self._path) as temporary:
                 temporary.write_text(text, encoding="utf-8")
         except OSError as error:
             # The episode is safe in the store: whoever flew it must not be told otherwise.
             log.warning("%s could not be written: %s", self._path, error)
+
+    def _keep_what_is_not_ours(self) -> None:
+        """Give a file that is no such view another name: it may be the history of another program."""
+        try:
+            with self._path.open("rb") as file:
+                head = file.read(len(MARK))
+        except FileNotFoundError:
+            return
+        if head in (b"", MARK.encode()):
+            return
+        aside = self._make_aside()
+        try:
+            self._path.replace(aside)
+        except OSError:
+            aside.unlink()
+            raise
+        log.warning("%s was not written by drone-env: it is kept as %s", self._path, aside)
+
+    def _make_aside(self) -> Path:
+        """An empty file beside this one, where there was none."""
+        number = 0
+        while True:
+            number += 1
+            path = self._path.with_name(f"{self._path.stem}.kept-{number}{self._path.suffix}")
+            with suppress(FileExistsError):
+                path.touch(exist_ok=False)
+                return path
 
     def _remove_leftovers(self) -> None:
         """Remove what killed processes left of views that they were writing."""

@@ -1,15 +1,19 @@
 """The optima of the maps that were flown: solved once, in the background, and kept."""
 
+import logging
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 
-from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.episodes.database import Database
+from drone_env.episodes.rows import ListedEpisode
+from drone_env.errors import StoreError, UnknownNameError
 from drone_env.planning.optimal import best_of
 
 KEEP_SECONDS = 0.1
+log = logging.getLogger(__name__)
 
 
 class Optima:
@@ -25,8 +29,7 @@ class Optima:
     def solve(self, task: TaskConfig, seeds: Sequence[int], patience: float) -> None:
         """Have maps solved and kept, unless the task is being worked on already; wait for that, up to `patience` s.
 
-        Raises:
-            StoreError: if the optima could not be written.
+        What goes wrong is logged, and tried anew by the next call: whoever asks is told what is known without.
         """
         with self._lock:
             if task not in self._jobs:
@@ -36,8 +39,23 @@ class Optima:
         with self._lock:
             if job.done() and self._jobs.get(task) is job:
                 del self._jobs[task]
-        if job.done():
-            job.result()
+        error = job.exception() if job.done() else None
+        if error is not None:
+            unforeseen = None if isinstance(error, StoreError) else error
+            log.warning("optima of %s could not be solved or kept: %s", task.id, error, exc_info=unforeseen)
+
+    def solve_maps_of(self, rows: Iterable[ListedEpisode], patience: float) -> bool:
+        """The same for the maps of episodes that were never given to the solver; whether there were any."""
+        unsolved: dict[TaskConfig, list[int]] = {}
+        for record in [row.episode.record for row in rows if not row.solved]:
+            try:
+                task = get_task(record.task, record.task_version)
+            except UnknownNameError:
+                continue  # of a plugin that is gone: nobody can solve its maps
+            unsolved.setdefault(task, []).append(record.seed)
+        for task, seeds in unsolved.items():
+            self.solve(task, list(dict.fromkeys(seeds)), patience / len(unsolved))
+        return bool(unsolved)
 
     def close(self) -> None:
         """Stop; waits for the maps that are being solved just now."""

@@ -26,7 +26,7 @@ class ListedEpisode(NamedTuple):
     solved: bool
     """Whether its map has been given to the solver."""
     optimum: float | None
-    """The optimum of its map, None while it is not known or where the map is too large."""
+    """The optimum of its map, None while it is not known, the task is not registered, or the map is too large."""
 
 
 def episode_rows(connection: sqlite3.Connection, where: str, values: tuple[object, ...]) -> list[Any]:
@@ -194,6 +194,11 @@ def end_finished(connection: sqlite3.Connection, now: float) -> bool:
 def count_sessions(connection: sqlite3.Connection) -> int:
     """How many are open."""
     return connection.execute("SELECT count(*) FROM sessions").fetchone()[0]
+
+
+def newest_use(connection: sqlite3.Connection) -> float:
+    """When a session was used last; 0 where none is open."""
+    return connection.execute("SELECT coalesce(max(touched_at), 0) FROM sessions").fetchone()[0]
 
 
 def _utc(seconds: float) -> datetime:

@@ -7,7 +7,6 @@ must be on a local disk. A store must not be carried across a fork: open one in 
 
 import os
 import secrets
-import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing_extensions import Self
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.analysis import Analysis, FinishedRow, analyse
+from drone_env.episodes.clock import steady_clock
 from drone_env.episodes.database import BUSY_SECONDS, Database
 from drone_env.episodes.finished import StoredEpisode, check_agent
 from drone_env.episodes.memory_view import MemoryView
@@ -31,6 +31,7 @@ from drone_env.episodes.rows import (
     finished_rows,
     insert_episode,
     listed_episode,
+    newest_use,
     selection,
     session_row,
     unnamed_session,
@@ -57,7 +58,9 @@ class Store:
 
     Args:
         folder: Made where it is missing.
-        clock: What tells the time, in seconds since 1970: by it sessions are idle.
+        clock: What tells the time, in seconds since 1970: by it sessions are idle. None for one that starts at the
+            machine's time and runs on evenly, whatever that is set to. It never tells less than the newest use of a
+            session.
         busy_seconds: For how long to wait while others write.
 
     Raises:
@@ -66,13 +69,13 @@ class Store:
     """
 
     def __init__(
-        self, folder: str | Path, clock: Callable[[], float] = time.time, busy_seconds: float = BUSY_SECONDS
+        self, folder: str | Path, clock: Callable[[], float] | None = None, busy_seconds: float = BUSY_SECONDS
     ) -> None:
         self.folder = Path(folder)
-        self._clock = clock
         self.folder.mkdir(parents=True, exist_ok=True)
         self._database = Database(self.folder / FILE_NAME, busy_seconds)
         try:
+            self._clock = self._continued(clock or steady_clock())
             self._view = MemoryView(self.folder / VIEW_NAME, self._newer)
         except BaseException:
             self._database.close()
@@ -84,6 +87,14 @@ class Store:
         self._optima.close()
         self._view.close()
         self._database.close()
+
+    def check(self) -> None:
+        """See whether the file is still where it was opened; every method that writes does so, too.
+
+        Raises:
+            StoreError: if it is not: it can be read, and nothing more is kept.
+        """
+        self._database.check()
 
     def __enter__(self) -> Self:
         return self
@@ -165,7 +176,7 @@ class Store:
     ) -> list[ListedEpisode]:
         """The last `n` finished episodes with the optima of their maps, newest first.
 
-        Optima that are not known yet are solved as for `analysis`.
+        Optima that are not known yet are solved as for `analysis`; those of tasks that are not registered stay unknown.
 
         Args:
             n: How many, 0 or more.
@@ -179,19 +190,12 @@ class Store:
         Raises:
             UnknownNameError: if there is no such task.
             InvalidValueError: if n is negative.
-            StoreError: if the store cannot be read, or the optima could not be written.
+            StoreError: if the store cannot be read.
         """
         where, values = selection(task, agent, before, after, episode_id)
         chosen = f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n))
         found = self._read_episodes(*chosen)
-        unsolved: dict[TaskConfig, list[int]] = {}
-        for row in found:
-            if not row.solved:
-                record = row.episode.record
-                unsolved.setdefault(get_task(record.task, record.task_version), []).append(record.seed)
-        for known, seeds in unsolved.items():
-            self._optima.solve(known, list(dict.fromkeys(seeds)), patience / len(unsolved))
-        return self._read_episodes(*chosen) if unsolved else found
+        return self._read_episodes(*chosen) if self._optima.solve_maps_of(found, patience) else found
 
     def episodes(self) -> Iterator[StoredEpisode]:
         """All finished episodes, oldest first, read as they are asked for.
@@ -215,7 +219,7 @@ class Store:
         Raises:
             UnknownNameError: if there is no such task.
             InvalidValueError: if `last` is below 1.
-            StoreError: if the store cannot be read, or the optima could not be written.
+            StoreError: if the store cannot be read.
         """
         if last < 1:
             raise InvalidValueError(f"last must be at least 1, got {last}")
@@ -375,6 +379,12 @@ class Store:
         """
         with self._database.reading() as connection:
             return count_sessions(connection)
+
+    def _continued(self, clock: Callable[[], float]) -> Callable[[], float]:
+        """A clock that has gone back since the last start would let sessions live on: it begins where they are."""
+        with self._database.reading() as connection:
+            ahead = max(0.0, newest_use(connection) - clock())
+        return lambda: clock() + ahead
 
     def _read_episodes(self, where: str, values: tuple[object, ...]) -> list[ListedEpisode]:
         with self._database.reading() as connection:

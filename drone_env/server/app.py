@@ -65,13 +65,13 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
 
     Args:
         settings: The configuration; None for the environment's.
-        clock: What tells the time in seconds, by which sessions are idle; None for the machine's.
+        clock: What tells the time in seconds, by which sessions are idle; None for a steady one.
 
     Raises:
         InvalidValueError: if a variable of the environment has a value that it cannot have.
     """
     load_plugins()
-    shared = Shared(settings or load_settings(), clock or time.time)
+    shared = Shared(settings or load_settings(), clock)
     settings = shared.settings
     live = LiveSocket(shared)
     limits = settings.capacity, settings.idle_seconds, settings.max_bytes
@@ -158,14 +158,18 @@ class _Static(StaticFiles):
 async def _sweep(shared: Shared, socket: OpenEnvSocket, live: LiveSocket) -> None:
     """End what is idle, for ever."""
     interval = min(SWEEP_SECONDS, shared.settings.idle_seconds / 4)
+    failing = ""
     while True:
         await asyncio.sleep(interval)
         try:
             await socket.close_idle()
             await run_in_threadpool(live.keep_sessions)
             await run_in_threadpool(shared.sessions.expire)
-        except DroneEnvError:
-            log.exception("idle sessions could not be ended; trying again in %g s", interval)
+            failing = ""
+        except DroneEnvError as error:
+            if str(error) != failing:
+                failing = str(error)
+                log.error("idle sessions could not be ended; tried again every %g s: %s", interval, failing)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

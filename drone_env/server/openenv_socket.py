@@ -184,7 +184,9 @@ class OpenEnvSocket:
     async def _step(self, flight: Flight, data: dict[str, Any]) -> str:
         action = WireAction.model_validate(data).action
         episode = flight.episode
-        reward = episode.step(action)
+        # Ended and not kept, it has answered an error: the same step again is answered as it would have been.
+        again = episode.ended and not flight.stored
+        reward = episode.reward_last if again else episode.step(action)
         if episode.ended and not flight.stored:
             # Answered when it is kept. A step after a failure tries again.
             agent = flight.agent or ANONYMOUS

@@ -26,6 +26,7 @@ from drone_env.models import Message
 
 log = logging.getLogger(__name__)
 
+FAILED = "the server failed; its log says why"
 WHAT_TO_DO = "POST /reset opens a session; send the header X-Session-Id: SESSION_ID, as it answers, or keep the cookie"
 
 
@@ -82,7 +83,7 @@ _MEANINGS = {
     413: "The body is too large.",
     415: "The body is not declared as JSON.",
     422: "A value that is not allowed.",
-    503: "No room, no network, or the server or its store is busy.",
+    503: "No room, no network, the server is busy, or its store is busy or gone.",
 }
 
 
@@ -123,7 +124,7 @@ async def _own(request: Request, error: Exception) -> JSONResponse:
     status, code = status_of(error, request.method)
     if status == 500:
         log.error("%s %s", request.method, request.url.path, exc_info=error)
-        return problem(500, code, "the server failed; its log says why")
+        return problem(500, code, FAILED)
     detail = f"{error}: {WHAT_TO_DO}" if status == 410 else str(error)
     waiting_helps = status == 503 and code not in ("no_network", "not_started")
     return problem(status, code, detail, headers={"Retry-After": "5"} if waiting_helps else None)
@@ -144,7 +145,7 @@ async def _http(_: Request, error: Exception) -> JSONResponse:
 
 async def _unforeseen(request: Request, error: Exception) -> JSONResponse:
     # The server logs the trace; callers do not see it.
-    return problem(500, "internal", "the server failed; its log says why")
+    return problem(500, "internal", FAILED)
 
 
 def install(app: FastAPI) -> None:

@@ -306,7 +306,7 @@ class EpisodeSummary(Message):
     score: Score
     success: bool
     outcome: str
-    optimal_score: Score | None = Field(description="The optimum of its map; null while it is not known.")
+    optimal_score: Score | None = Field(description="The optimum of its map; null where it is not known.")
     regret: float | None = Field(ge=0, description="optimal_score - score.")
 
     @classmethod

@@ -2,7 +2,6 @@
 
 import os
 import threading
-import time
 from collections.abc import Callable
 from typing import Annotated, NamedTuple, TypeVar
 
@@ -38,10 +37,10 @@ class Shared:
 
     Args:
         settings: The configuration.
-        clock: What tells the time, in seconds since 1970.
+        clock: What tells the time, in seconds since 1970; None for the store's own.
     """
 
-    def __init__(self, settings: Settings, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self, settings: Settings, clock: Callable[[], float] | None = None) -> None:
         self.settings = settings
         self._clock = clock
         self.requests = RequestLog()

@@ -1,6 +1,8 @@
 """Sessions over HTTP: who is in which, when they end, and a store that fails under them."""
 
+import shutil
 import sqlite3
+import time
 from collections.abc import Callable, Generator
 from contextlib import ExitStack
 from pathlib import Path
@@ -132,6 +134,18 @@ class TestSessions:
             clock.now += 1
             assert client.post("/reset").status_code == 200
             assert client.get("/state", headers=session).status_code == 410
+
+    def test_the_machines_clock_may_be_set_without_ending_a_session(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        machine, ahead = time.time, 0.0
+        monkeypatch.setattr(time, "time", lambda: machine() + ahead)
+        with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
+            session = {"X-Session-Id": client.post("/reset").json()["session_id"]}
+            client.cookies.clear()
+            ahead = 3600.0
+            assert client.post("/reset").status_code == 503
+            assert client.post("/step", json=UP, headers=session).status_code == 200
 
     def test_a_session_is_there_after_a_restart(self, tmp_path: Path) -> None:
         with TestClient(create_app(Settings(data=tmp_path))) as client:
@@ -352,6 +366,68 @@ def test_a_store_that_fails_is_told_as_busy_and_keeps_nothing(
     assert (state["seed"], state["step_count"]) == (7, 0)
     # What was flown before the failure is not flown twice.
     assert client.post("/step", json={"direction": "UP"}, headers=session).json()["step_count"] == 1
+
+
+def delete(data: Path) -> None:
+    shutil.rmtree(data)
+
+
+def delete_the_log(data: Path) -> None:
+    (data / f"{FILE_NAME}-wal").unlink()
+
+
+def move_and_begin_another(data: Path) -> None:
+    data.rename(data.with_name("elsewhere"))
+    Store(data).close()
+
+
+@pytest.mark.parametrize("lose", [delete, delete_the_log, move_and_begin_another])
+def test_a_server_whose_files_are_gone_says_so_and_takes_no_step(
+    client: TestClient, session: Header, settings: dict[str, Any], lose: Callable[[Path], None]
+) -> None:
+    assert client.get("/health").status_code == 200
+    assert client.post("/step", json=UP, headers=session).json()["step_count"] == 1
+    lose(settings["data"])
+    for method, path, body in (("GET", "/health", None), ("POST", "/step", UP), ("POST", "/reset", {})):
+        answer = client.request(method, path, json=body, headers={} if path == "/reset" else session)
+        assert (answer.status_code, answer.json()["code"], answer.headers["Retry-After"]) == (503, "store", "5")
+        assert "deleted, moved or replaced while" in answer.json()["detail"]
+        # Whoever asks for the health needs no token.
+        assert (str(settings["data"]) in answer.json()["detail"]) == (path != "/health")
+    assert client.head("/health").status_code == 503
+    assert client.get("/state", headers=session).json()["step_count"] == 1
+
+
+def test_a_folder_that_comes_back_is_used_again_and_nothing_is_lost(
+    client: TestClient, session: Header, settings: dict[str, Any]
+) -> None:
+    elsewhere = settings["data"].with_name("elsewhere")
+    assert client.post("/step", json=UP, headers=session).json()["step_count"] == 1
+    settings["data"].rename(elsewhere)
+    assert client.post("/step", json=UP, headers=session).status_code == 503
+    elsewhere.rename(settings["data"])
+    assert client.get("/health").status_code == 200
+    assert client.post("/step", json=UP, headers=session).json()["step_count"] == 2
+
+
+def test_a_store_that_goes_on_failing_is_logged_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, eventually: Callable[..., None]
+) -> None:
+    # Looked for every 0.05 s.
+    app = create_app(Settings(data=tmp_path / "data", idle_seconds=0.2))
+    with TestClient(app) as client:
+        session = {"X-Session-Id": client.post("/reset").json()["session_id"]}
+        tried: list[str] = []
+        expire = app.state.shared.sessions.expire
+        app.state.shared.sessions.expire = lambda: tried.append("") or expire()
+        (tmp_path / "data").rename(tmp_path / "elsewhere")
+        eventually(lambda: "deleted, moved or replaced" in caplog.text)
+        tried.clear()
+        eventually(lambda: len(tried) > 3)
+        assert caplog.text.count("idle sessions could not be ended") == 1
+        assert "Traceback" not in caplog.text
+        (tmp_path / "elsewhere").rename(tmp_path / "data")
+        eventually(lambda: client.get("/state", headers=session).status_code == 410)
 
 
 def test_a_session_of_a_task_that_a_newer_version_has_made_is_told(

@@ -19,9 +19,13 @@ from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.models import DroneObservation
+from drone_env.planning import exact
 from drone_env.planning.exact import ExactSolver
 from drone_env.server.app import create_app
 from drone_env.server.live.commands import MOST_MISSIONS
+from drone_env.server.live.feeds import Feed
+from drone_env.server.live.missions import LiveMission
+from drone_env.server.live.values import UNSOLVED
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 from tests.api.networks import put_trained
@@ -353,16 +357,89 @@ def test_a_session_that_is_not_the_page_s_is_refused(client: TestClient, session
         assert json.loads(socket.receive_text())["code"] == "wrong_moment"
 
 
-def test_a_session_that_was_taken_elsewhere_is_not_flown(client: TestClient) -> None:
+@pytest.mark.parametrize(("seed", "steps"), [(8, 0), (7, 2)])
+def test_a_session_that_was_taken_elsewhere_is_not_flown(client: TestClient, seed: int, steps: int) -> None:
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
         header = {"X-Session-Id": page.start("greedy")[0]["mission"]["session"]}
         page.until("values")
-        client.post("/reset", headers=header, json={"seed": 8, "agent": "greedy"})
+        page.send("step")
+        page.until("frames")
+        client.post("/reset", headers=header, json={"seed": seed, "agent": "greedy"})
+        for _ in range(steps):
+            client.post("/step", headers=header, json={"direction": "WAIT"})
         page.send("step")
         message = json.loads(socket.receive_text())
         assert (message["type"], message["code"]) == ("error", "session_gone")
-        assert client.get("/state", headers=header).json()["step_count"] == 0
+        assert client.get("/state", headers=header).json()["step_count"] == steps
+        # Gone altogether, it is in nobody's way.
+        client.delete("/session", headers=header)
+        assert page.start("greedy")
+
+
+def test_after_the_end_nobody_flies_on_by_hand(client: TestClient) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start("human")
+        for _ in range(60):
+            page.send("fly", direction="WAIT")
+        assert page.until("ended")["episode"]["steps"] == 60
+        page.until("values")
+        page.send("fly", direction="WAIT")
+        page.send("land")  # answered in any case
+        message = json.loads(socket.receive_text())
+        assert (message["type"], message["code"]) == ("error", "wrong_moment")
+        assert "start another" in message["detail"]
+
+
+def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as today, client.websocket_connect("/live") as socket:
+        today.setattr(exact, "map_graph", lambda _: {}[0])
+        page = Page(socket)
+        (shown,) = page.start("greedy")
+        refused = json.loads(socket.receive_text())
+        assert (refused["type"], refused["code"], refused["detail"]) == ("error", "no_values", UNSOLVED)
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["value"] is None
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.send("attach", sessions=[shown["mission"]["session"]])
+        assert len(page.until("missions")["missions"][0]["frames"]) == 2
+        assert len(page.until("values")["values"]) == 2
+
+
+def test_what_nobody_foresaw_ends_no_connection(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start("greedy")
+        page.until("values")
+        with monkeypatch.context() as today:
+            today.setattr(LiveMission, "step", lambda _: {}["a fault"])
+            page.send("step")
+            message = json.loads(socket.receive_text())
+            assert (message["type"], message["code"]) == ("error", "internal")
+            assert message["detail"] == "the server failed; its log says why"
+        assert "KeyError: 'a fault'" in caplog.text
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
+
+
+def test_news_that_cannot_be_told_are_an_error_once(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, eventually: Callable[[Callable[[], bool]], None]
+) -> None:
+    asked: list[Feed] = []
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        with monkeypatch.context() as today:
+            today.setattr(Feed, "news", lambda feed: asked.append(feed) or {}["a fault"])
+            page.send("subscribe", topics=["training"])
+            assert json.loads(socket.receive_text())["type"] == "error"
+            eventually(lambda: len(asked) > 2)
+        assert page.until("training")["lines"] == []
 
 
 def test_news_of_the_server(
@@ -417,19 +494,25 @@ class TestToken:
 
 def test_a_full_house_of_pages_is_told_so(tmp_path: Path) -> None:
     with (
-        TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client,
+        TestClient(create_app(Settings(data=tmp_path, capacity=2))) as client,
         client.websocket_connect("/live") as socket,
+        client.websocket_connect("/live"),
     ):
-        Page(socket).start("greedy")
+        page = Page(socket)
+        (shown,) = page.start("greedy")
         with client.websocket_connect("/live") as late, pytest.raises(WebSocketDisconnect) as closed:
             late.receive_text()
         assert closed.value.code == 1013
-        page = Page(socket)
         page.send("start", task="easy", pilots=["greedy", "random"], seed=7)
         message = json.loads(socket.receive_text())
         while message["type"] != "error":
             message = json.loads(socket.receive_text())
         assert message["code"] == "no_room"
+        # The place that the first of the two had is free again, and the mission before them is flown on.
+        assert client.post("/reset").status_code == 200
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
+        assert client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()["step_count"] == 1
 
 
 def test_the_observation_model_still_fits(client: TestClient) -> None:

@@ -2,6 +2,7 @@
 
 import threading
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -152,6 +153,22 @@ def test_episodes_are_listed_in_pages_with_the_optima_of_their_maps(client: Test
     assert client.get("/episodes?task=hard").json()["episodes"] == []
     assert client.get("/episodes?task=nowhere").status_code == 404
     assert client.get("/episodes?limit=0").status_code == 422
+
+
+def test_flights_of_a_task_that_is_gone_with_its_plugin_are_listed_without_their_optimum(
+    client: TestClient, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = replace(TASKS["easy_delivery"], id="gone", short_name="gone", grader="drone_env.graders:grade_gone")
+    with monkeypatch.context() as plugin, Store(settings["data"]) as store:
+        plugin.setitem(TASKS, gone.id, gone)
+        for task in ("easy", "gone"):
+            store.add_episode(record(task))
+    optima = [("gone", None, None), ("easy_delivery", solve("easy", 7).score, 0)]
+    with client.websocket_connect("/live") as socket:
+        socket.send_json({"type": "subscribe", "topics": ["episodes"]})
+        for listed in (client.get("/episodes").json(), client.get("/memory_logs").json(), socket.receive_json()):
+            rows = [(row["task"], row["optimal_score"], row["regret"]) for row in listed["episodes"]]
+            assert rows == optima
 
 
 def test_a_stored_episode_can_be_replayed(client: TestClient) -> None:

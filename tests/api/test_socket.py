@@ -3,6 +3,7 @@
 import asyncio
 import json
 import math
+import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,9 @@ from pydantic_core import to_json
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
+from drone_env.episodes.store import FILE_NAME
 from drone_env.models import observation_fields
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
@@ -219,6 +222,36 @@ def test_a_finished_episode_is_kept_before_it_is_answered(client: TestClient) ->
             assert (len(kept), kept[0]["seed"], kept[0]["agent"]) == (seed + 1, seed, "tester")
             ask(socket, {"type": "step", "data": {"direction": "UP"}})
     assert client.get("/analyse/medium").json()["episodes_total"] == 3
+
+
+def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_again(
+    client: TestClient, settings: dict[str, Any]
+) -> None:
+    episode = Episode("easy")
+    episode.reset(7)
+    *flight, last = [action.name for action in solve("easy", 7).actions]
+    with client.websocket_connect("/ws") as socket, sqlite3.connect(settings["data"] / FILE_NAME) as disk:
+        ask(socket, {"type": "reset", "data": {"seed": 7}})
+        for direction in flight:
+            ask(socket, {"type": "step", "data": {"direction": direction}})
+        disk.execute(
+            "CREATE TRIGGER broken BEFORE INSERT ON episodes BEGIN SELECT RAISE(ABORT, 'the disk is gone'); END"
+        )
+        disk.commit()
+        for _ in range(2):
+            failed = ask(socket, {"type": "step", "data": {"direction": last}})
+            assert (failed["type"], failed["data"]["code"]) == ("error", "EXECUTION_ERROR")
+        disk.execute("DROP TRIGGER broken")
+        disk.commit()
+        answer = ask(socket, {"type": "step", "data": {"direction": last}})
+        rewards = [episode.step(action) for action in solve("easy", 7).actions]
+        assert answer["data"] == openenv_result(observation_fields(episode), rewards[-1])
+        (kept,) = client.get("/memory_logs").json()["episodes"]
+        assert kept["reward_total"] == episode.reward_total
+        # Kept, it is over: one more step is none.
+        assert ask(socket, {"type": "step", "data": {"direction": last}})["data"]["reward"] == 0
+    disk.close()
+    assert client.get("/analyse/easy").json()["episodes_total"] == 1
 
 
 @pytest.mark.parametrize("task", TASKS)

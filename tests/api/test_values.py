@@ -5,8 +5,12 @@ import threading
 from collections.abc import Generator
 from contextlib import contextmanager
 
+import pytest
+
 from drone_env.core.tasks import get_task
-from drone_env.server.live.values import ExactValues
+from drone_env.planning import exact
+from drone_env.server.live import values as module
+from drone_env.server.live.values import UNSOLVED, ExactValues
 
 EASY = get_task("easy")
 
@@ -44,6 +48,28 @@ def test_a_map_that_nobody_waits_for_any_more_is_not_begun() -> None:
         asyncio.run(fly(values, free))
 
 
+def test_a_map_that_could_not_be_solved_is_tried_anew(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def ask(values: ExactValues, free: threading.Event) -> None:
+        with monkeypatch.context() as today:
+            today.setattr(exact, "map_graph", out_of_memory)
+            asked = asyncio.gather(*[values.solved(EASY, 1) for _ in range(2)], return_exceptions=True)
+            await asyncio.sleep(0)
+            free.set()
+            assert [str(error) for error in await asked] == [UNSOLVED] * 2
+        assert caplog.text.count("MemoryError: it is all gone") == 1
+        await values.solved(EASY, 1)
+        assert values.get(EASY, 1) is not None
+
+    with busy() as (values, free):
+        asyncio.run(ask(values, free))
+
+
+def out_of_memory(_: object) -> None:
+    raise MemoryError("it is all gone")
+
+
 def test_who_goes_takes_no_map_from_those_who_still_wait() -> None:
     async def fly(values: ExactValues, free: threading.Event) -> None:
         left, kept = (asyncio.create_task(values.solved(EASY, 1)) for _ in range(2))
@@ -54,3 +80,23 @@ def test_who_goes_takes_no_map_from_those_who_still_wait() -> None:
 
     with busy() as (values, free):
         asyncio.run(fly(values, free))
+
+
+def test_the_solvers_that_were_asked_for_last_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def ask(values: ExactValues) -> list[bool]:
+        for seed in (1, 2):
+            await values.solved(EASY, seed)
+        assert values.get(EASY, 1) is not None
+        await values.solved(EASY, 3)
+        return [values.get(EASY, seed) is not None for seed in (1, 2, 3)]
+
+    with busy() as (values, free):
+        free.set()
+        asyncio.run(values.solved(EASY, 0))
+        one = values.get(EASY, 0)
+        assert one is not None
+        monkeypatch.setattr(module, "MAX_BYTES", 2.5 * one.nbytes)
+        assert asyncio.run(ask(values)) == [True, False, True]
+        monkeypatch.setattr(module, "MAX_BYTES", 0)
+        asyncio.run(values.solved(EASY, 4))
+        assert [values.get(EASY, seed) is not None for seed in (1, 3, 4)] == [False, False, True]

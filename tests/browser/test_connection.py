@@ -8,7 +8,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, WebSocketRoute, expect
 
 from drone_env.episodes.store import Store
 from tests.api.serving import Server, serving
@@ -152,3 +152,54 @@ def test_a_server_that_wants_a_token_is_killed_and_comes_back_and_the_mission_go
     with Store(data) as store:
         episodes = store.latest(10)
     assert [(episode.record.seed, episode.record.actions) for episode in episodes] == [(7, flight.actions)]
+
+
+def test_a_server_that_ends_each_connection_is_asked_five_times_and_then_when_the_visitor_says(
+    browser: Browser, server: Server
+) -> None:
+    """As where what the page asks for is what the server dies of: the mission it goes on with, for one."""
+    connections: list[WebSocketRoute] = []
+
+    def connect(socket: WebSocketRoute) -> None:
+        connections.append(socket)
+        beyond = socket.connect_to_server()
+
+        def pass_on(text: str | bytes) -> None:
+            socket.send(text)
+            if json.loads(text)["type"] == "missions" and len(connections) != 7:
+                socket.close(code=1011)
+
+        beyond.on_message(pass_on)
+
+    with Tabs(browser, server.url) as tabs:
+        page = tabs.open(go=False, reduced_motion="reduce")
+        page.route_web_socket("**/live", connect)
+        # Time passes while the page waits to connect anew, and not while it is connected, however slow the machine.
+        page.clock.install(time=0)
+        page.clock.pause_at(1000)
+        page.goto("/?task=hard&seed=7&pilot=greedy")
+        dot = page.locator("#connection")
+        banner = page.get_by_role("alert").filter(has_text="The server refused the connection (it has ended ")
+        again = banner.get_by_role("button", name="Try now")
+
+        def given_up() -> bool:
+            if dot.get_attribute("data-state") == "away":
+                page.clock.run_for(500)
+            return again.is_visible()
+
+        until(page, given_up)
+        page.clock.run_for(600_000)
+        assert len(connections) == 5
+        expect(banner).to_contain_text("it has ended 5 in a row")
+        again.click()
+        until(page, lambda: len(connections) == 6)
+        expect(banner).to_contain_text("it has ended 6 in a row")
+        again.click()
+        expect(dot).to_contain_text("Live")
+        expect(banner).to_be_hidden()
+        # One that lasts is a good one, and what was before it is forgotten.
+        page.clock.run_for(10_000)
+        connections[-1].close(code=1011)
+        expect(page.get_by_role("alert").filter(has_text="The server is away. Your mission is kept.")).to_be_visible()
+        page.clock.run_for(1000)
+        until(page, lambda: len(connections) == 8)

@@ -1,12 +1,15 @@
 """What is known of the finished episodes of a task, with optima that are worked out meanwhile."""
 
+import threading
 from pathlib import Path
 
 import pytest
 
+from drone_env.core.tasks import TaskConfig
+from drone_env.episodes import optima
 from drone_env.episodes.analysis import FinishedRow, analyse
 from drone_env.episodes.store import Store
-from drone_env.planning.optimal import solve
+from drone_env.planning.optimal import Solution, solve
 from tests.unit.stores import eventually, flown
 
 
@@ -71,13 +74,43 @@ def test_an_analysis_does_not_wait_for_optima_and_has_them_later(store: Store) -
     )
 
 
-def test_closing_stops_the_solving(tmp_path: Path) -> None:
+def test_closing_stops_the_solving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    solved: list[int] = []
+    closing = threading.Event()
+
+    def best_of(task: TaskConfig, seed: int) -> Solution:
+        solved.append(seed)
+        if len(solved) == 3:
+            closing.wait(100)
+        return solve(task, seed)
+
     with Store(tmp_path) as store:
-        for seed in range(200):
+        for seed in range(9):
             store.add_episode(flown("hard", seed, "4"), "someone")
-        store.analysis("hard", patience=0)
+        with monkeypatch.context() as slow:
+            slow.setattr(optima, "best_of", best_of)
+            store.analysis("hard", patience=0)
+            eventually(lambda: len(solved) == 3)
+            close = store._optima._closing.set
+            slow.setattr(store._optima._closing, "set", lambda: (close(), closing.set()))
+            store.close()
+    assert solved == [8, 7, 6]
     with Store(tmp_path) as store:
-        assert store.analysis("hard", patience=240).regret_episodes == 200
+        assert store.analysis("hard", patience=240).regret_episodes == 9
+
+
+def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog: pytest.LogCaptureFixture) -> None:
+    store.add_episode(flown(), "someone")
+    with store._database.writing() as connection:
+        connection.execute("CREATE TRIGGER full BEFORE INSERT ON optima BEGIN SELECT RAISE(ABORT, 'disk is full'); END")
+    (listed,) = store.listed(9, patience=240)
+    assert (listed.episode, listed.solved, listed.optimum) == (store.latest(1)[0], False, None)
+    analysis = store.analysis("easy", patience=240)
+    assert (analysis.episodes, analysis.regret_episodes, analysis.mean_regret) == (1, 0, None)
+    assert caplog.text.count("optima of easy_delivery could not be solved or kept: store ") == 2
+    with store._database.writing() as connection:
+        connection.execute("DROP TRIGGER full")
+    assert store.listed(9, patience=240)[0].optimum == solve("easy", 7).score
 
 
 def test_maps_too_large_to_be_solved_are_left_out_of_regret() -> None:

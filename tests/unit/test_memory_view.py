@@ -9,7 +9,7 @@ import pytest
 
 from drone_env.episodes.memory_view import MemoryView
 from drone_env.episodes.store import FILE_NAME, Store, StoredEpisode
-from tests.unit.stores import eventually, flown, view
+from tests.unit.stores import eventually, finish_in, flown, opened, view
 
 
 def test_the_view_is_there_from_the_start_and_ends_with_the_last_episode(tmp_path: Path) -> None:
@@ -18,7 +18,14 @@ def test_the_view_is_there_from_the_start_and_ends_with_the_last_episode(tmp_pat
         store.add_episode(flown(seed=1), "ace")
         eventually(lambda: view(tmp_path) == store.latest(1))
         store.add_episode(flown(seed=2), "ace")
+        # Until the thread that writes has looked for the last time: what follows has to wake it.
+        store._view._thread.submit(lambda: None).result()
+        session_id = opened(store, seed=3)
+        with store.session(session_id) as row:
+            finish_in(row, flown(seed=3))
+        eventually(lambda: view(tmp_path) == store.latest(9)[::-1])
         expected = store.latest(9)[::-1]
+        assert [stored.record.seed for stored in expected] == [1, 2, 3]
     assert view(tmp_path) == expected
     assert sorted(path.name for path in tmp_path.iterdir()) == [FILE_NAME, "memory.json"]
 
@@ -71,6 +78,26 @@ def test_a_view_that_was_lost_or_spoilt_is_made_anew(tmp_path: Path) -> None:
         assert view(tmp_path) == whole
 
 
+def test_a_file_of_another_program_is_kept_under_another_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "memory.json"
+    others = [b'[{"task": "easy_delivery", "total_reward": 4.5}]', b"[]", b'{"episodes": []}']
+    path.write_bytes(others[0])
+    with Store(tmp_path) as store:
+        assert view(tmp_path) == []
+        path.write_bytes(others[1])
+        store.add_episode(flown(), "ace")
+    assert len(view(tmp_path)) == 1
+    path.write_bytes(others[2])
+    for _ in range(2):
+        Store(tmp_path).close()
+        assert len(view(tmp_path)) == 1
+    kept = [tmp_path / f"memory.kept-{number}.json" for number in (1, 2, 3)]
+    assert [one.read_bytes() for one in kept] == others
+    assert sorted(tmp_path.glob("memory*")) == sorted([path, *kept])
+    for one in kept:
+        assert f"{path} was not written by drone-env: it is kept as {one}" in caplog.text
+
+
 def test_an_episode_counts_as_stored_even_where_the_view_cannot_be_written(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -79,6 +106,7 @@ def test_an_episode_counts_as_stored_even_where_the_view_cannot_be_written(
         episode_id = store.add_episode(flown(), "ace")
         assert store.episode(episode_id).id == episode_id
     assert "memory.json could not be written" in caplog.text
+    assert list(tmp_path.glob("memory*")) == [tmp_path / "memory.json"]
     assert [path for path in tmp_path.iterdir() if path.suffix == ".part"] == []
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from drone_env.core.state_manager import Episode
+from drone_env.episodes.clock import steady_clock
 from drone_env.episodes.record import record_of
 from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.errors import (
@@ -239,6 +240,35 @@ def test_idle_sessions_expire_and_used_ones_do_not(store: Store) -> None:
     assert store.expire_sessions(60) == []
     with pytest.raises(NoSessionError):
         store.read_session(idle)
+
+
+def test_sessions_are_idle_by_a_clock_that_nobody_sets(tmp_path: Path) -> None:
+    wall, steady = 1_000_000.0, 50.0
+    with Store(tmp_path, steady_clock(lambda: wall, lambda: steady)) as store:
+        session_id = opened(store)
+        assert store.read_session(session_id).touched_at.timestamp() == wall
+        for jump in (3600, -7200):
+            wall += jump
+            assert store.expire_sessions(60) == []
+        steady += 59
+        assert store.expire_sessions(60) == []
+        steady += 1
+        assert store.expire_sessions(60) == [session_id]
+
+
+def test_a_clock_that_was_set_back_between_two_starts_lets_no_session_live_longer(tmp_path: Path) -> None:
+    now = 1_000_000.0
+    with Store(tmp_path, lambda: now) as store:
+        older = opened(store)
+        now += 30
+        newer = opened(store)
+    now -= 3600
+    with Store(tmp_path, lambda: now) as store:
+        assert store.expire_sessions(60) == []
+        now += 30
+        assert store.expire_sessions(60) == [older]
+        now += 30
+        assert store.expire_sessions(60) == [newer]
 
 
 def test_a_block_inside_a_block_is_an_error_and_no_deadlock(store: Store) -> None:

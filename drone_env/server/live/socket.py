@@ -35,7 +35,7 @@ from drone_env.server.live.feeds import Feed
 from drone_env.server.live.missions import LiveMission
 from drone_env.server.live.values import ExactValues
 from drone_env.server.pilots import PILOTS, agent_of
-from drone_env.server.problems import printable, status_of
+from drone_env.server.problems import FAILED, printable, status_of
 from drone_env.server.schemas import EpisodeSummary, ResetOptions
 from drone_env.server.state import Shared
 
@@ -131,15 +131,13 @@ class Cockpit:
             # Where more has come already, nothing above needs to wait: others get their turn.
             await asyncio.sleep(0)
 
-    async def _answering(self, act: Callable[..., Any], *arguments: Any) -> bool:
-        """Do something; what goes wrong is told to the page. Whether it went well."""
+    async def _answering(self, act: Callable[..., Any], *arguments: Any, told: bool = False) -> bool:
+        """Do something; what goes wrong is told to the page, unless that has been told. Whether it went well."""
         try:
             await act(*arguments)
-        except (DroneEnvError, OSError) as error:
-            status, code = status_of(error, "") if isinstance(error, DroneEnvError) else (503, "unavailable")
-            if status == 500:
-                log.error("/live failed", exc_info=error)
-            await self._send({"type": "error", "code": code, "detail": printable(str(error))})
+        except Exception as error:
+            if not told:
+                await self._send({"type": "error", **_problem(error)})
             return False
         return True
 
@@ -218,7 +216,7 @@ class Cockpit:
             if mission.episode.ended:
                 await self._tell_end(number, mission)
         if missions:
-            self._tasks.start_soon(self._tell_values, missions)
+            self._tasks.start_soon(self._answering, self._tell_values, missions)
 
     async def _tell(self, moved: Moved) -> None:
         frames = [{"mission": i, "frame": frame.model_dump()} for i, new in moved for frame in new]
@@ -285,10 +283,11 @@ class Cockpit:
                 await self._set_playing(False)
 
     async def _tell_news(self) -> None:
+        failing = False
         while True:
             feed = self._feed
             if feed is not None and feed.topics:
-                await self._answering(self._send_news, feed)
+                failing = not await self._answering(self._send_news, feed, told=failing)
             await asyncio.sleep(FEED_SECONDS)
 
     async def _send_news(self, feed: Feed) -> None:
@@ -301,6 +300,19 @@ class Cockpit:
         # Where it goes just now, `_listen` hears of that, after the last that the page has said.
         with suppress(WebSocketDisconnect, OSError):
             await self._socket.send_text(to_json(message).decode())
+
+
+def _problem(error: Exception) -> dict[str, str]:
+    """What a page is told of an error."""
+    status, code = 500, "internal"
+    if isinstance(error, DroneEnvError):
+        status, code = status_of(error, "")
+    elif isinstance(error, OSError):
+        status, code = 503, "unavailable"
+    if status == 500:
+        # Unforeseen: a page that lost its connection for it would come back, and meet it again, for ever.
+        log.error("/live failed", exc_info=error)
+    return {"code": code, "detail": FAILED if status == 500 else printable(str(error))}
 
 
 def _end_all(missions: Sequence[LiveMission]) -> None:

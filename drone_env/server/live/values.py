@@ -1,6 +1,7 @@
 """What can still be reached on the maps that are being flown: exact solvers, made in the background."""
 
 import asyncio
+import logging
 import threading
 from collections import Counter, OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -9,12 +10,16 @@ from typing import TYPE_CHECKING
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError
+from drone_env.server.problems import RequestError
 
 if TYPE_CHECKING:
     from drone_env.planning.exact import ExactSolver
 
+log = logging.getLogger(__name__)
+
 MAX_BYTES = 256 << 20
 """Memory that the solvers may take together; a map of skyline_hard takes up to 70 MB, one of hard 4 MB."""
+UNSOLVED = "What can still be reached on this map could not be worked out; the server's log says why."
 Map = tuple[TaskConfig, int]
 
 
@@ -43,6 +48,9 @@ class ExactValues:
         """Wait until a map is solved: `get` has its solver then, unless the map is too large.
 
         One that nobody waits for any more is not begun.
+
+        Raises:
+            RequestError: if it failed for another reason, which has been logged; the next call tries anew.
         """
         key = (task, seed)
         with self._lock:
@@ -73,15 +81,19 @@ class ExactValues:
         self._thread.shutdown(cancel_futures=True)
 
     def _solve(self, key: Map) -> None:
-        # Loads Numba, which no server needs that only flies.
-        from drone_env.planning.exact import ExactSolver
-
-        episode = Episode(key[0], "score")
-        episode.reset(key[1])
+        solver = None
         try:
-            solver = ExactSolver(episode)
+            solver = _solver_of(key)
         except TooLargeError:
-            solver = None
+            pass
+        except Exception as error:
+            log.exception("what can be reached on map %d of %s could not be worked out", key[1], key[0].id)
+            raise RequestError(503, "no_values", UNSOLVED) from error
+        finally:
+            # Whatever went wrong: who asks next has it tried anew.
+            self._keep(key, solver)
+
+    def _keep(self, key: Map, solver: "ExactSolver | None") -> None:
         with self._lock:
             del self._pending[key]
             if solver is None:
@@ -89,3 +101,12 @@ class ExactValues:
             self._solvers[key] = solver
             while len(self._solvers) > 1 and sum(kept.nbytes for kept in self._solvers.values()) > MAX_BYTES:
                 self._solvers.popitem(last=False)
+
+
+def _solver_of(key: Map) -> "ExactSolver":
+    # Loads Numba, which no server needs that only flies.
+    from drone_env.planning.exact import ExactSolver
+
+    episode = Episode(key[0], "score")
+    episode.reset(key[1])
+    return ExactSolver(episode)

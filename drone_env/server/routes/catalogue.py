@@ -6,8 +6,10 @@ from drone_env import __version__
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
+from drone_env.errors import StoreError
 from drone_env.server.pilots import HUMAN, PILOTS, tasks_of
 from drone_env.server.predict import TRAINED
+from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import (
     GraderInfo,
     GraderList,
@@ -72,7 +74,13 @@ def pilots(shared: SharedParts) -> PilotList:
 
 
 @router.head("/health", include_in_schema=False)
-@router.get("/health")
-async def health() -> Health:
-    """Whether the server is well; answered without a token."""
+@router.get("/health", responses=answers(503))
+async def health(shared: SharedParts) -> Health:
+    """Whether the server is well, and its files where they belong; answered without a token."""
+    try:
+        shared.store.check()
+    except StoreError:
+        # Not the error itself: no stranger needs to know where the folder is.
+        told = "files of the data folder were deleted, moved or replaced while they were in use: nothing more is kept"
+        raise RequestError(503, "store", f"{told} until they are back, or the server is started again") from None
     return Health(version=__version__)

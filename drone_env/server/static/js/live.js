@@ -3,6 +3,11 @@ import { address } from "./api.js";
 
 const WAITS = [500, 1000, 2000, 4000, 8000];
 const NOT_ALLOWED = 1008;
+const TRY_LATER = 1013;
+/** A connection that lasts so long, in milliseconds, is a good one. */
+const STEADY = 10_000;
+/** So many in a row that the server has ended sooner, and it is for the visitor to say that another is tried. */
+const MOST_ENDED = 5;
 
 /**
  * @typedef {"connecting"|"open"|"away"|"refused"} LinkState
@@ -18,7 +23,9 @@ export class Live {
     this.topics = new Map();
     this.state = "connecting";
     this.failures = 0;
+    this.ended = 0;
     this.timer = 0;
+    this.steady = 0;
     this.socket = null;
   }
 
@@ -32,6 +39,7 @@ export class Live {
   /** Connects, or connects anew at once. */
   connect() {
     clearTimeout(this.timer);
+    clearTimeout(this.steady);
     if (this.socket) this.socket.onclose = this.socket.onmessage = this.socket.onopen = null;
     this.socket?.close();
     const url = address("live");
@@ -71,7 +79,9 @@ export class Live {
   }
 
   opened() {
-    this.failures = 0;
+    this.steady = setTimeout(() => {
+      this.failures = this.ended = 0;
+    }, STEADY);
     this.change("open", 0, "");
     if (this.topics.size) this.sendTopics();
   }
@@ -83,6 +93,13 @@ export class Live {
   closed(event) {
     if (event.code === NOT_ALLOWED) {
       this.change("refused", 0, event.reason);
+      return;
+    }
+    clearTimeout(this.steady);
+    // What comes back and does the same again may be what ends it.
+    if (this.state === "open" && event.code !== TRY_LATER) this.ended += 1;
+    if (this.ended >= MOST_ENDED) {
+      this.change("refused", 0, `it has ended ${this.ended} in a row`);
       return;
     }
     const wait = WAITS[Math.min(this.failures, WAITS.length - 1)];
