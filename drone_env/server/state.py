@@ -47,6 +47,7 @@ class Shared:
         self.networks = Networks(settings.weights, settings.data)
         self._sessions: Sessions | None = None
         self._studies: anyio.CapacityLimiter | None = None
+        self._studying = 0
         self._warm: set[TaskConfig] = set()
 
     def warm_up(self, task: str | TaskConfig) -> None:
@@ -67,9 +68,14 @@ class Shared:
         """
         if self._studies is None:  # made here, in the event loop that it belongs to
             self._studies = anyio.CapacityLimiter(STUDIES)
-        if self._studies.statistics().tasks_waiting >= WAITING_STUDIES:
+        # Counted here: whoever has just come does not wait at the limiter yet.
+        if self._studying >= STUDIES + WAITING_STUDIES:
             raise RequestError(503, "busy", f"{WAITING_STUDIES} flights are waiting to be looked at: try again later")
-        return await anyio.to_thread.run_sync(work, limiter=self._studies)
+        self._studying += 1
+        try:
+            return await anyio.to_thread.run_sync(work, limiter=self._studies)
+        finally:
+            self._studying -= 1
 
     @property
     def sessions(self) -> Sessions:
