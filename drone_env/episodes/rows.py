@@ -174,6 +174,18 @@ def unnamed_session(connection: sqlite3.Connection, address: str, oldest: bool) 
     return None if found is None else found[0]
 
 
+def update_session(connection: sqlite3.Connection, session_id: str, row: SessionRow, now: float) -> None:
+    """Write a session as it stands, used just now."""
+    connection.execute(
+        "UPDATE sessions SET task = ?, task_version = ?, seed = ?, reward_profile = ?, agent = ?, actions = ?, "
+        "episode_id = ?, touched_at = ?, address = ? WHERE id = ?",
+        (
+            *(row.task, row.task_version, row.seed, row.reward_profile, row.agent),
+            *("".join(map(str, row.actions)), row.episode_id, now, row.address, session_id),
+        ),
+    )
+
+
 def end_session(connection: sqlite3.Connection, session_id: str, now: float) -> None:
     """Take a session out, and remember since when it is gone."""
     connection.execute("DELETE FROM sessions WHERE id = ?", (session_id,))

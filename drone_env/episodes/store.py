@@ -35,6 +35,7 @@ from drone_env.episodes.rows import (
     selection,
     session_row,
     unnamed_session,
+    update_session,
 )
 from drone_env.episodes.sessions import EPISODE_ID, SessionRow, known_task, new_episode_id
 from drone_env.errors import CapacityError, InvalidValueError, UnknownNameError
@@ -288,22 +289,7 @@ class Store:
             yield row
             for stored in row.finished:
                 insert_episode(connection, stored)
-            connection.execute(
-                "UPDATE sessions SET task = ?, task_version = ?, seed = ?, reward_profile = ?, agent = ?, actions = ?, "
-                "episode_id = ?, touched_at = ?, address = ? WHERE id = ?",
-                (
-                    row.task,
-                    row.task_version,
-                    row.seed,
-                    row.reward_profile,
-                    row.agent,
-                    "".join(map(str, row.actions)),
-                    row.episode_id,
-                    self._clock(),
-                    row.address,
-                    session_id,
-                ),
-            )
+            update_session(connection, session_id, row, self._clock())
         if row.finished:
             self._view.refresh()
 

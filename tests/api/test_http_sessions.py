@@ -3,24 +3,22 @@
 import shutil
 import sqlite3
 import time
-from collections.abc import Callable, Generator
-from contextlib import ExitStack
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
 
-from drone_env.client import DroneEnvClient, ServerError
+from drone_env.client import DroneEnvClient
 from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.models import DroneAction, DroneObservation
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
-from drone_env.server.local import local_address
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.sessions import Sessions
 from drone_env.server.settings import Settings
-from tests.api.conftest import Clock, NoCookies
+from tests.api.conftest import Clock
 from tests.api.test_flight import flown
 
 Header = dict[str, str]
@@ -176,131 +174,6 @@ class TestSessions:
             two.post("/reset", json={"seed": 1}, headers=session)
             two.post("/step", json={"direction": "LEFT"}, headers=session)
             assert [point["action"] for point in one.get("/state", headers=session).json()["path_history"]] == ["LEFT"]
-
-
-class TestUnnamed:
-    """Programs on the server's own machine that name no session: curl without a jar, `requests.post`."""
-
-    HERE = "127.0.0.1"
-
-    @pytest.fixture
-    def start(self, settings: dict[str, Any]) -> Generator[Callable[..., TestClient], None, None]:
-        """Starts a server, and gives one who calls it."""
-        with ExitStack() as running:
-
-            def started(server: str = self.HERE, caller: str = self.HERE, **more: Any) -> TestClient:
-                app = create_app(Settings(**settings | more))
-                client = running.enter_context(TestClient(app, f"http://{server}:8000", client=(caller, 5000)))
-                client.cookies.jar.set_policy(NoCookies())
-                return client
-
-            yield started
-
-    @pytest.fixture
-    def plain(self, start: Callable[..., TestClient]) -> TestClient:
-        return start()
-
-    @pytest.mark.feature("H2", "H3", "H4", "H6")
-    def test_they_fly_one_session_which_the_answers_name(self, plain: TestClient) -> None:
-        opened = plain.post("/reset", json={"seed": 14})
-        session = opened.json()["session_id"]
-        answers = [opened]
-        for direction in ("LEFT", "UP", "UP"):
-            answers.append(plain.post("/predict"))
-            answers.append(plain.post("/step", json={"direction": direction}))
-        assert answers[-1].json()["done"]
-        for path in ("/state", "/grade/easy", "/path_history", "/solution"):
-            answers.append(plain.get(path))
-        assert answers[-4].json()["step_count"] == 3
-        told = {(a.status_code, a.headers["X-Session-Id"], a.headers["X-Session-Shared"]) for a in answers}
-        assert told == {(200, session, self.HERE)}
-        assert plain.post("/reset").json()["session_id"] == session
-        assert plain.delete("/session").status_code == 204
-        assert plain.get("/state").status_code == 409
-
-    def test_a_session_that_somebody_names_is_shared_with_nobody(self, plain: TestClient) -> None:
-        def step(session: str) -> int:
-            header = {"X-Session-Id": session} if session else {}
-            return plain.post("/step", json=UP, headers=header).json()["step_count"]
-
-        first, second = (plain.post("/reset").json()["session_id"] for _ in range(2))
-        assert [step(first), step(second), step(second)] == [1, 1, 2]
-        assert plain.post("/step", json=UP).status_code == 409
-        shared = plain.post("/reset").json()["session_id"]
-        assert [step(""), step(first), step(""), step(shared)] == [1, 2, 2, 3]
-        assert plain.post("/step", json=UP).status_code == 409, "the shared one is named by now"
-        # So is the session that somebody has opened and not flown yet: the next to name none gets another.
-        assert len({plain.post("/reset").json()["session_id"] for _ in range(3)}) == 3
-
-    def test_our_client_and_browsers_share_with_nobody(self, plain: TestClient) -> None:
-        plain.post("/reset")
-        plain.post("/step", json=UP)
-        with DroneEnvClient(http=plain) as one, DroneEnvClient(http=plain) as other:
-            with pytest.raises(ServerError, match="names no session"):
-                one.step("UP")
-            for drone in (one, other):
-                drone.reset(seed=7)
-            assert [one.step("UP")["step_count"], other.step("UP")["step_count"]] == [1, 1]
-        plain.post("/reset", headers={"Origin": "http://127.0.0.1:8000"})
-        plain.post("/reset", headers={"Sec-Fetch-Site": "same-origin"})
-        assert plain.get("/state").json()["step_count"] == 1
-
-    @pytest.mark.parametrize(
-        "header",
-        [
-            {"X-Forwarded-For": "127.0.0.1"},
-            {"X-Forwarded-Proto": "http"},
-            {"Forwarded": "for=127.0.0.1"},
-            {"X-Real-IP": "127.0.0.1"},
-            {"Via": "1.1 proxy"},
-            {"Host": "drone.example"},
-            {"Origin": "http://127.0.0.1:8000"},
-            {"Sec-Fetch-Site": "none"},
-            {"X-Session-Id": "new"},
-        ],
-    )
-    def test_what_comes_from_elsewhere_has_to_name_one(self, start: Callable[..., TestClient], header: Header) -> None:
-        client = start(allowed_hosts=("drone.example",))
-        client.post("/reset")
-        assert client.post("/step", json=UP).status_code == 200
-        refused = client.post("/step", json=UP, headers=header)
-        assert (refused.status_code, refused.json()["code"]) == (409, "no_session")
-        assert "X-Session-Id: SESSION_ID" in refused.json()["detail"]
-        opened = client.post("/reset", headers=header)
-        assert "X-Session-Shared" not in opened.headers
-        assert client.get("/state").json()["step_count"] == 1, "it has a session of its own"
-
-    @pytest.mark.parametrize(
-        "public",
-        [{"server": "10.0.0.1"}, {"caller": "10.0.0.2"}, {"host": "0.0.0.0"}, {"token": "secret"}],
-    )
-    def test_on_a_server_that_others_reach_everybody_has_to(
-        self, start: Callable[..., TestClient], public: dict[str, Any]
-    ) -> None:
-        client = start(**public)
-        token = {"Authorization": "Bearer secret"}
-        assert "X-Session-Shared" not in client.post("/reset", headers=token).headers
-        assert client.post("/step", json=UP, headers=token).status_code == 409
-
-    def test_what_speaks_http_1_0_is_taken_for_a_proxy(self) -> None:
-        scope: dict[str, Any] = {"server": (self.HERE, 8000), "client": (self.HERE, 5000)}
-        scope["headers"] = [(b"host", b"localhost:8000")]
-        asked = {version: local_address(scope | {"http_version": version}, self.HERE) for version in ("1.1", "1.0")}
-        assert asked == {"1.1": self.HERE, "1.0": None}
-
-    def test_they_take_no_more_places_than_there_are(self, start: Callable[..., TestClient]) -> None:
-        client = start(capacity=3)
-        named = {"X-Session-Id": client.post("/reset", json={"seed": 7}).json()["session_id"]}
-        assert client.post("/step", json=UP, headers=named).status_code == 200
-        for seed in range(9):
-            assert client.post("/reset", json={"seed": seed}).status_code == 200
-            assert client.get("/state").json()["seed"] == seed
-        assert client.get("/state", headers=named).json()["step_count"] == 1
-
-    def test_all_workers_know_their_session(self, start: Callable[..., TestClient]) -> None:
-        one, other = start(), start()
-        one.post("/reset")
-        assert [worker.post("/step", json=UP).json()["step_count"] for worker in (other, one)] == [1, 2]
 
 
 class TestEndOfSession:

@@ -1,6 +1,5 @@
 """The WebSocket of the page: missions that fly by themselves or by hand, and come back after a loss."""
 
-import base64
 import itertools
 import json
 import threading
@@ -10,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from starlette.testclient import TestClient, WebSocketTestSession
-from starlette.websockets import WebSocketDisconnect
+from starlette.testclient import TestClient
 
 from drone_env.agents import make_agent
 from drone_env.analysis import analyse_actions
@@ -19,54 +17,12 @@ from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.models import DroneObservation
-from drone_env.planning import exact
 from drone_env.planning.exact import ExactSolver
 from drone_env.server.app import create_app
-from drone_env.server.live.commands import MOST_MISSIONS
-from drone_env.server.live.feeds import Feed
-from drone_env.server.live.missions import LiveMission
-from drone_env.server.live.values import UNSOLVED
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
+from tests.api.live_page import Message, Page
 from tests.api.networks import put_trained
-
-Message = dict[str, Any]
-
-
-class Page:
-    """A page that has opened `/live`."""
-
-    def __init__(self, socket: WebSocketTestSession) -> None:
-        self.socket = socket
-        self.ended: list[int] = []
-        """The missions that were told to have ended, while they flew by themselves."""
-
-    def send(self, kind: str, **fields: Any) -> None:
-        self.socket.send_text(json.dumps({"type": kind, **fields}))
-
-    def until(self, kind: str) -> Message:
-        """The next message of a kind; others are read over, but for errors."""
-        while True:
-            message = json.loads(self.socket.receive_text())
-            if message["type"] == kind:
-                return message
-            assert message["type"] != "error", message
-
-    def start(self, *pilots: str, task: str = "easy", seed: int | None = 7, **fields: Any) -> list[Message]:
-        self.send("start", task=task, seed=seed, pilots=pilots, **fields)
-        return self.until("missions")["missions"]
-
-    def flight(self) -> dict[int, list[Message]]:
-        """The frames of each mission until all have ended."""
-        frames: dict[int, list[Message]] = {}
-        while True:
-            message = json.loads(self.socket.receive_text())
-            for moved in message["frames"] if message["type"] == "frames" else ():
-                frames.setdefault(moved["mission"], []).append(moved["frame"])
-            if message["type"] == "ended":
-                self.ended.append(message["mission"])
-            if message["type"] == "playing" and not message["playing"]:
-                return frames
 
 
 def flown(task: str, seed: int, agent: str, profile: str = "tiered") -> Episode:
@@ -131,8 +87,8 @@ def test_a_broken_network_grounds_its_own_pilot_alone(client: TestClient, settin
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
         page.send("start", task="easy", seed=7, pilots=["greedy", "trained"])
-        told = json.loads(socket.receive_text())
-        assert (told["type"], told["code"]) == ("error", "no_network")
+        told = page.until("error")
+        assert told["code"] == "no_network"
         assert "easy.npz is not an exported network" in told["detail"]
         shipped, greedy = page.start("pathqnet", "greedy")
         assert shipped["frames"][0]["q_values"] is not None
@@ -140,8 +96,9 @@ def test_a_broken_network_grounds_its_own_pilot_alone(client: TestClient, settin
         page.send("step")
         assert [moved["mission"] for moved in page.until("frames")["frames"]] == [0, 1]
         page.send("start", task="medium", seed=7, pilots=["trained"])
-        told = json.loads(socket.receive_text())
-        assert (told["type"], told["code"]) == ("error", "unsupported")
+        # The values of the map before may come meanwhile.
+        told = page.until("error")
+        assert told["code"] == "unsupported"
         assert "there is no network for 'medium_delivery'" in told["detail"]
     assert client.get("/health").status_code == 200
 
@@ -312,207 +269,6 @@ def test_an_open_page_keeps_its_paused_mission(tmp_path: Path, clock: Clock, eve
         eventually(lambda: not app.state.live.cockpits)
         clock.now += 1
         eventually(lambda: client.get("/state", headers=header).status_code == 410)
-
-
-@pytest.mark.parametrize(
-    ("frame", "code"),
-    [
-        ("", "invalid_request"),
-        ("[]", "invalid_request"),
-        ("NaN", "invalid_request"),
-        ({"type": "land"}, "invalid_request"),
-        ({"type": "start", "task": "easy", "pilots": []}, "invalid_request"),
-        ({"type": "start", "task": "easy", "pilots": ["greedy"] * (MOST_MISSIONS + 1)}, "invalid_request"),
-        ({"type": "start", "task": "easy", "pilots": ["greedy"], "seed": -1}, "invalid_request"),
-        ({"type": "start", "task": "easy", "pilots": ["ghost"]}, "unknown_name"),
-        ({"type": "start", "task": "nowhere", "pilots": ["greedy"]}, "unknown_name"),
-        ({"type": "start", "task": "easy", "pilots": ["greedy"], "reward_profile": "gold"}, "unknown_name"),
-        ({"type": "start", "task": "skyline_easy", "pilots": ["greedy", "pathqnet"]}, "unsupported"),
-        ({"type": "attach", "sessions": ["nobody"]}, "session_gone"),
-        ({"type": "fly", "direction": "UP"}, "wrong_moment"),
-        ({"type": "fly", "direction": "UP", "mission": 3}, "unknown_name"),
-        ({"type": "fly", "direction": "up"}, "invalid_request"),
-        ({"type": "play", "speed": 1e9}, "invalid_request"),
-        ({"type": "subscribe", "topics": ["passwords"]}, "invalid_request"),
-    ],
-)
-def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestClient, frame: Any, code: str) -> None:
-    with shared_client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        (shown,) = page.start("greedy")
-        page.until("values")
-        socket.send_text(frame if isinstance(frame, str) else json.dumps(frame))
-        message = json.loads(socket.receive_text())
-        assert (message["type"], message["code"]) == ("error", code)
-        assert message["detail"]
-        page.send("step")
-        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
-        state = shared_client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()
-        assert state["step_count"] == 1
-
-
-def test_a_session_that_is_not_the_page_s_is_refused(client: TestClient, session: dict[str, str]) -> None:
-    with client.websocket_connect("/live") as socket:
-        socket.send_text(json.dumps({"type": "attach", "sessions": [session["X-Session-Id"]]}))
-        assert json.loads(socket.receive_text())["code"] == "wrong_moment"
-
-
-@pytest.mark.parametrize(("seed", "steps"), [(8, 0), (7, 2)])
-def test_a_session_that_was_taken_elsewhere_is_not_flown(client: TestClient, seed: int, steps: int) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        header = {"X-Session-Id": page.start("greedy")[0]["mission"]["session"]}
-        page.until("values")
-        page.send("step")
-        page.until("frames")
-        client.post("/reset", headers=header, json={"seed": seed, "agent": "greedy"})
-        for _ in range(steps):
-            client.post("/step", headers=header, json={"direction": "WAIT"})
-        page.send("step")
-        message = json.loads(socket.receive_text())
-        assert (message["type"], message["code"]) == ("error", "session_gone")
-        assert client.get("/state", headers=header).json()["step_count"] == steps
-        # Gone altogether, it is in nobody's way.
-        client.delete("/session", headers=header)
-        assert page.start("greedy")
-
-
-def test_after_the_end_nobody_flies_on_by_hand(client: TestClient) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        page.start("human")
-        for _ in range(60):
-            page.send("fly", direction="WAIT")
-        assert page.until("ended")["episode"]["steps"] == 60
-        page.until("values")
-        page.send("fly", direction="WAIT")
-        page.send("land")  # answered in any case
-        message = json.loads(socket.receive_text())
-        assert (message["type"], message["code"]) == ("error", "wrong_moment")
-        assert "start another" in message["detail"]
-
-
-def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
-    client: TestClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as today, client.websocket_connect("/live") as socket:
-        today.setattr(exact, "map_graph", lambda _: {}[0])
-        page = Page(socket)
-        (shown,) = page.start("greedy")
-        refused = json.loads(socket.receive_text())
-        assert (refused["type"], refused["code"], refused["detail"]) == ("error", "no_values", UNSOLVED)
-        page.send("step")
-        assert page.until("frames")["frames"][0]["frame"]["value"] is None
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        page.send("attach", sessions=[shown["mission"]["session"]])
-        assert len(page.until("missions")["missions"][0]["frames"]) == 2
-        assert len(page.until("values")["values"]) == 2
-
-
-def test_what_nobody_foresaw_ends_no_connection(
-    client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        page.start("greedy")
-        page.until("values")
-        with monkeypatch.context() as today:
-            today.setattr(LiveMission, "step", lambda _: {}["a fault"])
-            page.send("step")
-            message = json.loads(socket.receive_text())
-            assert (message["type"], message["code"]) == ("error", "internal")
-            assert message["detail"] == "the server failed; its log says why"
-        assert "KeyError: 'a fault'" in caplog.text
-        page.send("step")
-        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
-
-
-def test_news_that_cannot_be_told_are_an_error_once(
-    client: TestClient, monkeypatch: pytest.MonkeyPatch, eventually: Callable[[Callable[[], bool]], None]
-) -> None:
-    asked: list[Feed] = []
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        with monkeypatch.context() as today:
-            today.setattr(Feed, "news", lambda feed: asked.append(feed) or {}["a fault"])
-            page.send("subscribe", topics=["training"])
-            assert json.loads(socket.receive_text())["type"] == "error"
-            eventually(lambda: len(asked) > 2)
-        assert page.until("training")["lines"] == []
-
-
-def test_news_of_the_server(
-    client: TestClient, settings: dict[str, Any], eventually: Callable[[Callable[[], bool]], None]
-) -> None:
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        client.get("/health")
-        page.send("subscribe", topics=["requests", "training", "episodes"])
-        assert [request["path"] for request in page.until("requests")["requests"]] == ["/health"]
-        assert page.until("training")["lines"] == []
-        assert page.until("episodes")["episodes"] == []
-        (settings["data"] / "train.log").write_text("<b>episode 1</b>\n")
-        assert page.until("training")["lines"] == ["<b>episode 1</b>"]
-        for agent in ("<i>me</i>", "another"):
-            header = {"X-Session-Id": client.post("/reset", json={"seed": 7, "agent": agent}).json()["session_id"]}
-            observation = {"done": False}
-            while not observation["done"]:
-                observation = client.post("/step", headers=header, json={"direction": "WAIT"}).json()
-            # What was told before is not told again.
-            (episode,) = page.until("episodes")["episodes"]
-            assert (episode["agent"], episode["steps"], episode["success"]) == (agent, 60, False)
-        assert episode["regret"] == episode["optimal_score"] - episode["score"]
-        page.send("subscribe", topics=[])
-        client.get("/health")
-        page.send("start", task="easy", pilots=["greedy"])
-        page.until("missions")
-
-
-class TestToken:
-    @pytest.fixture
-    def settings(self, tmp_path: Path) -> dict[str, Any]:
-        return {"data": tmp_path, "token": "s3cret/+?"}
-
-    def test_a_page_offers_the_token_as_a_subprotocol(self, client: TestClient) -> None:
-        offered = base64.urlsafe_b64encode(b"s3cret/+?").decode().rstrip("=")
-        with client.websocket_connect("/live", subprotocols=["drone-env", f"bearer.{offered}"]) as socket:
-            assert socket.accepted_subprotocol == "drone-env"
-            assert Page(socket).start("greedy")
-
-    @pytest.mark.parametrize("offered", [[], ["drone-env"], ["drone-env", "bearer.wrong"], ["bearer.!"]])
-    def test_without_it_nothing_is_opened(self, client: TestClient, offered: list[str]) -> None:
-        with pytest.raises(WebSocketDisconnect), client.websocket_connect("/live", subprotocols=offered):
-            raise AssertionError("opened")
-
-    def test_the_page_itself_is_open_and_nothing_behind_it(self, client: TestClient) -> None:
-        assert client.get("/").status_code == 200
-        assert client.get("/static/js/main.js").status_code == 200
-        for path in ("/tasks", "/static/../tasks", "/static/splits", "/static/js", "/episodes", "/staticx"):
-            assert client.get(path).status_code == 401
-
-
-def test_a_full_house_of_pages_is_told_so(tmp_path: Path) -> None:
-    with (
-        TestClient(create_app(Settings(data=tmp_path, capacity=2))) as client,
-        client.websocket_connect("/live") as socket,
-        client.websocket_connect("/live"),
-    ):
-        page = Page(socket)
-        (shown,) = page.start("greedy")
-        with client.websocket_connect("/live") as late, pytest.raises(WebSocketDisconnect) as closed:
-            late.receive_text()
-        assert closed.value.code == 1013
-        page.send("start", task="easy", pilots=["greedy", "random"], seed=7)
-        message = json.loads(socket.receive_text())
-        while message["type"] != "error":
-            message = json.loads(socket.receive_text())
-        assert message["code"] == "no_room"
-        # The place that the first of the two had is free again, and the mission before them is flown on.
-        assert client.post("/reset").status_code == 200
-        page.send("step")
-        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
-        assert client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()["step_count"] == 1
 
 
 def test_the_observation_model_still_fits(client: TestClient) -> None:

@@ -1,0 +1,44 @@
+"""A page that has opened `/live`, for tests."""
+
+import json
+from typing import Any
+
+from starlette.testclient import WebSocketTestSession
+
+Message = dict[str, Any]
+
+
+class Page:
+    """A page that has opened `/live`."""
+
+    def __init__(self, socket: WebSocketTestSession) -> None:
+        self.socket = socket
+        self.ended: list[int] = []
+        """The missions that were told to have ended, while they flew by themselves."""
+
+    def send(self, kind: str, **fields: Any) -> None:
+        self.socket.send_text(json.dumps({"type": kind, **fields}))
+
+    def until(self, kind: str) -> Message:
+        """The next message of a kind; others are read over, but for errors."""
+        while True:
+            message = json.loads(self.socket.receive_text())
+            if message["type"] == kind:
+                return message
+            assert message["type"] != "error", message
+
+    def start(self, *pilots: str, task: str = "easy", seed: int | None = 7, **fields: Any) -> list[Message]:
+        self.send("start", task=task, seed=seed, pilots=pilots, **fields)
+        return self.until("missions")["missions"]
+
+    def flight(self) -> dict[int, list[Message]]:
+        """The frames of each mission until all have ended."""
+        frames: dict[int, list[Message]] = {}
+        while True:
+            message = json.loads(self.socket.receive_text())
+            for moved in message["frames"] if message["type"] == "frames" else ():
+                frames.setdefault(moved["mission"], []).append(moved["frame"])
+            if message["type"] == "ended":
+                self.ended.append(message["mission"])
+            if message["type"] == "playing" and not message["playing"]:
+                return frames

@@ -1,0 +1,221 @@
+"""The WebSocket of the page: what is refused, what fails, and who is let in."""
+
+import base64
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from drone_env.planning import exact
+from drone_env.server.app import create_app
+from drone_env.server.live.commands import MOST_MISSIONS
+from drone_env.server.live.feeds import Feed
+from drone_env.server.live.missions import LiveMission
+from drone_env.server.live.values import UNSOLVED
+from drone_env.server.settings import Settings
+from tests.api.live_page import Page
+
+
+@pytest.mark.parametrize(
+    ("frame", "code"),
+    [
+        ("", "invalid_request"),
+        ("[]", "invalid_request"),
+        ("NaN", "invalid_request"),
+        ({"type": "land"}, "invalid_request"),
+        ({"type": "start", "task": "easy", "pilots": []}, "invalid_request"),
+        ({"type": "start", "task": "easy", "pilots": ["greedy"] * (MOST_MISSIONS + 1)}, "invalid_request"),
+        ({"type": "start", "task": "easy", "pilots": ["greedy"], "seed": -1}, "invalid_request"),
+        ({"type": "start", "task": "easy", "pilots": ["ghost"]}, "unknown_name"),
+        ({"type": "start", "task": "nowhere", "pilots": ["greedy"]}, "unknown_name"),
+        ({"type": "start", "task": "easy", "pilots": ["greedy"], "reward_profile": "gold"}, "unknown_name"),
+        ({"type": "start", "task": "skyline_easy", "pilots": ["greedy", "pathqnet"]}, "unsupported"),
+        ({"type": "attach", "sessions": ["nobody"]}, "session_gone"),
+        ({"type": "fly", "direction": "UP"}, "wrong_moment"),
+        ({"type": "fly", "direction": "UP", "mission": 3}, "unknown_name"),
+        ({"type": "fly", "direction": "up"}, "invalid_request"),
+        ({"type": "play", "speed": 1e9}, "invalid_request"),
+        ({"type": "subscribe", "topics": ["passwords"]}, "invalid_request"),
+    ],
+)
+def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestClient, frame: Any, code: str) -> None:
+    with shared_client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        (shown,) = page.start("greedy")
+        page.until("values")
+        socket.send_text(frame if isinstance(frame, str) else json.dumps(frame))
+        message = json.loads(socket.receive_text())
+        assert (message["type"], message["code"]) == ("error", code)
+        assert message["detail"]
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
+        state = shared_client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()
+        assert state["step_count"] == 1
+
+
+def test_a_session_that_is_not_the_page_s_is_refused(client: TestClient, session: dict[str, str]) -> None:
+    with client.websocket_connect("/live") as socket:
+        socket.send_text(json.dumps({"type": "attach", "sessions": [session["X-Session-Id"]]}))
+        assert json.loads(socket.receive_text())["code"] == "wrong_moment"
+
+
+@pytest.mark.parametrize(("seed", "steps"), [(8, 0), (7, 2)])
+def test_a_session_that_was_taken_elsewhere_is_not_flown(client: TestClient, seed: int, steps: int) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        header = {"X-Session-Id": page.start("greedy")[0]["mission"]["session"]}
+        page.until("values")
+        page.send("step")
+        page.until("frames")
+        client.post("/reset", headers=header, json={"seed": seed, "agent": "greedy"})
+        for _ in range(steps):
+            client.post("/step", headers=header, json={"direction": "WAIT"})
+        page.send("step")
+        message = json.loads(socket.receive_text())
+        assert (message["type"], message["code"]) == ("error", "session_gone")
+        assert client.get("/state", headers=header).json()["step_count"] == steps
+        # Gone altogether, it is in nobody's way.
+        client.delete("/session", headers=header)
+        assert page.start("greedy")
+
+
+def test_after_the_end_nobody_flies_on_by_hand(client: TestClient) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start("human")
+        for _ in range(60):
+            page.send("fly", direction="WAIT")
+        assert page.until("ended")["episode"]["steps"] == 60
+        page.until("values")
+        page.send("fly", direction="WAIT")
+        page.send("land")  # answered in any case
+        message = json.loads(socket.receive_text())
+        assert (message["type"], message["code"]) == ("error", "wrong_moment")
+        assert "start another" in message["detail"]
+
+
+def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as today, client.websocket_connect("/live") as socket:
+        today.setattr(exact, "map_graph", lambda _: {}[0])
+        page = Page(socket)
+        (shown,) = page.start("greedy")
+        refused = json.loads(socket.receive_text())
+        assert (refused["type"], refused["code"], refused["detail"]) == ("error", "no_values", UNSOLVED)
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["value"] is None
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.send("attach", sessions=[shown["mission"]["session"]])
+        assert len(page.until("missions")["missions"][0]["frames"]) == 2
+        assert len(page.until("values")["values"]) == 2
+
+
+def test_what_nobody_foresaw_ends_no_connection(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start("greedy")
+        page.until("values")
+        with monkeypatch.context() as today:
+            today.setattr(LiveMission, "step", lambda _: {}["a fault"])
+            page.send("step")
+            message = json.loads(socket.receive_text())
+            assert (message["type"], message["code"]) == ("error", "internal")
+            assert message["detail"] == "the server failed; its log says why"
+        assert "KeyError: 'a fault'" in caplog.text
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
+
+
+def test_news_that_cannot_be_told_are_an_error_once(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, eventually: Callable[[Callable[[], bool]], None]
+) -> None:
+    asked: list[Feed] = []
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        with monkeypatch.context() as today:
+            today.setattr(Feed, "news", lambda feed: asked.append(feed) or {}["a fault"])
+            page.send("subscribe", topics=["training"])
+            assert json.loads(socket.receive_text())["type"] == "error"
+            eventually(lambda: len(asked) > 2)
+        assert page.until("training")["lines"] == []
+
+
+def test_news_of_the_server(
+    client: TestClient, settings: dict[str, Any], eventually: Callable[[Callable[[], bool]], None]
+) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        client.get("/health")
+        page.send("subscribe", topics=["requests", "training", "episodes"])
+        assert [request["path"] for request in page.until("requests")["requests"]] == ["/health"]
+        assert page.until("training")["lines"] == []
+        assert page.until("episodes")["episodes"] == []
+        (settings["data"] / "train.log").write_text("<b>episode 1</b>\n")
+        assert page.until("training")["lines"] == ["<b>episode 1</b>"]
+        for agent in ("<i>me</i>", "another"):
+            header = {"X-Session-Id": client.post("/reset", json={"seed": 7, "agent": agent}).json()["session_id"]}
+            observation = {"done": False}
+            while not observation["done"]:
+                observation = client.post("/step", headers=header, json={"direction": "WAIT"}).json()
+            # What was told before is not told again.
+            (episode,) = page.until("episodes")["episodes"]
+            assert (episode["agent"], episode["steps"], episode["success"]) == (agent, 60, False)
+        assert episode["regret"] == episode["optimal_score"] - episode["score"]
+        page.send("subscribe", topics=[])
+        client.get("/health")
+        page.send("start", task="easy", pilots=["greedy"])
+        page.until("missions")
+
+
+class TestToken:
+    @pytest.fixture
+    def settings(self, tmp_path: Path) -> dict[str, Any]:
+        return {"data": tmp_path, "token": "s3cret/+?"}
+
+    def test_a_page_offers_the_token_as_a_subprotocol(self, client: TestClient) -> None:
+        offered = base64.urlsafe_b64encode(b"s3cret/+?").decode().rstrip("=")
+        with client.websocket_connect("/live", subprotocols=["drone-env", f"bearer.{offered}"]) as socket:
+            assert socket.accepted_subprotocol == "drone-env"
+            assert Page(socket).start("greedy")
+
+    @pytest.mark.parametrize("offered", [[], ["drone-env"], ["drone-env", "bearer.wrong"], ["bearer.!"]])
+    def test_without_it_nothing_is_opened(self, client: TestClient, offered: list[str]) -> None:
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect("/live", subprotocols=offered):
+            raise AssertionError("opened")
+
+    def test_the_page_itself_is_open_and_nothing_behind_it(self, client: TestClient) -> None:
+        assert client.get("/").status_code == 200
+        assert client.get("/static/js/main.js").status_code == 200
+        for path in ("/tasks", "/static/../tasks", "/static/splits", "/static/js", "/episodes", "/staticx"):
+            assert client.get(path).status_code == 401
+
+
+def test_a_full_house_of_pages_is_told_so(tmp_path: Path) -> None:
+    with (
+        TestClient(create_app(Settings(data=tmp_path, capacity=2))) as client,
+        client.websocket_connect("/live") as socket,
+        client.websocket_connect("/live"),
+    ):
+        page = Page(socket)
+        (shown,) = page.start("greedy")
+        with client.websocket_connect("/live") as late, pytest.raises(WebSocketDisconnect) as closed:
+            late.receive_text()
+        assert closed.value.code == 1013
+        page.send("start", task="easy", pilots=["greedy", "random"], seed=7)
+        message = json.loads(socket.receive_text())
+        while message["type"] != "error":
+            message = json.loads(socket.receive_text())
+        assert message["code"] == "no_room"
+        # The place that the first of the two had is free again, and the mission before them is flown on.
+        assert client.post("/reset").status_code == 200
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
+        assert client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()["step_count"] == 1
