@@ -70,11 +70,12 @@ def solve_episode(episode: Episode) -> Solution:
     """
     flight = Episode(episode.task, episode.reward_profile)
     flight.set_state(episode.get_state())
+    flown = len(episode.actions)
     for action in best_actions(episode):
         flight.step(action)
     while not flight.ended:
         flight.step(Action.WAIT)
-    path = flight.path[episode.steps :]
+    path = flight.path[flown:]
     order = tuple((point.x, point.y) for point in path if point.event is Event.DELIVERY)
     actions = tuple(point.action for point in path)
     return Solution(flight.score, flight.success, len(actions), flight.deliveries_done, order, actions)

@@ -181,7 +181,7 @@ class TestState:
         fly(episode, "URR")
         assert episode.last_step == (Action.RIGHT, 2, 0, Event.DELIVERY, 0.95, 5)
         assert len(made) == 1
-        assert frame_of(episode, Networks(tmp_path)).action == "RIGHT"
+        assert frame_of(episode, Networks(tmp_path, tmp_path), "greedy").action == "RIGHT"
         assert len(made) == 2
         assert episode.path[-1] == episode.last_step
 
