@@ -24,7 +24,7 @@ def test_the_licence_and_the_guides() -> None:
 
 def test_the_demo_ends_by_naming_what_serves_and_that_brings_its_extra() -> None:
     def typed(target: str) -> list[str]:
-        dry = ["make", "-n", "--always-make", target]
+        dry = ["make", "--no-print-directory", "-n", "--always-make", target]
         return subprocess.run(dry, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
 
     assert "make serve, then open http://127.0.0.1:8000" in typed("demo")[-1]
