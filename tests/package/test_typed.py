@@ -171,8 +171,9 @@ def test_the_first_training(clone: Clone) -> None:
     assert (status, "Traceback" in said) == (0, False), said
     assert "500" in said
     with clone.serving() as served:
-        assert "easy.npz" in served.read_text()
         assert clone.ask("curl http://localhost:8000/logs")["lines"] == logged.splitlines()[-50:]
+        # It listens first, and tells this before it answers.
+        assert "easy.npz" in served.read_text()
         answers = [clone.ask(call) for call in CALLS if "/reset" in call or "/predict" in call]
         assert answers[-1]["model"]
 
