@@ -165,12 +165,9 @@ def session_row(connection: sqlite3.Connection, session_id: str) -> SessionRow:
     )
 
 
-def unnamed_session(connection: sqlite3.Connection, address: str, oldest: bool) -> str | None:
-    """The session of those at an address who name none: the one that was used last, or that was unused for longest."""
-    order = "" if oldest else "DESC"
-    found = connection.execute(
-        f"SELECT id FROM sessions WHERE address = ? ORDER BY touched_at {order} LIMIT 1", (address,)
-    ).fetchone()
+def unnamed_session(connection: sqlite3.Connection, address: str) -> str | None:
+    """The session of those at an address who name none: the one that they opened last, unless somebody named it."""
+    found = connection.execute("SELECT id FROM sessions WHERE address = ?", (address,)).fetchone()
     return None if found is None else found[0]
 
 

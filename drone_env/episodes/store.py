@@ -262,6 +262,8 @@ class Store:
         with self._database.writing() as connection:
             if count_sessions(connection) >= capacity and not end_finished(connection, now):
                 raise CapacityError(f"all {capacity} sessions are taken: try again later")
+            # One at most is of those who name none: where it is named, they are not to find one that they left before.
+            connection.execute("UPDATE sessions SET address = NULL WHERE address = ?", (address,))
             connection.execute("INSERT INTO sessions VALUES (?,?,?,?,?,?,?,?,?,?,?)", row)
         return session_id
 
@@ -304,18 +306,14 @@ class Store:
         with self._database.reading() as connection:
             return session_row(connection, session_id)
 
-    def unnamed_session(self, address: str, oldest: bool = False) -> str | None:
-        """The session of those at an address who name none, None where they have none.
-
-        Args:
-            address: Where they are.
-            oldest: Of several, the one that was not used for longest, instead of the one that was used last.
+    def unnamed_session(self, address: str) -> str | None:
+        """The session of those at an address who name none; None where they have none, or somebody has named it.
 
         Raises:
             StoreError: if the store cannot be read.
         """
         with self._database.reading() as connection:
-            return unnamed_session(connection, address, oldest)
+            return unnamed_session(connection, address)
 
     def end_session(self, session_id: str) -> None:
         """End a session: from now on it is gone.

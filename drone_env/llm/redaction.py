@@ -36,8 +36,8 @@ def without_secret_in(value: Any, secret: str | None) -> Any:
 
 @lru_cache(maxsize=8)
 def _forms(secret: str) -> re.Pattern[str]:
-    written = "".join(map(_character, secret))
-    backwards = "".join(map(_character, reversed(secret)))
+    written = r"\s?".join(map(_character, secret))
+    backwards = r"\s?".join(map(_character, reversed(secret)))
     hexadecimal = BETWEEN.join(f"{ord(letter):02x}" for letter in secret)
     coded = [_base64(spelling, offset) for spelling in (secret, secret.lower(), secret.upper()) for offset in range(3)]
     # To look at one character first is several times faster than to try all forms everywhere.

@@ -42,7 +42,7 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
     try:
         contents: Any = torch.load(path, map_location=device, weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, zipfile.BadZipFile, ValueError, KeyError) as error:
-        raise CheckpointError(f"{path} cannot be read: cut short, or no checkpoint ({_first_line(error)})") from None
+        raise CheckpointError(f"{path} cannot be read: cut short, or no checkpoint ({type(error).__name__})") from None
     if not isinstance(contents, dict) or cast(dict[str, Any], contents).get("format") != FORMAT:
         raise CheckpointError(f"{path} is not a checkpoint of this project")
     contents = cast(dict[str, Any], contents)
@@ -51,7 +51,3 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
         said = f"of version {version}" if isinstance(version, int) else "that does not say its version"
         raise CheckpointError(f"{path} is a checkpoint {said}; this program reads version {VERSION}")
     return contents
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]

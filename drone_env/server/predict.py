@@ -97,9 +97,9 @@ class Networks:
             for source, what in ((TRAINED, "trained here"), (NETWORK, "shipped")):
                 found = self._at(source, task)
                 if isinstance(found, CheckpointError):
-                    parts.append(f"refused: {found}")
+                    parts.append(f"refused, and so is /predict: {found}")
                 elif found is not None:
-                    parts.append(f"flown by {self._file(source, task)} ({what}, pilot {source!r})")
+                    parts.append(f"{source!r} flies by {self._file(source, task)} ({what})")
             if parts:
                 lines.append(f"{task.short_name}: {'; '.join(parts)}")
         return lines

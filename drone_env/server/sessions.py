@@ -111,10 +111,9 @@ class Sessions:
             session = self.store.open_session(*wanted, capacity=self.capacity, address=address)
         except CapacityError:
             if not self.expire():
-                oldest = None if address is None else self.store.unnamed_session(address, oldest=True)
-                if oldest is None:
+                if shared is None:
                     raise
-                return oldest, self._reset_row(oldest, options, address)
+                return shared, self._reset_row(shared, options, address)
             session = self.store.open_session(*wanted, capacity=self.capacity, address=address)
         episode = Episode(start.task, start.reward_profile)
         episode.reset(start.seed)

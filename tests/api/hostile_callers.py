@@ -285,6 +285,14 @@ VALUES = (
         '{"direction":"UP"}',
     ),
 )
+POSTED = ("/reset", "/step", "/predict", "/replay", "/annotate", "/mcp")
+BODIES = (
+    "",
+    '{"direction":"UP"}',
+    '{"direction":"WAIT"}',
+    '{"task_name":"easy","seed":1}',
+    '{"task_name":"skyline_hard"}',
+)
 FIELDS = (
     "direction",
     "task_name",
@@ -307,17 +315,25 @@ def fuzzed(chance: random.Random) -> bytes:
         path += (
             chance.choice(("?", "/", "%00", "?limit=", "?before=-1", "//", "/..", "%ff")) + chance.choice(VALUES)[:50]
         )
-    method = chance.choice(("GET", "POST", "POST", "POST", "DELETE", "PUT", "HEAD", "OPTIONS", "BREW"))
+    method = "POST" if path in POSTED else "GET"
+    if chance.random() < 0.15:
+        method = chance.choice(("GET", "POST", "DELETE", "PUT", "HEAD", "OPTIONS", "BREW"))
     body = chance.choice(VALUES).encode()
-    if chance.random() < 0.7:
+    if chance.random() < 0.5:
+        body = chance.choice(BODIES).encode()
+    elif chance.random() < 0.7:
         pairs = (f'"{chance.choice(FIELDS)}":{chance.choice(VALUES)}' for _ in range(chance.randrange(4)))
         body = ("{" + ",".join(pairs) + "}").encode()
-    headers = [f"Content-Length: {len(body)}", f"Host: {chance.choice(('127.0.0.1', 'localhost', 'x' * 300))}"]
-    headers.append(f"Content-Type: {chance.choice(('application/json', 'application/json', 'text/plain', 'x'))}")
-    for name in chance.sample(
-        ("X-Session-Id", "X-Step-Count", "Origin", "Authorization", "Cookie", "Expect", "Accept"), 2
-    ):
+    # Most come as far as what they ask for: what stops them before that is tried by few.
+    rarely = chance.random() < 0.1
+    host = chance.choice(("x" * 300, "evil.example", "")) if rarely else chance.choice(("127.0.0.1", "localhost"))
+    kind = chance.choice(("text/plain", "x")) if chance.random() < 0.1 else "application/json"
+    headers = [f"Content-Length: {len(body)}", f"Host: {host}", f"Content-Type: {kind}"]
+    for name in chance.sample(("X-Step-Count", "Authorization", "Cookie", "Accept"), 1):
         headers.append(f"{name}: {chance.choice(VALUES)[:500]}")
+    for name in ("X-Session-Id", "Origin", "Expect"):
+        if chance.random() < 0.05:
+            headers.append(f"{name}: {chance.choice(VALUES)[:500]}")
     text = " ".join((method, path.replace(" ", "%20"), "HTTP/1.1")) + "\r\n" + "\r\n".join(headers) + "\r\n\r\n"
     request = bytearray(text.encode() + body)
     if chance.random() < 0.25:

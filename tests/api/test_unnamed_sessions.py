@@ -68,6 +68,8 @@ class TestUnnamed:
         shared = plain.post("/reset").json()["session_id"]
         assert [step(""), step(first), step(""), step(shared)] == [1, 2, 2, 3]
         assert plain.post("/step", json=UP).status_code == 409, "the shared one is named by now"
+        # Nor is one found that was left before.
+        assert plain.get("/state").status_code == 409
         # So is the session that somebody has opened and not flown yet: the next to name none gets another.
         assert len({plain.post("/reset").json()["session_id"] for _ in range(3)}) == 3
 

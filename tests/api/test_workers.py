@@ -30,7 +30,7 @@ def test_several_workers_serve_one_session_and_end_when_the_first_process_is_ask
             server.process.terminate()
             assert server.process.wait(timeout=60) == 0
         told = server.log.read_text().splitlines()
-        assert [line for line in told if not re.fullmatch(r"drone-env.*(docs at|flown by).*", line)] == []
+        assert [line for line in told if not re.fullmatch(r"drone-env.*(docs at|flies by).*", line)] == []
         assert told
 
 

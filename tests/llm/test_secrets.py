@@ -65,6 +65,7 @@ def spellings(token: str) -> dict[str, str]:
         "hexadecimal": token.encode().hex(),
         "hexadecimal, apart": token.encode().hex(":"),
         "backwards": token[::-1],
+        "in two": f"{token[:8]} {token[8:]}",
     }
 
 

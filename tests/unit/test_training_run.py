@@ -50,7 +50,8 @@ def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> 
     whole = path.read_bytes()
     for content in (whole[: len(whole) // 2], whole[:100], b"", b"not a checkpoint"):
         path.write_bytes(content)
-        with pytest.raises(CheckpointError, match="cut short, or no checkpoint"):
+        # PyTorch's own words advise to load it with the right to run code.
+        with pytest.raises(CheckpointError, match=r"easy\.pth cannot be read: cut short, or no checkpoint \(\w+\)$"):
             load_checkpoint(path)
         with pytest.raises(CheckpointError, match="--fresh"):
             Run(SMALL, tmp_path, tmp_path / "results")
