@@ -66,7 +66,7 @@ MIGRATIONS: tuple[str, ...] = (
     # 3. `address` is that of the caller who has opened a session without naming one, until somebody names it.
     """
     ALTER TABLE sessions ADD COLUMN address TEXT;
-    CREATE INDEX unnamed_sessions_by_use ON sessions (address, touched_at) WHERE address IS NOT NULL;
+    CREATE UNIQUE INDEX unnamed_sessions ON sessions (address) WHERE address IS NOT NULL;
     """,
 )
 

@@ -1,6 +1,6 @@
 """How a process serves its connections: uvicorn's protocols, with an end for callers that never come to one.
 
-Of uvicorn's parsers h11 is taken. httptools spares a step over HTTP some 7 % of its time, but hands on whatever can be
+Of uvicorn's parsers h11 is taken. httptools spares an HTTP step a few percent of its time, but hands on all that can be
 parsed: one caller that sends requests and reads no answers fills the memory with them, and a header line may have any
 length.
 """
