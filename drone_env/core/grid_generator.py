@@ -9,59 +9,91 @@ import numpy.typing as npt
 
 from drone_env.core.cells import Cell
 from drone_env.core.rules import CELL, PARCELS, UNDER, Buffer, Rules, interpreted, row_size, view
-from drone_env.core.seeds import SPLITS, check_seed, map_key, next_key, uniform_below
+from drone_env.core.seeds import SPLITS, check_seed, map_key, next_key, two_halves, uniform_below
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 
 ROAD = int(Cell.ROAD)
 DRONE = int(Cell.DRONE)
 DELIVERY = int(Cell.DELIVERY)
-BUILDING = int(Cell.BUILDING)
-TREE = int(Cell.TREE)
 
 
-def belongs(rules: Rules, cell: int, kind: int, streets: int) -> bool:
-    """Whether a kind may stand on a cell: buildings and trees between the streets, everything else on them.
-
-    `streets` is a cell where two streets cross. In tasks without streets every kind may stand anywhere.
-    """
-    if rules.street_spacing == 0:
-        return True
-    across = (rules.columns[cell] - rules.columns[streets]) % rules.street_spacing
-    down = (rules.lines[cell] - rules.lines[streets]) % rules.street_spacing
-    return (across != 0 and down != 0) == (kind in (BUILDING, TREE))
-
-
-def draw_road(rules: Rules, grid: Buffer, key: int, kind: int, streets: int) -> tuple[int, int]:
-    """A cell for a kind that is still road, drawn uniformly, and the generator's state after the draw."""
+def draw_road(rules: Rules, grid: Buffer, key: int) -> tuple[int, int]:
+    """A cell that is still road, drawn uniformly, and the generator's state after the draw."""
     cell = uniform_below(key, rules.cells)
-    while grid[cell] != ROAD or not belongs(rules, cell, kind, streets):
+    while grid[cell] != ROAD:
         key = next_key(key)
         cell = uniform_below(key, rules.cells)
     return cell, next_key(key)
 
 
-def scatter(rules: Rules, grid: Buffer, row: Buffer, seed: int) -> None:
-    """Write map `seed` into `grid` and `row`: start, deliveries, then each kind of terrain, all on distinct cells.
-
-    The start lies where two streets cross, if there are streets.
-    """
+def place_anywhere(rules: Rules, grid: Buffer, row: Buffer, key: int) -> None:
+    """Place the deliveries, then each kind of terrain, on cells drawn until one is still road."""
     for cell in range(rules.cells):
         grid[cell] = ROAD
-    key = next_key(map_key(rules.key, seed))
-    start = uniform_below(key, rules.cells)
-    key = next_key(key)
-    grid[start] = DRONE
-    row[CELL] = start
-    row[UNDER] = ROAD
+    grid[row[CELL]] = DRONE
     for i in range(rules.deliveries):
-        cell, key = draw_road(rules, grid, key, DELIVERY, start)
+        cell, key = draw_road(rules, grid, key)
         grid[cell] = DELIVERY
         row[PARCELS + i] = cell
     for kind in rules.placed:
         for _ in range(rules.counts[kind]):
-            cell, key = draw_road(rules, grid, key, kind, start)
+            cell, key = draw_road(rules, grid, key)
             grid[cell] = kind
+
+
+def place_along_streets(rules: Rules, grid: Buffer, row: Buffer, key: int) -> None:
+    """Place terrain and deliveries where two streets cross at the start, one draw each.
+
+    A draw is a step of the inside-out shuffle (Durstenfeld, Algorithm 235, CACM 1964): the cells of a list that come
+    before the drawn thing's own are in random order, and it changes places with one of them or stays.
+    """
+    start, spacing = row[CELL], rules.street_spacing
+    city = (rules.lines[start] % spacing * spacing + rules.columns[start] % spacing) * rules.cells
+    cells = rules.city_cells[city : city + rules.cells]
+    city_grid = rules.city_grids[city : city + rules.cells]
+    for cell in range(rules.cells):
+        grid[cell] = city_grid[cell]
+    n_kinds = len(rules.drawn_kinds)
+    later = 0
+    for i in range(n_kinds):
+        if i % 2 == 0:
+            bits, later = two_halves(key)
+            key = next_key(key)
+        else:
+            bits = later
+        own = cells[rules.drawn_own[i]]
+        cell = cells[rules.drawn_first[i] + (bits * rules.drawn_among[i] >> 32)]
+        grid[own] = grid[cell]
+        grid[cell] = rules.drawn_kinds[i]
+    for i in range(rules.deliveries):
+        bits, later = two_halves(key)
+        key = next_key(key)
+        own = cells[rules.drawn_own[n_kinds + i]]
+        cell = cells[rules.drawn_first[n_kinds + i] + (bits * rules.drawn_among[n_kinds + i] >> 32)]
+        for k in range(PARCELS, PARCELS + i):
+            if row[k] == cell:
+                row[k] = own
+        grid[own] = grid[cell]
+        grid[cell] = DELIVERY
+        row[PARCELS + i] = cell
+    instead = cells[rules.blocks]
+    for k in range(PARCELS, PARCELS + rules.deliveries):
+        if row[k] == start:
+            row[k] = instead
+    grid[instead] = grid[start]
+    grid[start] = DRONE
+
+
+def scatter(rules: Rules, grid: Buffer, row: Buffer, seed: int) -> None:
+    """Write map `seed` into `grid` and `row`: start, deliveries and each kind of terrain, all on distinct cells."""
+    key = next_key(map_key(rules.key, seed))
+    row[CELL] = uniform_below(key, rules.cells)
+    row[UNDER] = ROAD
+    if rules.street_spacing == 0:
+        place_anywhere(rules, grid, row, next_key(key))
+    else:
+        place_along_streets(rules, grid, row, next_key(key))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,12 +21,14 @@ import numpy.typing as npt
 from drone_env.core.actions import ACTION_OFFSETS, N_ACTIONS, Action, Event
 from drone_env.core.cells import N_CELL_KINDS, Cell
 from drone_env.core.seeds import task_key
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import TERRAIN, TaskConfig
 
 Buffer: TypeAlias = "memoryview[int]"
 """A buffer of integers: a memory view when interpreted, a NumPy array when compiled."""
 FloatBuffer: TypeAlias = "memoryview[float]"
 """The same, of floating-point numbers."""
+
+N_TERRAIN = len(TERRAIN)
 
 Tables = TypeVar("Tables", bound=tuple[Any, ...])
 
@@ -89,6 +91,20 @@ class Rules(NamedTuple):
     out alike."""
     street_spacing: int
     """Every how many rows and columns there is a street; 0 where everything lies anywhere."""
+    blocks: int
+    """How many cells lie between the streets."""
+    city_grids: Buffer
+    """The map before anything is drawn, for each way in which the streets can lie: uint8[ways * cells]."""
+    city_cells: Buffer
+    """The cells between the streets, then those on them, in each of these ways: uint16[ways * cells]."""
+    drawn_kinds: Buffer
+    """The kinds of cell that are drawn where there are streets, in the order in which they are: uint8[draws]."""
+    drawn_first: Buffer
+    """Where in `city_cells` the cells begin that such a draw chooses among: uint16[draws + deliveries]."""
+    drawn_among: Buffer
+    """How many cells they are: uint16[draws + deliveries]."""
+    drawn_own: Buffer
+    """The last of these cells."""
     efficiency_needs_all: int
     """1 if battery and steps left count in the score only when everything is delivered."""
     counts: Buffer
@@ -96,7 +112,7 @@ class Rules(NamedTuple):
     placed: Buffer
     """Kinds in the order in which they are placed on the map, uint8[...]."""
     telemetry_size: int
-    """Values in the telemetry: 5, or 6 with the share of steps left."""
+    """Values in the telemetry: 5, 6 with the share of steps left, 13 with the kind of the cell below as well."""
     x_share: FloatBuffer
     """x / width of each cell, float32[cells]."""
     y_share: FloatBuffer
@@ -105,6 +121,9 @@ class Rules(NamedTuple):
     """units / capacity for each number of units, float32[capacity + 1]."""
     steps_share: FloatBuffer
     """Share of steps left after each number of steps, float32[max_steps + 1]."""
+    below: FloatBuffer
+    """1 for the kind itself, 0 for every other that can lie below the drone: float32[kinds * 7], at
+    kind * N_TERRAIN + number of the other in `TERRAIN`."""
 
 
 def row_size(rules: Rules) -> int:
@@ -139,6 +158,8 @@ def tabulate(task: TaskConfig) -> Rules:
     counts = np.zeros(N_CELL_KINDS, np.int16)
     for kind, count in task.cell_counts().items():
         counts[kind] = count
+    below = np.zeros((N_CELL_KINDS, N_TERRAIN), np.float32)
+    below[list(TERRAIN), np.arange(N_TERRAIN)] = 1
 
     numbers = np.arange(cells, dtype=np.int16)
     tables: dict[str, Any] = {
@@ -158,6 +179,7 @@ def tabulate(task: TaskConfig) -> Rules:
         "drain": np.ravel(drain),
         "flight_event": np.ravel(flight_event),
         "street_spacing": task.street_spacing,
+        **_city_tables(task),
         "efficiency_needs_all": int(task.efficiency_needs_all),
         "counts": counts,
         "placed": np.array(list(task.cell_counts()), np.uint8),
@@ -166,8 +188,52 @@ def tabulate(task: TaskConfig) -> Rules:
         "y_share": (numbers // width / height).astype(np.float32),
         "battery_share": (np.arange(task.battery_capacity + 1) / task.battery_capacity).astype(np.float32),
         "steps_share": (np.arange(task.max_steps, -1, -1) / task.max_steps).astype(np.float32),
+        "below": np.ravel(below),
     }
     return read_only(Rules(**tables))
+
+
+def _city_tables(task: TaskConfig) -> dict[str, Any]:
+    """What maps with streets are drawn from; empty tables where there are none.
+
+    Of the kinds that stand between the streets (open ground among them), and of those on the streets, the most
+    frequent one covers all at first, and the others are drawn: the fewest draws that do.
+    """
+    spacing, cells = max(task.street_spacing, 1), task.width * task.height
+    ways = spacing**2 if task.street_spacing else 0
+    numbers = np.arange(cells)
+    across, down = numbers % task.width % spacing, numbers // task.width % spacing
+    way = np.arange(ways)[:, None]
+    on_street = (across == way % spacing) | (down == way // spacing)
+    blocks = (task.width - task.width // spacing) * (task.height - task.height // spacing)
+
+    counts = task.cell_counts()
+    streets = cells - blocks - 1 - task.deliveries  # without the start and the parcels
+    between = {kind: counts[kind] for kind in (Cell.BUILDING, Cell.TREE)}
+    along = {kind: counts[kind] for kind in (Cell.OBSTACLE, Cell.PAD)}
+    between[Cell.ROAD], along[Cell.ROAD] = blocks - sum(between.values()), streets - sum(along.values())
+    covers: list[Cell] = []
+    kinds: list[Cell] = []
+    among: list[int] = []
+    for placed, size in (between, blocks), (along, streets):
+        cover, *rest = sorted(placed, key=lambda kind: (-placed[kind], kind))
+        covers.append(cover)
+        drawn = [kind for kind in rest for _ in range(placed[kind])]
+        kinds += drawn
+        among += range(size - len(drawn) + 1, size + 1)
+    among += range(streets + 1, streets + 1 + task.deliveries)
+    n_between = blocks - between[covers[0]]
+    # The first cell on the streets is kept back: it stands in for the start where that would be drawn.
+    first = [0] * n_between + [blocks + 1] * (len(among) - n_between)
+    return {
+        "blocks": blocks,
+        "city_grids": np.ravel(np.where(on_street, *reversed(covers))).astype(np.uint8),
+        "city_cells": np.ravel(np.argsort(on_street, axis=1, kind="stable")).astype(np.uint16),
+        "drawn_kinds": np.array(kinds if ways else [], np.uint8),
+        "drawn_first": np.array(first if ways else [], np.uint16),
+        "drawn_among": np.array(among if ways else [], np.uint16),
+        "drawn_own": np.array([f + n - 1 for f, n in zip(first, among)] if ways else [], np.uint16),
+    }
 
 
 @lru_cache(maxsize=64)

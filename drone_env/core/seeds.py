@@ -68,6 +68,12 @@ def uniform_below(key: int, n: int) -> int:
     return (((mix64(key) >> 32) & MASK32) * n) >> 32
 
 
+def two_halves(key: int) -> tuple[int, int]:
+    """Two independent random numbers of 32 bits from the generator's state `key`."""
+    word = mix64(key)
+    return (word >> 32) & MASK32, word & MASK32
+
+
 def next_seed(seed: int) -> int:
     """The seed that a reset without a seed flies after map `seed`: a fixed walk inside the train split."""
     return (seed + SEED_STRIDE) & TRAIN_MASK

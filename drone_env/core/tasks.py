@@ -149,7 +149,12 @@ class TaskConfig:
 
     @property
     def telemetry_size(self) -> int:
-        """5, or 6 where the battery does not tell the time and a value for the steps left is appended."""
+        """5; 6 where the battery does not tell the time and the share of steps left is appended; 13 with pads.
+
+        Where there are pads, the kind of the cell below the drone follows as well, one value for each of `TERRAIN`.
+        """
+        if self.pads:
+            return 6 + len(TERRAIN)
         return 5 if self.uniform and self.battery_capacity == self.max_steps else 6
 
     @property
@@ -226,6 +231,7 @@ def _skyline(
         impassable=frozenset({Cell.OBSTACLE}),
         street_spacing=4,
         efficiency_needs_all=True,
+        version=2,
     )
 
 
@@ -248,7 +254,7 @@ TASKS: dict[str, TaskConfig] = {
 
 
 PAST_TASKS: tuple[TaskConfig, ...] = ()
-"""Earlier versions of tasks: they keep working for ever."""
+"""Earlier versions of tasks: they keep working for ever. Version 1 of skyline is withdrawn, and none of them."""
 
 
 def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
