@@ -78,7 +78,7 @@ class NumpyBatch:
         self._moves = np.where(moves == NOWHERE, stay, moves).ravel()
         self._events = np.array(rules.flight_event).astype(np.int64)
         self._x, self._y = (np.array(table).astype(np.int64) for table in (rules.columns, rules.lines))
-        self._x_share, self._y_share = np.array(rules.x_share), np.array(rules.y_share)
+        self._x_share, self._y_share = np.array(rules.shares).reshape(-1, 2).T.copy()
         self._units_share = np.array(rules.steps_share)
         masks = np.zeros((rules.cells, 8), np.int8)  # eight bytes: looked up as one number
         masks[:, :N_ACTIONS] = moves != NOWHERE

@@ -9,7 +9,7 @@ from drone_env.core.cells import Cell
 from drone_env.core.drone import distance, move, use_battery
 from drone_env.core.grid_generator import scatter
 from drone_env.core.obstacles import collision, flight_event
-from drone_env.core.rewards import Rewards, reward_of
+from drone_env.core.rewards import Rewards, potential_of, reward_of
 from drone_env.core.rules import (
     BATTERY,
     CELL,
@@ -26,6 +26,9 @@ from drone_env.core.rules import (
     Buffer,
     Rules,
 )
+
+CLOSER_BITS = 3
+"""Changes nothing from 0 to 2, and tells the compiler that none is below zero."""
 
 DELIVERY_CELL = int(Cell.DELIVERY)
 DELIVERED_CELL = int(Cell.DELIVERED)
@@ -60,8 +63,7 @@ def step(rules: Rules, rewards: Rewards, grid: Buffer, row: Buffer, action: int)
     """Fly one action and return its reward. After the end of the episode it changes nothing and pays 0."""
     if row[OUTCOME] != FLYING:
         return 0.0
-    deliveries = row[DELIVERIES]
-    distance_before = row[DISTANCE]
+    potential = potential_of(rewards.potential, row)
 
     cell, under, steps = row[CELL], row[UNDER], row[STEPS] + 1
     to = rules.moves[cell * N_ACTIONS + action]
@@ -72,6 +74,7 @@ def step(rules: Rules, rewards: Rewards, grid: Buffer, row: Buffer, action: int)
         happened = flight_event(rules, under, action)
     far = distance(rules, cell, row[TARGET])
     battery = use_battery(rules, row, under, action)
+    closer = (1 + row[DISTANCE] - far) & CLOSER_BITS
     row[STEPS] = steps
     row[DISTANCE] = far
     if under == DELIVERY_CELL:
@@ -79,12 +82,13 @@ def step(rules: Rules, rewards: Rewards, grid: Buffer, row: Buffer, action: int)
         happened = DELIVERY
         if far == 0:
             choose_target(rules, row)
-    if battery == 0 or steps == rules.max_steps or happened == DELIVERY:
         row[OUTCOME] = outcome(rules, row)
-        if row[OUTCOME] == BATTERY_DEAD and happened != DELIVERY:
+    elif battery == 0 or steps == rules.max_steps:
+        row[OUTCOME] = outcome(rules, row)
+        if row[OUTCOME] == BATTERY_DEAD:
             happened = DEAD
     row[EVENT] = happened
-    return reward_of(rules, rewards, row, happened, distance_before - far, deliveries, distance_before)
+    return reward_of(rules, rewards, row, happened, closer, potential)
 
 
 def deliver(rules: Rules, row: Buffer) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.cells import Cell
-from drone_env.core.rules import CELL, PARCELS, UNDER, Buffer, Rules, interpreted, row_size, view
+from drone_env.core.rules import CELL, INDEX_BITS, PARCELS, UNDER, Buffer, Rules, interpreted, row_size, view
 from drone_env.core.seeds import SPLITS, check_seed, map_key, next_key, two_halves, uniform_below
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
@@ -20,15 +20,15 @@ DELIVERY = int(Cell.DELIVERY)
 
 def draw_road(rules: Rules, grid: Buffer, key: int) -> tuple[int, int]:
     """A cell that is still road, drawn uniformly, and the generator's state after the draw."""
-    cell = uniform_below(key, rules.cells)
+    cell = uniform_below(key, rules.cells) & INDEX_BITS
     while grid[cell] != ROAD:
         key = next_key(key)
-        cell = uniform_below(key, rules.cells)
+        cell = uniform_below(key, rules.cells) & INDEX_BITS
     return cell, next_key(key)
 
 
 def place_anywhere(rules: Rules, grid: Buffer, row: Buffer, key: int) -> None:
-    """Place the deliveries, then each kind of terrain, on cells drawn until one is still road."""
+    """Place the deliveries, then the terrain, each on a cell drawn anew until it is still road."""
     for cell in range(rules.cells):
         grid[cell] = ROAD
     grid[row[CELL]] = DRONE
@@ -36,53 +36,66 @@ def place_anywhere(rules: Rules, grid: Buffer, row: Buffer, key: int) -> None:
         cell, key = draw_road(rules, grid, key)
         grid[cell] = DELIVERY
         row[PARCELS + i] = cell
-    for kind in rules.placed:
-        for _ in range(rules.counts[kind]):
-            cell, key = draw_road(rules, grid, key)
-            grid[cell] = kind
+    for kind in rules.drawn_kinds:
+        cell, key = draw_road(rules, grid, key)
+        grid[cell] = kind
 
 
-def place_along_streets(rules: Rules, grid: Buffer, row: Buffer, key: int) -> None:
-    """Place terrain and deliveries where two streets cross at the start, one draw each.
+def shuffle_in(grid: Buffer, cells: Buffer, covered: int, kinds: Buffer, key: int) -> int:
+    """Add a thing of each of these kinds to the ones in random order on the first `covered` cells of a list.
 
-    A draw is a step of the inside-out shuffle (Durstenfeld, Algorithm 235, CACM 1964): the cells of a list that come
-    before the drawn thing's own are in random order, and it changes places with one of them or stays.
+    One draw each, after which all lie in random order again: the new one takes a random cell of those up to the next of
+    the list, and what stood there moves to that next one (the inside-out form of Durstenfeld's shuffle, Algorithm 235,
+    CACM 1964). Returns the generator's state.
     """
-    start, spacing = row[CELL], rules.street_spacing
-    city = (rules.lines[start] % spacing * spacing + rules.columns[start] % spacing) * rules.cells
-    cells = rules.city_cells[city : city + rules.cells]
-    city_grid = rules.city_grids[city : city + rules.cells]
-    for cell in range(rules.cells):
-        grid[cell] = city_grid[cell]
-    n_kinds = len(rules.drawn_kinds)
     later = 0
-    for i in range(n_kinds):
+    for i in range(len(kinds)):
         if i % 2 == 0:
             bits, later = two_halves(key)
             key = next_key(key)
         else:
             bits = later
-        own = cells[rules.drawn_own[i]]
-        cell = cells[rules.drawn_first[i] + (bits * rules.drawn_among[i] >> 32)]
-        grid[own] = grid[cell]
-        grid[cell] = rules.drawn_kinds[i]
+        end = (covered + i) & INDEX_BITS
+        cell = cells[bits * (end + 1) >> 32]
+        grid[cells[end]] = grid[cell]
+        grid[cell] = kinds[i]
+    return key
+
+
+def place_along_streets(rules: Rules, grid: Buffer, row: Buffer, key: int) -> None:
+    """Place terrain and deliveries in a city whose streets cross at the start, with one draw for each of the fewer."""
+    start, spacing = row[CELL], rules.street_spacing
+    city = (rules.lines[start] % spacing * spacing + rules.columns[start] % spacing) * rules.cells
+    city_grid = rules.city_grids[city : city + rules.cells]
+    for cell in range(rules.cells):
+        grid[cell] = city_grid[cell]
+    between = rules.city_cells[city : city + rules.blocks]
+    along = rules.city_cells[city + rules.blocks + 1 : city + rules.cells]
+    kinds = rules.drawn_kinds[: rules.drawn_between]
+    key = shuffle_in(grid, between, len(between) - len(kinds), kinds, key)
+    kinds = rules.drawn_kinds[rules.drawn_between :]
+    covered = len(along) - rules.deliveries
+    key = shuffle_in(grid, along, covered - len(kinds), kinds, key)
     for i in range(rules.deliveries):
-        bits, later = two_halves(key)
+        end = (covered + i) & INDEX_BITS
+        cell = along[uniform_below(key, end + 1) & INDEX_BITS]
         key = next_key(key)
-        own = cells[rules.drawn_own[n_kinds + i]]
-        cell = cells[rules.drawn_first[n_kinds + i] + (bits * rules.drawn_among[n_kinds + i] >> 32)]
-        for k in range(PARCELS, PARCELS + i):
-            if row[k] == cell:
-                row[k] = own
-        grid[own] = grid[cell]
+        move_parcel(rules, row, cell, along[end])
+        grid[along[end]] = grid[cell]
         grid[cell] = DELIVERY
         row[PARCELS + i] = cell
-    instead = cells[rules.blocks]
-    for k in range(PARCELS, PARCELS + rules.deliveries):
-        if row[k] == start:
-            row[k] = instead
-    grid[instead] = grid[start]
+    # Where the start is, something may stand now: it belongs on the street cell that was left out of the list.
+    left_out = rules.city_cells[city + rules.blocks]
+    move_parcel(rules, row, start, left_out)
+    grid[left_out] = grid[start]
     grid[start] = DRONE
+
+
+def move_parcel(rules: Rules, row: Buffer, cell: int, to: int) -> None:
+    """If a parcel stands on a cell, note that it stands on another now."""
+    for i in range(PARCELS, PARCELS + rules.deliveries):
+        if row[i] == cell:
+            row[i] = to
 
 
 def scatter(rules: Rules, grid: Buffer, row: Buffer, seed: int) -> None:

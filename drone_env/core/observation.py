@@ -5,11 +5,19 @@ from typing import TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.actions import N_ACTIONS, Event
-from drone_env.core.obstacles import collision
-from drone_env.core.rules import BATTERY, CELL, N_TERRAIN, NOWHERE, STEPS, TARGET, UNDER, Buffer, FloatBuffer, Rules
-
-FREE = int(Event.NONE)
+from drone_env.core.rules import (
+    BATTERY,
+    CELL,
+    N_MOVES,
+    N_TERRAIN,
+    NOWHERE,
+    STEPS,
+    TARGET,
+    UNDER,
+    Buffer,
+    FloatBuffer,
+    Rules,
+)
 
 
 class Observation(TypedDict):
@@ -25,8 +33,8 @@ def write_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
     """Write drone x/width, y/height, battery/capacity, target x/width, y/height into float32[5].
 
     Where nothing is left to deliver, the drone's own position stands for the target. Tasks whose battery does not
-    tell the time have a sixth value: the share of steps left. Tasks with pads have it too, and then seven more, of which
-    one is 1: that of the kind of the cell below the drone, in the order of `tasks.TERRAIN`.
+    tell the time have a sixth value: the share of steps left. Tasks with pads have it too, and then seven more, of
+    which one is 1: that of the kind of the cell below the drone, in the order of `tasks.TERRAIN`.
     """
     write_own_telemetry(rules, row, telemetry)
     write_target_telemetry(rules, row, telemetry)
@@ -34,29 +42,27 @@ def write_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
 
 def write_own_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
     """The part that every step changes: position, battery, steps left, the cell below."""
-    telemetry[0] = rules.x_share[row[CELL]]
-    telemetry[1] = rules.y_share[row[CELL]]
-    telemetry[2] = rules.battery_share[row[BATTERY]]
+    at = 2 * row[CELL]
+    x, y, battery = rules.shares[at], rules.shares[at + 1], rules.battery_share[row[BATTERY]]
+    telemetry[0], telemetry[1], telemetry[2] = x, y, battery
     if rules.telemetry_size > 5:
         telemetry[5] = rules.steps_share[row[STEPS]]
     if rules.telemetry_size > 6:
-        for i in range(N_TERRAIN):
-            telemetry[6 + i] = rules.below[row[UNDER] * N_TERRAIN + i]
+        for i in range(6, 6 + N_TERRAIN):
+            telemetry[i] = 0.0
+        telemetry[6 + rules.terrain_numbers[row[UNDER]]] = 1.0
 
 
 def write_target_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
     """The part that only a delivery or a reset changes: the target."""
     target = row[TARGET] if row[TARGET] != NOWHERE else row[CELL]
-    telemetry[3] = rules.x_share[target]
-    telemetry[4] = rules.y_share[target]
+    telemetry[3], telemetry[4] = rules.shares[2 * target], rules.shares[2 * target + 1]
 
 
 def open_actions(rules: Rules, grid: Buffer, row: Buffer) -> int:
     """The actions that do not bump: 1 in byte `action` of an integer. Advice, never enforced."""
     mask = rules.open_moves[row[CELL]]
     if rules.any_impassable:
-        for action in range(N_ACTIONS):
-            to = rules.moves[row[CELL] * N_ACTIONS + action]
-            if to != NOWHERE and collision(rules, grid, to) != FREE:
-                mask -= 1 << 8 * action
+        for action in range(N_MOVES):
+            mask -= rules.impassable[grid[rules.around[row[CELL] * N_MOVES + action]]] << 8 * action
     return mask

@@ -12,7 +12,7 @@ def collision(rules: Rules, grid: Buffer, to: int) -> int:
     """`Event.WALL` or `Event.BLOCKED` if the drone cannot enter the cell `to`, else `Event.NONE`."""
     if to == NOWHERE:
         return WALL
-    if rules.any_impassable and not rules.passable[grid[to]]:
+    if rules.any_impassable and rules.impassable[grid[to]]:
         return BLOCKED
     return NONE
 

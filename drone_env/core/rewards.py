@@ -9,12 +9,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drone_env.core.actions import N_EVENTS, Event, Outcome
-from drone_env.core.rules import DELIVERIES, DISTANCE, OUTCOME, Buffer, FloatBuffer, Rules, as_views, read_only
+from drone_env.core.rules import (
+    DELIVERIES,
+    DISTANCE,
+    OUTCOME,
+    Buffer,
+    FloatBuffer,
+    Rules,
+    as_views,
+    read_only,
+)
 from drone_env.core.score import score
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import MAX_SIDE, TaskConfig
 from drone_env.errors import InvalidTaskError, UnknownNameError
 
 FLYING = int(Outcome.FLYING)
+STRIDE = 2 * MAX_SIDE
+"""Entries of a potential's table per number of deliveries: a distance is below it."""
 MAX_REWARD = 1_000_000
 MAX_PLACES = 400
 """Decimal places of the numbers of a profile: more than any float has, and few enough to calculate with exactly."""
@@ -133,13 +144,9 @@ class Rewards(NamedTuple):
     """A profile's tables for one task. Arrays when compiled, memory views when interpreted."""
 
     events: FloatBuffer
-    """float64[events * 3], at event * 3 + closer + 1."""
-    shaped: int
-    """1 if the potential is in use."""
-    stride: int
-    """Entries of the potential per number of deliveries."""
+    """float64[events * 3], at event * 3 + closer (2), as far (1) or farther (0)."""
     potential: FloatBuffer
-    """phi(s): float64, at deliveries * stride + distance."""
+    """phi(s): float64, at deliveries * STRIDE + distance."""
     discounted: FloatBuffer
     """gamma * phi(s), laid out alike."""
     pays_score: int
@@ -164,18 +171,15 @@ def tabulate_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
             events[event * 3 + closer + 1] = float(value)
 
     total = task.deliveries
-    stride = task.width + task.height
     gamma = Fraction(profile.shaping_gamma or 0)
     phi = [
-        Fraction(2, 10) + Fraction(8, 10) / total * (done + 1 - Fraction(far, stride))
+        Fraction(2, 10) + Fraction(8, 10) / total * (done + 1 - Fraction(far, task.width + task.height))
         for done in range(total + 1)
-        for far in range(stride)
+        for far in range(STRIDE)
     ]
     tables: dict[str, Any] = {
         "events": events,
-        "shaped": int(profile.shaping_gamma is not None),
-        "stride": stride,
-        "potential": np.array([float(value) for value in phi]),
+        "potential": np.array([float(value) for value in phi]) * (profile.shaping_gamma is not None),
         "discounted": np.array([float(gamma * value) for value in phi]),
         "pays_score": int(profile.pays_score),
     }
@@ -188,9 +192,12 @@ def interpreted_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
     return as_views(tabulate_rewards(task, profile))
 
 
-def reward_of(
-    rules: Rules, rewards: Rewards, row: Buffer, event: int, closer: int, deliveries_before: int, distance_before: int
-) -> float:
+def potential_of(table: FloatBuffer, row: Buffer) -> float:
+    """What a table of a profile, `potential` or `discounted`, holds for the state."""
+    return table[row[DELIVERIES] * STRIDE + row[DISTANCE]]
+
+
+def reward_of(rules: Rules, rewards: Rewards, row: Buffer, event: int, closer: int, potential_before: float) -> float:
     """What the step that led to `row` pays.
 
     Args:
@@ -198,16 +205,12 @@ def reward_of(
         rewards: The profile's tables.
         row: The state after the step, its outcome settled.
         event: What the step came to.
-        closer: Cells by which the step came closer to the target that was current before it: -1, 0 or 1.
-        deliveries_before: Parcels delivered before the step.
-        distance_before: Distance to the current target before the step.
+        closer: 2 if the step came closer to the target that was current before it, 1 if it stayed as far, else 0.
+        potential_before: The potential of the state before the step.
     """
-    reward = rewards.events[event * 3 + closer + 1]
-    ended = row[OUTCOME] != FLYING
-    if rewards.shaped:
-        reward -= rewards.potential[deliveries_before * rewards.stride + distance_before]
-        if not ended:
-            reward += rewards.discounted[row[DELIVERIES] * rewards.stride + row[DISTANCE]]
-    if rewards.pays_score and ended:
-        reward += score(rules, row)
+    reward = rewards.events[event * 3 + closer] - potential_before
+    if row[OUTCOME] == FLYING:
+        return reward + potential_of(rewards.discounted, row)
+    if rewards.pays_score:
+        return reward + score(rules, row)
     return reward

@@ -28,6 +28,10 @@ Buffer: TypeAlias = "memoryview[int]"
 FloatBuffer: TypeAlias = "memoryview[float]"
 """The same, of floating-point numbers."""
 
+INDEX_BITS = (1 << 16) - 1
+"""Changes no index of a table, and tells the compiler that none is below zero."""
+N_MOVES = N_ACTIONS - 1
+"""All actions but WAIT, which is the last."""
 N_TERRAIN = len(TERRAIN)
 
 Tables = TypeVar("Tables", bound=tuple[Any, ...])
@@ -71,18 +75,20 @@ class Rules(NamedTuple):
     max_steps: int
     capacity: int
     columns: Buffer
-    """x of each cell, int16[cells]."""
+    """x of each cell, int64[cells]."""
     lines: Buffer
-    """y of each cell, int16[cells]."""
+    """y of each cell, int64[cells]."""
     moves: Buffer
     """Cell reached from `cell` by `action`, `NOWHERE` at the wall: uint16[cells * 5], at
     cell * N_ACTIONS + action."""
     open_moves: Buffer
     """The actions that do not meet the wall, 1 in byte `action` of each int64[cells]."""
+    around: Buffer
+    """The cell that each move reaches, the cell itself at the wall: uint16[cells * 4], at cell * N_MOVES + action."""
     any_impassable: int
     """1 if some kind of cell is impassable."""
-    passable: Buffer
-    """Whether the drone can enter a kind of cell, uint8[kinds]."""
+    impassable: Buffer
+    """1 for the kinds of cell that the drone cannot enter, uint8[kinds]."""
     drain: Buffer
     """Battery units that an action costs above a kind of cell, below zero where it charges: int16[kinds * 5], at
     kind * N_ACTIONS + action."""
@@ -98,32 +104,21 @@ class Rules(NamedTuple):
     city_cells: Buffer
     """The cells between the streets, then those on them, in each of these ways: uint16[ways * cells]."""
     drawn_kinds: Buffer
-    """The kinds of cell that are drawn where there are streets, in the order in which they are: uint8[draws]."""
-    drawn_first: Buffer
-    """Where in `city_cells` the cells begin that such a draw chooses among: uint16[draws + deliveries]."""
-    drawn_among: Buffer
-    """How many cells they are: uint16[draws + deliveries]."""
-    drawn_own: Buffer
-    """The last of these cells."""
+    """The kinds of terrain that are drawn, in the order in which they are: uint8[draws]."""
+    drawn_between: int
+    """How many of these stand between the streets: they are the first."""
     efficiency_needs_all: int
     """1 if battery and steps left count in the score only when everything is delivered."""
-    counts: Buffer
-    """How many cells of a kind a map holds, int16[kinds]; `placed` says in which order they are placed."""
-    placed: Buffer
-    """Kinds in the order in which they are placed on the map, uint8[...]."""
     telemetry_size: int
     """Values in the telemetry: 5, 6 with the share of steps left, 13 with the kind of the cell below as well."""
-    x_share: FloatBuffer
-    """x / width of each cell, float32[cells]."""
-    y_share: FloatBuffer
-    """y / height of each cell, float32[cells]."""
+    shares: FloatBuffer
+    """x / width and y / height of each cell: float32[cells * 2], at cell * 2."""
     battery_share: FloatBuffer
     """units / capacity for each number of units, float32[capacity + 1]."""
     steps_share: FloatBuffer
     """Share of steps left after each number of steps, float32[max_steps + 1]."""
-    below: FloatBuffer
-    """1 for the kind itself, 0 for every other that can lie below the drone: float32[kinds * 7], at
-    kind * N_TERRAIN + number of the other in `TERRAIN`."""
+    terrain_numbers: Buffer
+    """Where a kind stands in `TERRAIN`: uint8[kinds]."""
 
 
 def row_size(rules: Rules) -> int:
@@ -143,8 +138,8 @@ def tabulate(task: TaskConfig) -> Rules:
                 if 0 <= x + dx < width and 0 <= y + dy < height:
                     moves[y, x, action] = (y + dy) * width + x + dx
 
-    passable = np.ones(N_CELL_KINDS, np.uint8)
-    passable[list(task.impassable)] = 0
+    impassable = np.zeros(N_CELL_KINDS, np.uint8)
+    impassable[list(task.impassable)] = 1
     drain = np.ones((N_CELL_KINDS, N_ACTIONS), np.int16)
     for kind, units in task.drain:
         drain[kind] = units
@@ -155,13 +150,10 @@ def tabulate(task: TaskConfig) -> Rules:
     flight_event[Cell.OBSTACLE] = Event.OBSTACLE
     flight_event[Cell.BUILDING] = Event.BUILDING
     flight_event[Cell.TREE] = Event.TREE
-    counts = np.zeros(N_CELL_KINDS, np.int16)
-    for kind, count in task.cell_counts().items():
-        counts[kind] = count
-    below = np.zeros((N_CELL_KINDS, N_TERRAIN), np.float32)
-    below[list(TERRAIN), np.arange(N_TERRAIN)] = 1
+    terrain_numbers = np.zeros(N_CELL_KINDS, np.uint8)
+    terrain_numbers[list(TERRAIN)] = np.arange(N_TERRAIN)
 
-    numbers = np.arange(cells, dtype=np.int16)
+    numbers = np.arange(cells)
     tables: dict[str, Any] = {
         "key": task_key(task.id, task.version),
         "width": width,
@@ -174,65 +166,62 @@ def tabulate(task: TaskConfig) -> Rules:
         "lines": numbers // width,
         "moves": np.ravel(moves),
         "open_moves": (np.reshape(moves != NOWHERE, (cells, N_ACTIONS)) << 8 * np.arange(N_ACTIONS)).sum(axis=1),
-        "any_impassable": int(not passable.all()),
-        "passable": passable,
+        "around": np.where(moves == NOWHERE, numbers.reshape(height, width, 1), moves)[:, :, :N_MOVES]
+        .ravel()
+        .astype(np.uint16),
+        "any_impassable": int(impassable.any()),
+        "impassable": impassable,
         "drain": np.ravel(drain),
         "flight_event": np.ravel(flight_event),
         "street_spacing": task.street_spacing,
         **_city_tables(task),
         "efficiency_needs_all": int(task.efficiency_needs_all),
-        "counts": counts,
-        "placed": np.array(list(task.cell_counts()), np.uint8),
         "telemetry_size": task.telemetry_size,
-        "x_share": (numbers % width / width).astype(np.float32),
-        "y_share": (numbers // width / height).astype(np.float32),
+        "shares": np.ravel(np.column_stack([numbers % width / width, numbers // width / height])).astype(np.float32),
         "battery_share": (np.arange(task.battery_capacity + 1) / task.battery_capacity).astype(np.float32),
         "steps_share": (np.arange(task.max_steps, -1, -1) / task.max_steps).astype(np.float32),
-        "below": np.ravel(below),
+        "terrain_numbers": terrain_numbers,
     }
     return read_only(Rules(**tables))
 
 
 def _city_tables(task: TaskConfig) -> dict[str, Any]:
-    """What maps with streets are drawn from; empty tables where there are none.
+    """What a map is drawn from.
 
-    Of the kinds that stand between the streets (open ground among them), and of those on the streets, the most
-    frequent one covers all at first, and the others are drawn: the fewest draws that do.
+    With streets: of the kinds that stand between them (open ground among them), and of those on them, the most frequent
+    one covers all at first, and the others are drawn: the fewest draws that do.
     """
-    spacing, cells = max(task.street_spacing, 1), task.width * task.height
-    ways = spacing**2 if task.street_spacing else 0
-    numbers = np.arange(cells)
+    counts, spacing, cells = task.cell_counts(), task.street_spacing, task.width * task.height
+    if spacing == 0:
+        kinds = [kind for kind, count in counts.items() for _ in range(count)]
+        return {
+            "blocks": 0,
+            "city_grids": np.zeros(0, np.uint8),
+            "city_cells": np.zeros(0, np.uint16),
+            "drawn_kinds": np.array(kinds, np.uint8),
+            "drawn_between": 0,
+        }
+    numbers, way = np.arange(cells), np.arange(spacing**2)[:, None]
     across, down = numbers % task.width % spacing, numbers // task.width % spacing
-    way = np.arange(ways)[:, None]
     on_street = (across == way % spacing) | (down == way // spacing)
     blocks = (task.width - task.width // spacing) * (task.height - task.height // spacing)
 
-    counts = task.cell_counts()
-    streets = cells - blocks - 1 - task.deliveries  # without the start and the parcels
     between = {kind: counts[kind] for kind in (Cell.BUILDING, Cell.TREE)}
     along = {kind: counts[kind] for kind in (Cell.OBSTACLE, Cell.PAD)}
-    between[Cell.ROAD], along[Cell.ROAD] = blocks - sum(between.values()), streets - sum(along.values())
+    between[Cell.ROAD] = blocks - sum(between.values())
+    along[Cell.ROAD] = cells - blocks - 1 - task.deliveries - sum(along.values())
     covers: list[Cell] = []
     kinds: list[Cell] = []
-    among: list[int] = []
-    for placed, size in (between, blocks), (along, streets):
-        cover, *rest = sorted(placed, key=lambda kind: (-placed[kind], kind))
+    for placed in between, along:
+        cover, *others = sorted(placed, key=lambda kind: (-placed[kind], kind))
         covers.append(cover)
-        drawn = [kind for kind in rest for _ in range(placed[kind])]
-        kinds += drawn
-        among += range(size - len(drawn) + 1, size + 1)
-    among += range(streets + 1, streets + 1 + task.deliveries)
-    n_between = blocks - between[covers[0]]
-    # The first cell on the streets is kept back: it stands in for the start where that would be drawn.
-    first = [0] * n_between + [blocks + 1] * (len(among) - n_between)
+        kinds += [kind for kind in others for _ in range(placed[kind])]
     return {
         "blocks": blocks,
-        "city_grids": np.ravel(np.where(on_street, *reversed(covers))).astype(np.uint8),
+        "city_grids": np.ravel(np.where(on_street, covers[1], covers[0])).astype(np.uint8),
         "city_cells": np.ravel(np.argsort(on_street, axis=1, kind="stable")).astype(np.uint16),
-        "drawn_kinds": np.array(kinds if ways else [], np.uint8),
-        "drawn_first": np.array(first if ways else [], np.uint16),
-        "drawn_among": np.array(among if ways else [], np.uint16),
-        "drawn_own": np.array([f + n - 1 for f, n in zip(first, among)] if ways else [], np.uint16),
+        "drawn_kinds": np.array(kinds, np.uint8),
+        "drawn_between": blocks - between[covers[0]],
     }
 
 

@@ -112,7 +112,7 @@ def audit_kernel(
                 target_cell = row[parcels[target]]
                 for cell in range(rules.cells):
                     under = grid[cell]
-                    if under == DELIVERY or not rules.passable[under]:
+                    if under == DELIVERY or rules.impassable[under]:
                         continue
                     for units in range(sizes[t]):
                         for action in range(N_ACTIONS):
@@ -224,7 +224,7 @@ def _maximise(episode: Episode, profile: RewardProfile, gamma: float) -> tuple[l
     rules = tabulate(task)
     grid, row, parcels = state_arrays(episode)
     first_step, battery = int(row[STEPS]), int(row[BATTERY])
-    lowest, sizes = battery_ranges(battery, *drain_range(rules), task, task.max_steps - first_step)
+    lowest, sizes = battery_ranges(battery, *drain_range(task), task, task.max_steps - first_step)
     shape = (int(sizes.max()), 1 << len(parcels), len(parcels), rules.cells)
     size = int(np.prod(shape, dtype=object)) * (len(sizes) + 32)
     require_memory("the audit", task, size)
@@ -232,7 +232,7 @@ def _maximise(episode: Episode, profile: RewardProfile, gamma: float) -> tuple[l
     choices = np.zeros((len(sizes), *shape), np.uint8)
     start, aim = int(row[CELL]), number_of(row, parcels, int(row[TARGET]))
     rewards = tabulate_rewards(task, profile)
-    largest = max(np.abs(rewards.events).max(), np.abs(rewards.potential).max() if rewards.shaped else 0.0)
+    largest = max(np.abs(rewards.events).max(), np.abs(rewards.potential).max())
     audit_kernel(
         rules,
         rewards,

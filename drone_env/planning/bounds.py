@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from drone_env.core.actions import N_ACTIONS, Action, Event
 from drone_env.core.obstacles import collision
-from drone_env.core.rules import Buffer, Rules, interpreted, tabulate, view
+from drone_env.core.rules import Buffer, Rules, interpreted, view
 from drone_env.core.score import score_of
 from drone_env.core.state_manager import Episode
 from drone_env.planning.greedy import greedy_action
@@ -57,7 +57,7 @@ def _upper(episode: Episode) -> float:
         reached = held_karp([first[cell] for cell in near], legs, n, steps_left, lengths, order)
         steps = min(lengths[(1 << n) - 1]) if reached == n else steps_left
     charges = bool(task.pads and task.charge_rate)
-    least_drain, _ = drain_range(tabulate(task))
+    least_drain, _ = drain_range(task)
 
     def score(deliveries: int, after: int) -> float:
         battery = rules.capacity if charges else max(episode.battery_units - least_drain * after, 0)

@@ -135,7 +135,7 @@ class ExactSolver:
         ends = (task.deliveries + 1) * (task.battery_capacity + 1) * (task.max_steps + 1)
         require_memory("the exact values", task, 12 * ends + 30 * self._places)
         graph = map_graph(episode)
-        lowest, sizes = battery_ranges(battery, *drain_range(graph.rules), task, task.max_steps - self._first_step)
+        lowest, sizes = battery_ranges(battery, *drain_range(task), task, task.max_steps - self._first_step)
         self._lowest = lowest
         self._starts = np.concatenate([[0], np.cumsum(sizes)]) * self._places
         self._scores, ranks = ranked_scores(task)

@@ -97,7 +97,7 @@ def explore(rules: Rules, rewards: Rewards, grid: Any, row: Any, parcels: Any, l
     for delivered in range((1 << len(parcels)) - 1):
         for cell in range(rules.cells):
             put_parcels(rules, grid, row, parcels, delivered)
-            if grid[cell] == DELIVERY or not rules.passable[grid[cell]]:
+            if grid[cell] == DELIVERY or rules.impassable[grid[cell]]:
                 continue
             under = grid[cell]
             place = delivered * rules.cells + cell
@@ -178,10 +178,10 @@ def require_memory(what: str, task: TaskConfig, size: int) -> None:
         )
 
 
-def drain_range(rules: Rules) -> tuple[int, int]:
+def drain_range(task: TaskConfig) -> tuple[int, int]:
     """The least and the most that a step can drain on any map of the task; below zero for a charge."""
-    kinds = [Cell.ROAD, Cell.DELIVERY, Cell.DELIVERED, *(int(kind) for kind in rules.placed if rules.counts[kind])]
-    drains = np.reshape(rules.drain, (-1, N_ACTIONS))[[kind for kind in kinds if rules.passable[kind]]]
+    kinds = [Cell.ROAD, Cell.DELIVERY, Cell.DELIVERED, *(kind for kind, count in task.cell_counts().items() if count)]
+    drains = np.reshape(tabulate(task).drain, (-1, N_ACTIONS))[[kind for kind in kinds if kind not in task.impassable]]
     return int(drains.min()), int(drains.max())
 
 

@@ -1,4 +1,4 @@
-"""Hashes of the maps and trajectories of the standard tasks: what must never change, on any platform or Python.
+"""Hashes of the maps and trajectories of all tasks: what must never change, on any platform or Python.
 
     python tests/parity/golden.py              print them, computed by plain Python
     python tests/parity/golden.py --compiled   print them, computed by the compiled batch
@@ -6,7 +6,7 @@
 
 Needs NumPy and Gymnasium, with `drone_env` on the path. A change of a hash means a new version of the task.
 
-Per task there are two SHA-256 digests over the same seeds, all numbers little-endian:
+Per task there are its version and two SHA-256 digests over the same seeds, all numbers little-endian:
 
 - `maps`: of each map, the grid without the drone (uint8 per cell, row by row), then the cells of the start and of the
   deliveries (uint16).
@@ -35,7 +35,7 @@ from drone_env.core.rules import CELL, OUTCOME, PARCELS, UNDER, interpreted, row
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import TASKS, TaskConfig
 
-GOLDEN_FILE = Path(__file__).with_name("golden_v1.json")
+GOLDEN_FILE = Path(__file__).with_name("golden.json")
 PROFILES = ("aligned", "composite", "score", "tiered")
 N_SEEDS = 1000
 N_FIRST = 150
@@ -159,7 +159,7 @@ def golden_hashes(way: Way, seeds: list[int]) -> Hashes:
             trajectories.update(of_flight)
             if n == N_FIRST:
                 first = {"maps": maps.hexdigest(), "trajectories": trajectories.hexdigest()}
-        hashes[name] = {"maps": maps.hexdigest(), "trajectories": trajectories.hexdigest(), "first": first}
+        hashes[name] = {"version": task.version, "maps": maps.hexdigest(), "trajectories": trajectories.hexdigest(), "first": first}
     return hashes
 
 

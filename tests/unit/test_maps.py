@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drone_env.core.batch import Batch
 from drone_env.core.cells import Cell
 from drone_env.core.grid_generator import CityMap, generate_city_map
+from drone_env.core.rules import CELL, PARCELS
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig
@@ -271,6 +273,34 @@ class TestFairness:
         # 72 pairs of distinct cells, 71 degrees of freedom: mean 71, standard deviation 12
         assert 15 < chi_square(pairs[~np.eye(9, dtype=bool)]) < 145
         assert pairs.trace() == 0
+
+    def test_what_stands_in_a_city_is_uniform_over_the_cells_where_it_may(self) -> None:
+        task, n = TASKS["skyline_easy"], 100_000
+        batch = Batch(task, n)
+        batch.reset(np.arange(n))
+        grids, rows = (batch.get_state()[name] for name in ("grids", "rows"))
+        starts, parcels = rows[:, CELL].astype(int), rows[:, PARCELS:].astype(int)
+        # 63 degrees of freedom: mean 63, standard deviation 11
+        assert 15 < chi_square(np.bincount(starts, minlength=64)) < 130
+        cells = np.arange(64)
+        for way in range(16):
+            of_way = (starts // 8 % 4 == way // 4) & (starts % 4 == way % 4)
+            on_street = (cells // 8 % 4 == way // 4) | (cells % 4 == way % 4)
+            for kind in (Cell.BUILDING, Cell.TREE):
+                # 36 cells: mean 35, standard deviation 8 at most, as the cells of one map are distinct
+                counts = np.sum(grids[of_way][:, ~on_street] == kind, axis=0)
+                assert 1 < chi_square(counts) < 90
+            crossings = on_street & (cells // 8 % 4 == way // 4) & (cells % 4 == way % 4)
+            for kind in (Cell.OBSTACLE, Cell.PAD, Cell.DELIVERY):
+                # 28 cells, of which four are the start on a quarter of the maps
+                counts = np.sum(grids[of_way][:, on_street] == kind, axis=0) / np.where(crossings[on_street], 0.75, 1)
+                assert 1 < chi_square(counts) < 75
+        # From the start, each two places on the streets are as likely for the first two parcels as any other two:
+        # 27 * 26 pairs, mean 701, standard deviation 37.
+        places = (parcels // 8 - (starts // 8)[:, None]) % 8 * 8 + (parcels % 8 - (starts % 8)[:, None]) % 8
+        pairs = np.bincount(places[:, 0] * 64 + places[:, 1], minlength=4096)
+        assert np.count_nonzero(pairs) == 27 * 26
+        assert 480 < chi_square(pairs[pairs > 0]) < 925
 
     def test_maps_of_neighbouring_seeds_are_independent(self) -> None:
         task = replace(EASY, width=3, height=3, buildings=0, trees=0, obstacles=0)
