@@ -14,6 +14,9 @@ unexport PYTHONDONTWRITEBYTECODE
 $(VENV)/.base: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Python 3.10 or newer is needed; try: make PYTHON=python3.12")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+# The package's former name: were both installed, removing the old one would take the commands of the new one away.
+	$(BIN)/python -m pip uninstall --quiet --quiet --yes drone-env
+	rm -rf drone_env.egg-info
 	$(BIN)/python -m pip install --quiet --editable .
 	touch $@
 
@@ -127,7 +130,7 @@ bench-dashboard: $(VENV)/.dev
 bench-install: $(VENV)/.dev
 	$(BIN)/python benchmarks/install.py $(ARGS)
 
-# The wheel in an empty environment for each Python, with server and page; make wheels-check ARGS='--python 3.12'.
+# Source distribution and wheel in empty environments of each Python, with server and page; make wheels-check ARGS='--python 3.12'.
 wheels-check: $(VENV)/.dev
 	$(BIN)/python tests/package/installed.py $(ARGS)
 

@@ -32,6 +32,7 @@ else:
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
+from drone_env.installer import DISTRIBUTION  # noqa: E402
 from tests.package.installed import build, megabytes  # noqa: E402
 
 ORIGINAL = ("openenv-core[core]>=0.2.1", "torch>=2.0.0", "openai>=1.0.0", "python-multipart>=0.0.9")
@@ -125,7 +126,7 @@ def main() -> None:
         wheel = build(Path(folder), "--wheel")[0]
         ours = {"base, `drone-env fly`": str(wheel), "`[server]`": f"{wheel}[server]"}
         for name, requirement in ours.items():
-            resolved = download([f"drone-env{requirement.removeprefix(str(wheel))} @ {wheel.as_uri()}"])
+            resolved = download([f"{DISTRIBUTION}{requirement.removeprefix(str(wheel))} @ {wheel.as_uri()}"])
             rows[name] = {**resolved, **install(requirement)}
             row = rows[name]
             print(

@@ -24,7 +24,7 @@ from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from typing import Any
 
-from drone_env.installer import install_command
+from drone_env.installer import how_to_install
 
 
 class DroneEnvError(Exception):
@@ -81,7 +81,7 @@ class MissingPackageError(DroneEnvError, ImportError):
     """A package that only an extra installs; the message says how."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed: run {install_command(extra)} in the clone")
+        super().__init__(f"{package} is not installed: {how_to_install(extra)}")
 
 
 class StoreError(DroneEnvError, OSError):

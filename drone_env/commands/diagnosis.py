@@ -21,11 +21,10 @@ from drone_env.agents.pathqnet import WEIGHTS, PathQNetAgent, shipped_network
 from drone_env.core.compile_cache import cache_folder
 from drone_env.core.tasks import TASKS
 from drone_env.errors import DroneEnvError
-from drone_env.installer import install_command
+from drone_env.installer import DISTRIBUTION, install_command
 from drone_env.registry import load_plugins, plugin_names
 
 Status = Literal["ok", "absent", "attention", "broken"]
-DISTRIBUTION = "drone-env"
 SHIPPED = ("easy_delivery", "medium_delivery", "hard_delivery")
 """The tasks whose networks come with the package."""
 MEGABYTE = 1_000_000

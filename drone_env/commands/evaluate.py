@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from drone_env import __version__
 from drone_env.agents import AGENTS
 from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, parse_seeds
 from drone_env.core.seeds import SPLITS, split_seeds
@@ -45,7 +46,8 @@ def evaluate(
 
     Prints a table; a progress bar goes to standard error. Score: graded, 0.01 to 0.99, with its 95 % confidence
     interval. Ratio: mean score / mean optimal score. Regret: mean of optimum less score. Excess: steps beyond the
-    optimal flight, on delivered maps; below zero where the best flight takes its time to charge.
+    optimal flight, on delivered maps; below zero where the best flight takes its time to charge. docs/quoting.md says
+    what of it to quote.
 
     Example: drone-env evaluate --task hard --agents greedy optimal --episodes 100 --json results.json
 
@@ -91,7 +93,8 @@ def evaluate(
         if out is not None:
             print(f"interrupted; to go on, give the same options with --out {out}", file=sys.stderr)
         raise
-    report = {"tasks": {t.id: _report_task(t, of_agent, results) for t, of_agent in keys.items()}}
+    figures = {t.id: _report_task(t, of_agent, results) for t, of_agent in keys.items()}
+    report = {"package": __version__, "tasks": figures}
     text = json_format.dumps(report, indent=2) + "\n"
     if json == "-":
         sys.stdout.write(text)
@@ -161,7 +164,7 @@ def _table(report: dict[str, Any]) -> Table:
             interval = figures["score_ci95"]
             half_width = "" if interval is None else f" ± {interval[1] - figures['mean_score']:.4f}"
             table.add_row(
-                get_task(task_id).short_name,
+                f"{get_task(task_id).short_name} v{of_task['version']}",
                 agent,
                 f"{figures['mean_score']:.4f}{half_width}",
                 _figure(figures["mean_optimal_score"], ".4f"),
@@ -171,8 +174,9 @@ def _table(report: dict[str, Any]) -> Table:
                 f"{figures['mean_steps']:.1f}",
                 _figure(figures["mean_excess_steps"], ".2f"),
             )
-    seeds = next(iter(report["tasks"].values()))["seeds"]
-    table.caption = f"{seeds[1] - seeds[0]:,} maps a task, seeds {seeds[0]} to {seeds[1] - 1}"
+    flown = next(iter(report["tasks"].values()))
+    start, stop = flown["seeds"]
+    table.caption = f"{stop - start:,} maps a task, split {flown['split']}, seeds {start} to {stop - 1}"
     return table
 
 

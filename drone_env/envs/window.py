@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.error import DependencyNotInstalled
 
-from drone_env.installer import install_command
+from drone_env.installer import how_to_install
 
 
 class Window:
@@ -69,9 +69,7 @@ class Window:
         try:
             import pygame
         except ImportError as error:
-            raise DependencyNotInstalled(
-                f"pygame is not installed, run `{install_command('human')}` in the clone"
-            ) from error
+            raise DependencyNotInstalled(f"pygame is not installed: {how_to_install('human')}") from error
         pygame.display.init()
         pygame.display.set_caption(self.caption)
         self._pygame, self._clock = pygame, pygame.time.Clock()

@@ -44,9 +44,8 @@ from drone_env.server.state import Shared
 
 log = logging.getLogger(__name__)
 
-API_VERSION = "1.0.0"
-DESCRIPTION = f"""
-A drone delivers parcels on a generated city grid. Version {__version__} of the package.
+DESCRIPTION = """
+A drone delivers parcels on a generated city grid.
 
 `POST /reset` opens a session and gives it back as `session_id`, as the header `X-Session-Id` and as a cookie; send it
 with what follows. OpenEnv's clients connect to the WebSocket `/ws` instead, which is a session of its own.
@@ -96,7 +95,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
 
     app = FastAPI(
         title="Drone Delivery Env",
-        version=API_VERSION,
+        version=__version__,
         description=DESCRIPTION,
         lifespan=lifespan,
         responses=answers(401, 403),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
+from drone_env import __version__
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
@@ -228,7 +229,9 @@ def test_an_observation_from_the_wire_becomes_what_agents_see(task: str) -> None
 
 
 def test_openenvs_routes(client: TestClient) -> None:
-    assert client.get("/metadata").json()["name"] == "drone-env"
+    about = client.get("/metadata").json()
+    assert (about["name"], about["version"]) == ("drone-env", __version__)
+    assert client.get("/openapi.json").json()["info"]["version"] == __version__
     assert client.get("/list_environments").json() == ["drone-env"]
     assert len(client.get("/Drone-Env/splits").json()) == 3 * len(TASKS)
     test = {"split": "hard_delivery/test"}

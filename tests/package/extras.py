@@ -12,6 +12,7 @@ from typing import NamedTuple
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from drone_env.installer import DISTRIBUTION
 from tests.package.installed import ROOT
 
 if sys.version_info >= (3, 11):
@@ -36,7 +37,7 @@ class Import(NamedTuple):
 
 @lru_cache
 def brought(*extras: str) -> frozenset[str]:
-    """The top-level names that `pip install drone-env[extras]` makes importable, from the metadata of what is here."""
+    """The top-level names that the package with extras makes importable, from the metadata of what is here."""
     wanted = [Requirement(line) for line in PROJECT["dependencies"]]
     wanted += [Requirement(line) for extra in extras for line in PROJECT["optional-dependencies"][extra]]
     seen: set[tuple[str, str]] = set()
@@ -47,7 +48,7 @@ def brought(*extras: str) -> frozenset[str]:
             if (name, extra) in seen:
                 continue
             seen.add((name, extra))
-            if name == "drone-env":
+            if name == DISTRIBUTION:
                 wanted += [Requirement(line) for line in PROJECT["optional-dependencies"].get(extra, [])]
                 continue
             wanted += [needed for needed in _requires(name) if _holds(needed, extra)]

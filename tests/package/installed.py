@@ -1,11 +1,12 @@
-"""The wheel in an empty environment, outside the checkout: does all that it promises work there?
+"""Wheel and source distribution in empty environments, outside the checkout: does all that they promise work there?
 
     python tests/package/installed.py [--python 3.10 3.11 3.12 3.13] [--uv | --offline] [--json FILE]
 
-For each Python: a fresh environment in a temporary folder, the wheel with the extra `server`, then from another folder
-`drone-env --version`, `fly`, `evaluate`, `doctor` and `serve`; the page and all its files are asked for, and a mission
-is begun over HTTP. With --uv, uv installs instead of pip. With --offline, the dependencies are those of the Python that
-runs this, and only the package itself comes from the wheel.
+The wheel that is built from the source distribution is to hold what the wheel from the checkout holds, byte for byte.
+For each Python: a fresh environment in a temporary folder, the wheel with the extra `server` (for the last one the
+source distribution, too), then from another folder `drone-env --version`, `fly`, `evaluate`, `doctor` and `serve`; the
+page and all its files are asked for, and a mission is begun over HTTP. With --uv, uv installs instead of pip. With
+--offline, the dependencies are those of the Python that runs this, and only the package itself comes from the file.
 """
 
 import argparse
@@ -27,6 +28,7 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
+from drone_env.installer import DISTRIBUTION  # noqa: E402
 from tests.tools import path_of_python, reserved_port  # noqa: E402
 
 TASKS = ("easy_delivery", "medium_delivery", "hard_delivery")
@@ -42,7 +44,10 @@ def copy_tracked(folder: Path) -> None:
 
 
 def build(folder: Path, *kinds: str) -> list[Path]:
-    """What `python -m build` makes of a copy of the tracked files, so that nothing is left in the checkout."""
+    """What `python -m build` makes of a copy of the tracked files, so that nothing is left in the checkout.
+
+    Where no kind is named: the source distribution, and the wheel that is built from it.
+    """
     source = folder / "source"
     copy_tracked(source)
     command = [sys.executable, "-m", "build", "--no-isolation", *kinds, "--outdir", str(folder / "dist"), str(source)]
@@ -56,17 +61,17 @@ def megabytes(folder: Path) -> float:
 
 
 class Installed:
-    """The wheel, installed.
+    """A wheel or a source distribution, installed.
 
     Args:
-        wheel: The wheel.
+        file: What is installed.
         python: The interpreter to make the environment with.
         folder: An empty folder.
         offline: Whether to take the dependencies of the Python that runs this.
         uv: Whether uv installs.
     """
 
-    def __init__(self, wheel: Path, python: str, folder: Path, offline: bool, uv: bool) -> None:
+    def __init__(self, file: Path, python: str, folder: Path, offline: bool, uv: bool) -> None:
         self.place = folder / "elsewhere"
         self.place.mkdir()
         self.bin = folder / "env" / "bin"
@@ -79,7 +84,8 @@ class Installed:
             self.packages = next((folder / "env").glob("lib/python*/site-packages"))
             # A path in a .pth file adds the folder alone: the checkout that is installed there as editable stays out.
             (self.packages / "dependencies.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")
-            to = ["--python", str(self.bin / "python"), "install", "--quiet", "--no-deps", "--no-index", str(wheel)]
+            alone = ["--quiet", "--no-deps", "--no-index", "--no-build-isolation", str(file)]
+            to = ["--python", str(self.bin / "python"), "install", *alone]
             subprocess.run([sys.executable, "-m", "pip", *to], check=True, env=self.environment)
         else:
             subprocess.run([python, "-m", "venv", str(folder / "env")], check=True, env=self.environment)
@@ -89,7 +95,7 @@ class Installed:
             pip = (
                 [sys.executable, "-m", "uv", "pip", "install", "--python", own] if uv else [own, "-m", "pip", "install"]
             )
-            subprocess.run([*pip, "--quiet", f"{wheel}[server]"], check=True, env=self.environment)
+            subprocess.run([*pip, "--quiet", f"{file}[server]"], check=True, env=self.environment)
             self.megabytes = megabytes(self.packages) - before
         self.seconds = time.monotonic() - start
 
@@ -103,6 +109,11 @@ class Installed:
             raise AssertionError(f"drone-env {' '.join(arguments)}: exit status {done.returncode}: {done.stderr}")
         return done.stdout
 
+    def python(self, code: str) -> list[str]:
+        """The lines that a program prints there."""
+        command = [str(self.bin / "python"), "-c", code]
+        return subprocess.check_output(command, cwd=self.place, env=self.environment, text=True).splitlines()
+
     def check_commands(self) -> dict[str, Any]:
         """Version, origin, flights, evaluation, doctor; the seconds of the first flight."""
         start = time.monotonic()
@@ -111,10 +122,10 @@ class Installed:
         assert flown.splitlines()[-1].startswith("[END] success=true"), flown
         version = self.run("--version").split()
         assert version[0] == "drone-env", version
-        code = "import drone_env; print(drone_env.__file__)"
-        command = [str(self.bin / "python"), "-c", code]
-        where = subprocess.check_output(command, cwd=self.place, env=self.environment, text=True).strip()
+        where, hint = self.python("import drone_env, drone_env.installer as i; print(drone_env.__file__)"
+                                  "; print(i.install_command('train'))")  # fmt: skip
         assert Path(where).is_relative_to(self.packages), where
+        assert hint.endswith(f"pip install '{DISTRIBUTION}[train]'"), hint
         judged = json.loads(self.run("evaluate", "--task", "easy", "--agents", "greedy", "optimal", "--episodes", "5",
                                      "--json", "-"))  # fmt: skip
         assert judged["tasks"]["easy_delivery"]["agents"]["optimal"]["score_ratio"] == 1
@@ -172,29 +183,32 @@ def get(request: "str | urllib.request.Request") -> bytes:
         return answer.read()
 
 
+def contents(wheel: Path) -> dict[str, bytes]:
+    """The files of a wheel by their names."""
+    with zipfile.ZipFile(wheel) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
 def page_files(wheel: Path) -> list[str]:
     """All files of the page that are not empty, as the server names them."""
     prefix = "drone_env/server/static/"
-    with zipfile.ZipFile(wheel) as archive:
-        infos = [info for info in archive.infolist() if info.filename.startswith(prefix) and info.file_size]
-    return [info.filename.removeprefix(prefix) for info in infos]
+    return [name.removeprefix(prefix) for name, held in contents(wheel).items() if name.startswith(prefix) and held]
 
 
-def check(wheel: Path, python: str, offline: bool = False, uv: bool = False) -> dict[str, Any]:
-    """Install and try everything; the figures.
+def check(file: Path, page: list[str], python: str, offline: bool = False, uv: bool = False) -> dict[str, Any]:
+    """Install a wheel or a source distribution and try everything; the figures.
 
     Raises:
         AssertionError: if something does not work.
         subprocess.CalledProcessError: if it cannot be installed.
     """
     with tempfile.TemporaryDirectory() as folder:
-        installed = Installed(wheel, python, Path(folder), offline, uv)
+        installed = Installed(file, python, Path(folder), offline, uv)
         figures = installed.check_commands()
-        files = page_files(wheel)
-        answered = installed.check_server(files)
+        answered = installed.check_server(page)
         size = None if offline else installed.megabytes
         return {
-            "install_s": installed.seconds, "megabytes": size, **figures, "server_s": answered, "page_files": len(files)
+            "install_s": installed.seconds, "megabytes": size, **figures, "server_s": answered, "page_files": len(page)
         }  # fmt: skip
 
 
@@ -212,21 +226,26 @@ def main() -> int:
     if None in pythons.values():
         sys.exit(f"not here: Python {', '.join(v for v, path in pythons.items() if path is None)}")
     results: dict[str, Any] = {}
-    print("| python | install s | MB | first flight s | server answers after s | files of the page | |")
-    print("|---|---|---|---|---|---|---|", flush=True)
+    print("| python | from | install s | MB | first flight s | server answers after s | files of the page | |")
+    print("|---|---|---|---|---|---|---|---|", flush=True)
     with tempfile.TemporaryDirectory() as folder:
-        wheel = build(Path(folder), "--wheel")[0]
-        for version, python in pythons.items():
+        source, wheel = sorted(build(Path(folder)), key=lambda file: file.suffix == ".whl")
+        (direct,) = build(Path(folder) / "direct", "--wheel")
+        if contents(wheel) != contents(direct):
+            sys.exit("the wheel from the source distribution is not the one from the checkout")
+        page = page_files(wheel)
+        tries = [(version, "wheel", wheel) for version in versions] + [(versions[-1], "sdist", source)]
+        for version, kind, file in tries:
             try:
-                figures = check(wheel, str(python), args.offline, args.uv)
+                figures = check(file, page, str(pythons[version]), args.offline, args.uv)
             except (AssertionError, OSError, subprocess.CalledProcessError) as error:
-                results[version] = {"error": str(error)}
-                print(f"| {version} | | | | | | failed: {error} |", flush=True)
+                results[f"{version} {kind}"] = {"error": str(error)}
+                print(f"| {version} | {kind} | | | | | | failed: {error} |", flush=True)
                 continue
-            results[version] = figures
+            results[f"{version} {kind}"] = figures
             size = "-" if figures["megabytes"] is None else f"{figures['megabytes']:.0f}"
             print(
-                f"| {version} | {figures['install_s']:.0f} | {size} | {figures['first_flight_s']:.1f} | "
+                f"| {version} | {kind} | {figures['install_s']:.0f} | {size} | {figures['first_flight_s']:.1f} | "
                 f"{figures['server_s']:.1f} | {figures['page_files']} | works |",
                 flush=True,
             )

@@ -155,22 +155,26 @@ def test_extras_bring_what_they_name_and_no_more() -> None:
 
 
 @pytest.mark.parametrize(
-    ("made_by", "where", "command", "pip"),
+    ("made_by", "where", "home", "command", "pip"),
     [
-        ("uv = 0.13.9", "clone/.venv", "uv sync --extra train --inexact", "uv pip"),
-        ("uv = 0.13.9", "elsewhere", "uv pip install -e '.[train]'", "uv pip"),
-        ("version = 3.11.2", "clone/.venv", "pip install -e '.[train]'", "pip"),
+        ("uv = 0.13.9", "clone/.venv", "clone", "uv sync --extra train --inexact in the clone", "uv pip"),
+        ("uv = 0.13.9", "elsewhere", "clone", "uv pip install -e '.[train]' in the clone", "uv pip"),
+        ("version = 3.11.2", "clone/.venv", "clone", "pip install -e '.[train]' in the clone", "pip"),
+        ("uv = 0.13.9", "elsewhere", "elsewhere/lib", "uv pip install 'drone-delivery-env[train]'", "uv pip"),
+        ("version = 3.11.2", "elsewhere", "elsewhere/lib", "pip install 'drone-delivery-env[train]'", "pip"),
     ],
 )
 def test_what_brings_an_extra_is_a_command_of_the_installer_in_use(
-    made_by: str, where: str, command: str, pip: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    made_by: str, where: str, home: str, command: str, pip: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / where).mkdir(parents=True)
+    (tmp_path / "clone").mkdir(exist_ok=True)
+    (tmp_path / "clone" / "pyproject.toml").touch()
     (tmp_path / where / "pyvenv.cfg").write_text(f"home = /usr/bin\n{made_by}\n")
     monkeypatch.delenv("UV_PROJECT_ENVIRONMENT", raising=False)
-    monkeypatch.setattr(installer, "CLONE", tmp_path / "clone")
+    monkeypatch.setattr(installer, "CLONE", tmp_path / home)
     monkeypatch.setattr(sys, "prefix", str(tmp_path / where))
-    assert str(MissingPackageError("torch", "train")).endswith(f"run {command} in the clone")
+    assert str(MissingPackageError("torch", "train")) == f"torch is not installed: run {command}"
     assert installer.pip() == pip
 
 

@@ -8,6 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 import pytest
 from packaging.requirements import Requirement
 
+from drone_env.installer import DISTRIBUTION
 from tests.package.installed import ROOT
 from tests.tools import find_uv, missing_tool
 
@@ -37,7 +38,7 @@ def test_the_lock_agrees_with_what_is_asked_for_and_installed() -> None:
     needed = [Requirement(line) for line in (*project["dependencies"], *extras["dev"])]
     compared = set()
     for requirement in needed:
-        if requirement.name == "drone-env":
+        if requirement.name == DISTRIBUTION:
             needed.extend(Requirement(line) for extra in sorted(requirement.extras) for line in extras[extra])
         elif requirement.marker is None or requirement.marker.evaluate():
             (pin,) = locked[requirement.name].specifier

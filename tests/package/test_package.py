@@ -1,5 +1,6 @@
-"""What is handed out: the files of wheel and source distribution, and the wheel installed outside the checkout."""
+"""What is handed out: the files of wheel and source distribution, and both installed outside the checkout."""
 
+import re
 import subprocess
 import sys
 import tarfile
@@ -8,16 +9,20 @@ from email.parser import Parser
 from pathlib import Path
 
 import pytest
+import yaml
 
 from drone_env import __version__
-from tests.package.installed import ROOT, build, check
+from drone_env.installer import DISTRIBUTION
+from tests.package.extras import PROJECT
+from tests.package.installed import ROOT, build, check, page_files
 
-NAME = f"drone_env-{__version__}"
+NAME = f"{DISTRIBUTION.replace('-', '_')}-{__version__}"
 
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    return {path.suffix: path for path in build(tmp_path_factory.mktemp("built"), "--wheel", "--sdist")}
+    """By suffix: the source distribution, and the wheel that was built from it."""
+    return {path.suffix: path for path in build(tmp_path_factory.mktemp("built"))}
 
 
 def tracked(*folders: str) -> set[str]:
@@ -38,8 +43,8 @@ def test_the_wheel_holds_the_package_and_nothing_else(built: dict[str, Path]) ->
 def test_the_source_distribution_holds_what_a_wheel_is_built_from(built: dict[str, Path]) -> None:
     with tarfile.open(built[".gz"]) as archive:
         names = {member.name.removeprefix(f"{NAME}/") for member in archive.getmembers() if member.isfile()}
-    made = {name for name in names if name.startswith("drone_env.egg-info/")} | {"PKG-INFO", "setup.cfg"}
-    assert names - made == tracked("drone_env", "LICENSE", "MANIFEST.in", "README.md", "pyproject.toml")
+    made = {name for name in names if name.startswith("drone_delivery_env.egg-info/")} | {"PKG-INFO", "setup.cfg"}
+    assert names - made == tracked("drone_env", "CITATION.cff", "LICENSE", "MANIFEST.in", "README.md", "pyproject.toml")
 
 
 def test_the_description_renders(built: dict[str, Path]) -> None:
@@ -52,14 +57,49 @@ def test_the_description_renders(built: dict[str, Path]) -> None:
 def test_the_metadata_names_every_python_that_is_supported(built: dict[str, Path]) -> None:
     with zipfile.ZipFile(built[".whl"]) as wheel:
         metadata = Parser().parsestr(wheel.read(f"{NAME}.dist-info/METADATA").decode())
-    assert (metadata["Name"], metadata["Version"]) == ("drone-env", __version__)
+    assert (metadata["Name"], metadata["Version"]) == (DISTRIBUTION, __version__)
     assert metadata["Requires-Python"] == ">=3.10"
     pythons = [name.rpartition(" ")[2] for name in metadata.get_all("Classifier", []) if ":: Python :: 3." in name]
     assert pythons == ["3.10", "3.11", "3.12", "3.13"]
 
 
+VERSIONED = {"CHANGELOG.md", "CITATION.cff", "drone_env/__init__.py", "openenv.yaml"}
+"""The one place that everything reads, and those that must repeat it."""
+
+
+def test_the_version_stands_in_one_place_and_in_files_that_agree() -> None:
+    manifest, cited = (yaml.safe_load((ROOT / name).read_text("utf-8")) for name in ("openenv.yaml", "CITATION.cff"))
+    released = re.search(r"^## (\d\S*) - (\S+)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    assert released is not None
+    assert [manifest["version"], cited["version"], released[1]] == [__version__] * 3
+    assert str(cited["date-released"]) == released[2]
+    # Where a requirement names another package's version of the same digits, an operator stands before it.
+    literal = re.compile(rf"(?<![\w.=~<>]){re.escape(__version__)}(?![\w.])")
+    told = {
+        name
+        for name in tracked() - {"uv.lock"}
+        if "/vendor/" not in name
+        # What an older version made, or said, keeps the name of its maker.
+        and not name.startswith(("tests/", "docs/quoting.md"))
+        and literal.search((ROOT / name).read_bytes().decode("utf-8", "replace"))
+    }
+    assert told == VERSIONED, "read drone_env.__version__ there instead"
+
+
+def test_the_citation_is_that_of_the_package() -> None:
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    assert {name for name in ("cff-version", "message", "title", "authors") if not cited[name]} == set()
+    assert (cited["cff-version"], cited["type"]) == ("1.2.0", "software")
+    assert (ROOT / "README.md").read_text("utf-8").startswith(f"# {cited['title']}\n")
+    assert cited["license"] == PROJECT["license"] == "MIT"
+    assert cited["authors"] == PROJECT["authors"]
+    assert cited["abstract"] == PROJECT["description"]
+    assert cited["keywords"] == PROJECT["keywords"]
+
+
 @pytest.mark.long
-def test_the_wheel_works_outside_the_checkout(built: dict[str, Path]) -> None:
-    figures = check(built[".whl"], sys.executable, offline=True)
+@pytest.mark.parametrize("kind", [".whl", ".gz"])
+def test_what_is_handed_out_works_outside_the_checkout(built: dict[str, Path], kind: str) -> None:
+    figures = check(built[kind], page_files(built[".whl"]), sys.executable, offline=True)
     assert figures["version"] == __version__
     assert figures["page_files"] > 50

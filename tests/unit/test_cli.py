@@ -106,7 +106,7 @@ def test_evaluate_shows_a_table_and_writes_the_same_figures(tmp_path: Path, caps
     assert main(["evaluate", "--agents", "optimal", "--seeds", "3:6", "--json", str(file)]) == 0
     report = json.loads(file.read_text())
     out = capsys.readouterr().out
-    assert list(report["tasks"]) == list(TASKS)
+    assert (report["package"], list(report["tasks"])) == (__version__, list(TASKS))
     for task, of_task in report["tasks"].items():
         assert (of_task["split"], of_task["seeds"], of_task["episodes"]) == ("custom", [3, 6], 3)
         assert of_task["agents"]["optimal"]["score_ratio"] == 1
@@ -135,7 +135,8 @@ def test_the_table_shows_every_figure_in_its_column(tmp_path: Path, capsys: pyte
             "-" if of["mean_excess_steps"] is None else f"{of['mean_excess_steps']:.2f}",
         ]  # fmt: skip
         assert re.search(r"\s+".join(map(re.escape, cells)) + r"\s", out), cells
-    assert "4 maps a task, seeds 3 to 6" in out
+    assert "hard v1  greedy" in out
+    assert "4 maps a task, split custom, seeds 3 to 6" in out
 
 
 def test_solve_shows_the_optimum(capsys: pytest.CaptureFixture[str]) -> None:

@@ -67,6 +67,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PYTEST_PLUGINS", "xdist.plugin,pytest_timeout")
     (tmp_path / "half.py").write_text("def half(x):\n    return x / 2\n")
     (tmp_path / "test_half.py").write_text("from half import half\n\n\ndef test_of_four():\n    assert half(4) == 2\n")
+    (tmp_path / "test_other.py").write_text("def test_that_no_row_names():\n    assert False\n")
     (tmp_path / "tests").mkdir()
     (tmp_path / "tests" / "mutants.toml").write_text(TABLE)
     subprocess.run(["git", "init", "--quiet"], cwd=tmp_path, check=True)
@@ -80,7 +81,8 @@ def test_each_fault_is_put_in_alone_and_told_by_what_came_of_it(
     before = sorted(path for path in project.rglob("*") if ".git" not in path.parts)
     found = tmp_path_factory.mktemp("found") / "found.json"
 
-    assert main(["--json", str(found)], root=project) == 1
+    # More at once than there are tests.
+    assert main(["--jobs", "3", "--json", str(found)], root=project) == 1
 
     verdicts = {row["id"]: (row["verdict"], row["by"]) for row in json.loads(found.read_text())}
     assert verdicts == {
