@@ -182,4 +182,4 @@ def _begun_by(path: Path, config: dict[str, Any]) -> str:
     ]
     if changed:
         raise InvalidValueError(f"{path.parent} holds another evaluation: {'; '.join(changed)}")
-    return str(before.get("package"))
+    return f"{before.get('package')}"

@@ -22,12 +22,14 @@ from drone_env.episodes.finished import StoredEpisode
 from drone_env.episodes.jsonl import read_records
 from drone_env.episodes.record import EpisodeRecord, load_record, replay
 from drone_env.episodes.store import Store
+from drone_env.errors import SessionGoneError
 from drone_env.evaluation import episodes_key, summarise
 from drone_env.evaluation_folder import ResultsFolder, evaluate_keys
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 
+from . import make
 from .flights import HERE, LETTERS, MANIFEST, digests, flight_of, flown, judged
 
 VERSIONS = sorted(path.parent.name for path in HERE.glob(f"[0-9]*/{MANIFEST}"))
@@ -71,6 +73,16 @@ def test_this_version_has_left_its_own() -> None:
     assert __version__ in VERSIONS, f"make kept makes the folder of {__version__}"
 
 
+def test_a_folder_that_is_there_is_not_written_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(make, "HERE", tmp_path)
+    (tmp_path / __version__).mkdir()
+    (tmp_path / __version__ / MANIFEST).write_text('{"version": "0.0.1"}')
+    for arguments, told in (((), "--again before its release"), (("--again",), "of another version")):
+        monkeypatch.setattr("sys.argv", ["make", *arguments])
+        with pytest.raises(SystemExit, match=told):
+            make.main()
+
+
 # The store
 
 
@@ -79,7 +91,9 @@ def test_the_store_gives_every_flight_and_each_is_true(kept: Kept) -> None:
     folder = kept.copy("store")
     written = json.loads((folder / "memory.json").read_bytes())["episodes"]
     shown = [StoredEpisode.model_validate_json(json.dumps(episode)) for episode in written]
-    with Store(folder) as store:
+    with Store(folder, clock=lambda: kept.told["store"]["clock"]) as store:
+        with pytest.raises(SessionGoneError):
+            store.read_session(kept.told["store"]["gone"])
         stored = list(store.episodes())
         assert shown == stored == store.latest(100)[::-1]
     assert [as_flight(episode.record) for episode in stored] == told
@@ -101,8 +115,6 @@ def test_the_server_tells_the_history_and_flies_the_sessions_to_their_end(kept: 
             {name: flight[name] for name in names} for flight in told["flights"]
         ]
         assert [episode["optimal_score"] for episode in listed] == [flight["optimum"] for flight in told["flights"]]
-        gone = client.get("/state", headers={"X-Session-Id": told["gone"]})
-        assert (gone.status_code, gone.json()["code"]) == (410, "session_gone")
         for session in told["sessions"]:
             flight, steps = session["flight"], session["steps"]
             here, before = {"X-Session-Id": session["id"]}, flown(session["flight"], session["steps"])
