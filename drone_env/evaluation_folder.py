@@ -45,15 +45,19 @@ class ResultsFolder:
     Raises:
         OSError: if it cannot be made or read.
         InvalidValueError: if it holds another evaluation, or anything else; the message says what differs.
+
+    Attributes:
+        package: The version of this package that began it, and alone goes on with it; any later one shows it if whole.
     """
 
     def __init__(self, path: Path, keys: Sequence[EpisodesKey]) -> None:
         self._pieces = path / PIECES
         config_path, config = path / CONFIG, _config(keys)
+        self.package: str = __version__
         if path.exists() and not path.is_dir():
             raise InvalidValueError(f"{path} is a file; an evaluation needs a folder")
         if config_path.exists():
-            _check_same(config_path, config)
+            self.package = _begun_by(config_path, config)
         elif path.is_dir() and any(entry.suffix != ".part" for entry in path.iterdir()):
             raise InvalidValueError(f"{path} holds other things than an evaluation: name a new folder")
         else:
@@ -114,7 +118,8 @@ def evaluate_keys(
         arrived: Is told of every piece once.
 
     Raises:
-        OSError, InvalidValueError: from the folder.
+        OSError, InvalidValueError: from the folder; the latter, too, if another version of this package began it and
+            pieces are missing.
         ClusterError: from an engine on a cluster.
     """
     pieces = {key: pieces_of(key) for key in keys}
@@ -133,6 +138,11 @@ def evaluate_keys(
         else:
             count(kept)
     if missing:
+        if folder is not None and folder.package != __version__:
+            raise InvalidValueError(
+                f"{len(missing)} of {sum(map(len, pieces.values()))} pieces are missing in the folder, and only the "
+                f"drone-env that began it goes on with it: {folder.package}, this is {__version__}"
+            )
         for results in engine(missing):
             if results.key in flown:
                 continue
@@ -157,7 +167,8 @@ def _config(keys: Sequence[EpisodesKey]) -> dict[str, Any]:
     }
 
 
-def _check_same(path: Path, config: dict[str, Any]) -> None:
+def _begun_by(path: Path, config: dict[str, Any]) -> str:
+    """The version of this package that began the evaluation, which must be this one but for that."""
     try:
         before: Any = json.loads(path.read_bytes())
         if not isinstance(before, dict) or before.get("format") != config["format"]:
@@ -165,7 +176,10 @@ def _check_same(path: Path, config: dict[str, Any]) -> None:
     except ValueError as error:
         raise InvalidValueError(f"{path} is not the configuration of an evaluation: {error}") from None
     changed = [
-        f"{name}: {before.get(name)} is now {config[name]}" for name in config if before.get(name) != config[name]
+        f"{name}: {before.get(name)} is now {config[name]}"
+        for name in config
+        if name != "package" and before.get(name) != config[name]
     ]
     if changed:
         raise InvalidValueError(f"{path.parent} holds another evaluation: {'; '.join(changed)}")
+    return f"{before.get('package')}"

@@ -184,7 +184,7 @@ def test_only_neighbours_are_put_together() -> None:
     ("change", "message"),
     [
         ({"format_version": 2}, "holds another evaluation: format_version: 2 is now 1"),
-        ({"package": "0.0.1"}, "holds another evaluation: package: 0.0.1 is now"),
+        ({"piece": 500}, "holds another evaluation: piece: 500 is now 1000"),
         ({"format": "drone_env/other"}, "it has another format"),
     ],
 )

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from drone_env import evaluation_folder
 from drone_env.cli import main
 
 
@@ -32,3 +33,25 @@ def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pyte
     (tmp_path / "else" / "file").touch()
     assert main([*command[:-1], str(tmp_path / "else")]) == 2
     assert "holds other things" in capsys.readouterr().err
+
+
+def test_a_later_version_shows_what_is_whole_and_goes_on_with_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "results"
+    command = ["evaluate", "--task", "easy", "--seeds", "0:1001", "--agents", "greedy", "--json", "-"]
+    assert main([*command, "--out", str(folder)]) == 0
+    figures = capsys.readouterr().out
+    own = evaluation_folder.__version__
+    monkeypatch.setattr(evaluation_folder, "__version__", "99.0")
+    assert main([*command, "--out", str(folder)]) == 0
+    assert capsys.readouterr().out == figures
+    min((folder / "pieces").iterdir()).unlink()
+    left = sorted(folder.rglob("*"))
+    assert main([*command, "--out", str(folder)]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert f"1 of 2 pieces are missing in the folder, and only the drone-env that began it goes on with it: {own}" in (
+        " ".join(told.err.split())
+    )
+    assert sorted(folder.rglob("*")) == left
