@@ -25,8 +25,8 @@ def write_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
     """Write drone x/width, y/height, battery/capacity, target x/width, y/height into float32[5].
 
     Where nothing is left to deliver, the drone's own position stands for the target. Tasks whose battery does not
-    tell the time have a sixth value: the share of steps left. Tasks with pads have it too, and then seven more, of which
-    one is 1: that of the kind of the cell below the drone, in the order of `tasks.TERRAIN`.
+    tell the time have a sixth value: the share of steps left. Tasks with pads have it too, and then seven more, of
+    which one is 1: that of the kind of the cell below the drone, in the order of `tasks.TERRAIN`.
     """
     write_own_telemetry(rules, row, telemetry)
     write_target_telemetry(rules, row, telemetry)

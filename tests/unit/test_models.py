@@ -12,8 +12,8 @@ from drone_env.models import DroneAction, DroneObservation, DroneState
 
 OBSERVATION_FIELDS = {
     "grid", "cell_types", "grid_width", "grid_height", "drone_x", "drone_y", "cell_below", "battery",
-    "battery_steps_remaining", "deliveries_total", "deliveries_done", "current_target", "distance_to_target", "step_count", "max_steps",
-    "reward_last", "reward_total", "score", "done", "message", "legend",
+    "battery_steps_remaining", "deliveries_total", "deliveries_done", "current_target", "distance_to_target",
+    "step_count", "max_steps", "reward_last", "reward_total", "score", "done", "message", "legend",
 }  # fmt: skip
 
 
