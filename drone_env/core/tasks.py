@@ -15,8 +15,8 @@ MAX_UNITS = 32_000
 """Upper bound of steps and battery units, so that they fit the 16-bit state."""
 
 TERRAIN = (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERY, Cell.DELIVERED, Cell.PAD)
-"""The kinds that can lie under the drone. The order is frozen: telemetry tells a kind by its place here, and networks and
-data sets depend on it. New kinds are added at the end."""
+"""The kinds that can lie under the drone. The order is frozen: telemetry tells a kind by its place here, and networks
+and data sets depend on it. New kinds are added at the end."""
 
 
 @dataclass(frozen=True)

@@ -145,7 +145,7 @@ def test_a_network_that_was_trained_on_a_withdrawn_version_is_refused_as_that(tm
         arrays = {name: shipped[name] for name in shipped.files}
     said = json.loads(str(arrays.pop("metadata"))) | {"task": "skyline_easy", "task_version": 1}
     np.savez(file, metadata=np.array(json.dumps(said)), **arrays)
-    with pytest.raises(CheckpointError, match="version 1 of .*skyline_easy.* is withdrawn: .* version 2"):
+    with pytest.raises(CheckpointError, match=r"version 1 of .*skyline_easy.* is withdrawn: .* version 2"):
         make_agent(f"pathqnet:{file}", "skyline_easy")
 
 
