@@ -326,10 +326,7 @@ def test_a_store_of_a_version_that_is_withdrawn_is_listed_and_what_flies_it_is_t
         episode.step(Action.WAIT)
     with Store(tmp_path / "data") as store:
         name = store.add_episode(episode, "greedy")
-        sessions = [
-            store.open_session("skyline_easy", 2, 7, "tiered", agent, 9, address)
-            for agent, address in (("greedy", None), ("me", None), ("me", "testclient"))
-        ]
+        sessions = [store.open_session("skyline_easy", 2, 7, "tiered", agent, 9) for agent in ("greedy", "me")]
     with sqlite3.connect(tmp_path / "data" / FILE_NAME) as older:
         older.execute("UPDATE sessions SET task_version = 1, actions = '44'")
         older.execute(
