@@ -2,6 +2,7 @@
 
     DroneEnvError
     ├── UnknownNameError      (also a LookupError)  a task, profile, agent or split that does not exist
+    │   └── WithdrawnError                          a version of a task that is withdrawn
     ├── InvalidValueError     (also a ValueError)   a seed, action or option outside what is allowed
     │   └── InvalidTaskError                        a TaskConfig or RewardProfile that contradicts itself
     ├── EpisodeError          (also a RuntimeError) a call that does not fit the episode's state
@@ -51,6 +52,14 @@ class UnknownNameError(DroneEnvError, LookupError):
         self.given = given
         self.allowed = sorted(set(allowed))
         super().__init__(f"unknown {kind} {given!r}; allowed: {', '.join(self.allowed)}")
+
+
+class WithdrawnError(UnknownNameError):
+    """A version of a task that there was and that is withdrawn; the message names the one that replaces it."""
+
+    def __init__(self, kind: str, given: object, allowed: Iterable[str], told: str) -> None:
+        super().__init__(kind, given, allowed)
+        self.args = (told,)
 
 
 class InvalidValueError(DroneEnvError, ValueError):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from drone_env import __version__
+from drone_env.core.tasks import WITHDRAWN, withdrawal
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation import (
     PIECE,
@@ -181,5 +182,6 @@ def _begun_by(path: Path, config: dict[str, Any]) -> str:
         if name != "package" and before.get(name) != config[name]
     ]
     if changed:
-        raise InvalidValueError(f"{path.parent} holds another evaluation: {'; '.join(changed)}")
+        gone = [f"{withdrawal(*pair)}" for pair in WITHDRAWN if "{} v{}".format(*pair) in before.get("tasks", ())]
+        raise InvalidValueError(f"{path.parent} holds another evaluation: {'; '.join(changed + gone)}")
     return f"{before.get('package')}"

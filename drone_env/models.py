@@ -18,6 +18,8 @@ from drone_env.core.state_manager import Episode
 Direction = Literal["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
 Count = Annotated[int, Field(ge=0)]
 CellName = Literal["road", "building", "tree", "obstacle", "delivery", "delivered", "drone", "unknown", "pad"]
+GroundName = Literal["road", "building", "tree", "obstacle", "delivery", "delivered", "pad"]
+"""The kinds that can lie below the drone: `tasks.TERRAIN` in words."""
 EventName = Literal["delivery", "battery_dead", "wall", "blocked", "obstacle", "building", "tree", "wait", "step"]
 OutcomeName = Literal["flying", "delivered", "battery_dead", "out_of_steps"]
 Score = Annotated[float, Field(ge=0.01, le=0.99)]
@@ -26,6 +28,7 @@ Position = Annotated[tuple[Count, Count], Field(strict=False)]
 LEGEND: dict[str, str] = {
     kind.emoji: f"{kind.name}: {kind.effect}" for cell, kind in CELL_KINDS.items() if cell is not Cell.UNKNOWN
 }
+LEGEND[CELL_KINDS[Cell.DRONE].emoji] += ", which cell_below tells"
 EMOJI = [CELL_KINDS[cell].emoji for cell in Cell]
 NAMES = [CELL_KINDS[cell].name for cell in Cell]
 EMOJI_OF = dict(zip(NAMES, EMOJI, strict=True))
@@ -76,6 +79,7 @@ class DroneObservation(Message):
     grid_height: int = Field(ge=2, description="Rows of the grid.")
     drone_x: Count = Field(description="Column of the drone, 0 at the left.")
     drone_y: Count = Field(description="Row of the drone, 0 at the top.")
+    cell_below: GroundName = Field(description="Kind of the cell below the drone, which the map hides; `pad` charges.")
     battery: float = Field(ge=0, le=1, description="Share of the battery left.")
     battery_steps_remaining: Count = Field(description="Battery units left; in the standard tasks each step costs one.")
     deliveries_total: int = Field(ge=1, description="Parcels to deliver.")
@@ -104,8 +108,14 @@ class DroneObservation(Message):
             emoji = "".join([EMOJI_OF[name] for name in line])
             _require(self.grid[y] == emoji, f"row {y} of grid is {self.grid[y]!r}; cell_types makes it {emoji!r}")
         _require_inside("drone_x, drone_y", (self.drone_x, self.drone_y), width, height)
+        at_drone = self.cell_types[self.drone_y][self.drone_x]
+        _require(at_drone == "drone", f"drone_x, drone_y are at a {at_drone} of cell_types")
         _require_inside("current_target", self.current_target, width, height)
         _require_at_most("deliveries_done", self.deliveries_done, "deliveries_total", self.deliveries_total)
+        below = cast(str | None, self.cell_below)
+        seen = sum(line.count("delivered") for line in self.cell_types) + (below == "delivered")
+        told = f"cell_types and cell_below {below!r} show {seen} delivered, deliveries_done says {self.deliveries_done}"
+        _require(seen == self.deliveries_done or (below is None and seen + 1 == self.deliveries_done), told)
         _require_at_most("step_count", self.step_count, "max_steps", self.max_steps)
         return self
 
@@ -157,6 +167,7 @@ def observation_numbers(episode: Episode) -> dict[str, Any]:
         "grid_height": episode.task.height,
         "drone_x": x,
         "drone_y": y,
+        "cell_below": NAMES[episode.under],
         "battery": episode.battery,
         "battery_steps_remaining": episode.battery_units,
         "deliveries_total": episode.task.deliveries,

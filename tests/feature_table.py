@@ -12,7 +12,7 @@ FEATURES = {
     "E1": "Maps are generated from a seed or a PyTorch generator: the same one gives the same map",
     "E2": "A city of seven cell types; each has an emoji, a name and an effect, and the legend tells them",
     "E3": "UP, DOWN, LEFT, RIGHT and WAIT; a move off the grid is penalised and the drone stays",
-    "E4": "A DroneObservation has 20 typed fields, from the emoji grid to the legend, documented in OpenAPI",
+    "E4": "A DroneObservation has 21 typed fields, from the emoji grid to the legend, documented in OpenAPI",
     "E5": "DroneAction, DroneObservation and DroneState are Pydantic models; a state has the path_history",
     "E6": "Three tasks, easy_delivery, medium_delivery and hard_delivery, with the numbers of the specification",
     "E7": "A step pays base + 0.05 per cell nearer to the target, between 0.01 and 0.99; profiles tiered and composite",

@@ -38,7 +38,7 @@ class BatchAgent(Protocol):
         ...
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The next actions, int64[N], for grids uint8[N, H, W] and telemetry float32[N, 5 or 6].
+        """The next actions, int64[N], for grids uint8[N, H, W] and telemetry float32[N, telemetry_size].
 
         What it chooses for an episode that has ended is not used.
         """

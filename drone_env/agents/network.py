@@ -59,7 +59,7 @@ UNREADABLE = (ValueError, TypeError, BadZipFile, zlib.error, struct.error, EOFEr
 
 
 class Network:
-    """The values of the five actions: float32[B, 5] from grids uint8[B, H, W] and telemetry float32[B, 5 or 6].
+    """The values of the five actions: float32[B, 5] from grids uint8[B, H, W] and telemetry float32[B, telemetry_size].
 
     Args:
         parameters: The arrays of the exported file.

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from drone_env.agents.network import load_network
 from drone_env.core.state_manager import Observation
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import TaskConfig, withdrawal
 from drone_env.errors import CheckpointError, UnsupportedTaskError
 
 WEIGHTS = Path(__file__).parents[1] / "weights"
@@ -29,7 +29,8 @@ class PathQNetAgent:
 
     Raises:
         OSError: if the file cannot be read.
-        CheckpointError: if it holds no network, or one that takes other telemetry than the task has.
+        CheckpointError: if it holds no network, or one that takes other telemetry than the task has, or that was
+            trained on a version of a task that is withdrawn.
         UnsupportedTaskError: if no network is shipped with the task.
     """
 
@@ -43,7 +44,11 @@ class PathQNetAgent:
                 f"its file with --checkpoint (data/{task.short_name}.npz)"
             )
         self._network = load_network(path)
-        takes = self._network.metadata["telemetry_size"]
+        trained = self._network.metadata
+        withdrawn = withdrawal(trained.get("task"), trained.get("task_version"))
+        if withdrawn is not None:
+            raise CheckpointError(f"{path} was trained on what there is no more: {withdrawn}")
+        takes = trained["telemetry_size"]
         if takes != task.telemetry_size:
             raise CheckpointError(
                 f"{path} takes {takes} values of telemetry, and {task.id!r} has {task.telemetry_size}"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 from drone_env.core.cells import Cell
-from drone_env.errors import InvalidTaskError, UnknownNameError
+from drone_env.errors import InvalidTaskError, UnknownNameError, WithdrawnError
 
 MAX_SIDE = 64
 MAX_DELIVERIES = 16
@@ -15,7 +15,8 @@ MAX_UNITS = 32_000
 """Upper bound of steps and battery units, so that they fit the 16-bit state."""
 
 TERRAIN = (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERY, Cell.DELIVERED, Cell.PAD)
-"""The kinds that can lie under the drone."""
+"""The kinds that can lie under the drone. The order is frozen: telemetry tells a kind by its place here, and networks
+and data sets depend on it. New kinds are added at the end."""
 
 
 @dataclass(frozen=True)
@@ -254,7 +255,10 @@ TASKS: dict[str, TaskConfig] = {
 
 
 PAST_TASKS: tuple[TaskConfig, ...] = ()
-"""Earlier versions of tasks: they keep working for ever. Version 1 of skyline is withdrawn, and none of them."""
+"""Earlier versions of tasks: they keep working for ever."""
+
+WITHDRAWN = tuple((f"skyline_{level}", 1) for level in ("easy", "medium", "hard"))
+"""(id, version) of tasks that were never published on a package index, and that no code draws maps of any more."""
 
 
 def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
@@ -264,6 +268,7 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
 
     Raises:
         UnknownNameError: if there is none; the message lists the valid ids and short names, or the valid versions.
+        WithdrawnError: if this version is withdrawn; the message names the one that replaces it.
     """
     if isinstance(name, TaskConfig):
         if version not in (None, name.version):
@@ -275,4 +280,19 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
     for task in named:
         if version in (None, task.version):
             return task
-    raise UnknownNameError(f"version of task {named[0].id!r}", version, [str(task.version) for task in named])
+    told = withdrawal(named[0].id, version)
+    unknown = f"version of task {named[0].id!r}", version, [str(task.version) for task in named]
+    raise UnknownNameError(*unknown) if told is None else WithdrawnError(*unknown, told)
+
+
+def withdrawal(task_id: object, version: object) -> str | None:
+    """Why there is nothing to be done with this version of a task any more; None where it is not withdrawn.
+
+    Whatever a file says of its task may be asked about.
+    """
+    if (task_id, version) not in WITHDRAWN:
+        return None
+    return (
+        f"version {version} of task {task_id!r} is withdrawn: its maps are drawn no more, so what was made on them "
+        f"cannot be flown again, gone on with or compared; version {TASKS[str(task_id)].version} replaces it"
+    )

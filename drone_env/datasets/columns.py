@@ -8,7 +8,7 @@ import numpy as np
 
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.cells import Cell
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.datasets.flights import Flight
 
 
@@ -34,6 +34,8 @@ def columns(task: TaskConfig) -> list[Column]:
     cells = ", ".join(f"{int(cell)} {cell.name.lower()}" for cell in Cell)
     telemetry = "x/width, y/height, battery share, target x/width, target y/height"
     telemetry += ", share of steps left" if task.telemetry_size > 5 else ""
+    ground = ", ".join(kind.name.lower() for kind in TERRAIN)
+    telemetry += f", 1 for the kind of the cell below the drone of {ground}" if task.telemetry_size > 6 else ""
     names = [event.name.lower() for event in Event]
     return [
         Column("task", "string", (), "id of the task", lambda _: task.id),

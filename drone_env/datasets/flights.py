@@ -22,7 +22,7 @@ class Flight:
         seed: The map.
         agent: Who flew.
         grids: uint8[T + 1, H, W] of cell ids.
-        telemetry: float32[T + 1, 5 or 6].
+        telemetry: float32[T + 1, telemetry_size].
         action_masks: int8[T + 1, 5], 0 for each action that would bump.
         scores: float64[T + 1], the graded score as it stands.
         events: int8[T + 1], what led to the state (`Event`).

@@ -51,7 +51,7 @@ class DroneDeliveryVecEnv(VecEnv):
         num_threads: How many threads share a step.
         observation: `dict` for `{"grid": uint8[N, kinds, H, W], "telemetry": float32[N, 5]}`, the grid as one-hot
             planes, for `MultiInputPolicy`; `flat` for float32[N, kinds * H * W + 5], the planes and then the
-            telemetry, for `MlpPolicy`. (6 in place of 5 where the task has a sixth value.)
+            telemetry, for `MlpPolicy`. (The task's `telemetry_size` in place of 5 where that is 6 or 13.)
 
     Raises:
         UnknownNameError: if the task, version, profile or form of the observation does not exist.
@@ -184,7 +184,7 @@ class DroneDeliveryVecEnv(VecEnv):
         """Nothing is held open."""
 
     def _observations(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Observations:
-        """The observations of n drones, from uint8[n, H, W] and float32[n, 5 or 6]; new arrays."""
+        """The observations of n drones, from uint8[n, H, W] and float32[n, telemetry_size]; new arrays."""
         planes = one_hot(grids[:, None])
         if self.observation == "dict":
             return {"grid": planes, "telemetry": telemetry.copy()}

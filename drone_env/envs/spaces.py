@@ -8,7 +8,7 @@ from drone_env.core.tasks import TaskConfig
 
 
 def observation_space(task: TaskConfig) -> spaces.Dict:
-    """`{"grid": uint8[H, W], "telemetry": float32[5]}`; the telemetry has 6 values where the task says so."""
+    """`{"grid": uint8[H, W], "telemetry": float32[telemetry_size]}`: 5, 6 or 13 values, as the task says."""
     return spaces.Dict(
         {
             "grid": spaces.Box(0, N_CELL_KINDS - 1, (task.height, task.width), np.uint8),

@@ -25,8 +25,8 @@ PREPARED = ("_truncations", "_everyone", "_live", "_live_outcome", "_live_masks"
 class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]]):
     """`num_envs` drones, each on a map of its own, with Gymnasium's interface of vector environments.
 
-    Observations: `{"grid": uint8[N, H, W], "telemetry": float32[N, 5]}`. Actions: N integers from 0 to 4. Rewards:
-    float64[N].
+    Observations: `{"grid": uint8[N, H, W], "telemetry": float32[N, telemetry_size]}`, as of a single one. Actions: N
+    integers from 0 to 4. Rewards: float64[N].
 
     `info` of a step holds `action_mask` (int8[N, 5]) and, where episodes ended, `final_info`: a dictionary of arrays
     over all N with `score`, `steps`, `deliveries` and `seed`, each with its mask (`_score`, ...). In `SAME_STEP` mode

@@ -39,7 +39,7 @@ class OneHotPlanes(gymnasium.ObservationWrapper[Any, int, Observation], gymnasiu
 
 
 class FlatObservation(gymnasium.ObservationWrapper[Any, int, Observation], gymnasium.utils.RecordConstructorArgs):
-    """One vector for dense networks: the one-hot planes, row by row, then the telemetry; float32[kinds * H * W + 5]."""
+    """One vector for dense networks: the one-hot planes, row by row, then the telemetry; float32[kinds * H * W + n]."""
 
     def __init__(self, env: Env) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)

@@ -13,7 +13,7 @@ from drone_env.core.seeds import check_seed
 from drone_env.core.state_manager import ALLOWED_ACTIONS, Episode
 from drone_env.core.tasks import get_task
 from drone_env.episodes.finished import StoredEpisode, check_agent
-from drone_env.errors import EpisodeError, InvalidValueError
+from drone_env.errors import EpisodeError, InvalidValueError, SessionGoneError, WithdrawnError
 
 EPISODE_ID = re.compile(r"[0-9a-f]{16}")
 """What the store names an episode."""
@@ -111,10 +111,24 @@ class SessionRow:
         self.actions = ()
         self.episode_id = None
 
-    def fly(self) -> Episode:
-        """The episode of this session, flown anew from its reset: some microseconds per action."""
-        episode = Episode(get_task(self.task, self.task_version), self.reward_profile)
+    def begin(self) -> Episode:
+        """The episode of this session at its reset.
+
+        Raises:
+            SessionGoneError: if this version of its task is withdrawn, so that nobody can fly it.
+            UnknownNameError: if there is no such task or profile any more.
+        """
+        try:
+            task = get_task(self.task, self.task_version)
+        except WithdrawnError as error:
+            raise SessionGoneError(str(error)) from None
+        episode = Episode(task, self.reward_profile)
         episode.reset(self.seed)
+        return episode
+
+    def fly(self) -> Episode:
+        """The episode of this session, flown anew from its reset: some microseconds per action. Raises as `begin`."""
+        episode = self.begin()
         for action in self.actions:
             episode.step(action)
         return episode

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from drone_env.errors import DroneEnvError
+from drone_env.errors import DroneEnvError, WithdrawnError
 from drone_env.llm.report import report
 from drone_env.llm.run_folder import RESULTS, load_config
 from drone_env.llm.verify import verified_run
@@ -17,7 +17,7 @@ class Refused(NamedTuple):
     path: Path
     reason: str
     damaged: bool
-    """Whether it is not what it says; else it is only not whole, or invalid."""
+    """Whether it is not what it says; else it is only not whole, or invalid, or of what is withdrawn."""
 
 
 class Board(NamedTuple):
@@ -45,6 +45,9 @@ def leaderboard(paths: Iterable[Path]) -> tuple[list[Board], list[Refused]]:
                 refused.append(Refused(path, under_way, damaged=False))
                 continue
             run = verified_run(path)
+        except WithdrawnError as error:
+            refused.append(Refused(path, str(error), damaged=False))
+            continue
         except (DroneEnvError, OSError, ValueError) as error:
             refused.append(Refused(path, str(error).removeprefix(f"{path}: "), damaged=True))
             continue

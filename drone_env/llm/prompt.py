@@ -137,6 +137,9 @@ def first_messages(
 ) -> list[ChatMessage]:
     """The messages that ask for the next action, or for the route.
 
+    In tasks with pads every prompt ends with what lies below the drone, which no map shows: that belongs to the version
+    of the task, not of the prompt.
+
     Args:
         prompt: The prompt.
         task: The task, whose costs and barriers are told.
@@ -145,10 +148,18 @@ def first_messages(
         history: How many of the last steps to tell.
     """
     values = _values(task, observation, flown, history)
+    told = [_fill(prompt.user, values), below_text(task, observation.cell_below)]
     return [
         {"role": "system", "content": _fill(prompt.system, values)},
-        {"role": "user", "content": _fill(prompt.user, values)},
+        {"role": "user", "content": "\n".join(part for part in told if part)},
     ]
+
+
+def below_text(task: TaskConfig, kind: str) -> str:
+    """What is said of the cell below the drone; nothing where there are no pads, which alone matter there."""
+    if not task.pads:
+        return ""
+    return f"Below the drone: {'charging pad' if kind == 'pad' else kind}"
 
 
 def repair_messages(prompt: Prompt, asked: Sequence[ChatMessage], answer: str, reason: str) -> list[ChatMessage]:

@@ -21,8 +21,8 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError
-from drone_env.llm.prompt import FOLDER, first_messages, read_prompt, repair_text
-from drone_env.models import Direction, DroneObservation
+from drone_env.llm.prompt import FOLDER, below_text, first_messages, read_prompt, repair_text
+from drone_env.models import NAMES, Direction, DroneObservation
 
 if TYPE_CHECKING:
     from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
@@ -91,7 +91,8 @@ class DroneEnvironment:
             done=episode.deliveries_done,
             total=episode.task.deliveries,
         )
-        return f"{episode.message} {state}"
+        below = below_text(episode.task, NAMES[episode.under])
+        return f"{episode.message} {state}" + (f" {below}." if below else "")
 
     def get_reward(self) -> float:
         """What the flight paid; one that the model left unfinished as if it waited to its end.

@@ -22,7 +22,7 @@ from drone_env.core.rules import (
     view,
 )
 from drone_env.core.state_manager import Episode, EpisodeState, Observation
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.planning.greedy import drone_position
 
 
@@ -38,7 +38,7 @@ def episode_of(task: TaskConfig, observation: Observation) -> Episode:
     left = round(telemetry[5] * task.max_steps) if len(telemetry) > 5 else int(row[BATTERY])
     row[STEPS] = task.max_steps - left
     row[EVENT] = Event.NONE
-    row[UNDER] = hidden_kind(task, grid)
+    row[UNDER] = TERRAIN[telemetry[6:].index(1)] if len(telemetry) > 6 else hidden_kind(task, grid)
     grid[row[CELL]] = row[UNDER]
     waiting, delivered = (np.flatnonzero(grid == kind) for kind in (Cell.DELIVERY, Cell.DELIVERED))
     row[PARCELS:] = np.concatenate([waiting, delivered + DELIVERED_FLAG])
@@ -53,7 +53,7 @@ def episode_of(task: TaskConfig, observation: Observation) -> Episode:
 
 
 def hidden_kind(task: TaskConfig, grid: npt.NDArray[np.uint8]) -> int:
-    """The kind of the cell below the drone, which the grid hides: the one of which the grid shows too few."""
+    """The kind of the cell below the drone where no telemetry tells it: the one of which the grid shows too few."""
     shown = np.bincount(grid, minlength=N_CELL_KINDS)
     if shown[Cell.DELIVERY] + shown[Cell.DELIVERED] < task.deliveries:
         return Cell.DELIVERED

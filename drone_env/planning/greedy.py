@@ -33,7 +33,7 @@ def greedy_action(task: TaskConfig, observation: Observation) -> Action:
 def greedy_actions(
     task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.int64]:
-    """The same for N episodes: int64[N] from grids uint8[N, H, W] and telemetry float32[N, 5 or 6]."""
+    """The same for N episodes: int64[N] from grids uint8[N, H, W] and telemetry float32[N, telemetry_size]."""
     drones, targets = positions(task, telemetry)
     if task.uniform:
         return towards_batch(drones, targets)
@@ -45,7 +45,7 @@ def greedy_actions(
 def positions(
     task: TaskConfig, telemetry: npt.NDArray[np.float32]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """(x, y) of the drones and of their current targets, int64[N, 2] each, from telemetry float32[N, 5 or 6]."""
+    """(x, y) of drones and of their current targets, int64[N, 2] each, from telemetry float32[N, telemetry_size]."""
     sides = np.array([task.width, task.height])
     drones, targets = (np.rint(telemetry[:, i : i + 2] * sides).astype(np.int64) for i in (0, 3))
     return drones, targets

@@ -1,7 +1,8 @@
 """PathQNet: from a map and the telemetry to the value of each action.
 
     grid uint8[B, H, W] -> Embedding 8 -> Conv 8-16 -> Conv 16-32 -> AdaptiveAvgPool 4x4 -> Linear 64
-    concatenated with telemetry float32[B, 5 or 6] -> Linear 128, LayerNorm -> Linear 128 -> Linear 64 -> Linear 5
+    concatenated with telemetry float32[B, telemetry_size]
+    -> Linear 128, LayerNorm -> Linear 128 -> Linear 64 -> Linear 5
 
 Every layer but the last is followed by ReLU. The network takes maps of any size: what it learned on one it can be
 asked about another.

@@ -14,7 +14,7 @@ class Transitions(NamedTuple):
     grids: npt.NDArray[np.uint8]
     """uint8[B, H, W]"""
     telemetry: npt.NDArray[np.float32]
-    """float32[B, 5 or 6]"""
+    """float32[B, telemetry_size]"""
     actions: npt.NDArray[np.int64]
     """int64[B]"""
     returns: npt.NDArray[np.float32]

@@ -21,7 +21,7 @@ from torch.nn.functional import mse_loss, smooth_l1_loss
 from drone_env.core.batch import Batch
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import SPLITS
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import get_task, withdrawal
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.malloc import keep_freed_memory
@@ -307,9 +307,13 @@ class Trainer:
         """Go on where `get_state` stood.
 
         Raises:
-            CheckpointError: if the state is of a run with another configuration; the message names the differences.
+            CheckpointError: if the state is of a run with another configuration, whose differences the message names,
+                or on a version of a task that is withdrawn.
         """
         ours, theirs = self.config.identity(), state["config"]
+        withdrawn = withdrawal(theirs.get("task"), theirs.get("task_version"))
+        if withdrawn is not None:
+            raise CheckpointError(f"the checkpoint is of a run on what there is no more: {withdrawn}")
         different = [
             f"{name} {theirs.get(name)!r} (now {ours[name]!r})" for name in ours if theirs.get(name) != ours[name]
         ]

@@ -12,7 +12,7 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.planning.optimal import solve
 
 Values = Callable[[npt.NDArray[np.uint8], npt.NDArray[np.float32]], npt.NDArray[np.float32]]
-"""From grids uint8[N, H, W] and telemetry float32[N, 5 or 6] to the values of the actions, float32[N, 5]."""
+"""From grids uint8[N, H, W] and telemetry float32[N, telemetry_size] to the values of the actions, float32[N, 5]."""
 
 
 class Validation(NamedTuple):

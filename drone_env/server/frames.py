@@ -8,7 +8,7 @@ from pydantic import Field
 from drone_env.core.actions import Event
 from drone_env.core.score import EFFICIENCY_WEIGHTS
 from drone_env.core.state_manager import Episode
-from drone_env.models import Count, Direction, EventName, Message, OutcomeName, Position, Score
+from drone_env.models import NAMES, Count, Direction, EventName, GroundName, Message, OutcomeName, Position, Score
 from drone_env.server.predict import Networks
 
 
@@ -72,6 +72,7 @@ class Frame(Message):
     action: Direction | None = Field(description="What was flown to come here; null in frame 0.")
     x: Count
     y: Count
+    cell_below: GroundName = Field(description="Kind of the cell below the drone; `pad` charges.")
     event: EventName | None = Field(description="What the step came to; null in frame 0.")
     reward: float = Field(description="What the step paid.")
     reward_total: float
@@ -111,6 +112,7 @@ def frame_of(episode: Episode, networks: Networks, pilot: str) -> Frame:
         action=None if last is None else last.action.name,
         x=x,
         y=y,
+        cell_below=cast(GroundName, NAMES[episode.under]),
         event=None if episode.event is Event.NONE else cast(EventName, episode.event.name.lower()),
         reward=episode.reward_last,
         reward_total=episode.reward_total,

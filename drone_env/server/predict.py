@@ -9,13 +9,13 @@ import numpy.typing as npt
 from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
 from drone_env.core.actions import Action
 from drone_env.core.observation import write_telemetry
-from drone_env.core.rules import BATTERY, CELL, NOWHERE, STEPS, TARGET, interpreted, row_size, view
+from drone_env.core.rules import BATTERY, CELL, NOWHERE, STEPS, TARGET, UNDER, interpreted, row_size, view
 from drone_env.core.state_manager import Observation
-from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig
 from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
 from drone_env.models import NAMES, Direction, DroneObservation
 from drone_env.server.problems import RequestError
-from drone_env.server.schemas import ModelInfo, Prediction
+from drone_env.server.schemas import ModelInfo, Prediction, PredictRequest
 
 NETWORK, TRAINED = "pathqnet", "trained"
 """The pilots that fly by a network: by the one that is shipped, and by the one that was trained here."""
@@ -138,11 +138,12 @@ def _by_action(values: npt.NDArray[np.float32]) -> dict[Direction, float]:
     return {Action(i).name: value for i, value in enumerate(values.tolist())}
 
 
-def arrays_of(observation: DroneObservation) -> tuple[TaskConfig, Observation]:
+def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfig, Observation]:
     """The task that an observation is of, and the observation as agents take it.
 
     Raises:
-        InvalidValueError: if it is of no task of ours, or has more battery than its task.
+        InvalidValueError: if it is of no task of ours, has more battery than its task, or does not tell the cell below
+            the drone in a task with pads.
     """
     shape = (observation.grid_width, observation.grid_height, observation.deliveries_total, observation.max_steps)
     shapes = {(task.width, task.height, task.deliveries, task.max_steps): task for task in TASKS.values()}
@@ -154,11 +155,18 @@ def arrays_of(observation: DroneObservation) -> tuple[TaskConfig, Observation]:
         )
     if observation.battery_steps_remaining > task.battery_capacity:
         raise InvalidValueError(f"battery_steps_remaining must be at most {task.battery_capacity} in {task.id!r}")
+    below = observation.cell_below
+    if below is None and task.pads:
+        raise InvalidValueError(
+            f"cell_below is missing: in {task.id!r} the network is told what lies below the drone, one of "
+            f"{', '.join(NAMES[kind] for kind in TERRAIN)}; /reset and /step answer it"
+        )
     rules = interpreted(task)
     row = np.zeros(row_size(rules), np.uint16)
     row[CELL] = observation.drone_y * task.width + observation.drone_x
     row[BATTERY] = observation.battery_steps_remaining
     row[STEPS] = observation.step_count
+    row[UNDER] = 0 if below is None else NAMES.index(below)
     target = observation.current_target
     row[TARGET] = NOWHERE if target is None else target[1] * task.width + target[0]
     telemetry = np.zeros(task.telemetry_size, np.float32)

@@ -21,6 +21,7 @@ from drone_env.errors import (
     TooLargeError,
     UnknownNameError,
     UnsupportedTaskError,
+    WithdrawnError,
 )
 from drone_env.models import Message
 
@@ -105,7 +106,8 @@ def status_of(error: DroneEnvError, method: str) -> tuple[int, str]:
     if isinstance(error, RequestError):
         return error.status, error.code
     if isinstance(error, UnknownNameError):
-        return (404 if method in ("GET", "HEAD") else 422), "unknown_name"
+        code = "withdrawn" if isinstance(error, WithdrawnError) else "unknown_name"
+        return (404 if method in ("GET", "HEAD") else 422), code
     return next(((status, code) for kind, status, code in STATUSES if isinstance(error, kind)), (500, "internal"))
 
 

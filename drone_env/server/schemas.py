@@ -17,6 +17,7 @@ from drone_env.models import (
     Direction,
     DroneAction,
     DroneObservation,
+    GroundName,
     Message,
     PathPoint,
     Position,
@@ -271,6 +272,10 @@ class ModelInfo(Message):
 class PredictRequest(DroneObservation):
     """An observation, as `/step` or `/reset` answered it."""
 
+    # What earlier servers answered lacks it, and only in tasks with pads is a network given it.
+    cell_below: GroundName | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        default=None, description="Kind of the cell below the drone; it may be left out in tasks without pads."
+    )
     session_id: str | None = Field(default=None, max_length=255, description="Of a reset's answer; ignored.")
 
 

@@ -143,12 +143,21 @@ class TestPredictions:
         told = Prediction.model_validate(answer.json())
         episode = Episode(task)
         episode.reset(7)
-        agent = PathQNetAgent(config, settings["weights"] / f"{config.id}_v1.npz")
+        agent = PathQNetAgent(config, settings["weights"] / f"{config.id}_v{config.version}.npz")
         values = agent.q_values(episode.observation())
         assert list(told.q_values.values()) == pytest.approx(values.tolist())
         assert told.action == Action(int(values.argmax())).name
         assert told.model.digest == agent.config["network"]
         assert client.post("/predict", json=reset).json() == answer.json()
+        below = reset.pop("cell_below")
+        untold = client.post("/predict", json=reset)
+        if config.pads:
+            assert (untold.status_code, untold.json()["code"]) == (422, "invalid_request")
+            assert untold.json()["detail"].startswith("cell_below is missing: in 'skyline_easy' the network is told")
+            values = [client.post("/predict", json=reset | {"cell_below": kind}).json() for kind in (below, "pad")]
+            assert values[0] == answer.json() != values[1], "the network is given what the request says"
+        else:
+            assert untold.json() == answer.json(), "older clients were never told, and nothing depends on it"
 
     def test_a_task_without_a_network_is_told(self, client: TestClient) -> None:
         session = {"X-Session-Id": client.post("/reset", json={"task_name": "hard"}).json()["session_id"]}

@@ -169,5 +169,22 @@ def test_the_legend_beside_the_map_shows_what_can_be_met_on_it(page: Page) -> No
     legend = page.get_by_role("list", name="Legend").get_by_role("listitem")
     expect(legend.filter(has_text="Parcel").or_(legend.filter(has_text="Delivery"))).to_be_visible()
     expect(legend.filter(has_text="Pad")).to_be_hidden()
+    expect(page.locator("#target")).to_be_visible()
+    expect(page.locator("#below")).to_be_hidden()
     page.get_by_role("radio", name="Skyline Easy").check()
     expect(legend.filter(has_text="Pad")).to_be_visible()
+    expect(page.locator("#below")).to_have_text("Road")
+
+
+def test_on_a_pad_it_is_said_that_waiting_charges(page: Page, server: Server) -> None:
+    # The first map on whose best flight the drone comes to one.
+    flights = ((seed, frames(server.url, flown("skyline_easy", seed, "optimal"))) for seed in range(100))
+    seed, flight = next((seed, all_) for seed, all_ in flights if any(frame["cell_below"] == "pad" for frame in all_))
+    page.goto(f"/?task=skyline_easy&seed={seed}&pilot=optimal")
+    for step, frame in enumerate(flight):
+        expect(page.locator("#step-counter")).to_have_text(f"Step {step} of 60")
+        if frame["cell_below"] == "pad":
+            break
+        expect(page.locator("#below")).to_have_text(frame["cell_below"].title())
+        page.get_by_role("button", name="Step", exact=True).click()
+    expect(page.locator("#below")).to_have_text("Pad: WAIT charges")

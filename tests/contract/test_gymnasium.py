@@ -40,12 +40,20 @@ def fly_optimally(env: gymnasium.Env, task: str, seed: int, **reset: Any) -> tup
 
 
 def test_the_ids_are_the_promised_ones() -> None:
-    levels = ("Easy", "Medium", "Hard", "Skyline-Easy", "Skyline-Medium", "Skyline-Hard")
-    assert IDS == [f"drone_env:DroneDelivery-{level}-v1" for level in levels]
+    levels = ("Easy-v1", "Medium-v1", "Hard-v1", "Skyline-Easy-v2", "Skyline-Medium-v2", "Skyline-Hard-v2")
+    assert IDS == [f"drone_env:DroneDelivery-{level}" for level in levels]
+
+
+@pytest.mark.filterwarnings("ignore:.*The environment DroneDelivery-Skyline-Easy-v1 is out of date")
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+def test_an_id_of_a_version_that_is_withdrawn_is_told_with_the_one_that_replaces_it(make: Any) -> None:
+    name = "DroneDelivery-Skyline-Easy"
+    with pytest.raises(gymnasium.error.DeprecatedEnv, match=f"v1 for `{name}` is .* use `{name}-v2` instead"):
+        make(f"drone_env:{name}-v1")
 
 
 STANDARD, SKYLINE = IDS[0], IDS[3]
-"""One of each kind: tasks differ in their numbers alone, and Skyline's telemetry has a sixth value."""
+"""One of each kind: tasks differ in their numbers alone, and Skyline's telemetry has more values."""
 
 
 @pytest.mark.parametrize(
@@ -86,7 +94,7 @@ def test_spaces_are_the_promised_ones(env_id: str, task: Any) -> None:
     observation, _ = env.reset(seed=1)
     assert env.observation_space.contains(observation)
     assert (observation["grid"].shape, observation["grid"].dtype) == ((task.height, task.width), np.uint8)
-    size = 6 if task.id.startswith("skyline_") else 5
+    size = 13 if task.id.startswith("skyline_") else 5
     assert (observation["telemetry"].shape, observation["telemetry"].dtype) == ((size,), np.float32)
 
 

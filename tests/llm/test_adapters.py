@@ -33,6 +33,15 @@ def test_a_flight_by_tool_calls() -> None:
     assert drone.get_reward() == 0.99
 
 
+def test_where_there_are_pads_each_answer_tells_what_lies_below() -> None:
+    drone = DroneEnvironment()
+    told: list[str] = []
+    for seed in range(3):
+        assert drone.reset(task="skyline_easy", seed=seed).endswith("\nBelow the drone: road")
+        told += [drone.fly(action.name) for action in solve("skyline_easy", seed).actions]
+    assert any(answer.endswith(" Below the drone: charging pad.") for answer in told)
+
+
 def test_the_reward_is_what_the_profile_pays() -> None:
     for profile in ("score", "tiered", "aligned"):
         drone, episode = DroneEnvironment(profile), Episode("hard", profile)

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 from drone_env.core.actions import Action
-from drone_env.core.cells import Cell
+from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.llm.prompt import FOLDER, VALUES, Flown, first_messages, get_prompt, prompt_ids, read_prompt
 from drone_env.models import DroneObservation
+from drone_env.planning.optimal import solve
 from tests.tools import missing_tool
 
 from .conftest import ROOT, Endpoint
@@ -65,6 +66,27 @@ def test_every_task_can_be_told() -> None:
         episode.reset(0)
         system, _ = first_messages(get_prompt("grid"), task, DroneObservation.of(episode), [], 0)
         assert ("charging pad adds" in system["content"]) == bool(task.pads)
+
+
+def test_where_there_are_pads_every_prompt_tells_what_lies_below_the_drone() -> None:
+    prompts = [*map(get_prompt, prompt_ids()), read_prompt(FOLDER / "tools" / "fly-1.toml")]
+    episode, told = Episode("skyline_easy"), set[str]()
+    for seed in range(3):
+        episode.reset(seed)
+        for action in solve("skyline_easy", seed).actions:
+            kind = CELL_KINDS[Cell(episode.under)].name
+            below = f"Below the drone: {'charging pad' if kind == 'pad' else kind}"
+            for prompt in prompts:
+                _, user = first_messages(prompt, episode.task, DroneObservation.of(episode), [], 0)
+                assert user["content"].splitlines()[-1] == below
+            told.add(below)
+            episode.step(action)
+    assert "Below the drone: charging pad" in told
+    episode = Episode("hard")
+    episode.reset(7)
+    for prompt in prompts:
+        _, user = first_messages(prompt, episode.task, DroneObservation.of(episode), [], 0)
+        assert "Below" not in user["content"]
 
 
 def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:

@@ -15,7 +15,8 @@ from drone_env.core.cells import Cell
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.models import DroneObservation, DroneState
+from drone_env.models import DroneObservation, DroneState, observation_fields
+from drone_env.planning.from_observation import episode_of
 from tests.toy import TOY
 
 thorough = settings(max_examples=int(os.environ.get("DRONE_ENV_EXAMPLES", "300")), deadline=None, derandomize=True)
@@ -293,6 +294,23 @@ def test_action_mask_agrees_with_what_a_step_does(task: TaskConfig, seed: int, a
             assert episode.event not in (Event.WALL, Event.BLOCKED)
         else:
             assert episode.event in (Event.WALL, Event.BLOCKED, Event.BATTERY_DEAD)
+
+
+@thorough
+@given(TASK, SEEDS, ACTIONS)
+def test_what_is_told_to_lie_below_the_drone_lies_there(task: TaskConfig, seed: int, actions: list[int]) -> None:
+    episode = started(task, seed)
+    city = episode.grid()
+    city[episode.position[::-1]] = Cell.ROAD
+    for action in actions:
+        x, y = episode.position
+        below = "delivered" if (x, y, True) in episode.parcels else Cell(city[y, x]).name.lower()
+        assert observation_fields(episode)["cell_below"] == below
+        told = episode.observation()["telemetry"][6:].tolist()
+        order = ("road", "building", "tree", "obstacle", "delivery", "delivered", "pad") if task.pads else ()
+        assert told == [float(name == below) for name in order]
+        episode.step(action)
+    assert episode_of(task, episode.observation()).under == episode.under
 
 
 @thorough

@@ -206,7 +206,7 @@ def test_json_says_all_of_it() -> None:
     analysis = analysed("skyline_medium", "random")
     report = json.loads(analysis.to_json())
     assert report == analysis.to_dict()
-    assert (report["task"], report["task_version"], report["seed"]) == ("skyline_medium", 1, SEED)
+    assert (report["task"], report["task_version"], report["seed"]) == ("skyline_medium", 2, SEED)
     assert (report["agent"], report["ended"], report["giving_up"]) == ("random", True, None)
     assert report["values"] == list(analysis.values)
     assert report["optimum"] - report["score"] == report["regret"] == analysis.regret

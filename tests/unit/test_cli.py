@@ -148,9 +148,10 @@ def test_solve_shows_the_optimum(capsys: pytest.CaptureFixture[str]) -> None:
     assert "🚁" in out
 
 
-# The battery does not last for all parcels of the second.
-@pytest.mark.parametrize(("task", "seed", "success"), [("medium", 7, True), ("skyline_medium", 6, False)])
-def test_solve_as_json_can_be_flown(task: str, seed: int, success: bool, capsys: pytest.CaptureFixture[str]) -> None:
+# The battery does not last for all four parcels of the second.
+@pytest.mark.parametrize(("task", "success"), [("medium", True), ("skyline_medium", False)])
+def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    seed = next(seed for seed in range(1000) if solve(task, seed).deliveries == 3)
     assert main(["solve", "--task", task, "--seed", str(seed), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     episode = Episode(report["task"])

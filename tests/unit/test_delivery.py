@@ -124,11 +124,22 @@ class TestTelemetry:
         assert (values.shape, values.dtype) == ((5,), np.float32)
 
     @pytest.mark.parametrize("task", SKYLINE)
-    def test_has_a_sixth_for_the_steps_left_in_the_skyline_tasks(self, task: str) -> None:
+    def test_has_the_steps_left_and_the_cell_below_in_the_skyline_tasks(self, task: str) -> None:
         episode = Episode(task)
         episode.reset(0)
         for steps in range(3):
             values = episode.observation()["telemetry"]
-            assert (values.shape, values.dtype) == ((6,), np.float32)
+            assert (values.shape, values.dtype) == ((13,), np.float32)
             assert values[5] == np.float32(1 - steps / TASKS[task].max_steps)
+            assert values[6:].tolist() == [1, 0, 0, 0, 0, 0, 0]
             episode.step(Action.WAIT)
+
+    def test_tells_the_kind_below_where_there_are_pads(self) -> None:
+        episode = toy_episode(["@BTP0.1", "......."])
+        seen = [telemetry(episode)[6:]]
+        while not episode.ended:
+            episode.step(Action.RIGHT)
+            seen.append(telemetry(episode)[6:])
+        kinds = ["road", "building", "tree", "pad", "delivered", "road", "delivered"]
+        order = ["road", "building", "tree", "obstacle", "delivery", "delivered", "pad"]
+        assert seen == [[float(name == kind) for name in order] for kind in kinds]

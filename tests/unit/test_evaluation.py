@@ -186,6 +186,7 @@ def test_only_neighbours_are_put_together() -> None:
         ({"format_version": 2}, "holds another evaluation: format_version: 2 is now 1"),
         ({"piece": 500}, "holds another evaluation: piece: 500 is now 1000"),
         ({"format": "drone_env/other"}, "it has another format"),
+        ({"tasks": ["skyline_easy v1"]}, "version 1 of task 'skyline_easy' is withdrawn: .*; version 2 replaces it"),
     ],
 )
 def test_a_folder_of_another_format_is_refused(change: dict[str, object], message: str, tmp_path: Path) -> None:

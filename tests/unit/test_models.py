@@ -11,9 +11,9 @@ from drone_env.core.state_manager import Episode
 from drone_env.models import DroneAction, DroneObservation, DroneState
 
 OBSERVATION_FIELDS = {
-    "grid", "cell_types", "grid_width", "grid_height", "drone_x", "drone_y", "battery", "battery_steps_remaining",
-    "deliveries_total", "deliveries_done", "current_target", "distance_to_target", "step_count", "max_steps",
-    "reward_last", "reward_total", "score", "done", "message", "legend",
+    "grid", "cell_types", "grid_width", "grid_height", "drone_x", "drone_y", "cell_below", "battery",
+    "battery_steps_remaining", "deliveries_total", "deliveries_done", "current_target", "distance_to_target",
+    "step_count", "max_steps", "reward_last", "reward_total", "score", "done", "message", "legend",
 }  # fmt: skip
 
 
@@ -36,6 +36,7 @@ def test_observation_says_what_the_episode_holds(episode: Episode) -> None:
     x, y = episode.position
     assert (seen.drone_x, seen.drone_y) == (x, y)
     assert seen.cell_types[y][x] == "drone"
+    assert seen.cell_below == CELL_KINDS[Cell(episode.under)].name
     assert len(seen.grid) == len(seen.cell_types) == seen.grid_height == 14
     assert [len(line) for line in seen.cell_types] == [14] * 14
     names = {kind.emoji: kind.name for kind in CELL_KINDS.values()}
@@ -47,6 +48,7 @@ def test_observation_says_what_the_episode_holds(episode: Episode) -> None:
     assert (seen.reward_last, seen.reward_total) == (episode.reward_last, episode.reward_total)
     assert (seen.score, seen.done, seen.message) == (episode.score, False, episode.message)
     assert set(seen.legend) == {kind.emoji for cell, kind in CELL_KINDS.items() if cell is not Cell.UNKNOWN}
+    assert seen.legend["🚁"].endswith("hides the cell below, which cell_below tells")
 
 
 def test_target_is_null_when_all_is_delivered() -> None:
@@ -106,7 +108,11 @@ def test_missing_and_unknown_fields_are_refused(extra: dict) -> None:
         ("drone_x", -1),
         ("drone_x", 14),
         ("drone_x", "3"),
+        ("drone_x", 0),
         ("drone_y", 2.5),
+        ("cell_below", "drone"),
+        ("cell_below", "delivered"),
+        ("cell_below", None),
         ("score", 1.0),
         ("score", 0.0),
         ("deliveries_done", 4),

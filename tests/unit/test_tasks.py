@@ -3,6 +3,8 @@
 import __future__
 
 import itertools
+import pickle
+import re
 import sys
 from dataclasses import fields, replace
 from decimal import Decimal
@@ -16,8 +18,8 @@ from drone_env.core import tasks
 from drone_env.core.cells import Cell
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, get_reward_profile
 from drone_env.core.seeds import SPLITS, split_of, split_seeds
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import DroneEnvError, InvalidTaskError, InvalidValueError, UnknownNameError
+from drone_env.core.tasks import TASKS, TaskConfig, get_task, withdrawal
+from drone_env.errors import DroneEnvError, InvalidTaskError, InvalidValueError, UnknownNameError, WithdrawnError
 
 EASY = TASKS["easy_delivery"]
 
@@ -65,9 +67,9 @@ class TestStandardTasks:
             ("easy", "DroneDelivery-Easy-v1"),
             ("medium", "DroneDelivery-Medium-v1"),
             ("hard", "DroneDelivery-Hard-v1"),
-            ("skyline_easy", "DroneDelivery-Skyline-Easy-v1"),
-            ("skyline_medium", "DroneDelivery-Skyline-Medium-v1"),
-            ("skyline_hard", "DroneDelivery-Skyline-Hard-v1"),
+            ("skyline_easy", "DroneDelivery-Skyline-Easy-v2"),
+            ("skyline_medium", "DroneDelivery-Skyline-Medium-v2"),
+            ("skyline_hard", "DroneDelivery-Skyline-Hard-v2"),
         ],
     )
     def test_gymnasium_ids(self, task: str, gym_id: str) -> None:
@@ -94,7 +96,7 @@ class TestSkylineTasks:
         charge: int,
     ) -> None:
         task = TASKS[name]
-        assert (task.id, task.short_name, task.version) == (name, name, 1)
+        assert (task.id, task.short_name, task.version) == (name, name, 2)
         assert (task.width, task.height, task.street_spacing) == (side, side, 4)
         assert (task.buildings, task.trees, task.obstacles, task.pads) == counts
         assert (task.deliveries, task.battery_capacity, task.max_steps) == (deliveries, battery, steps)
@@ -103,7 +105,7 @@ class TestSkylineTasks:
         assert task.impassable == {Cell.OBSTACLE}
         assert task.efficiency_needs_all
         assert not task.uniform
-        assert task.telemetry_size == 6
+        assert task.telemetry_size == 13
         standard = TASKS[f"{name.removeprefix('skyline_')}_delivery"]
         for event in ("delivery", "battery_dead", "wall", "blocked", "obstacle", "building", "tree", "wait", "step"):
             assert getattr(task, f"r_{event}") == getattr(standard, f"r_{event}")
@@ -167,6 +169,24 @@ class TestVersions:
         assert get_task("easy", 1) is EASY
         with pytest.raises(UnknownNameError, match="3; allowed: 1, 2"):
             get_task("easy", 3)
+
+    @pytest.mark.parametrize("name", ["skyline_easy", "skyline_medium", "skyline_hard"])
+    def test_a_withdrawn_version_is_told_with_the_one_that_replaces_it(self, name: str) -> None:
+        told = f"version 1 of task '{name}' is withdrawn: .*; version 2 replaces it"
+        with pytest.raises(WithdrawnError, match=told) as caught:
+            get_task(name, 1)
+        assert isinstance(caught.value, UnknownNameError)
+        assert (caught.value.given, caught.value.allowed) == (1, ["2"])
+        assert re.fullmatch(told, str(pickle.loads(pickle.dumps(caught.value))))
+        assert get_task(name) is get_task(name, 2) is TASKS[name]
+        with pytest.raises(UnknownNameError, match="3; allowed: 2"):
+            get_task(name, 3)
+
+    @pytest.mark.parametrize(
+        "said", [("easy_delivery", 1), ("skyline_easy", 2), ("skyline_easy", "1"), ([], {}), (None, None)]
+    )
+    def test_nothing_else_is_withdrawn(self, said: tuple[object, object]) -> None:
+        assert withdrawal(*said) is None
 
 
 class TestInvalidTasks:
@@ -250,9 +270,9 @@ class TestInvalidTasks:
             ({"drain": ((Cell.TREE, 1),)}, True, 5),
             ({"impassable": frozenset({Cell.TREE})}, False, 6),
             ({"impassable": frozenset({Cell.TREE}), "trees": 0}, True, 5),
-            ({"pads": 1}, True, 5),
+            ({"pads": 1}, True, 13),
             ({"charge_rate": 1}, True, 5),
-            ({"pads": 1, "charge_rate": 1}, False, 6),
+            ({"pads": 1, "charge_rate": 1}, False, 13),
         ],
     )
     def test_uniform_means_one_unit_per_step_and_a_free_way(

@@ -433,6 +433,9 @@ def test_equal_seeds_make_equal_runs_and_others_do_not(whole: Flown) -> None:
 def test_a_checkpoint_of_another_run_is_refused_and_changes_nothing(whole: Flown) -> None:
     other = Trainer(replace(SMALL, gamma=0.9, n_step=2))
     before = parameters(other.online)
+    state = whole.trainer.get_state()
     with pytest.raises(CheckpointError, match=r"gamma 0\.99 \(now 0\.9\), n_step 1 \(now 2\)"):
-        other.set_state(whole.trainer.get_state())
+        other.set_state(state)
+    with pytest.raises(CheckpointError, match=r"version 1 of .*skyline_easy.* is withdrawn: .* version 2"):
+        other.set_state(state | {"config": state["config"] | {"task": "skyline_easy", "task_version": 1}})
     assert_same(before, parameters(other.online))

@@ -23,6 +23,7 @@ from typing import Any, Literal
 from pydantic import Field, TypeAdapter, ValidationError
 
 from drone_env.cluster.sweep.config import SweepConfig, Trial
+from drone_env.core.tasks import withdrawal
 from drone_env.errors import InvalidValueError
 from drone_env.files import lock_file, replacing
 from drone_env.models import Count, Message
@@ -102,9 +103,13 @@ class SweepFolder:
 
         Raises:
             OSError: if it cannot be read.
-            InvalidValueError: if the file is no configuration of a sweep.
+            InvalidValueError: if the file is no configuration of a sweep, or of one on what is withdrawn.
         """
-        return _read(self.path / CONFIG, TypeAdapter(SweepConfig))
+        config: SweepConfig = _read(self.path / CONFIG, TypeAdapter(SweepConfig))
+        withdrawn = withdrawal(config.task, config.task_version)
+        if withdrawn is not None:
+            raise InvalidValueError(f"the sweep in {self.path} is of what there is no more: {withdrawn}")
+        return config
 
     @contextmanager
     def driving(self) -> Generator[None, None, None]:

@@ -30,7 +30,7 @@ class LiveMission:
 
     Raises:
         NoSessionError: if there never was such a session.
-        SessionGoneError: if it has ended or expired.
+        SessionGoneError: if it has ended or expired, or flies what is withdrawn.
         EpisodeError: if none of our pilots flies it.
         UnsupportedTaskError: if there is no network that its pilot needs.
         CheckpointError: if that cannot be read.
@@ -47,8 +47,7 @@ class LiveMission:
         self.pilot = row.agent
         self._map = _map_of(row)
         self.episode_id = row.episode_id
-        self.episode = Episode(row.task, row.reward_profile)
-        self.episode.reset(row.seed)
+        self.episode = row.begin()
         self.opening = Mission.of(self.episode, row.agent, session)
         self._agent: Agent | None = agent_of(row.agent, self.episode.task, networks)
         if self._agent is not None:

@@ -1,6 +1,6 @@
 // The instruments of one flight: score beside what is still possible, battery, steps, parcels, reward.
 import { el, setText } from "./dom.js";
-import { OUTCOMES, fixed, percent, points, signed } from "./format.js";
+import { OUTCOMES, fixed, percent, points, signed, title } from "./format.js";
 import { nextFrame } from "./loop.js";
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context */
@@ -32,12 +32,14 @@ export function mountInstruments(root, context) {
   const total = row("Total", "reward-total", "The rewards so far");
   const efficiency = row("Efficiency", "efficiency", "Parcels delivered, battery and steps left, weighed; not the score");
   const target = row("Target", "target");
+  const below = row("Below the drone", "below");
+  const ground = el("div.wide", {}, ...below.nodes);
   root.append(
     head,
     battery,
     steps,
     parcels,
-    el("dl.numbers", {}, ...[reward, total, efficiency, target].map(({ nodes }) => el("div", {}, ...nodes))),
+    el("dl.numbers", {}, ...[reward, total, efficiency, target].map(({ nodes }) => el("div", {}, ...nodes)), ground),
   );
 
   function draw() {
@@ -61,6 +63,8 @@ export function mountInstruments(root, context) {
     setText(total.value, fixed(frame.reward_total, 2));
     setText(efficiency.value, fixed(frame.efficiency, 1));
     setText(target.value, frame.target ? `[${frame.target.join(", ")}], ${frame.distance} away` : "–");
+    setText(below.value, frame.cell_below === "pad" ? "Pad: WAIT charges" : title(frame.cell_below));
+    ground.hidden = !context.tasks.find((task) => task.id === mission.task)?.pads;
   }
 
   const redraw = () => nextFrame(draw);

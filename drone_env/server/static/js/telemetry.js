@@ -9,6 +9,7 @@ const COLUMNS = [
   "action",
   "x",
   "y",
+  "cell_below",
   "event",
   "reward",
   "reward_total",
