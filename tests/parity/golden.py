@@ -159,7 +159,12 @@ def golden_hashes(way: Way, seeds: list[int]) -> Hashes:
             trajectories.update(of_flight)
             if n == N_FIRST:
                 first = {"maps": maps.hexdigest(), "trajectories": trajectories.hexdigest()}
-        hashes[name] = {"version": task.version, "maps": maps.hexdigest(), "trajectories": trajectories.hexdigest(), "first": first}
+        hashes[name] = {
+            "version": task.version,
+            "maps": maps.hexdigest(),
+            "trajectories": trajectories.hexdigest(),
+            "first": first,
+        }
     return hashes
 
 
