@@ -6,13 +6,13 @@ A line says when, what and how long, never a body, a query, a header or a sessio
 import json
 import logging
 import os
-import sys
 import time
 from collections import deque
 from contextlib import suppress
 from datetime import datetime, timezone
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
+from typing import TextIO
 
 from filelock import FileLock
 from pydantic import Field
@@ -45,41 +45,43 @@ class _RotatedFile(RotatingFileHandler):
 
     failing = False
 
-    def emit(self, record: logging.LogRecord) -> None:
-        """Write a line; whether that goes wrong is told once, and when it goes well again."""
-        self._wrong: BaseException | None = None
-        super().emit(record)
-        if self.failing != (self._wrong is not None):
+    def write(self, line: str) -> None:
+        """Write a line of ASCII; whether that goes wrong is told once, and when it goes well again.
+
+        Not by way of `logging`, whose record and questions to the file take as long as all the rest of a request's log.
+        """
+        wrong: OSError | None = None
+        try:
+            stream = self._followed()
+            if self._is_full(stream, line):
+                with FileLock(f"{self.baseFilename}.lock", LOCK_SECONDS):
+                    # Another process may have rotated it meanwhile.
+                    if self._is_full(self._followed(), line):
+                        self.doRollover()
+                stream = self._followed()
+            stream.write(line)
+            stream.flush()
+        except OSError as error:
+            wrong = error
+        if self.failing != (wrong is not None):
             self.failing = not self.failing
-            told = f"is not written: {self._wrong}; the server goes on" if self.failing else "is written again"
+            told = f"is not written: {wrong}; the server goes on" if self.failing else "is written again"
             log.warning("%s %s", self.baseFilename, told)
 
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - the name is logging's
-        """Remember what went wrong."""
-        self._wrong = sys.exc_info()[1]
+    def _is_full(self, stream: TextIO, line: str) -> bool:
+        return os.fstat(stream.fileno()).st_size + len(line) > self.maxBytes
 
-    def shouldRollover(self, record: logging.LogRecord) -> bool:  # noqa: N802
-        """Whether this line would make the file too long; a file that another process has rotated is left first."""
-        self._follow()
-        return bool(super().shouldRollover(record))
-
-    def doRollover(self) -> None:  # noqa: N802
-        """Rotate, unless another process has done that meanwhile."""
-        with FileLock(f"{self.baseFilename}.lock", LOCK_SECONDS):
-            if not self._follow():
-                super().doRollover()
-
-    def _follow(self) -> bool:
-        """Open the file anew where the one that is open has another name by now, or none; whether that was so."""
+    def _followed(self) -> TextIO:
+        """The file, opened anew where the one that is open has another name by now, or none."""
         stream = self.stream
         if stream is not None and not stream.closed:
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.stat(self.baseFilename), os.fstat(stream.fileno())):
-                    return False
+                    return stream
             self.stream = None
             stream.close()
         self.stream = self._open()
-        return True
+        return self.stream
 
 
 class RequestLog:
@@ -120,8 +122,7 @@ class RequestLog:
         )
         self.recent.append(entry)
         if self._file is not None:
-            line = json.dumps(entry.model_dump())
-            self._file.handle(logging.LogRecord(__name__, logging.INFO, "", 0, line, None, None))
+            self._file.write(json.dumps(entry.model_dump()) + "\n")
 
     def since(self, number: int) -> list[LoggedRequest]:
         """What is kept of the requests after this one, oldest first."""

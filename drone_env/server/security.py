@@ -24,6 +24,8 @@ OPEN_PATHS = {"/health", "/"} | {f"/static/{path.relative_to(PAGE).as_posix()}" 
 """Answered without a token: whoever watches over the process has none, and the page asks for it."""
 POLICY_VIOLATION = 1008
 OFFER = "bearer."
+BODY = "drone_env.body"
+"""Where a scope has the value of its request's body, once `JsonBodies` has let that through."""
 
 
 class SecurityHeaders:
@@ -206,7 +208,7 @@ class JsonBodies:
                 await refuse(scope, receive, send, 415, "content_type", detail)
                 return
             try:
-                parse_json(body.decode("utf-8"))
+                scope[BODY] = parse_json(body.decode("utf-8"))
             except UnicodeDecodeError:
                 await refuse(scope, receive, send, 400, "not_json", "the body is not UTF-8")
                 return
