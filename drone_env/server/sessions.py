@@ -8,6 +8,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+
 from drone_env.core.state_manager import Episode
 from drone_env.episodes.sessions import SessionRow
 from drone_env.episodes.store import Store
