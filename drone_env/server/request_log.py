@@ -10,9 +10,8 @@ import time
 from collections import deque
 from contextlib import suppress
 from datetime import datetime, timezone
-from logging.handlers import RotatingFileHandler
+from io import FileIO
 from pathlib import Path
-from typing import TextIO
 
 from filelock import FileLock
 from pydantic import Field
@@ -40,55 +39,83 @@ class LoggedRequest(models.Message):
     milliseconds: float = Field(ge=0, description="How long it took; a WebSocket counts when it is closed.")
 
 
-class _RotatedFile(RotatingFileHandler):
-    """A file that several processes write and rotate, and that may not be writable for a while."""
+FIELDS = tuple(LoggedRequest.model_fields)
 
-    failing = False
+
+class _RotatedFile:
+    """A file of lines that several processes write and rotate, and that may not be writable for a while.
+
+    Two questions to the system for a line: `logging` asks seven, and takes as long as all the rest of a short request.
+    """
+
+    def __init__(self, path: Path, max_bytes: int) -> None:
+        self._path = path
+        self._max_bytes = max_bytes
+        self._file: FileIO | None = None
+        self._opened: tuple[int, int] | None = None
+        self._rest = b""
+        self._failing = False
+        self._open()
 
     def write(self, line: str) -> None:
-        """Write a line of ASCII; whether that goes wrong is told once, and when it goes well again.
-
-        Not by way of `logging`, whose record and questions to the file take as long as all the rest of a request's log.
-        """
+        """Write a line; whether that goes wrong is told once, and when it goes well again."""
         wrong: OSError | None = None
         try:
-            stream = self._followed()
-            if self._is_full(stream, line):
-                with FileLock(f"{self.baseFilename}.lock", LOCK_SECONDS):
-                    # Another process may have rotated it meanwhile.
-                    if self._is_full(self._followed(), line):
-                        self.doRollover()
-                stream = self._followed()
-            stream.write(line)
-            stream.flush()
+            self._write(line.encode("ascii", "backslashreplace"))
         except OSError as error:
             wrong = error
-        if self.failing != (wrong is not None):
-            self.failing = not self.failing
-            told = f"is not written: {wrong}; the server goes on" if self.failing else "is written again"
-            log.warning("%s %s", self.baseFilename, told)
+        if self._failing != (wrong is not None):
+            self._failing = not self._failing
+            told = f"is not written: {wrong}; the server goes on" if self._failing else "is written again"
+            log.warning("%s %s", self._path, told)
 
-    def _is_full(self, stream: TextIO, line: str) -> bool:
-        return os.fstat(stream.fileno()).st_size + len(line) > self.maxBytes
+    def close(self) -> None:
+        """Close it."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
 
-    def _followed(self) -> TextIO:
-        """The file, opened anew where the one that is open has another name by now, or none."""
-        stream = self.stream
-        if stream is not None and not stream.closed:
+    def _write(self, line: bytes) -> None:
+        file = self._with_room(len(line))
+        if file is None:
+            with FileLock(f"{self._path}.lock", LOCK_SECONDS):
+                # Another process may have rotated it meanwhile.
+                file = self._with_room(len(line)) or self._rotate()
+        data = self._rest + line
+        # A full disk may take a part of a line: the rest goes before what is written next.
+        self._rest = data[file.write(data) :]
+
+    def _with_room(self, length: int) -> FileIO | None:
+        """The file, opened anew where another lies at its path by now; None where it has no room for so much."""
+        with suppress(FileNotFoundError):
+            found = os.stat(self._path)
+            if self._file is not None and (found.st_dev, found.st_ino) == self._opened:
+                return self._file if found.st_size + length <= self._max_bytes else None
+        file = self._open()
+        return file if os.fstat(file.fileno()).st_size + length <= self._max_bytes else None
+
+    def _rotate(self) -> FileIO:
+        self.close()
+        for number in range(BACKUPS, 0, -1):
+            older = f"{self._path}.{number - 1}" if number > 1 else self._path
             with suppress(FileNotFoundError):
-                if os.path.samestat(os.stat(self.baseFilename), os.fstat(stream.fileno())):
-                    return stream
-            self.stream = None
-            stream.close()
-        self.stream = self._open()
-        return self.stream
+                os.replace(older, f"{self._path}.{number}")
+        return self._open()
+
+    def _open(self) -> FileIO:
+        self.close()
+        self._rest = b""
+        self._file = FileIO(self._path, "a")
+        opened = os.fstat(self._file.fileno())
+        self._opened = (opened.st_dev, opened.st_ino)
+        return self._file
 
 
 class RequestLog:
     """The log of one process."""
 
     def __init__(self) -> None:
-        self.recent: deque[LoggedRequest] = deque(maxlen=KEPT)
+        self._recent: deque[tuple[int, str, str, str, int, float]] = deque(maxlen=KEPT)
         self.count = 0
         self._file: _RotatedFile | None = None
 
@@ -99,9 +126,7 @@ class RequestLog:
             folder: The folder.
             max_bytes: The file is rotated before it grows beyond that.
         """
-        self._file = _RotatedFile(
-            folder / FILE_NAME, maxBytes=max_bytes, backupCount=BACKUPS, encoding="utf-8", errors="backslashreplace"
-        )
+        self._file = _RotatedFile(folder / FILE_NAME, max_bytes)
 
     def close(self) -> None:
         """Close the file."""
@@ -112,21 +137,16 @@ class RequestLog:
     def add(self, method: str, path: str, status: int, seconds: float) -> None:
         """Note one answer."""
         self.count += 1
-        entry = LoggedRequest(
-            number=self.count,
-            time=datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
-            method=method,
-            path=path[:LONGEST_PATH],
-            status=status,
-            milliseconds=round(seconds * 1000, 3),
-        )
-        self.recent.append(entry)
+        now = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+        entry = (self.count, now, method, path[:LONGEST_PATH], status, round(seconds * 1000, 3))
+        self._recent.append(entry)
         if self._file is not None:
-            self._file.write(json.dumps(entry.model_dump()) + "\n")
+            self._file.write(json.dumps(dict(zip(FIELDS, entry, strict=True))) + "\n")
 
     def since(self, number: int) -> list[LoggedRequest]:
         """What is kept of the requests after this one, oldest first."""
-        return [entry for entry in self.recent if entry.number > number]
+        fields = [dict(zip(FIELDS, entry, strict=True)) for entry in self._recent if entry[0] > number]
+        return [LoggedRequest.model_validate(entry) for entry in fields]
 
 
 class LogRequests:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from fastapi import FastAPI
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drone_env.errors import InvalidValueError
@@ -39,10 +39,16 @@ class SecurityHeaders:
     def __init__(self, app: ASGIApp, frame_ancestors: Collection[str]) -> None:
         self.app = app
         framing = " ".join(frame_ancestors) or "'none'"
-        self.policy = (
+        policy = (
             f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}; "
             "img-src 'self' data: blob:; connect-src 'self' ws: wss:"
         )
+        self.headers = [
+            (b"content-security-policy", policy.encode("latin-1")),
+            (b"x-content-type-options", b"nosniff"),
+            (b"referrer-policy", b"no-referrer"),
+            (b"cross-origin-resource-policy", b"same-origin"),
+        ]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Add the headers to an HTTP answer."""
@@ -52,12 +58,10 @@ class SecurityHeaders:
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                headers["Content-Security-Policy"] = self.policy
-                headers["X-Content-Type-Options"] = "nosniff"
-                headers["Referrer-Policy"] = "no-referrer"
-                headers["Cross-Origin-Resource-Policy"] = "same-origin"
-                headers.setdefault("Cache-Control", "no-store")
+                told = [*message.get("headers", ()), *self.headers]
+                if not any(name.lower() == b"cache-control" for name, _ in told):
+                    told.append((b"cache-control", b"no-store"))
+                message["headers"] = told
             await send(message)
 
         await self.app(scope, receive, send_with_headers)
