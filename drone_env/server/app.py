@@ -33,12 +33,12 @@ from drone_env.registry import load_plugins
 from drone_env.server.flight import DEFAULT_TASK
 from drone_env.server.live.socket import LiveSocket
 from drone_env.server.openenv_socket import OpenEnvSocket
+from drone_env.server.plain_steps import PlainSteps
 from drone_env.server.predict import Networks
 from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, listen, most_connections
 from drone_env.server.request_log import LogRequests
 from drone_env.server.routes import catalogue, flight, history, openenv, replay
-from drone_env.server.routes.plain_steps import PlainSteps
 from drone_env.server.security import PAGE, protect
 from drone_env.server.settings import Settings, load_settings, misspelt_variables
 from drone_env.server.state import Shared
@@ -110,11 +110,12 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.socket = socket
     app.state.live = live
     install(app)
+    # The first is the innermost.
+    app.add_middleware(PlainSteps, shared=shared)
     protect(app, settings)
     app.add_middleware(LogRequests, log=shared.requests)
     for routes in (flight, catalogue, history, replay, openenv):
         app.include_router(routes.router)
-    app.router.routes.insert(0, PlainSteps(shared))
     app.router.routes.append(WebSocketRoute("/ws", socket))
     app.router.routes.append(WebSocketRoute("/live", live))
     _add_page(app, live)

@@ -1,8 +1,8 @@
 """How a process serves its connections: uvicorn's protocols, with an end for callers that never come to one.
 
-Requests are parsed by httptools: h11 takes as long for one as all that a step needs besides. But it hands on whatever can
-be parsed: one caller that sends requests and reads no answers would fill the memory with them, and a header line may have
-any length. So it is given no more than one request at a time, and so many bytes for what is no body.
+Requests are parsed by httptools: h11 takes longer for one than flying and storing a step does. But it hands on all that
+can be parsed: one caller that sends requests and reads no answers would fill the memory with them, and a header line
+may have any length. So it is given no more than one request at a time, and so many bytes for what is no body.
 """
 
 import asyncio

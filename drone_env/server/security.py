@@ -1,6 +1,7 @@
 """Who may call, and with what: pure ASGI middlewares, one job each.
 
-From the outside in: `SecurityHeaders`, `AllowedHosts`, `AllowedOrigins`, `BearerToken`, `JsonBodies`.
+From the outside in: `SecurityHeaders`, `AllowedHosts`, `AllowedOrigins`, `BearerToken`, `JsonBodies`. What a body says
+is then found in the scope, under `BODY`.
 """
 
 import base64

@@ -11,6 +11,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.client import DroneEnvClient
+from drone_env.core.state_manager import Episode
 from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.models import DroneAction, DroneObservation
 from drone_env.planning.optimal import solve
@@ -110,6 +111,19 @@ class TestSessions:
                 sessions.step(session, DroneAction(direction="WAIT"))
             with sessions.reading(first) as (_, episode):
                 assert episode.steps == 2
+
+    def test_an_answer_is_put_together_when_others_may_write_and_the_step_is_kept(self, tmp_path: Path) -> None:
+        with Store(tmp_path) as store, Store(tmp_path, busy_seconds=0) as other:
+            sessions = Sessions(store, capacity=2, idle_seconds=900)
+
+            def show(episode: Episode, reward: float | None) -> str:
+                kept = other.read_session(name).actions
+                other.touch_sessions([name])  # refused where somebody else writes
+                return f"{reward} {kept} {episode.actions}"
+
+            name, _ = sessions.reset(None, ResetOptions(seed=7))
+            assert sessions.step(name, DroneAction(direction="WAIT"), show=show).endswith("(4,) [4]")
+            assert sessions.reset(name, ResetOptions(seed=7), show=show) == (name, "None () []")
 
     def test_an_idle_session_ends_by_itself(
         self, tmp_path: Path, clock: Clock, eventually: Callable[..., None]
