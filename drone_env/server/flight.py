@@ -120,7 +120,7 @@ def flat_json(episode: Episode, _: float | None = None) -> str:
 
 
 def openenv_json(episode: Episode, reward: float | None) -> str:
-    """The same as OpenEnv sends it: the JSON of `openenv_result`.
+    """The same as OpenEnv sends it: reward and done beside the rest.
 
     Args:
         episode: The episode.
@@ -140,10 +140,3 @@ def _observation_json(episode: Episode, numbers: dict[str, Any]) -> str:
     lines = [_line_json(line) for line in map_lines(episode)]
     grid, cell_types = (",".join([line[i] for line in lines]) for i in (0, 1))
     return f'{{"grid":[{grid}],"cell_types":[{cell_types}],{_json(numbers)[1:-1]},"legend":{LEGEND_JSON}'
-
-
-def openenv_result(fields: dict[str, Any], reward: float | None) -> dict[str, Any]:
-    """An observation as OpenEnv sends it: reward and done beside the rest. Takes the fields for its own."""
-    done = fields.pop("done")
-    fields["metadata"] = {}
-    return {"observation": fields, "reward": reward, "done": done}
