@@ -1,15 +1,25 @@
-"""Steps per second and latency of the server over WebSocket, beside OpenEnv's echo environment in the same run.
+"""What a step costs the server over WebSocket and over HTTP, beside OpenEnv's echo environment in the same run.
 
     python benchmarks/server.py [--task hard] [--seconds 5] [--rounds 3] [--sessions 1 8 64 256] [--json FILE]
+                                [--by WebSocket HTTP openenv-HTTP] [--other CHECKOUT]
 
 The echo environment is the one that `openenv init` writes, served by OpenEnv's own server. Each server has one worker.
-A session sends a step as soon as the last is answered. The load comes from this process, on the same machine; it speaks
-the WebSocket protocol itself, as a library would take more time than the servers do. Rounds alternate between the
-servers; shown is the median of the rounds.
+A session sends a step as soon as the last is answered, over a connection of its own that is kept. Over HTTP ours names
+its session by `X-Session-Id`, and sends `{"direction": ...}` (HTTP) or OpenEnv's `{"action": {...}}` (openenv-HTTP); it
+stores each step before the answer. OpenEnv's has no sessions there: it makes an environment for each step.
+
+Before and after, in one run: `--other` names a second checkout of this project, such as
+`git worktree add /tmp/before main` makes, whose server is timed in the same rounds (`other`). Only its HTTP and
+WebSocket interface is used.
+
+The load comes from this process, on the same machine; it speaks both protocols itself, as libraries would take more
+time than the servers do. Rounds alternate between the servers; shown is the median of the rounds. CPU time of the
+server is what other load on the machine hardly changes.
 """
 
 import argparse
 import asyncio
+import itertools
 import json
 import os
 import statistics
@@ -17,15 +27,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Generator
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Generator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import httpx
 
 ROOT = Path(__file__).parents[1]
-PORTS = {"drone-env": 18_431, "echo": 18_432}
+PORTS = {"drone-env": 18_431, "echo": 18_432, "other": 18_433}
+WAYS = ("WebSocket", "HTTP", "openenv-HTTP")
 MOVES = ("UP", "LEFT", "DOWN", "RIGHT")
 ECHO_SERVER = """
 import sys
@@ -90,26 +101,96 @@ async def connect(port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter
     return reader, writer
 
 
-async def fly(
-    reader: asyncio.StreamReader,
-    writer: asyncio.StreamWriter,
-    reset: bytes,
-    steps: list[bytes],
-    until: float,
-    latencies: list[float],
-) -> None:
-    """One session that has been reset: steps until the time is over, a new episode after each end."""
+class Http:
+    """A kept connection to a server, which counts its bytes.
+
+    A library would take more time than the server does, on the same cores.
+    """
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+        self.sent = self.received = 0
+
+    async def open(self) -> None:
+        """Connect."""
+        self.reader, self.writer = await asyncio.open_connection("127.0.0.1", self.port, limit=1 << 20)
+
+    async def post(self, path: str, body: dict[str, object], headers: dict[str, str]) -> bytes:
+        """Send a request and return the body of its answer.
+
+        Raises:
+            ConnectionError: if the answer is a refusal.
+        """
+        return await self.ask(self.request(path, body, headers))
+
+    def request(self, path: str, body: dict[str, object], headers: dict[str, str]) -> bytes:
+        """A request as it travels."""
+        content = json.dumps(body).encode()
+        lines = [f"POST {path} HTTP/1.1", f"Host: 127.0.0.1:{self.port}", "Content-Type: application/json"]
+        lines += [f"{name}: {value}" for name, value in headers.items()]
+        return "\r\n".join([*lines, f"Content-Length: {len(content)}", "", ""]).encode() + content
+
+    async def ask(self, request: bytes) -> bytes:
+        """The same of a request that is written already."""
+        self.writer.write(request)
+        head = await self.reader.readuntil(b"\r\n\r\n")
+        length = next(int(line[15:]) for line in head.lower().split(b"\r\n") if line.startswith(b"content-length:"))
+        answer = await self.reader.readexactly(length)
+        if b" 200 " not in head[:16]:
+            raise ConnectionError(answer.decode())
+        self.sent += len(request)
+        self.received += len(head) + length
+        return answer
+
+
+class Session(NamedTuple):
+    """An open session: how to ask over its connection, and what."""
+
+    ask: Callable[[bytes], Awaitable[bytes]]
+    reset: bytes
+    steps: list[bytes]
+    writer: asyncio.StreamWriter
+
+
+async def open_session(server: str, way: str, task: str) -> Session:
+    """A session of a server, over a connection of its own, with an episode."""
+    echo, begin = server == "echo", {} if server == "echo" else {"task_name": task}
+    actions = [{"message": "RIGHT"}] if echo else [{"direction": move} for move in MOVES]
+    if way == "WebSocket":
+        reader, writer = await connect(PORTS[server])
+
+        async def ask(message: bytes) -> bytes:
+            writer.write(message)
+            return await read_frame(reader)
+
+        steps = [frame({"type": "step", "data": action}) for action in actions]
+        session = Session(ask, frame({"type": "reset", "data": begin}), steps, writer)
+        await ask(session.reset)
+        return session
+    http = Http(PORTS[server])
+    await http.open()
+    answer = json.loads(await http.post("/reset", dict(begin), {}))
+    named = {} if echo else {"X-Session-Id": answer["session_id"]}
+    bodies = [{"action": action} if echo or way == "openenv-HTTP" else action for action in actions]
+    steps = [http.request("/step", dict(body), named) for body in bodies]
+    return Session(http.ask, http.request("/reset", dict(begin), named), steps, http.writer)
+
+
+async def fly(session: Session, until: float, latencies: list[float]) -> None:
+    """Steps until the time is over, a new episode after each end.
+
+    Raises:
+        ConnectionError: if a step is not answered with an observation.
+    """
     clock, number = time.perf_counter, 0
     while (sent := clock()) < until:
-        writer.write(steps[number % len(steps)])
-        answer = await read_frame(reader)
+        answer = await session.ask(session.steps[number % len(session.steps)])
         latencies.append(clock() - sent)
         number += 1
-        if not answer.startswith(b'{"type":"observation"'):
+        if b'"done":' not in answer:
             raise ConnectionError(answer[:200].decode())
         if b'"done":true' in answer:
-            writer.write(reset)
-            await read_frame(reader)
+            await session.ask(session.reset)
 
 
 def cpu_seconds(process: int) -> float:
@@ -118,49 +199,46 @@ def cpu_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-async def one_round(name: str, process: int, task: str, sessions: int, seconds: float) -> Figures:
+async def one_round(server: str, process: int, way: str, task: str, count: int, seconds: float) -> Figures:
     """Time one server under this many sessions."""
-    if name == "echo":
-        reset, steps = frame({"type": "reset"}), [frame({"type": "step", "data": {"message": "RIGHT"}})]
-    else:
-        reset = frame({"type": "reset", "data": {"task_name": task}})
-        steps = [frame({"type": "step", "data": {"direction": move}}) for move in MOVES]
+    sessions = [await open_session(server, way, task) for _ in range(count)]
     latencies: list[float] = []
-    streams = [await connect(PORTS[name]) for _ in range(sessions)]
-    for reader, writer in streams:
-        writer.write(reset)
-        await read_frame(reader)
     cpu, started = cpu_seconds(process), time.perf_counter()
-    await asyncio.gather(*[fly(*stream, reset, steps, started + seconds, latencies) for stream in streams])
+    await asyncio.gather(*[fly(session, started + seconds, latencies) for session in sessions])
     elapsed, cpu = time.perf_counter() - started, cpu_seconds(process) - cpu
-    for _, writer in streams:
-        writer.close()
-        await writer.wait_closed()
+    for session in sessions:
+        session.writer.close()
+        await session.writer.wait_closed()
     ordered = sorted(latencies)
     p50, p99 = (ordered[int(share * (len(ordered) - 1))] * 1000 for share in (0.5, 0.99))
     return Figures(len(latencies) / elapsed, p50, p99, cpu / len(latencies) * 1e6)
 
 
 @contextmanager
-def both_servers() -> Generator[dict[str, int], None, None]:
-    """Our server and the echo server, running: their process ids."""
-    with tempfile.TemporaryDirectory() as folder:
+def running(other: Path | None) -> Generator[dict[str, int], None, None]:
+    """The servers, running: their process ids."""
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as started:
         init = [sys.executable, "-m", "openenv.cli", "init", "echo", "--output-dir", folder]
         subprocess.run(init, check=True, capture_output=True)
         echo = ECHO_SERVER.format(folder=folder, port=PORTS["echo"])
-        variables = {"DRONE_ENV_DATA": f"{folder}/data", "DRONE_ENV_CAPACITY": "1024", "PYTHONPATH": str(ROOT)}
-        environment = {**os.environ, **variables}
-        ours = [sys.executable, str(ROOT / "drone_env/server/app.py"), "--port", str(PORTS["drone-env"])]
-        servers = [subprocess.Popen(ours, env=environment), subprocess.Popen([sys.executable, "-c", echo])]
-        try:
-            for server, port in zip(servers, PORTS.values(), strict=True):
-                wait_for(server, port)
-            yield {name: server.pid for name, server in zip(PORTS, servers, strict=True)}
-        finally:
-            for server in servers:
-                server.terminate()
-            for server in servers:
-                server.wait()
+        commands = {"drone-env": our_server(ROOT, "drone-env", folder), "echo": ([sys.executable, "-c", echo], None)}
+        if other is not None:
+            commands["other"] = our_server(other.resolve(), "other", folder)
+        servers: dict[str, subprocess.Popen[bytes]] = {}
+        for name, (command, environment) in commands.items():
+            servers[name] = subprocess.Popen(command, env=environment)
+            started.callback(servers[name].wait)
+            started.callback(servers[name].terminate)
+        for name, server in servers.items():
+            wait_for(server, PORTS[name])
+        yield {name: server.pid for name, server in servers.items()}
+
+
+def our_server(checkout: Path, name: str, folder: str) -> tuple[list[str], dict[str, str]]:
+    """The command and the environment of this project's server, from a checkout."""
+    variables = {"DRONE_ENV_DATA": f"{folder}/{name}", "DRONE_ENV_CAPACITY": "4096", "PYTHONPATH": str(checkout)}
+    command = [sys.executable, str(checkout / "drone_env/server/app.py"), "--port", str(PORTS[name])]
+    return command, {**os.environ, **variables}
 
 
 def wait_for(server: subprocess.Popen[bytes], port: int) -> None:
@@ -189,23 +267,35 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--sessions", type=int, nargs="+", default=[1, 8, 64, 256])
+    parser.add_argument("--by", choices=WAYS, nargs="+", default=WAYS, help="how steps are sent")
+    parser.add_argument("--other", type=Path, help="a second checkout of this project, timed in the same rounds")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     report: list[dict[str, Any]] = []
     print(f"Task: {given.task}\n")
-    print("| sessions | server | steps/s | p50 ms | p99 ms | server CPU us/step |\n|---|---|---|---|---|---|")
-    with both_servers() as processes:
-        for sessions in given.sessions:
-            rounds: dict[str, list[Figures]] = {name: [] for name in PORTS}
+    print("| sessions | by | server | steps/s | p50 ms | p99 ms | server CPU us/step |\n|---|---|---|---|---|---|---|")
+    with running(given.other) as processes:
+        for sessions, way in itertools.product(given.sessions, given.by):
+            # OpenEnv's HTTP has one form.
+            names = [name for name in processes if (name, way) != ("echo", "openenv-HTTP")]
+            rounds: dict[str, list[Figures]] = {name: [] for name in names}
             for _ in range(given.rounds):
                 for name, figures in rounds.items():
-                    figures.append(asyncio.run(one_round(name, processes[name], given.task, sessions, given.seconds)))
+                    timed = one_round(name, processes[name], way, given.task, sessions, given.seconds)
+                    figures.append(asyncio.run(timed))
             for name, figures in rounds.items():
                 rate, p50, p99, cpu = (statistics.median(column) for column in zip(*figures, strict=True))
-                print(f"| {sessions} | {name} | {rate:.0f} | {p50:.2f} | {p99:.2f} | {cpu:.0f} |", flush=True)
-                report.append({"sessions": sessions, "server": name, "rounds": [f._asdict() for f in figures]})
+                print(f"| {sessions} | {way} | {name} | {rate:.0f} | {p50:.2f} | {p99:.2f} | {cpu:.0f} |", flush=True)
+                timings = {
+                    "sessions": sessions,
+                    "by": way,
+                    "server": name,
+                    "median": Figures(rate, p50, p99, cpu)._asdict(),
+                }
+                report.append({**timings, "rounds": [f._asdict() for f in figures]})
     if given.json is not None:
-        given.json.write_text(json.dumps({"task": given.task, "report": report}, indent=2) + "\n", encoding="utf-8")
+        told = {"task": given.task, "other": None if given.other is None else str(given.other), "report": report}
+        given.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

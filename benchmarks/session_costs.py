@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.server import MOVES, connect, cpu_seconds, frame
+from benchmarks.server import MOVES, Http, connect, cpu_seconds, frame
 from drone_env.core.state_manager import Episode
 
 STEPS = 20
@@ -54,41 +54,6 @@ def memory_of(processes: Iterable[int]) -> int:
 def files_of(processes: Iterable[int]) -> int:
     """How many files and connections these processes have open (Linux)."""
     return sum(len(list(Path(f"/proc/{process}/fd").iterdir())) for process in processes)
-
-
-class Http:
-    """A kept connection to a server, which counts its bytes.
-
-    A library would take more time than the server does, on the same cores.
-    """
-
-    def __init__(self, port: int) -> None:
-        self.port = port
-        self.sent = self.received = 0
-
-    async def open(self) -> None:
-        """Connect."""
-        self.reader, self.writer = await asyncio.open_connection("127.0.0.1", self.port, limit=1 << 20)
-
-    async def post(self, path: str, body: dict[str, object], headers: dict[str, str]) -> bytes:
-        """Send a request and return the body of its answer.
-
-        Raises:
-            ConnectionError: if the answer is a refusal.
-        """
-        content = json.dumps(body).encode()
-        lines = [f"POST {path} HTTP/1.1", f"Host: 127.0.0.1:{self.port}", "Content-Type: application/json"]
-        lines += [f"{name}: {value}" for name, value in headers.items()]
-        request = "\r\n".join([*lines, f"Content-Length: {len(content)}", "", ""]).encode() + content
-        self.writer.write(request)
-        head = await self.reader.readuntil(b"\r\n\r\n")
-        length = next(int(line[15:]) for line in head.lower().split(b"\r\n") if line.startswith(b"content-length:"))
-        answer = await self.reader.readexactly(length)
-        if b" 200 " not in head[:16]:
-            raise ConnectionError(answer.decode())
-        self.sent += len(request)
-        self.received += len(head) + length
-        return answer
 
 
 async def open_rows(port: int, task: str, count: int, steps: int) -> list[str]:

@@ -14,6 +14,9 @@ from drone_env.errors import NoSessionError, SessionGoneError
 
 FINISHED_SECONDS = 30.0
 """For so long a finished session keeps its place even where others have none: its owner still asks for the score."""
+CHARACTERS = bytes.maketrans(bytes(range(10)), b"0123456789")
+NUMBERS = bytes.maketrans(b"0123456789", bytes(range(10)))
+"""Actions are kept as a text of digits; these turn bytes with their numbers into it, and back."""
 DIGITS = {action.name: str(int(action)) for action in Action}
 
 
@@ -157,7 +160,7 @@ def session_row(connection: sqlite3.Connection, session_id: str) -> SessionRow:
         seed=seed,
         reward_profile=reward_profile,
         agent=agent,
-        actions=tuple(map(int, actions)),
+        actions=tuple(actions.encode().translate(NUMBERS)),
         episode_id=episode_id,
         opened_at=_utc(opened_at),
         touched_at=_utc(touched_at),
@@ -178,7 +181,7 @@ def update_session(connection: sqlite3.Connection, session_id: str, row: Session
         "episode_id = ?, touched_at = ?, address = ? WHERE id = ?",
         (
             *(row.task, row.task_version, row.seed, row.reward_profile, row.agent),
-            *("".join(map(str, row.actions)), row.episode_id, now, row.address, session_id),
+            *(bytes(row.actions).translate(CHARACTERS).decode(), row.episode_id, now, row.address, session_id),
         ),
     )
 

@@ -5,7 +5,7 @@ import re
 import secrets
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import SupportsIndex
+from typing import SupportsIndex, cast
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.rewards import get_reward_profile
@@ -60,7 +60,10 @@ class SessionRow:
         """
         if self.episode_id is not None:
             raise EpisodeError("the episode of this session has ended: reset to fly again")
-        number = -1 if isinstance(action, bool) or not isinstance(action, SupportsIndex) else operator.index(action)
+        try:
+            number = -1 if isinstance(action, bool) else operator.index(cast(SupportsIndex, action))
+        except TypeError:
+            number = -1
         if not 0 <= number < N_ACTIONS:
             raise InvalidValueError(f"action must be one of {ALLOWED_ACTIONS}; got {action!r}")
         self.actions = (*self.actions, number)

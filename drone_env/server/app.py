@@ -33,6 +33,7 @@ from drone_env.registry import load_plugins
 from drone_env.server.flight import DEFAULT_TASK
 from drone_env.server.live.socket import LiveSocket
 from drone_env.server.openenv_socket import OpenEnvSocket
+from drone_env.server.plain_steps import PlainSteps
 from drone_env.server.predict import Networks
 from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, listen, most_connections
@@ -108,6 +109,8 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.socket = socket
     app.state.live = live
     install(app)
+    # The first is the innermost.
+    app.add_middleware(PlainSteps, shared=shared)
     protect(app, settings)
     app.add_middleware(LogRequests, log=shared.requests)
     for routes in (flight, catalogue, history, replay, openenv):

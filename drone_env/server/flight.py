@@ -106,26 +106,37 @@ class Flight:
         self.stored = False
 
     def result(self, reward: float | None) -> str:
-        """The JSON of `openenv_result` now, with what the last step paid (None after a reset).
-
-        Put together from the JSON of the map's lines, of which a step changes one or two: a third of a step's time.
-        """
-        lines = [_line_json(line) for line in map_lines(self.episode)]
-        numbers = observation_numbers(self.episode)
-        done = numbers.pop("done")
-        grid, cell_types = (",".join([line[i] for line in lines]) for i in (0, 1))
-        return (
-            f'{{"observation":{{"grid":[{grid}],"cell_types":[{cell_types}],{_json(numbers)[1:-1]},'
-            f'"legend":{LEGEND_JSON},"metadata":{{}}}},"reward":{_json(reward)},"done":{_json(done)}}}'
-        )
+        """The JSON of the episode now, with what the last step paid (None after a reset)."""
+        return openenv_json(self.episode, reward)
 
     def state(self) -> str:
         """The JSON of the full state as OpenEnv sends it."""
         return _json({**DroneState.of(self.episode).model_dump(), "episode_id": self.episode_id})
 
 
-def openenv_result(fields: dict[str, Any], reward: float | None) -> dict[str, Any]:
-    """An observation as OpenEnv sends it: reward and done beside the rest. Takes the fields for its own."""
-    done = fields.pop("done")
-    fields["metadata"] = {}
-    return {"observation": fields, "reward": reward, "done": done}
+def flat_json(episode: Episode, _: float | None = None) -> str:
+    """The JSON of `DroneObservation.of(episode)`."""
+    return _observation_json(episode, observation_numbers(episode)) + "}"
+
+
+def openenv_json(episode: Episode, reward: float | None) -> str:
+    """The same as OpenEnv sends it: reward and done beside the rest.
+
+    Args:
+        episode: The episode.
+        reward: What the last step paid, None after a reset.
+    """
+    numbers = observation_numbers(episode)
+    done = numbers.pop("done")
+    observation = _observation_json(episode, numbers)
+    return f'{{"observation":{observation},"metadata":{{}}}},"reward":{_json(reward)},"done":{_json(done)}}}'
+
+
+def _observation_json(episode: Episode, numbers: dict[str, Any]) -> str:
+    """The JSON of an observation, without the brace at its end.
+
+    Put together from the JSON of the map's lines, of which a step changes one or two: a third of a step's time.
+    """
+    lines = [_line_json(line) for line in map_lines(episode)]
+    grid, cell_types = (",".join([line[i] for line in lines]) for i in (0, 1))
+    return f'{{"grid":[{grid}],"cell_types":[{cell_types}],{_json(numbers)[1:-1]},"legend":{LEGEND_JSON}'

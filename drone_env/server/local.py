@@ -59,6 +59,7 @@ def local_address(scope: Scope, host: str) -> str | None:
     return client[0] if named and listens_on_loopback(scope, host) else None
 
 
+@lru_cache(maxsize=1024)
 def host_name(header: str) -> str:
     """The name in a `Host` header, without port, in lower case."""
     try:

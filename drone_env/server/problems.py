@@ -121,8 +121,8 @@ def printable(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-async def _own(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, DroneEnvError)
+def told_problem(request: Request, error: DroneEnvError) -> JSONResponse:
+    """The answer that tells an exception of this package."""
     status, code = status_of(error, request.method)
     if status == 500:
         log.error("%s %s", request.method, request.url.path, exc_info=error)
@@ -130,6 +130,11 @@ async def _own(request: Request, error: Exception) -> JSONResponse:
     detail = f"{error}: {WHAT_TO_DO}" if status == 410 else str(error)
     waiting_helps = status == 503 and code not in ("no_network", "not_started")
     return problem(status, code, detail, headers={"Retry-After": "5"} if waiting_helps else None)
+
+
+async def _own(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, DroneEnvError)
+    return told_problem(request, error)
 
 
 async def _invalid(_: Request, error: Exception) -> JSONResponse:

@@ -1,6 +1,7 @@
 """Who may call, and with what: pure ASGI middlewares, one job each.
 
-From the outside in: `SecurityHeaders`, `AllowedHosts`, `AllowedOrigins`, `BearerToken`, `JsonBodies`.
+From the outside in: `SecurityHeaders`, `AllowedHosts`, `AllowedOrigins`, `BearerToken`, `JsonBodies`. What a body says
+is then found in the scope, under `BODY`.
 """
 
 import base64
@@ -10,7 +11,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from fastapi import FastAPI
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drone_env.errors import InvalidValueError
@@ -24,6 +25,8 @@ OPEN_PATHS = {"/health", "/"} | {f"/static/{path.relative_to(PAGE).as_posix()}" 
 """Answered without a token: whoever watches over the process has none, and the page asks for it."""
 POLICY_VIOLATION = 1008
 OFFER = "bearer."
+BODY = "drone_env.body"
+"""Where a scope has the value of its request's body, once `JsonBodies` has let that through."""
 
 
 class SecurityHeaders:
@@ -37,10 +40,16 @@ class SecurityHeaders:
     def __init__(self, app: ASGIApp, frame_ancestors: Collection[str]) -> None:
         self.app = app
         framing = " ".join(frame_ancestors) or "'none'"
-        self.policy = (
+        policy = (
             f"default-src 'self'; object-src 'none'; base-uri 'none'; frame-ancestors {framing}; "
             "img-src 'self' data: blob:; connect-src 'self' ws: wss:"
         )
+        self.headers = [
+            (b"content-security-policy", policy.encode("latin-1")),
+            (b"x-content-type-options", b"nosniff"),
+            (b"referrer-policy", b"no-referrer"),
+            (b"cross-origin-resource-policy", b"same-origin"),
+        ]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Add the headers to an HTTP answer."""
@@ -50,12 +59,10 @@ class SecurityHeaders:
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                headers["Content-Security-Policy"] = self.policy
-                headers["X-Content-Type-Options"] = "nosniff"
-                headers["Referrer-Policy"] = "no-referrer"
-                headers["Cross-Origin-Resource-Policy"] = "same-origin"
-                headers.setdefault("Cache-Control", "no-store")
+                told = [*message.get("headers", ()), *self.headers]
+                if not any(name.lower() == b"cache-control" for name, _ in told):
+                    told.append((b"cache-control", b"no-store"))
+                message["headers"] = told
             await send(message)
 
         await self.app(scope, receive, send_with_headers)
@@ -206,7 +213,7 @@ class JsonBodies:
                 await refuse(scope, receive, send, 415, "content_type", detail)
                 return
             try:
-                parse_json(body.decode("utf-8"))
+                scope[BODY] = parse_json(body.decode("utf-8"))
             except UnicodeDecodeError:
                 await refuse(scope, receive, send, 400, "not_json", "the body is not UTF-8")
                 return

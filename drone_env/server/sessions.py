@@ -6,28 +6,23 @@ row's actions first.
 
 import threading
 from collections import OrderedDict
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
 
 from drone_env.core.state_manager import Episode
 from drone_env.episodes.sessions import SessionRow
 from drone_env.episodes.store import Store
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
-from drone_env.models import DroneAction, observation_fields
-from drone_env.server.flight import start_of
+from drone_env.models import DroneAction
+from drone_env.server.flight import flat_json, start_of
 from drone_env.server.schemas import ResetOptions
 
 ANONYMOUS = "anonymous"
 """The agent's name where none is given."""
 
 
-class Stepped(NamedTuple):
-    """What a reset or a step came to."""
-
-    fields: dict[str, Any]
-    """The fields of `DroneObservation`."""
-    reward: float | None
+Show = Callable[[Episode, float | None], str]
+"""The JSON of an episode and of what its last step paid: `flat_json` or `openenv_json`."""
 
 
 class _Live:
@@ -80,14 +75,20 @@ class Sessions:
         self._live: OrderedDict[str, _Live] = OrderedDict()
         self._lock = threading.Lock()
 
-    def reset(self, session: str | None, options: ResetOptions, address: str | None = None) -> tuple[str, Stepped]:
-        """Start an episode in the session, or in a new one where none is named or it is gone; return its id too.
+    def reset(
+        self, session: str | None, options: ResetOptions, address: str | None = None, show: Show = flat_json
+    ) -> tuple[str, str]:
+        """Start an episode in the session, or in a new one where none is named or it is gone.
 
         Args:
             session: The session that the caller names, None for none.
             options: What to fly.
             address: Of a caller who names none and shares a session with others there who name none. It is used again
                 once it has been flown so. One that has not may be that of a caller who will name it.
+            show: What to tell of the episode.
+
+        Returns:
+            The session, and the first observation as JSON.
 
         Raises:
             UnknownNameError: if there is no such task, profile or split.
@@ -96,13 +97,13 @@ class Sessions:
         """
         if session is not None:
             try:
-                return session, self._reset_row(session, options)
+                return session, self._reset_row(session, options, show)
             except (NoSessionError, SessionGoneError):
                 pass  # the caller does what the error would tell: open a new one
         shared = None if address is None else self.store.unnamed_session(address)
         if shared is not None:
             try:
-                return shared, self._reset_row(shared, options, address, flown=True)
+                return shared, self._reset_row(shared, options, show, address, flown=True)
             except (NoSessionError, SessionGoneError):
                 pass
         start = start_of(options, None)
@@ -113,28 +114,37 @@ class Sessions:
             if not self.expire():
                 if shared is None:
                     raise
-                return shared, self._reset_row(shared, options, address)
+                return shared, self._reset_row(shared, options, show, address)
             session = self.store.open_session(*wanted, capacity=self.capacity, address=address)
         episode = Episode(start.task, start.reward_profile)
         episode.reset(start.seed)
+        first = show(episode, None)
         live = self._entry(session)
         with live.lock:
             live.episode = episode
-        return session, Stepped(observation_fields(episode), None)
+        return session, first
 
     def _reset_row(
-        self, session: str, options: ResetOptions, address: str | None = None, flown: bool = False
-    ) -> Stepped:
-        with self._writing(session, address) as (live, row):
-            if flown and not row.actions:
-                raise NoSessionError("nobody has flown this session yet")
-            start = start_of(options, row.seed)
-            row.reset(start.task.id, start.task.version, start.seed, start.reward_profile.id, options.agent)
-            episode = live.episode = Episode(start.task, start.reward_profile)
-            episode.reset(start.seed)
-            return Stepped(observation_fields(episode), None)
+        self, session: str, options: ResetOptions, show: Show, address: str | None = None, flown: bool = False
+    ) -> str:
+        with self._held(session) as live:
+            with self._changing(live, session, address) as row:
+                if flown and not row.actions:
+                    raise NoSessionError("nobody has flown this session yet")
+                start = start_of(options, row.seed)
+                row.reset(start.task.id, start.task.version, start.seed, start.reward_profile.id, options.agent)
+                episode = live.episode = Episode(start.task, start.reward_profile)
+                episode.reset(start.seed)
+            return show(episode, None)
 
-    def step(self, session: str, action: DroneAction, after: int | None = None, address: str | None = None) -> Stepped:
+    def step(
+        self,
+        session: str,
+        action: DroneAction,
+        after: int | None = None,
+        address: str | None = None,
+        show: Show = flat_json,
+    ) -> str:
         """Fly one action. What it returns is kept: the step, and the finished episode if it was the last.
 
         Args:
@@ -143,25 +153,32 @@ class Sessions:
             after: How many steps the sender knows of. The step that comes after these is flown once, however often it
                 is sent, and the same is returned each time; None flies it in any case.
             address: Of a caller who does not name the session.
+            show: What to tell of the episode.
+
+        Returns:
+            The observation after the step as JSON, put together when others may write to the store again.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
             EpisodeError: if the session stands at another step than `after`, and not because of this action.
         """
-        with self.stepping(session, address) as (row, episode):
-            flown = len(row.actions)
-            if after is not None and after != flown:
-                if after == flown - 1 and row.actions[-1] == action.action:
+        with self._held(session) as live:
+            with self._changing(live, session, address) as row:
+                episode = live.caught_up(row)
+                flown = len(row.actions)
+                if after is None or after == flown:
+                    reward = fly(row, episode, action.action)
+                elif after == flown - 1 and row.actions[-1] == action.action:
                     # Flown anew: a step after the end may have been sent meanwhile, and the answer must not tell of it.
-                    flight = row.fly()
-                    return Stepped(observation_fields(flight), flight.reward_last)
-                raise EpisodeError(
-                    f"this action is to follow step {after}, and the session has flown {flown} steps: GET /state tells "
-                    "where it stands"
-                )
-            reward = fly(row, episode, action.action)
-            return Stepped(observation_fields(episode), reward)
+                    episode = row.fly()
+                    reward = episode.reward_last
+                else:
+                    raise EpisodeError(
+                        f"this action is to follow step {after}, and the session has flown {flown} steps: GET /state "
+                        "tells where it stands"
+                    )
+            return show(episode, reward)
 
     @contextmanager
     def stepping(self, session: str, address: str | None = None) -> Generator[tuple[SessionRow, Episode], None, None]:
@@ -173,7 +190,7 @@ class Sessions:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        with self._writing(session, address) as (live, row):
+        with self._held(session) as live, self._changing(live, session, address) as row:
             yield row, live.caught_up(row)
 
     @contextmanager
@@ -184,8 +201,7 @@ class Sessions:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
         """
-        live = self._entry(session)
-        with self._dropping(session), live.lock:
+        with self._held(session) as live:
             row = self.store.read_session(session)
             yield row, live.caught_up(row)
 
@@ -207,27 +223,29 @@ class Sessions:
         return gone
 
     @contextmanager
-    def _writing(self, session: str, address: str | None = None) -> Generator[tuple[_Live, SessionRow], None, None]:
+    def _held(self, session: str) -> Generator[_Live, None, None]:
+        """The live episode of a session, which nobody else uses meanwhile; forgotten where the session is gone."""
         live = self._entry(session)
-        with self._dropping(session), live.lock:
-            try:
-                with self.store.session(session) as row:
-                    if address is None:
-                        row.address = None  # who names it has it to himself
-                    elif row.address != address:
-                        raise NoSessionError("somebody has named this session meanwhile")
-                    yield live, row
-            except BaseException:
-                # Nothing was kept, so what was flown inside is not so.
-                live.episode = None
-                raise
-
-    @contextmanager
-    def _dropping(self, session: str) -> Generator[None, None, None]:
         try:
-            yield
+            with live.lock:
+                yield live
         except (NoSessionError, SessionGoneError):
             self._forget(session)
+            raise
+
+    @contextmanager
+    def _changing(self, live: _Live, session: str, address: str | None) -> Generator[SessionRow, None, None]:
+        """The row of a session that is held, to be changed; kept when the block ends."""
+        try:
+            with self.store.session(session) as row:
+                if address is None:
+                    row.address = None  # who names it has it to himself
+                elif row.address != address:
+                    raise NoSessionError("somebody has named this session meanwhile")
+                yield row
+        except BaseException:
+            # Nothing was kept, so what was flown inside is not so.
+            live.episode = None
             raise
 
     def _entry(self, session: str) -> _Live:

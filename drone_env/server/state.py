@@ -3,6 +3,7 @@
 import os
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, NamedTuple, TypeVar
 
 import anyio.to_thread
@@ -46,6 +47,8 @@ class Shared:
         self.requests = RequestLog()
         self.networks = Networks(settings.weights, settings.data)
         self._sessions: Sessions | None = None
+        self.steps: ThreadPoolExecutor | None = None
+        """Flies the steps of HTTP sessions while the server runs. One thread: the store has one writer anyway."""
         self._studies: anyio.CapacityLimiter | None = None
         self._studying = 0
         self._warm: set[TaskConfig] = set()
@@ -106,10 +109,14 @@ class Shared:
         """
         store = Store(self.settings.data, self._clock)
         self.requests.open(self.settings.data)
+        self.steps = ThreadPoolExecutor(1, "drone_env-steps")
         self._sessions = Sessions(store, self.settings.capacity, self.settings.idle_seconds)
 
     def close(self) -> None:
         """Close it."""
+        if self.steps is not None:
+            self.steps.shutdown()
+            self.steps = None
         if self._sessions is not None:
             self._sessions.store.close()
             self._sessions = None

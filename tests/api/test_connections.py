@@ -8,12 +8,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
 import uvicorn
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from drone_env.server import protocols
 from drone_env.server.process import OTHER_FILES, listen, most_connections
@@ -121,6 +122,92 @@ def test_a_request_that_is_being_answered_has_no_more_read_for_it(monkeypatch: p
 
     with running(app) as connect:
         assert taken_of(connect(), WHOLE * 1000, most=2 << 20) < 1 << 20
+
+
+POSTED = b"POST / HTTP/1.1\r\nHost: h\r\n"
+CHUNKED = POSTED + b"Transfer-Encoding: chunked\r\n\r\n"
+IN_TURN = [
+    (WHOLE, b""),
+    (POSTED + b"Content-Length: 8\r\n\r\na\r\n\r\nb\r\n", b"a\r\n\r\nb\r\n"),
+    (CHUNKED + b"4\r\n\r\n\r\n\r\n2;x=y\r\nhi\r\n0\r\nLate: 1\r\n\r\n", b"\r\n\r\nhi"),
+    (CHUNKED + b"3\r\nend\r\n000\r\n\r\n", b"end"),
+]
+"""Requests, and the bodies that they have."""
+
+
+@pytest.mark.parametrize("piece", [1, 7, 1 << 20])
+def test_requests_in_one_piece_are_parsed_and_answered_one_after_another(
+    monkeypatch: pytest.MonkeyPatch, piece: int
+) -> None:
+    begun, most = [0, 0], [0]
+    monkeypatch.setattr(Http, "on_message_begin", lambda self: (count(0), HttpToolsProtocol.on_message_begin(self)))
+
+    def count(index: int) -> None:
+        begun[index] += 1
+        most[0] = max(most[0], begun[0] - begun[1])
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        told = b"%d:" % len(scope["headers"]) + await Request(scope, receive).body()
+        await asyncio.sleep(0)
+        count(1)
+        length = str(len(told)).encode()
+        await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", length)]})
+        await send({"type": "http.response.body", "body": told})
+
+    requests = IN_TURN * (20 if piece > 7 else 1)
+    last = WHOLE.replace(b"Host", b"Connection: close\r\nHost")
+    expected = [b"%d:" % (request.partition(b"\r\n\r\n")[0].count(b"\r\n")) + body for request, body in requests]
+    with running(app) as connect:
+        sock = connect()
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        data = b"".join(request for request, _ in requests) + last
+        for start in range(0, len(data), piece):
+            sock.sendall(data[start : start + piece])
+        answers = everything(sock).split(b"HTTP/1.1 200 OK\r\n")[1:]
+    assert [answer.partition(b"\r\n\r\n")[2] for answer in answers] == [*expected, b"2:"]
+    # One is answered; the end of another's body may bring the head of the next with it.
+    assert most[0] <= 3
+
+
+@pytest.mark.parametrize(
+    "request_", [b"GET / HTTP/1.1\r\nLong: ", b"GET /", CHUNKED + b"0\r\nLong: ", CHUNKED + b"1;x="], ids=repr
+)
+def test_what_is_no_body_has_an_end(request_: bytes) -> None:
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        await Request(scope, receive).is_disconnected()
+        await Request(scope, receive).body()
+
+    with running(app) as connect:
+        sock = connect()
+        sock.sendall(request_)
+        with suppress(ConnectionError):  # it may be closed while more comes
+            for _ in range(2 * protocols.HEAD_BYTES // 1024):
+                sock.sendall(b"x" * 1024)
+        with suppress(ConnectionError):
+            assert everything(sock).startswith(b"HTTP/1.1 400 ")
+
+
+def test_what_stands_after_a_body_is_no_header() -> None:
+    seen: list[list[bytes]] = []
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        await Request(scope, receive).body()
+        seen.append([name for name, _ in scope["headers"]])
+        await answer(scope, receive, send)
+
+    with running(app) as connect:
+        sock = connect()
+        sock.sendall(CHUNKED + b"2\r\nhi\r\n0\r\nX-Session-Id: other\r\n\r\n")
+        assert sock.recv(1000).startswith(b"HTTP/1.1 200 ")
+    assert seen == [[b"host", b"transfer-encoding"]]
+
+
+@pytest.mark.parametrize("hosts", [b"", b"Host: a\r\nHost: b\r\n"])
+def test_a_request_names_one_host(hosts: bytes) -> None:
+    with running(answer) as connect:
+        sock = connect()
+        sock.sendall(b"GET / HTTP/1.1\r\n" + hosts + b"\r\n")
+        assert everything(sock).startswith(b"HTTP/1.1 400 ")
 
 
 def test_more_connections_than_allowed_are_refused_with_one_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:

@@ -113,6 +113,19 @@ class TestSessions:
             with sessions.reading(first) as (_, episode):
                 assert episode.steps == 2
 
+    def test_an_answer_is_put_together_when_others_may_write_and_the_step_is_kept(self, tmp_path: Path) -> None:
+        with Store(tmp_path) as store, Store(tmp_path, busy_seconds=0) as other:
+            sessions = Sessions(store, capacity=2, idle_seconds=900)
+
+            def show(episode: Episode, reward: float | None) -> str:
+                kept = other.read_session(name).actions
+                other.touch_sessions([name])  # refused where somebody else writes
+                return f"{reward} {kept} {episode.actions}"
+
+            name, _ = sessions.reset(None, ResetOptions(seed=7))
+            assert sessions.step(name, DroneAction(direction="WAIT"), show=show).endswith("(4,) [4]")
+            assert sessions.reset(name, ResetOptions(seed=7), show=show) == (name, "None () []")
+
     def test_an_idle_session_ends_by_itself(
         self, tmp_path: Path, clock: Clock, eventually: Callable[..., None]
     ) -> None:

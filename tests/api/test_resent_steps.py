@@ -9,7 +9,9 @@ from starlette.testclient import TestClient
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
+from drone_env.server.plain_steps import LONGEST_COUNT
 from drone_env.server.settings import Settings
+from drone_env.server.state import COOKIE
 
 Header = dict[str, str]
 
@@ -23,6 +25,21 @@ def test_a_step_that_is_sent_again_is_flown_once_and_answered_as_before(client: 
     assert first.json()["step_count"] == 1
     assert step(client, session, "UP", 0).content == first.content
     assert step(client, session, "UP", 1).json()["step_count"] == 2
+
+
+@pytest.mark.parametrize("body", [{"direction": "UP"}, {"action": {"direction": "UP"}}], ids=["flat", "openenv"])
+def test_it_is_answered_alike_by_both_ways_through_the_server(
+    client: TestClient, session: Header, body: dict[str, Any]
+) -> None:
+    # What is written in an unusual way is FastAPI's to read.
+    plain = client.post("/step", json=body, headers={**session, "X-Step-Count": "0"})
+    unusual = client.post("/step", json=body, headers={**session, "X-Step-Count": "0" * (LONGEST_COUNT + 1)})
+    assert plain.status_code == 200
+    assert plain.content == unusual.content
+    assert sorted(plain.headers.items()) == sorted(unusual.headers.items())
+    cookie = {"Cookie": f"{COOKIE}={session['X-Session-Id']}", "X-Step-Count": "0"}
+    assert client.post("/step", json=body, headers=cookie).content == plain.content
+    assert client.post("/step", json=body, headers={**cookie, "X-Session-Id": "another"}).status_code == 410
 
 
 def test_so_is_the_last_step_of_an_episode_and_in_openenvs_form(client: TestClient) -> None:

@@ -19,11 +19,12 @@ from drone_env.episodes.store import FILE_NAME
 from drone_env.models import observation_fields
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
-from drone_env.server.flight import Flight, openenv_result
+from drone_env.server.flight import Flight
 from drone_env.server.openenv_socket import Connection, OpenEnvSocket
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
+from tests.cluster.sessions import openenv_result
 
 
 def ask(socket: WebSocketTestSession, frame: Any) -> Any:

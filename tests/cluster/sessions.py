@@ -14,7 +14,6 @@ from pydantic_core import from_json, to_json
 from drone_env.core.actions import Action
 from drone_env.core.state_manager import Episode
 from drone_env.models import DroneState, observation_fields
-from drone_env.server.flight import openenv_result
 
 TASK = "hard"
 Progress = Callable[[], None]
@@ -45,6 +44,13 @@ class Reference:
 
     def fields(self) -> dict[str, Any]:
         return from_json(to_json(observation_fields(self.episode)))
+
+
+def openenv_result(fields: dict[str, Any], reward: float | None) -> dict[str, Any]:
+    """An observation as OpenEnv sends it: reward and done beside the rest. Takes the fields for its own."""
+    done = fields.pop("done")
+    fields["metadata"] = {}
+    return {"observation": fields, "reward": reward, "done": done}
 
 
 class HttpSession:

@@ -9,7 +9,7 @@ from drone_env.core.actions import Action
 from drone_env.core.tasks import get_task
 from drone_env.graders import GRADERS
 from drone_env.models import DroneObservation, DroneState
-from drone_env.server.flight import openenv_result
+from drone_env.server.flight import flat_json, openenv_json
 from drone_env.server.predict import arrays_of
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.routes.replay import best_flight
@@ -27,6 +27,7 @@ from drone_env.server.schemas import (
     StepRequest,
     StepResult,
 )
+from drone_env.server.sessions import Show
 from drone_env.server.state import COOKIE, HEADER, SHARED_HEADER, CallerOf, KnownSteps, SharedParts
 
 router = APIRouter(tags=["flight"])
@@ -68,12 +69,13 @@ def reset(
     `episode_id`, as OpenEnv's clients send it, it is `{"observation", "reward", "done"}` with the `session_id`.
     """
     options = options or ResetOptions()
-    session, stepped = shared.sessions.reset(caller.named, options, caller.address)
+    show = flat_json if options.episode_id is None else openenv_json
+    session, first = shared.sessions.reset(caller.named, options, caller.address, show)
     flown = options.task_name or (options.split or "").partition("/")[0]
     if flown:
         shared.warm_up(flown)
-    content = stepped.fields if options.episode_id is None else openenv_result(stepped.fields, None)
-    response = _json(content | {"session_id": session})
+    # Built from the rules, so it is not validated again; the tests hold it against the documented models.
+    response = Response(f'{first[:-1]},"session_id":{to_json(session).decode()}}}', media_type="application/json")
     caller.tell(session, response)
     secure = request.url.scheme == "https"
     # A frame of another site needs SameSite=None, which browsers take over https alone.
@@ -96,9 +98,13 @@ def step(
 
     With `X-Step-Count` an action is not flown twice: sent again after a lost answer, it is answered as it was.
     """
-    stepped = shared.sessions.step(caller.session(shared, answer), body.chosen, after, caller.address)
-    content = stepped.fields if body.action is None else openenv_result(stepped.fields, stepped.reward)
-    return _json(content, dict(answer.headers))
+    stepped = shared.sessions.step(caller.session(shared, answer), body.chosen, after, caller.address, shown(body))
+    return Response(stepped, headers=dict(answer.headers), media_type="application/json")
+
+
+def shown(body: StepRequest) -> Show:
+    """How a step is answered: as it was asked for."""
+    return flat_json if body.action is None else openenv_json
 
 
 @router.delete("/session", status_code=204, responses=SESSION_ERRORS)
@@ -168,8 +174,3 @@ def predict(shared: SharedParts, caller: CallerOf, answer: Response, body: Predi
             raise RequestError(409, "ended", "the episode has ended: POST /reset starts another")
         task, observation = episode.task, episode.observation()
     return shared.networks.predict(task, observation)
-
-
-def _json(content: dict[str, Any], headers: dict[str, str] | None = None) -> Response:
-    # Built from the rules, so it is not validated again; the tests hold it against the documented models.
-    return Response(to_json(content), headers=headers, media_type="application/json")
