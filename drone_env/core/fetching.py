@@ -23,7 +23,7 @@ def _fetch_early(typing_context: Any, array: Any, i: Any, j: Any) -> Any:
         address = cgutils.get_item_pointer(context, builder, signature.args[0], made, indices, wraparound=False)
         octet, number = ir.IntType(8).as_pointer(), ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [octet, number, number, number])
-        prefetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        prefetch = builder.module.declare_intrinsic("llvm.prefetch", [octet], kind)
         builder.call(prefetch, [builder.bitcast(address, octet), *map(number, (FOR_WRITING, KEPT, DATA))])
         return context.get_dummy_value()
 

@@ -12,6 +12,7 @@ from drone_env.core.actions import N_ACTIONS
 from drone_env.datasets.config import DatasetConfig
 from drone_env.datasets.flights import Flight
 from drone_env.errors import MissingPackageError
+from drone_env.installer import DISTRIBUTION
 
 FOLDER = "minari"
 OLDEST = "0.5.4"
@@ -67,7 +68,7 @@ class MinariWriter:
                 "minari_version": minari.__version__,
                 "algorithm_name": f"{', '.join(config.agents)} (epsilon {config.epsilon:g})",
                 "description": "Flights with the exact V*, Q* and regret of every step, in infos.",
-                "requirements": [f"drone-env>={about['package_version']}"],
+                "requirements": [f"{DISTRIBUTION}>={about['package_version']}"],
                 "drone_env": about,
             }
         )
