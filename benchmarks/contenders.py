@@ -1,5 +1,6 @@
 """What `simulator.py` times: the batch and its peers, each made ready to fly random actions."""
 
+import time
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from typing import Any, NamedTuple, cast
@@ -24,7 +25,7 @@ class Contender(NamedTuple):
 
     Attributes:
         name: What it is called in the table.
-        per_call: Steps that one call flies, or bytes that it copies.
+        per_call: Steps that one call flies, one in each episode, or bytes that it copies.
         observation: Bytes of one observation.
         run: Makes this many calls.
         unit: "steps" or `COPIED`.
@@ -35,6 +36,12 @@ class Contender(NamedTuple):
     observation: float
     run: Callable[[int], None]
     unit: str = "steps"
+
+    def time(self, calls: int) -> tuple[float, float]:
+        """Make this many calls: seconds of CPU time, and of the clock."""
+        cpu, wall = time.process_time(), time.perf_counter()
+        self.run(calls)
+        return time.process_time() - cpu, time.perf_counter() - wall
 
 
 def random_actions(num_envs: int, n_actions: int, dtype: npt.DTypeLike = np.int64) -> list[npt.NDArray[Any]]:
@@ -169,15 +176,27 @@ def copying(size: int, name: str) -> Contender:
     return Contender(name, size, size, run, COPIED)
 
 
-def contenders(quick: bool, envpool: bool) -> Iterator[Contender]:
-    """All of them, or a few of each kind."""
-    tasks = ["hard"] if quick else ["easy", "medium", "hard"]
-    sizes = [4096] if quick else [1024, 4096, 16384]
-    for task in tasks:
-        for num_envs in sizes:
+def batches(quick: bool) -> Iterator[Contender]:
+    """`Batch.step` of each task, for each number of episodes."""
+    for task in ["hard", "skyline_hard"] if quick else [task.short_name for task in drone_env.TASKS.values()]:
+        for num_envs in sizes(quick):
             yield bare(task, num_envs)
-            if task == "hard" and num_envs >= 4096:
-                yield bare(task, num_envs, num_threads=2)
+
+
+def sizes(quick: bool) -> list[int]:
+    """Numbers of episodes at which all are compared."""
+    return [4096] if quick else [1024, 4096, 16384]
+
+
+def contenders(quick: bool, envpool: bool) -> Iterator[Contender]:
+    """All of them, or a few of each kind; CartPole at each size, for it is the unit."""
+    tasks = ["hard"] if quick else ["easy", "medium", "hard"]
+    for num_envs in sizes(quick):
+        yield cart_pole(num_envs)
+    yield from batches(quick)
+    for num_envs in sizes(quick):
+        if num_envs >= 4096:
+            yield bare("hard", num_envs, num_threads=2)
     yield bare("hard", 4096, rewards="tiered")
     yield bare("hard", 4096, dtype=np.uint8)
     for task in tasks:
@@ -186,7 +205,6 @@ def contenders(quick: bool, envpool: bool) -> Iterator[Contender]:
                 yield vector(task, 4096, mode, copy)
     for task in tasks:
         yield numpy_rules(task, 4096)
-    yield cart_pole(1024)
     for name in ["MiniGrid-Empty-8x8-v0"] if quick else ["MiniGrid-Empty-8x8-v0", "MiniGrid-DoorKey-8x8-v0"]:
         yield mini_grid(name)
         if envpool:

@@ -1,5 +1,8 @@
 """How fast the batched simulator is, beside its peers and the machine's limits: make bench, or this file.
 
+Whoever flies N episodes at once is compared with Gymnasium's CartPole of as many. `--other CHECKOUT` times another
+checkout's `Batch` in the same rounds, in a process of its own: before and after a change.
+
 It makes an environment of its own, `.venv/bench`, with this project and the peers in it, and runs itself there. All
 contenders are timed in turn, round by round, so that whatever else runs on the machine meets all of them alike; the
 median of the rounds is printed.
@@ -14,6 +17,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +31,20 @@ HOME = ROOT / ".venv" / "bench"
 PYTHON = HOME / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 READY = HOME / "ready.json"
 
-BASE = "Gymnasium CartPole vector 1024"
+UNIT = "Gymnasium CartPole vector {}"
+OTHER = ", other checkout"
+WORKER = """
+import sys
+sys.path[:0] = [sys.argv[1], sys.argv[2]]  # the checkout, and the contenders
+from contenders import batches
+entries = {entry.name: entry for entry in batches(sys.argv[3] == "True")}
+for name, entry in entries.items():
+    print(name, entry.per_call, entry.observation, sep="\\t")
+print(flush=True)
+for line in sys.stdin:
+    name, calls = line.rstrip("\\n").split("\\t")
+    print(*entries[name].time(int(calls)), flush=True)
+"""
 FIRST_STEP = """
 import time
 start = time.perf_counter()
@@ -93,19 +111,52 @@ def machine() -> dict[str, str]:
     return facts
 
 
-def calls_per_slice(contender: "Contender", seconds: float) -> int:
+class Elsewhere:
+    """A contender of another checkout, in a process that times it when asked; otherwise like a `Contender`."""
+
+    unit = "steps"
+
+    def __init__(self, process: "subprocess.Popen[str]", described: str) -> None:
+        self._process = process
+        self._name, per_call, observation = described.rstrip("\n").split("\t")
+        self.name = self._name + OTHER
+        self.per_call = int(per_call)
+        self.observation = float(observation)
+
+    def time(self, calls: int) -> tuple[float, float]:
+        """Make this many calls: seconds of CPU time, and of the clock."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(f"{self._name}\t{calls}\n")
+        self._process.stdin.flush()
+        cpu, wall = self._process.stdout.readline().split()
+        return float(cpu), float(wall)
+
+
+@contextmanager
+def batches_of(checkout: Path | None, quick: bool) -> Generator[list[Elsewhere], None, None]:
+    """The batches of another checkout, ready to be timed; none where none is named."""
+    if checkout is None:
+        yield []
+        return
+    command = [sys.executable, "-c", WORKER, str(checkout.resolve()), str(ROOT / "benchmarks"), str(quick)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        described = list(iter(process.stdout.readline, "\n")) if process.poll() is None else []
+        yield [Elsewhere(process, line) for line in described]
+
+
+def calls_per_slice(contender: "Contender | Elsewhere", seconds: float) -> int:
     """How many calls take about this long; also warms up."""
     calls = 1
     while True:
-        start = time.perf_counter()
-        contender.run(calls)
-        took = time.perf_counter() - start
+        _, took = contender.time(calls)
         if took > seconds / 4:
             return max(1, round(calls * seconds / took))
         calls *= 2
 
 
-def time_all(entries: "list[Contender]", rounds: int, seconds: float) -> dict[str, dict[str, list[float]]]:
+def time_all(entries: "list[Contender | Elsewhere]", rounds: int, seconds: float) -> dict[str, dict[str, list[float]]]:
     """Per contender and round: units per CPU-second and per second of the clock, units being steps or bytes."""
     plan = {entry.name: calls_per_slice(entry, seconds) for entry in entries}
     figures: dict[str, dict[str, list[float]]] = {entry.name: {"cpu": [], "wall": []} for entry in entries}
@@ -114,10 +165,8 @@ def time_all(entries: "list[Contender]", rounds: int, seconds: float) -> dict[st
         for entry in entries:
             calls = plan[entry.name]
             time.sleep(0.01)  # threads that wait for more work go to sleep
-            entry.run(max(1, calls // 20))  # its data is back in the cache
-            cpu, wall = time.process_time(), time.perf_counter()
-            entry.run(calls)
-            cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+            entry.time(max(1, calls // 20))  # its data is back in the cache
+            cpu, wall = entry.time(calls)
             figures[entry.name]["cpu"].append(calls * entry.per_call / cpu)
             figures[entry.name]["wall"].append(calls * entry.per_call / wall)
     print(file=sys.stderr)
@@ -147,7 +196,7 @@ def first_steps(times: int) -> dict[str, float]:
 def memory() -> dict[str, float]:
     """Bytes per episode of each task, and what a million hard episodes take."""
     found: dict[str, float] = {}
-    for task in ("easy", "medium", "hard"):
+    for task in ("easy", "medium", "hard", "skyline_easy", "skyline_medium", "skyline_hard"):
         for same_step in (False, True):
             name = f"{task}, {'SameStep' if same_step else 'NextStep'}"
             found[name] = in_subprocess(MEMORY, task, 4096, same_step)[0] / 4096
@@ -166,12 +215,14 @@ def report(result: dict[str, Any]) -> None:
     print(f"median of {result['rounds']} rounds, all in turn; random actions, resets included; CPU time of all threads")
     print()
     print(f"{'':44} {'million steps':>14} {'ns':>9} {'bytes of one':>13} {'times':>9}")
-    print(f"{'':44} {'per CPU-second':>14} {'per step':>9} {'observation':>13} {'CartPole':>9}")
+    print(f"{'':44} {'per CPU-second':>14} {'per step':>9} {'observation':>13} {'CartPole*':>9}")
     for name, row in result["steps"].items():
         if name in result["threads"]:
             continue  # below, by the clock: a thread that waits burns CPU time
-        rate, ratio = row["per_cpu_second"], row["ratio"]
-        print(f"{name:44} {rate / 1e6:#14.4g} {1e9 / rate:9.1f} {row['observation_bytes']:13.0f} {ratio:#9.3g}")
+        rate = row["per_cpu_second"]
+        ratio = "" if row["ratio"] is None else f"{row['ratio']:#.3g}"
+        print(f"{name:44} {rate / 1e6:#14.4g} {1e9 / rate:9.1f} {row['observation_bytes']:13.0f} {ratio:>9}")
+    print("* Gymnasium's CartPole of as many episodes")
     if result["envpool_missing"]:
         print(f"EnvPool does not install here: {result['envpool_missing']}")
     print()
@@ -186,7 +237,7 @@ def report(result: dict[str, Any]) -> None:
         print(f"  {name:42} {row['bytes_per_second'] / 1e9:8.1f} GB/s, {million:.0f} million; {share}")
     print("memory, bytes per episode:")
     held = result["memory"]
-    for name in list(held)[:6]:
+    for name in [name for name in held if not name.startswith("a million")]:
         print(f"  {name:42} {held[name]:8.1f}")
     note = f", resident {held['a million hard, resident'] / 1e6:.0f}" if "a million hard, resident" in held else ""
     print(f"  {'1,000,000 hard episodes, NextStep':42} {held['a million hard'] / 1e6:8.0f} MB{note}")
@@ -196,19 +247,20 @@ def report(result: dict[str, Any]) -> None:
     print(f"  {'compiled code in the cache':42} {start['warm']:8.2f} s")
 
 
-def measure(quick: bool) -> dict[str, Any]:
+def measure(quick: bool, other: Path | None) -> dict[str, Any]:
     """All figures."""
     from contenders import COPIED, contenders
 
     missing = json.loads(READY.read_text())["envpool"] if READY.exists() else "not in this environment"
-    entries = list(contenders(quick, envpool=missing is None))
     rounds = 3 if quick else 11
-    figures = time_all(entries, rounds, seconds=0.05 if quick else 0.25)
+    with batches_of(other, quick) as elsewhere:
+        entries = [*contenders(quick, envpool=missing is None), *elsewhere]
+        figures = time_all(entries, rounds, seconds=0.05 if quick else 0.25)
 
     def median(name: str, clock: str = "cpu") -> float:
         return statistics.median(figures[name][clock])
 
-    base, ours = median(BASE), median("Batch hard 4096")
+    ours = median("Batch hard 4096")
     size = next(entry.observation for entry in entries if entry.name == "Batch hard 4096")
     result: dict[str, Any] = {
         "machine": machine(),
@@ -229,7 +281,7 @@ def measure(quick: bool) -> dict[str, Any]:
             "per_cpu_second": median(name),
             "per_second": median(name, "wall"),
             "observation_bytes": entry.observation,
-            "ratio": median(name) / base,
+            "ratio": median(name) / median(unit) if (unit := UNIT.format(entry.per_call)) in figures else None,
             "rounds": figures[name],
         }
         one = name.removesuffix(", 2 threads")
@@ -250,11 +302,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="How fast the batched simulator is, beside its peers.")
     parser.add_argument("--quick", action="store_true", help="fewer contenders, fewer and shorter rounds")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures here")
+    parser.add_argument("--other", type=Path, metavar="CHECKOUT", help="time this checkout's Batch in the same rounds")
     args = parser.parse_args()
     if Path(sys.prefix).resolve() != HOME:
         prepare()
         sys.exit(subprocess.run([str(PYTHON), __file__, *sys.argv[1:]]).returncode)
-    result = measure(args.quick)
+    result = measure(args.quick, args.other)
     print("memory and first steps ...", file=sys.stderr)
     result["memory"] = memory()
     result["first_step"] = first_steps(1 if args.quick else 3)

@@ -53,7 +53,7 @@ class Buffers(NamedTuple):
     seeds: Any
     """int64[N], the map of each episode"""
     telemetry: Any
-    """float32[N, 5 or 6]"""
+    """float32[N, telemetry_size]"""
     open_actions: Any
     """int64[N], 1 in byte `action` for each action that does not bump"""
     rewards: Any
@@ -188,7 +188,7 @@ class Batch:
 
     Attributes, all arrays over the episodes and overwritten by the next step:
         grids: uint8[N, height, width], cell ids as the drone sees them.
-        telemetry: float32[N, 5] (or 6).
+        telemetry: float32[N, telemetry_size]: 5, 6 or 13 values, by the task.
         action_masks: int8[N, 5], 0 for each action that would bump. Advice, never enforced.
         rewards: float64[N], of the last step.
         terminated: bool[N], whether the last step ended the episode.
@@ -374,7 +374,7 @@ class Batch:
 
     @property
     def final_telemetry(self) -> npt.NDArray[np.float32]:
-        """float32[k, 5 or 6], the last telemetry of the episodes in `ended`."""
+        """float32[k, telemetry_size], the last telemetry of the episodes in `ended`."""
         return self._of_ended(self._buffers.final_telemetry) if self.same_step else self.telemetry[self.ended]
 
     def copy_action_masks(self) -> npt.NDArray[np.int8]:

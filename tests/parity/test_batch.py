@@ -9,7 +9,7 @@ import pytest
 
 from drone_env.core import dynamics
 from drone_env.core.actions import N_ACTIONS
-from drone_env.core.batch import Batch
+from drone_env.core.batch import OWN_CACHE, Batch
 from drone_env.core.cells import Cell
 from drone_env.core.observation import open_actions, write_telemetry
 from drone_env.core.rewards import REWARD_PROFILES, get_reward_profile, interpreted_rewards
@@ -159,6 +159,30 @@ def test_compiled_together_and_interpreted_one_by_one_agree_to_the_last_bit(
 
 def test_so_they_do_where_every_number_is_the_highest_allowed() -> None:
     assert_parity(LARGEST, "aligned", True, SHARE, n=8)
+
+
+@pytest.mark.parametrize("same_step", [False, True], ids=["next_step", "same_step"])
+def test_a_batch_whose_grids_are_fetched_early_flies_as_its_two_halves_do(same_step: bool) -> None:
+    task = replace(LARGEST, max_steps=40)
+    half = OWN_CACHE // (task.width * task.height)
+    n = 2 * half
+    whole, halves = Batch(task, n, same_step=same_step), [Batch(task, half, same_step=same_step) for _ in range(2)]
+    rng = np.random.default_rng(0)
+    whole.reset(np.arange(n))
+    for start, part in zip((0, half), halves, strict=True):
+        part.reset(np.arange(start, start + half))
+    for _ in range(100):
+        actions = rng.integers(N_ACTIONS, size=n)
+        whole.step(actions)
+        for start, part in zip((0, half), halves, strict=True):
+            part.step(actions[start : start + half])
+            together = slice(start, start + half)
+            assert np.array_equal(part.grids, whole.grids[together])
+            assert np.array_equal(part.telemetry, whole.telemetry[together])
+            assert np.array_equal(part.rewards, whole.rewards[together])
+            assert np.array_equal(part.terminated, whole.terminated[together])
+            assert np.array_equal(part.action_masks, whole.action_masks[together])
+            assert np.array_equal(part.seeds, whole.seeds[together])
 
 
 def test_the_single_episode_is_that_reference() -> None:
