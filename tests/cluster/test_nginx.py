@@ -60,6 +60,13 @@ def test_a_session_stays_with_its_server(running: Cluster) -> None:
     assert sorted(answered) == [0, 0, 9]
 
 
+def test_new_sessions_are_opened_by_all_servers(running: Cluster) -> None:
+    before = {port: running.latest(port) for port in running.servers}
+    with httpx.Client(base_url=running.url, headers={"X-Session-Id": "new"}) as client:
+        assert len({client.post("/reset").json()["session_id"] for _ in range(30)}) == 30
+    assert max(running.answered(port, "/reset", since) for port, since in before.items()) < 30
+
+
 def test_the_request_log_comes_as_it_is_written(running: Cluster) -> None:
     events = {"Accept": "text/event-stream"}
     with httpx.stream("GET", f"{running.url}/terminal_logs", headers=events, timeout=30) as answer:
