@@ -62,7 +62,8 @@ async def open_rows(port: int, task: str, count: int, steps: int) -> list[str]:
     await http.open()
     opened: list[str] = []
     for seed in range(count):
-        session = json.loads(await http.post("/reset", {"task_name": task, "seed": seed}, {}))["session_id"]
+        opening = await http.post("/reset", {"task_name": task, "seed": seed}, {"X-Session-Id": "new"})
+        session = json.loads(opening)["session_id"]
         for step in range(steps):
             await http.post("/step", {"direction": MOVES[step % 4]}, {"X-Session-Id": session})
         opened.append(session)

@@ -47,7 +47,8 @@ def fill(folder: Path, task: str, counts: Sequence[int]) -> tuple[float, dict[in
             # Copies, under names as long as the store's: opening each would count all others each time.
             columns = "task, task_version, seed, reward_profile, agent, actions, episode_id, opened_at, touched_at"
             copies.execute(
-                "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < ?) INSERT INTO sessions "
+                "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < ?) "
+                f"INSERT INTO sessions (id, {columns}) "
                 f"SELECT lower(hex(randomblob(16))), {columns} FROM n, (SELECT * FROM sessions LIMIT 1)",
                 (count - store.count_sessions(),),
             )

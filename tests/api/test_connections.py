@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import re
 import select
 import socket
 import sys
@@ -208,6 +209,53 @@ def test_a_request_names_one_host(hosts: bytes) -> None:
         sock = connect()
         sock.sendall(b"GET / HTTP/1.1\r\n" + hosts + b"\r\n")
         assert everything(sock).startswith(b"HTTP/1.1 400 ")
+
+
+ASKED, CLOSING = b"GET / HTTP/1.1\r\n", b"Connection: close\r\n"
+SIZED = POSTED + b"Content-Length: 2\r\n"
+SHAPES = {
+    "for the whole server": (b"OPTIONS * HTTP/1.1\r\nHost: h\r\n\r\n", "200 kept", "OPTIONS * "),
+    "with the server's address": (b"GET http://h/a?b=c HTTP/1.1\r\nHost: h\r\n\r\n", "200 kept", "GET /a "),
+    "after an empty line": (b"\r\n" + WHOLE, "200 kept", "GET / "),
+    "without a body": (b"HEAD / HTTP/1.1\r\nHost: h\r\n\r\n", "200 kept", "HEAD / "),
+    "a read with a body": (ASKED + b"Host: h\r\nContent-Length: 2\r\n\r\nhi", "200 kept", "GET / hi"),
+    "names in capitals": (b"POST / HTTP/1.1\r\nHOST: h\r\nCONTENT-LENGTH: 2\r\n\r\nhi", "200 kept", "POST / hi"),
+    "chunked": (CHUNKED + b"2;x=y\r\nhi\r\n0\r\n\r\n", "200 kept", "POST / hi"),
+    "asks before its body": (SIZED + b"Expect: 100-continue\r\n\r\nhi", "100 200 kept", "POST / hi"),
+    "the last": (ASKED + b"Host: h\r\n" + CLOSING + b"\r\n", "200 closed", "GET / "),
+    "of HTTP/1.0, of no host": (b"GET / HTTP/1.0\r\n\r\n", "200 closed", "GET / "),
+    "small letters": (b"get / HTTP/1.1\r\nHost: h\r\n\r\n", "400 closed", ""),
+    "no path": (b"GET a HTTP/1.1\r\nHost: h\r\n\r\n", "400 closed", ""),
+    "a header of two lines": (ASKED + b"Host: h\r\nLong: a\r\n b\r\n\r\n", "400 closed", ""),
+    "lines without CR": (WHOLE.replace(b"\r", b""), "400 closed", ""),
+    "a space before the colon": (WHOLE.replace(b":", b" :"), "400 closed", ""),
+    "two lengths": (SIZED + b"Content-Length: 3\r\n\r\nhi!", "400 closed", ""),
+    "a length that is no number": (POSTED + b"Content-Length: +2\r\n\r\nhi", "400 closed", ""),
+    "length and chunks": (SIZED + b"Transfer-Encoding: chunked\r\n\r\n2\r\nhi\r\n0\r\n\r\n", "400 closed", ""),
+    "packed": (POSTED + b"Transfer-Encoding: gzip, chunked\r\n\r\n2\r\nhi\r\n0\r\n\r\n", "400 closed", ""),
+}
+"""Requests; the answers, and what becomes of the connection; what the application gets."""
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_requests_of_any_shape_are_understood_or_refused(shape: str) -> None:
+    request, outcome, told = SHAPES[shape]
+    seen: list[str] = []
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        body = (await Request(scope, receive).body()).decode()
+        seen.append(f"{scope['method']} {scope['path']} {body}")
+        await answer(scope, receive, send)
+
+    with running(app) as connect:
+        sock = connect()
+        # What goes on tells whether it was read to its end, and no further.
+        sock.sendall(request + b"PUT /next HTTP/1.1\r\nHost: h\r\n" + CLOSING + b"\r\n")
+        *statuses, last = re.findall(rb"HTTP/1\.1 (\d+)", answered := everything(sock))
+    kept = seen[-1:] == ["PUT /next "]
+    assert f"{b' '.join(statuses if kept else [*statuses, last]).decode()} {'kept' if kept else 'closed'}" == outcome
+    assert seen[: -1 if kept else None] == ([told] if told else [])
+    assert answered.count(b"ok") == outcome.count("200") * (shape != "without a body") + kept
 
 
 def test_more_connections_than_allowed_are_refused_with_one_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import httpx
 
@@ -111,10 +112,18 @@ class Cluster:
             self.close()
             raise
 
-    def answered(self, port: int, path: str) -> int:
-        """How many of the last 200 requests that a server has answered were for `path`."""
-        requests = self._direct.get(f"{self.servers[port].url}/terminal_logs").json()["requests"]
+    def latest(self, port: int) -> int:
+        """The number of the last request that a server has answered, counted since it was started."""
+        return max((request["number"] for request in self._requests(port)), default=0)
+
+    def answered(self, port: int, path: str, since: int = 0) -> int:
+        """How many requests for `path` a server has answered after that number; it keeps the last 200 of all."""
+        requests = [request for request in self._requests(port) if request["number"] > since]
+        assert not requests or requests[0]["number"] == since + 1, "the server has forgotten some of them"
         return sum(request["path"] == path for request in requests)
+
+    def _requests(self, port: int) -> list[dict[str, Any]]:
+        return self._direct.get(f"{self.servers[port].url}/terminal_logs").json()["requests"]
 
     def start(self, port: int) -> Server:
         """Start the server of a port, also again."""
