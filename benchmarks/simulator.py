@@ -36,6 +36,10 @@ OTHER = ", other checkout"
 WORKER = """
 import sys
 sys.path[:0] = [sys.argv[1], sys.argv[2]]  # the checkout, and the contenders
+import drone_env
+from pathlib import Path
+if Path(drone_env.__file__).parents[1] != Path(sys.argv[1]):
+    sys.exit(f"{sys.argv[1]} is no checkout of this project: drone_env was found at {drone_env.__file__}")
 from contenders import batches
 entries = {entry.name: entry for entry in batches(sys.argv[3] == "True")}
 for name, entry in entries.items():
@@ -142,7 +146,11 @@ def batches_of(checkout: Path | None, quick: bool) -> Generator[list[Elsewhere],
     command = [sys.executable, "-c", WORKER, str(checkout.resolve()), str(ROOT / "benchmarks"), str(quick)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        described = list(iter(process.stdout.readline, "\n")) if process.poll() is None else []
+        described: list[str] = []
+        while (line := process.stdout.readline()) != "\n":
+            if not line:
+                sys.exit(f"{checkout}: its simulator does not run")
+            described.append(line)
         yield [Elsewhere(process, line) for line in described]
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from drone_env.planning.optimal import Solution, solve
     from drone_env.registry import register_reward_profile, register_task
 
-__version__ = "0.4.0"
+__version__ = "0.5.0"
 
 _HOMES = {
     "AGENTS": "agents",

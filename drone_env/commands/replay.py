@@ -33,7 +33,8 @@ def replay(source: Source, verify: bool = False, render: bool = False, reward: R
     Args:
         source: A record, as `fly --record` saves it; a JSONL file (.jsonl) with one record a line; or the id of an
             episode in the store, whose folder is `DRONE_ENV_DATA`, without that `data`.
-        verify: Check all flights and print one line for each, no log. Exits with 1 if one does not fit its record.
+        verify: Check all flights and print one line for each, no log. Exits with 1 if one does not fit its record,
+            or is of a task, a version or a profile that there is not.
         render: Show the map after every step; with --verify, beside its lines.
         reward: What the steps are to pay, instead of the profile that the record names: another profile, or a TOML
             file with one. The rewards of another profile than the record's are not compared.
@@ -49,12 +50,11 @@ def replay(source: Source, verify: bool = False, render: bool = False, reward: R
             _require_own_profile(record, profile)
         try:
             checked = records.replay(record, profile)
-        except UnknownNameError as error:
-            raise InvalidValueError(f"{name}: {error}") from None
-        except InvalidValueError as error:
+        except (InvalidValueError, UnknownNameError) as error:
             if not verify:
                 raise InvalidValueError(f"{name}: {error}") from None
-            print(f"wrong: {name}: {error}", flush=True)
+            what = "wrong" if isinstance(error, InvalidValueError) else "unknown"
+            print(f"{what}: {name}: {error}", flush=True)
             failed = True
             continue
         episode = Episode(checked.task, checked.reward_profile)

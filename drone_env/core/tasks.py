@@ -11,12 +11,14 @@ from drone_env.errors import InvalidTaskError, UnknownNameError, WithdrawnError
 
 MAX_SIDE = 64
 MAX_DELIVERIES = 16
+MAX_SPACING = 16
+"""Upper bound of the distance between streets: the tables that maps are drawn from grow with its square."""
 MAX_UNITS = 32_000
 """Upper bound of steps and battery units, so that they fit the 16-bit state."""
 
 TERRAIN = (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERY, Cell.DELIVERED, Cell.PAD)
 """The kinds that can lie under the drone. The order is frozen: telemetry tells a kind by its place here, and networks
-and data sets depend on it. New kinds are added at the end."""
+and data sets depend on it."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +40,9 @@ class TaskConfig:
         drain: Battery units per step above each kind of cell; kinds not named drain 1.
         impassable: Kinds that the drone cannot enter.
         charge_rate: Battery units that one WAIT on a pad adds (in place of the drain).
-        street_spacing: Every how many rows and columns there is a street, of which two cross at the start; it divides
-            width and height. Buildings and trees then stand between the streets, everything else on them. 0 for no
-            streets: everything anywhere.
+        street_spacing: Every how many rows and columns there is a street, of which two cross at the start; it is at
+            most 16 and divides width and height. Buildings and trees then stand between the streets, everything else
+            on them. 0 for no streets: everything anywhere.
         efficiency_needs_all: Whether battery and steps left count in the score only when everything is delivered.
 
     Raises:
@@ -126,8 +128,9 @@ class TaskConfig:
         spacing = self.street_spacing
         if spacing == 0:
             return
-        divides = spacing > 1 and self.width % spacing == self.height % spacing == 0
-        require(divides, f"street_spacing must be 0 or divide width and height, got {spacing}")
+        divides = 1 < spacing <= MAX_SPACING and self.width % spacing == self.height % spacing == 0
+        message = f"street_spacing must be 0, or 2 to {MAX_SPACING} and divide width and height, got {spacing}"
+        require(divides, message)
         between = (self.width - self.width // spacing) * (self.height - self.height // spacing)
         on_streets = self.width * self.height - between
         blocks = self.buildings + self.trees

@@ -8,10 +8,11 @@ import numpy.typing as npt
 
 from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
 from drone_env.core.actions import Action
+from drone_env.core.cells import Cell
 from drone_env.core.observation import write_telemetry
 from drone_env.core.rules import BATTERY, CELL, NOWHERE, STEPS, TARGET, UNDER, interpreted, row_size, view
 from drone_env.core.state_manager import Observation
-from drone_env.core.tasks import TASKS, TERRAIN, TaskConfig
+from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
 from drone_env.models import NAMES, Direction, DroneObservation
 from drone_env.server.problems import RequestError
@@ -156,10 +157,12 @@ def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfi
     if observation.battery_steps_remaining > task.battery_capacity:
         raise InvalidValueError(f"battery_steps_remaining must be at most {task.battery_capacity} in {task.id!r}")
     below = observation.cell_below
-    if below is None and task.pads:
+    placed = [kind for kind, count in task.cell_counts().items() if count and kind not in task.impassable]
+    possible = [NAMES[kind] for kind in (Cell.ROAD, Cell.DELIVERED, *placed)]
+    if below not in possible and (below is not None or task.pads):
         raise InvalidValueError(
-            f"cell_below is missing: in {task.id!r} the network is told what lies below the drone, one of "
-            f"{', '.join(NAMES[kind] for kind in TERRAIN)}; /reset and /step answer it"
+            f"cell_below {'is missing' if below is None else f'cannot be {below}'}: in {task.id!r} one of "
+            f"{', '.join(possible)} lies below the drone; /reset and /step answer it"
         )
     rules = interpreted(task)
     row = np.zeros(row_size(rules), np.uint16)

@@ -19,8 +19,7 @@ log = logging.getLogger(__name__)
 REQUEST_SECONDS = 30.0
 """A request is here as a whole after so long, and a new connection has sent one."""
 HEAD_BYTES = 65_536
-"""The most of a request that is no body: its line and headers, or what stands between and after pieces of a body.
-What is whole with one read of the connection is parsed, and may be as long as that."""
+"""The most of a request that is no body: its line and headers, or what stands between and after pieces of a body."""
 END_SECONDS = 4.0
 """What callers have not read so long after the server was asked to end is thrown away."""
 WARNING_SECONDS = 60.0
@@ -67,9 +66,11 @@ class Http(HttpToolsProtocol):
         """Begin to answer.
 
         Raises:
-            ValueError: if it is not said once which host is meant, or the body is in a form that nobody here reads; the
-                parser has that answered with 400.
+            ValueError: if it is not said once which host is meant, the head is too long, or the body is in a form that
+                nobody here reads; the parser has that answered with 400.
         """
+        if len(self.url) + sum([len(name) + len(value) for name, value in self.headers]) > HEAD_BYTES:
+            raise ValueError("a request has a head of bounded length")
         names, parser = [name for name, _ in self.headers], cast(Any, self.parser)
         if names.count(b"host") not in ((0, 1) if parser.get_http_version() == "1.0" else (1,)):
             raise ValueError("a request names one host")

@@ -153,9 +153,12 @@ class TestPredictions:
         untold = client.post("/predict", json=reset)
         if config.pads:
             assert (untold.status_code, untold.json()["code"]) == (422, "invalid_request")
-            assert untold.json()["detail"].startswith("cell_below is missing: in 'skyline_easy' the network is told")
+            assert untold.json()["detail"].startswith("cell_below is missing: in 'skyline_easy' one of road, delivered")
             values = [client.post("/predict", json=reset | {"cell_below": kind}).json() for kind in (below, "pad")]
             assert values[0] == answer.json() != values[1], "the network is given what the request says"
+            for kind in ("obstacle", "delivery"):
+                detail = client.post("/predict", json=reset | {"cell_below": kind}).json()["detail"]
+                assert detail.startswith(f"cell_below cannot be {kind}: in 'skyline_easy' one of road, delivered, bui")
         else:
             assert untold.json() == answer.json(), "older clients were never told, and nothing depends on it"
 

@@ -188,6 +188,14 @@ def test_what_is_no_body_has_an_end(request_: bytes) -> None:
             assert everything(sock).startswith(b"HTTP/1.1 400 ")
 
 
+def test_a_head_that_comes_in_one_piece_has_no_other_bound() -> None:
+    with running(answer) as connect:
+        sock = connect()
+        sock.sendall(b"GET / HTTP/1.1\r\nHost: x\r\nLong: " + b"x" * protocols.HEAD_BYTES + b"\r\n\r\n")
+        with suppress(ConnectionError):  # what it has not read when it closes resets the connection
+            assert everything(sock).startswith(b"HTTP/1.1 400 ")
+
+
 def test_what_stands_after_a_body_is_no_header() -> None:
     seen: list[list[bytes]] = []
 

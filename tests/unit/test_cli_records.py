@@ -243,9 +243,11 @@ def test_verify_says_where_a_file_is_cut(flights: Path, capsys: pytest.CaptureFi
 def test_verify_of_a_flight_that_nobody_can_fly_names_the_line(
     flights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    spoil(flights, 3, task_version=9)
-    assert main(["replay", str(flights), "--verify"]) == 2
-    assert "line 3 of" in capsys.readouterr().err
+    spoil(flights, 2, task_version=9)
+    assert main(["replay", str(flights), "--verify"]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["verified", "unknown", "verified"]
+    assert "line 2 of" in lines[1]
 
 
 def test_verify_with_maps(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -273,7 +275,8 @@ def test_verify_with_a_reward_of_ones_own(tmp_path: Path, capsys: pytest.Capture
     file = tmp_path / "flight.json"
     save_record(record_of(episode, "someone"), file)
     assert main(["replay", str(file), "--verify", "--reward", str(mine)]) == 0
-    assert main(["replay", str(file), "--verify"]) == 2
+    assert main(["replay", str(file), "--verify"]) == 1
+    assert "unknown reward profile 'mine'" in capsys.readouterr().out
     assert main(["replay", str(file), "--verify", "--reward", "aligned"]) == 2
     assert "--reward cannot be 'aligned'" in capsys.readouterr().err
     mine.write_text('id = "mine"\n[events]\nwait = 0.5\n')

@@ -131,11 +131,15 @@ class TestStreets:
     @pytest.mark.parametrize(
         ("changes", "message"),
         [
-            ({"street_spacing": 3}, "street_spacing must be 0 or divide width and height, got 3"),
-            ({"street_spacing": -5}, "street_spacing must be 0 or divide width and height, got -5"),
-            ({"street_spacing": 1}, "street_spacing must be 0 or divide width and height, got 1"),
-            ({"street_spacing": 20}, "street_spacing must be 0 or divide width and height, got 20"),
-            ({"street_spacing": 5, "width": 12}, "street_spacing must be 0 or divide width and height, got 5"),
+            ({"street_spacing": 3}, "street_spacing must be 0, or 2 to 16 and divide width and height, got 3"),
+            ({"street_spacing": -5}, "street_spacing must be 0, or 2 to 16 and divide width and height, got -5"),
+            ({"street_spacing": 1}, "street_spacing must be 0, or 2 to 16 and divide width and height, got 1"),
+            ({"street_spacing": 20}, "street_spacing must be 0, or 2 to 16 and divide width and height, got 20"),
+            (
+                {"street_spacing": 5, "width": 12},
+                "street_spacing must be 0, or 2 to 16 and divide width and height, got 5",
+            ),
+            ({"street_spacing": 32, "width": 64, "height": 64}, "street_spacing must be 0, or 2 to 16 and divide"),
             ({"street_spacing": 2.0}, "street_spacing must be an integer"),
             ({"street_spacing": 5, "buildings": 61}, "65 buildings and trees do not fit on 64 cells between"),
             ({"street_spacing": 10, "pads": 15}, "20 things do not fit on 19 cells of street"),
@@ -152,6 +156,7 @@ class TestStreets:
             {"street_spacing": 5, "buildings": 60},
             {"street_spacing": 10, "pads": 14},
             {"street_spacing": 2},
+            {"street_spacing": 16, "width": 64, "height": 64},
         ],
     )
     def test_the_bounds_themselves_are_allowed(self, changes: dict[str, Any]) -> None:
