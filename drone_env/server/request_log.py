@@ -6,11 +6,12 @@ A line says when, what and how long, never a body, a query, a header or a sessio
 import json
 import logging
 import os
+import sys
 import time
 from collections import deque
 from contextlib import suppress
 from datetime import datetime, timezone
-from io import FileIO
+from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
 from filelock import FileLock
@@ -39,83 +40,53 @@ class LoggedRequest(models.Message):
     milliseconds: float = Field(ge=0, description="How long it took; a WebSocket counts when it is closed.")
 
 
-FIELDS = tuple(LoggedRequest.model_fields)
+class _RotatedFile(RotatingFileHandler):
+    """A file that several processes write and rotate, and that may not be writable for a while."""
 
+    failing = False
 
-class _RotatedFile:
-    """A file of lines that several processes write and rotate, and that may not be writable for a while.
-
-    Two questions to the system for a line: `logging` asks seven, and takes as long as all the rest of a short request.
-    """
-
-    def __init__(self, path: Path, max_bytes: int) -> None:
-        self._path = path
-        self._max_bytes = max_bytes
-        self._file: FileIO | None = None
-        self._opened: tuple[int, int] | None = None
-        self._rest = b""
-        self._failing = False
-        self._open()
-
-    def write(self, line: str) -> None:
+    def emit(self, record: logging.LogRecord) -> None:
         """Write a line; whether that goes wrong is told once, and when it goes well again."""
-        wrong: OSError | None = None
-        try:
-            self._write(line.encode("ascii", "backslashreplace"))
-        except OSError as error:
-            wrong = error
-        if self._failing != (wrong is not None):
-            self._failing = not self._failing
-            told = f"is not written: {wrong}; the server goes on" if self._failing else "is written again"
-            log.warning("%s %s", self._path, told)
+        self._wrong: BaseException | None = None
+        super().emit(record)
+        if self.failing != (self._wrong is not None):
+            self.failing = not self.failing
+            told = f"is not written: {self._wrong}; the server goes on" if self.failing else "is written again"
+            log.warning("%s %s", self.baseFilename, told)
 
-    def close(self) -> None:
-        """Close it."""
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - the name is logging's
+        """Remember what went wrong."""
+        self._wrong = sys.exc_info()[1]
 
-    def _write(self, line: bytes) -> None:
-        file = self._with_room(len(line))
-        if file is None:
-            with FileLock(f"{self._path}.lock", LOCK_SECONDS):
-                # Another process may have rotated it meanwhile.
-                file = self._with_room(len(line)) or self._rotate()
-        data = self._rest + line
-        # A full disk may take a part of a line: the rest goes before what is written next.
-        self._rest = data[file.write(data) :]
+    def shouldRollover(self, record: logging.LogRecord) -> bool:  # noqa: N802
+        """Whether this line would make the file too long; a file that another process has rotated is left first."""
+        self._follow()
+        return bool(super().shouldRollover(record))
 
-    def _with_room(self, length: int) -> FileIO | None:
-        """The file, opened anew where another lies at its path by now; None where it has no room for so much."""
-        with suppress(FileNotFoundError):
-            found = os.stat(self._path)
-            if self._file is not None and (found.st_dev, found.st_ino) == self._opened:
-                return self._file if found.st_size + length <= self._max_bytes else None
-        file = self._open()
-        return file if os.fstat(file.fileno()).st_size + length <= self._max_bytes else None
+    def doRollover(self) -> None:  # noqa: N802
+        """Rotate, unless another process has done that meanwhile."""
+        with FileLock(f"{self.baseFilename}.lock", LOCK_SECONDS):
+            if not self._follow():
+                super().doRollover()
 
-    def _rotate(self) -> FileIO:
-        self.close()
-        for number in range(BACKUPS, 0, -1):
-            older = f"{self._path}.{number - 1}" if number > 1 else self._path
+    def _follow(self) -> bool:
+        """Open the file anew where the one that is open has another name by now, or none; whether that was so."""
+        stream = self.stream
+        if stream is not None and not stream.closed:
             with suppress(FileNotFoundError):
-                os.replace(older, f"{self._path}.{number}")
-        return self._open()
-
-    def _open(self) -> FileIO:
-        self.close()
-        self._rest = b""
-        self._file = FileIO(self._path, "a")
-        opened = os.fstat(self._file.fileno())
-        self._opened = (opened.st_dev, opened.st_ino)
-        return self._file
+                if os.path.samestat(os.stat(self.baseFilename), os.fstat(stream.fileno())):
+                    return False
+            self.stream = None
+            stream.close()
+        self.stream = self._open()
+        return True
 
 
 class RequestLog:
     """The log of one process."""
 
     def __init__(self) -> None:
-        self._recent: deque[tuple[int, str, str, str, int, float]] = deque(maxlen=KEPT)
+        self.recent: deque[LoggedRequest] = deque(maxlen=KEPT)
         self.count = 0
         self._file: _RotatedFile | None = None
 
@@ -126,7 +97,9 @@ class RequestLog:
             folder: The folder.
             max_bytes: The file is rotated before it grows beyond that.
         """
-        self._file = _RotatedFile(folder / FILE_NAME, max_bytes)
+        self._file = _RotatedFile(
+            folder / FILE_NAME, maxBytes=max_bytes, backupCount=BACKUPS, encoding="utf-8", errors="backslashreplace"
+        )
 
     def close(self) -> None:
         """Close the file."""
@@ -137,16 +110,22 @@ class RequestLog:
     def add(self, method: str, path: str, status: int, seconds: float) -> None:
         """Note one answer."""
         self.count += 1
-        now = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
-        entry = (self.count, now, method, path[:LONGEST_PATH], status, round(seconds * 1000, 3))
-        self._recent.append(entry)
+        entry = LoggedRequest(
+            number=self.count,
+            time=datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
+            method=method,
+            path=path[:LONGEST_PATH],
+            status=status,
+            milliseconds=round(seconds * 1000, 3),
+        )
+        self.recent.append(entry)
         if self._file is not None:
-            self._file.write(json.dumps(dict(zip(FIELDS, entry, strict=True))) + "\n")
+            line = json.dumps(entry.model_dump())
+            self._file.handle(logging.LogRecord(__name__, logging.INFO, "", 0, line, None, None))
 
     def since(self, number: int) -> list[LoggedRequest]:
         """What is kept of the requests after this one, oldest first."""
-        fields = [dict(zip(FIELDS, entry, strict=True)) for entry in self._recent if entry[0] > number]
-        return [LoggedRequest.model_validate(entry) for entry in fields]
+        return [entry for entry in self.recent if entry.number > number]
 
 
 class LogRequests:

@@ -15,12 +15,8 @@ import io
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 import time
-import urllib.error
-from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -101,36 +97,12 @@ def program(*arguments: str) -> str:
     return told.getvalue()
 
 
-@contextlib.contextmanager
-def scripted_endpoint() -> Generator[str, None, None]:
-    """The address of the endpoint that the tests of language models fly against."""
-    from tests.llm.conftest import environment, tell, wait_until
-    from tests.tools import reserved_port
-
-    port = reserved_port()
-    command = [sys.executable, str(ROOT / "tests/llm/scripted_server.py"), str(port)]
-    process = subprocess.Popen(command, env=environment())
-
-    def answers() -> bool:
-        with contextlib.suppress(urllib.error.URLError):
-            tell(f"http://127.0.0.1:{port}/ready", {"log": os.devnull})
-            return True
-        return False
-
-    try:
-        wait_until(answers, process)
-        yield f"http://127.0.0.1:{port}"
-    finally:
-        process.kill()
-        process.wait()
-
-
 def make_runs(folder: Path) -> list[dict[str, Any]]:
     """Runs of a language model; their flights go to the store too."""
-    from tests.llm.conftest import tell
+    from tests.llm.conftest import serving_scripts, tell
 
     runs: list[dict[str, Any]] = []
-    with scripted_endpoint() as url:
+    with serving_scripts() as url:
         for name, script, options in CALLED:
             tell(f"{url}/{name}", {"log": os.devnull, **script})
             where = ["--base-url", f"{url}/{name}/v1", "--model", f"scripted-{name}", *options, "--concurrency", "1"]

@@ -8,6 +8,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -117,17 +118,12 @@ def tell(url: str, script: dict[str, Any]) -> None:
     opener.open(f"{url}/script", json.dumps(script).encode(), timeout=60).close()
 
 
-@pytest.fixture(scope="session")
-def scripted_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
-    """The address of the process that all scripted endpoints are in."""
+@contextmanager
+def serving_scripts(errors: Any = None) -> Generator[str, None, None]:
+    """The address of a process that scripted endpoints are in; `errors` is the file for its standard error."""
     port = reserved_port()
-    log = tmp_path_factory.mktemp("scripted") / "errors.log"
-    with log.open("wb") as errors:
-        process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name("scripted_server.py")), str(port)],
-            env=environment(),
-            stderr=errors,
-        )
+    command = [sys.executable, str(Path(__file__).with_name("scripted_server.py")), str(port)]
+    process = subprocess.Popen(command, env=environment(), stderr=errors)
 
     def answers() -> bool:
         try:
@@ -142,7 +138,15 @@ def scripted_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, 
     finally:
         process.kill()
         process.wait()
-        assert log.read_text() == ""
+
+
+@pytest.fixture(scope="session")
+def scripted_server(tmp_path_factory: pytest.TempPathFactory) -> Generator[str, None, None]:
+    """The address of the process that all scripted endpoints are in."""
+    log = tmp_path_factory.mktemp("scripted") / "errors.log"
+    with log.open("wb") as errors, serving_scripts(errors) as address:
+        yield address
+    assert log.read_text() == ""
 
 
 @pytest.fixture
