@@ -152,12 +152,12 @@ docs: $(VENV)/.dev
 
 # The generated pages, tables and pictures of docs/; takes minutes.
 docs-data: $(VENV)/.dev
-	$(BIN)/python docs/tables.py
-	$(BIN)/python docs/generate.py
+	$(BIN)/python tools/docs_tables.py
+	$(BIN)/python tools/docs_generate.py
 
 # The pictures of the dashboard in docs/images, taken in the system's chromium.
 screenshots: $(VENV)/.dev
-	$(BIN)/python docs/screenshots.py
+	$(BIN)/python tools/docs_screenshots.py
 
 # Build the container and record it in data/docker_build.log; BUILDER=podman or buildah, ARGS for more of its options.
 BUILDER ?= docker

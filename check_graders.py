@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.models import DroneState
 from drone_env.planning.optimal import solve

@@ -1,4 +1,4 @@
-"""The rules of the standard tasks once more, as whole-array NumPy code: what `simulator.py` compares the batch with.
+"""The tables of the standard tasks once more, as whole-array NumPy code: what `simulator.py` compares the batch with.
 
 A reference for the benchmark alone, for tasks without mechanics and the `tiered` rewards. A step that follows the end
 of an episode begins the next one, as `Batch` does it. The maps come out of a pool that is made before the clock
@@ -15,8 +15,8 @@ from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.batch import Batch
 from drone_env.core.cells import Cell
 from drone_env.core.rewards import get_reward_profile, tabulate_rewards
-from drone_env.core.rules import NOWHERE, tabulate
 from drone_env.core.score import HIGHEST, LOWEST
+from drone_env.core.tables import NOWHERE, tabulate
 
 FAR_AWAY = 1 << 30
 
@@ -66,28 +66,28 @@ class NumpyBatch:
     def __init__(self, task: TaskConfig, num_envs: int, pool: Pool) -> None:
         if not task.uniform or task.battery_capacity != task.max_steps:
             raise ValueError("the reference knows the standard tasks alone")
-        rules = tabulate(task)
+        tables = tabulate(task)
         self.num_envs = num_envs
         self._pool = pool
         self._maps = np.zeros(num_envs, np.int64)
         self._deliveries, self._max_steps = task.deliveries, task.max_steps
 
-        moves = np.array(rules.moves).astype(np.int64).reshape(-1, N_ACTIONS)
+        moves = np.array(tables.moves).astype(np.int64).reshape(-1, N_ACTIONS)
         self._bump = (moves == NOWHERE).ravel()
-        stay = np.arange(rules.cells)[:, None]
+        stay = np.arange(tables.cells)[:, None]
         self._moves = np.where(moves == NOWHERE, stay, moves).ravel()
-        self._events = np.array(rules.flight_event).astype(np.int64)
-        self._x, self._y = (np.array(table).astype(np.int64) for table in (rules.columns, rules.lines))
-        self._x_share, self._y_share = np.array(rules.shares).reshape(-1, 2).T.copy()
-        self._units_share = np.array(rules.steps_share)
-        masks = np.zeros((rules.cells, 8), np.int8)  # eight bytes: looked up as one number
+        self._events = np.array(tables.flight_event).astype(np.int64)
+        self._x, self._y = (np.array(table).astype(np.int64) for table in (tables.columns, tables.rows))
+        self._x_share, self._y_share = np.array(tables.shares).reshape(-1, 2).T.copy()
+        self._units_share = np.array(tables.steps_share)
+        masks = np.zeros((tables.cells, 8), np.int8)  # eight bytes: looked up as one number
         masks[:, :N_ACTIONS] = moves != NOWHERE
         self._masks = masks.view(np.int64)[:, 0].copy()
         self._pays = np.array(tabulate_rewards(task, get_reward_profile("tiered")).events)
 
         self.grids = np.zeros((num_envs, task.height, task.width), np.uint8)
         self._grid = self.grids.reshape(-1)
-        self._offsets = np.arange(num_envs) * rules.cells
+        self._offsets = np.arange(num_envs) * tables.cells
         self._cell = np.zeros(num_envs, np.int64)
         self._under = np.zeros(num_envs, np.uint8)
         self._steps = np.zeros(num_envs, np.int64)

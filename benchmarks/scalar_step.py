@@ -10,7 +10,7 @@ from collections.abc import Callable
 import gymnasium
 
 import drone_env
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 
 ROUNDS = 15
 STEPS = 2_000

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.server import MOVES, Http, connect, cpu_seconds, frame
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 
 STEPS = 20
 """Flown in each session before anything is measured: a flight of the standard tasks lasts 7 to 160."""

@@ -21,7 +21,7 @@ from typing import Any
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.evaluation import episodes_key, run_episodes, summarise
+from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.files import replacing
 from drone_env.rl.config import preset
 from drone_env.rl.run import Run

@@ -12,16 +12,16 @@ if TYPE_CHECKING:
     from drone_env.agents import AGENTS, Agent, make_agent
     from drone_env.core.actions import Action, Event, Outcome
     from drone_env.core.cells import Cell
+    from drone_env.core.episode import Episode, EpisodeState
     from drone_env.core.grid_generator import CityMap, generate_city_map
     from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
     from drone_env.core.seeds import SPLITS, next_seed, split_seeds
-    from drone_env.core.state_manager import Episode, EpisodeState
     from drone_env.core.tasks import TASKS, TaskConfig, get_task
-    from drone_env.evaluation import episodes_key, run_episodes, summarise
+    from drone_env.envs.registry import register_reward_profile, register_task
+    from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
     from drone_env.graders import GRADERS
     from drone_env.models import DroneAction, DroneObservation, DroneState
     from drone_env.planning.optimal import Solution, solve
-    from drone_env.registry import register_reward_profile, register_task
 
 __version__ = "0.5.0"
 
@@ -34,8 +34,8 @@ _HOMES = {
     "DroneAction": "models",
     "DroneObservation": "models",
     "DroneState": "models",
-    "Episode": "core.state_manager",
-    "EpisodeState": "core.state_manager",
+    "Episode": "core.episode",
+    "EpisodeState": "core.episode",
     "Event": "core.actions",
     "GRADERS": "graders",
     "Outcome": "core.actions",
@@ -45,17 +45,17 @@ _HOMES = {
     "Solution": "planning.optimal",
     "TASKS": "core.tasks",
     "TaskConfig": "core.tasks",
-    "episodes_key": "evaluation",
+    "episodes_key": "evaluation.episodes",
     "generate_city_map": "core.grid_generator",
     "get_task": "core.tasks",
     "make_agent": "agents",
     "next_seed": "core.seeds",
-    "register_reward_profile": "registry",
-    "register_task": "registry",
-    "run_episodes": "evaluation",
+    "register_reward_profile": "envs.registry",
+    "register_task": "envs.registry",
+    "run_episodes": "evaluation.episodes",
     "solve": "planning.optimal",
     "split_seeds": "core.seeds",
-    "summarise": "evaluation",
+    "summarise": "evaluation.episodes",
 }
 
 __all__ = [

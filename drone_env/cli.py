@@ -23,8 +23,8 @@ from drone_env.commands.serve import serve
 from drone_env.commands.solve import solve
 from drone_env.commands.sweep import sweep
 from drone_env.commands.train import one_by_one, train_command
+from drone_env.envs.registry import load_plugins
 from drone_env.errors import DroneEnvError
-from drone_env.registry import load_plugins
 
 DESCRIPTION = (
     "A drone delivers parcels on a generated city grid. `drone-env COMMAND --help` is the manual of a command."

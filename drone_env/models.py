@@ -13,7 +13,7 @@ from typing_extensions import Self
 
 from drone_env.core.actions import Action
 from drone_env.core.cells import CELL_KINDS, Cell
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 
 Direction = Literal["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
 Count = Annotated[int, Field(ge=0)]

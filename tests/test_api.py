@@ -12,7 +12,7 @@ from starlette.testclient import TestClient
 
 import drone_env
 from drone_env import DroneObservation, DroneState
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.episodes.record import record_of
 from drone_env.episodes.store import Store
 from drone_env.server.app import create_app

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from drone_env.core import dynamics
+from drone_env.core import rules
 from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode, EpisodeState
 from drone_env.core.rewards import get_reward_profile
-from drone_env.core.rules import CELL, PARCELS, UNDER, interpreted, row_size
-from drone_env.core.state_manager import Episode, EpisodeState
+from drone_env.core.tables import CELL, PARCELS, UNDER, interpreted, state_size
 from drone_env.core.tasks import TaskConfig
 
 DRONE = "@"
@@ -66,17 +66,17 @@ def toy_episode(drawing: list[str], profile: str = "tiered", **changes: Any) -> 
         changes: Fields of the task that differ from `toy_task`, such as `max_steps=5`.
     """
     task = toy_task(drawing, **changes)
-    rules = interpreted(task)
-    grid = np.zeros(rules.cells, np.uint8)
-    row = np.zeros(row_size(rules), np.uint16)
+    tables = interpreted(task)
+    grid = np.zeros(tables.cells, np.uint8)
+    state = np.zeros(state_size(tables), np.uint16)
     for cell, letter in enumerate("".join(drawing)):
         grid[cell] = Cell.DELIVERY if letter.isdigit() else KINDS[letter]
         if letter.isdigit():
-            row[PARCELS + int(letter)] = cell
+            state[PARCELS + int(letter)] = cell
         if letter == DRONE:
-            row[CELL] = cell
-            row[UNDER] = Cell.ROAD
-    dynamics.begin(rules, memoryview(row))
+            state[CELL] = cell
+            state[UNDER] = Cell.ROAD
+    rules.begin(tables, memoryview(state))
     episode = Episode(task, profile)
     episode.set_state(
         EpisodeState(
@@ -84,7 +84,7 @@ def toy_episode(drawing: list[str], profile: str = "tiered", **changes: Any) -> 
             reward_profile=get_reward_profile(profile),
             seed=0,
             grid=grid.tobytes(),
-            row=row.tobytes(),
+            numbers=state.tobytes(),
             reward_last=0.0,
             reward_total=0.0,
             path=(),

@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.state_manager import Observation
+from drone_env.core.episode import Observation
 
 
 class Agent(Protocol):

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.state_manager import Observation
+from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.greedy import greedy_action, greedy_actions
 

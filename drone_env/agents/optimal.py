@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
-from drone_env.core.state_manager import Episode, Observation
+from drone_env.core.episode import Episode, Observation
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.from_observation import episode_of
 from drone_env.planning.greedy import positions

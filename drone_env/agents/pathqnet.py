@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.network import load_network
-from drone_env.core.state_manager import Observation
+from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig, withdrawal
 from drone_env.errors import CheckpointError, UnsupportedTaskError
 

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import N_ACTIONS
+from drone_env.core.episode import Observation
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
-from drone_env.core.state_manager import Observation
 from drone_env.core.tasks import TaskConfig
 
 KEY = task_key("agent/random", 1)

@@ -12,7 +12,7 @@ from ray.exceptions import RayError, RayTaskError
 from drone_env.agents import NETWORK_PREFIX
 from drone_env.cluster.nodes import Driver, check_cpus, check_node, this_driver
 from drone_env.errors import ClusterError, DroneEnvError
-from drone_env.evaluation import EpisodeResults, EpisodesKey, run_episodes
+from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, run_episodes
 
 TRIES = 10
 """How often a piece is flown again whose node dies."""

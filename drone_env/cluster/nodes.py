@@ -12,8 +12,8 @@ from typing import Any, cast
 import numpy as np
 
 from drone_env import __version__
+from drone_env.envs.registry import load_plugins, plugin_names
 from drone_env.errors import ClusterError, InvalidValueError
-from drone_env.registry import load_plugins, plugin_names
 
 
 @dataclass(frozen=True)

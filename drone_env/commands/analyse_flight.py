@@ -10,11 +10,11 @@ from rich.text import Text
 from drone_env.agents import AGENTS, make_agent
 from drone_env.commands.arguments import SHORT_NAMES, Seed
 from drone_env.commands.flights import choices
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError
 
 if TYPE_CHECKING:
-    from drone_env.analysis import FlightAnalysis
+    from drone_env.evaluation.analysis import FlightAnalysis
 
 File = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
@@ -54,8 +54,8 @@ def analyse_flight(
         json: Print JSON instead: positions are [x, y].
     """
     # These load Pydantic and Numba, which nobody should wait for who does not need them.
-    from drone_env.analysis import analyse_flight as analyse
     from drone_env.episodes.record import load_record, record_of
+    from drone_env.evaluation.analysis import analyse_flight as analyse
 
     if file is not None and task is None:
         if agent is not None or seed is not None:

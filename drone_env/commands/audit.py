@@ -17,9 +17,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from drone_env.commands.arguments import TaskName
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.seeds import SPLITS, split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 

@@ -20,9 +20,9 @@ from drone_env import __version__
 from drone_env.agents.pathqnet import WEIGHTS, PathQNetAgent, shipped_network
 from drone_env.core.compile_cache import cache_folder
 from drone_env.core.tasks import TASKS
+from drone_env.envs.registry import load_plugins, plugin_names
 from drone_env.errors import DroneEnvError
 from drone_env.installer import DISTRIBUTION, install_command
-from drone_env.registry import load_plugins, plugin_names
 
 Status = Literal["ok", "absent", "attention", "broken"]
 SHIPPED = ("easy_delivery", "medium_delivery", "hard_delivery")

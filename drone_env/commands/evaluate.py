@@ -19,8 +19,8 @@ from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, parse_seed
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation import EpisodeResults, EpisodesKey, episodes_key, summarise
-from drone_env.evaluation_folder import Engine, ResultsFolder, evaluate_keys, local_engine
+from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, summarise
+from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
 from drone_env.files import replacing
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from drone_env.agents import Agent
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.envs.ansi import draw_text
 from drone_env.episodes.log_lines import end_line, start_line, step_line
 from drone_env.errors import InvalidValueError

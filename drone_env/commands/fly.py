@@ -6,7 +6,7 @@ from pathlib import Path
 from drone_env.agents import make_agent
 from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName
 from drone_env.commands.flights import choices, log_flight, prepare_file
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError
 
 

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from drone_env.commands.arguments import ProfileName, Seed, TaskName
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.envs.ansi import draw_text
 from drone_env.planning.optimal import best_of
 

@@ -9,8 +9,8 @@ import tyro
 
 from drone_env.commands.flights import log_flight
 from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
-from drone_env.core.state_manager import Episode
 from drone_env.envs.ansi import draw_text
 from drone_env.errors import InvalidValueError, StoreError, UnknownNameError
 

@@ -3,7 +3,7 @@
 import json as json_format
 
 from drone_env.commands.arguments import Seed, TaskName
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.envs.ansi import draw_text, draw_tour
 from drone_env.errors import TooLargeError
 from drone_env.planning.optimal import solve_episode

@@ -15,8 +15,7 @@ from numba.extending import register_jitable  # pyright: ignore
 from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Event, Outcome
 from drone_env.core.compile_cache import compiled_once, tell_before_compiling
-from drone_env.core.dynamics import reset as reset_episode
-from drone_env.core.dynamics import step as step_episode
+from drone_env.core.episode import ALLOWED_ACTIONS
 from drone_env.core.fetching import fetch_early
 from drone_env.core.observation import (
     open_actions,
@@ -25,10 +24,11 @@ from drone_env.core.observation import (
     write_telemetry,
 )
 from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, tabulate_rewards
-from drone_env.core.rules import CELL, DELIVERIES, EVENT, OUTCOME, STEPS, Rules, row_size, tabulate
+from drone_env.core.rules import reset as reset_episode
+from drone_env.core.rules import step as step_episode
 from drone_env.core.score import score
 from drone_env.core.seeds import N_SEEDS, next_seed
-from drone_env.core.state_manager import ALLOWED_ACTIONS
+from drone_env.core.tables import CELL, DELIVERIES, EVENT, OUTCOME, STEPS, Tables, state_size, tabulate
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.core.threads import require_threads
 from drone_env.errors import EpisodeError, InvalidValueError
@@ -48,8 +48,8 @@ class Buffers(NamedTuple):
 
     grids: Any
     """uint8[N, cells]"""
-    rows: Any
-    """uint16[N, row size]"""
+    states: Any
+    """uint16[N, state size]"""
     seeds: Any
     """int64[N], the map of each episode"""
     telemetry: Any
@@ -73,48 +73,48 @@ class Buffers(NamedTuple):
     final_seeds: Any
 
 
-def begin(rules: Rules, buffers: Buffers, i: int) -> None:
+def begin(tables: Tables, buffers: Buffers, i: int) -> None:
     """Begin episode `i` on the map that stands in `seeds`."""
-    grid, row = buffers.grids[i], buffers.rows[i]
-    reset_episode(rules, grid, row, buffers.seeds[i])
-    write_telemetry(rules, row, buffers.telemetry[i])
-    buffers.open_actions[i] = open_actions(rules, grid, row)
+    grid, state = buffers.grids[i], buffers.states[i]
+    reset_episode(tables, grid, state, buffers.seeds[i])
+    write_telemetry(tables, state, buffers.telemetry[i])
+    buffers.open_actions[i] = open_actions(tables, grid, state)
 
 
-def begin_next(rules: Rules, buffers: Buffers, i: int) -> None:
+def begin_next(tables: Tables, buffers: Buffers, i: int) -> None:
     """Begin episode `i` on the map that follows its last one."""
     buffers.seeds[i] = next_seed(buffers.seeds[i])
-    begin(rules, buffers, i)
+    begin(tables, buffers, i)
 
 
-def keep_final(rules: Rules, buffers: Buffers, i: int, k: int) -> None:
+def keep_final(tables: Tables, buffers: Buffers, i: int, k: int) -> None:
     """Write how episode `i` ended into entry `k`."""
-    row = buffers.rows[i]
-    buffers.final_scores[k] = score(rules, row)
-    buffers.final_steps[k] = row[STEPS]
-    buffers.final_deliveries[k] = row[DELIVERIES]
+    state = buffers.states[i]
+    buffers.final_scores[k] = score(tables, state)
+    buffers.final_steps[k] = state[STEPS]
+    buffers.final_deliveries[k] = state[DELIVERIES]
     buffers.final_seeds[k] = buffers.seeds[i]
 
 
-def keep_final_observation(rules: Rules, buffers: Buffers, i: int, k: int) -> None:
+def keep_final_observation(tables: Tables, buffers: Buffers, i: int, k: int) -> None:
     """Write the last observation of episode `i` into entry `k`."""
-    for cell in range(rules.cells):
+    for cell in range(tables.cells):
         buffers.final_grids[k, cell] = buffers.grids[i, cell]
-    write_telemetry(rules, buffers.rows[i], buffers.final_telemetry[k])
+    write_telemetry(tables, buffers.states[i], buffers.final_telemetry[k])
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
-def reset_kernel(rules: Rules, buffers: Buffers, chosen: Any) -> None:
+def reset_kernel(tables: Tables, buffers: Buffers, chosen: Any) -> None:
     """Begin the episodes whose numbers are in `chosen`, on the maps that stand in `seeds`."""
     for i in chosen:
-        begin(rules, buffers, i)
+        begin(tables, buffers, i)
         buffers.rewards[i] = 0.0
         buffers.terminated[i] = False
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
 def step_kernel(
-    rules: Rules, rewards: Rewards, buffers: Buffers, actions: Any, start: int, stop: int, same_step: bool
+    tables: Tables, rewards: Rewards, buffers: Buffers, actions: Any, start: int, stop: int, same_step: bool
 ) -> int:
     """Step the episodes from `start` to `stop` and return how many ended.
 
@@ -122,47 +122,47 @@ def step_kernel(
     """
     n_ended = 0
     n_begun = 0
-    fetching = (stop - start) * rules.cells > OWN_CACHE
+    fetching = (stop - start) * tables.cells > OWN_CACHE
     for i in range(start, stop):
         if fetching:
             ahead = min(i + AHEAD, stop - ONE)
-            fetch_early(buffers.grids, ahead, buffers.rows[ahead, CELL])
-        row = buffers.rows[i]
-        if row[OUTCOME] != FLYING:
+            fetch_early(buffers.grids, ahead, buffers.states[ahead, CELL])
+        state = buffers.states[i]
+        if state[OUTCOME] != FLYING:
             buffers.begun[start + n_begun] = i
             n_begun += 1
             buffers.rewards[i] = 0.0
             buffers.terminated[i] = False
             continue
-        buffers.rewards[i] = step_episode(rules, rewards, buffers.grids[i], row, actions[i] & ACTION_BITS)
-        over = row[OUTCOME] != FLYING
+        buffers.rewards[i] = step_episode(tables, rewards, buffers.grids[i], state, actions[i] & ACTION_BITS)
+        over = state[OUTCOME] != FLYING
         buffers.terminated[i] = over
         if over:
             buffers.ended[start + n_ended] = i
             n_ended += 1
-        write_own_telemetry(rules, row, buffers.telemetry[i])
-        if row[EVENT] == DELIVERED:
-            write_target_telemetry(rules, row, buffers.telemetry[i])
-        buffers.open_actions[i] = open_actions(rules, buffers.grids[i], row)
+        write_own_telemetry(tables, state, buffers.telemetry[i])
+        if state[EVENT] == DELIVERED:
+            write_target_telemetry(tables, state, buffers.telemetry[i])
+        buffers.open_actions[i] = open_actions(tables, buffers.grids[i], state)
     # What is rare follows in loops of its own: between the steps it would cost them registers.
     for k in range(start, start + n_ended):
-        keep_final(rules, buffers, buffers.ended[k], k)
+        keep_final(tables, buffers, buffers.ended[k], k)
         if same_step:
-            keep_final_observation(rules, buffers, buffers.ended[k], k)
+            keep_final_observation(tables, buffers, buffers.ended[k], k)
             buffers.begun[start + n_begun] = buffers.ended[k]
             n_begun += 1
     for k in range(start, start + n_begun):
-        begin_next(rules, buffers, buffers.begun[k])
+        begin_next(tables, buffers, buffers.begun[k])
     return n_ended
 
 
 @compiled_once(nogil=True, parallel=True)
 def step_kernel_threads(
-    rules: Rules, rewards: Rewards, buffers: Buffers, actions: Any, bounds: Any, same_step: bool, n_ended: Any
+    tables: Tables, rewards: Rewards, buffers: Buffers, actions: Any, bounds: Any, same_step: bool, n_ended: Any
 ) -> None:
     """Step the ranges between neighbouring `bounds`, one thread each."""
     for t in numba.prange(len(bounds) - 1):
-        n_ended[t] = step_kernel(rules, rewards, buffers, actions, bounds[t], bounds[t + 1], same_step)
+        n_ended[t] = step_kernel(tables, rewards, buffers, actions, bounds[t], bounds[t + 1], same_step)
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
@@ -223,13 +223,13 @@ class Batch:
         self.num_threads = num_threads
         self.reward_profile = get_reward_profile(reward_profile)
         self.same_step = same_step
-        self.rules = tabulate(self.task)
+        self.tables = tabulate(self.task)
         self._rewards = tabulate_rewards(self.task, self.reward_profile)
-        cells, size = self.rules.cells, self.task.telemetry_size
+        cells, size = self.tables.cells, self.task.telemetry_size
         finals = num_envs if same_step else 0
         self._buffers = Buffers(
             grids=np.zeros((num_envs, cells), np.uint8),
-            rows=np.zeros((num_envs, row_size(self.rules)), np.uint16),
+            states=np.zeros((num_envs, state_size(self.tables)), np.uint16),
             seeds=np.zeros(num_envs, np.int64),
             telemetry=np.zeros((num_envs, size), np.float32),
             open_actions=np.zeros(num_envs, np.dtype("<i8")),
@@ -259,7 +259,7 @@ class Batch:
 
     def _compile(self) -> None:
         tell_before_compiling()
-        tables = (self.rules, self._rewards, self._buffers, self.seeds)
+        tables = (self.tables, self._rewards, self._buffers, self.seeds)
         self._all_exist = entry_point(all_exist, self.seeds)
         if len(self._bounds) == 2:
             self._step = entry_point(step_kernel, *tables, *self._bounds, self.same_step)
@@ -283,7 +283,7 @@ class Batch:
         if len(numbers) and not (values[numbers].min() >= 0 and values[numbers].max() < N_SEEDS):
             raise InvalidValueError("seeds must be integers in [0, 2^53)")
         self.seeds[numbers] = values[numbers]
-        reset_kernel(self.rules, self._buffers, numbers)
+        reset_kernel(self.tables, self._buffers, numbers)
         self._started[numbers] = True
         self.started = bool(self._started.all())
         self._n_ended[:] = 0
@@ -308,7 +308,7 @@ class Batch:
         if not self._all_exist(integers):
             wrong = values[(values < 0) | (values >= N_ACTIONS)][0]
             raise InvalidValueError(f"actions must be among {ALLOWED_ACTIONS}; got {wrong}")
-        tables = (self.rules, self._rewards, self._buffers, integers)
+        tables = (self.tables, self._rewards, self._buffers, integers)
         if len(self._bounds) == 2:
             self._n_ended[0] = self._step(*tables, *self._all, self.same_step)
         else:

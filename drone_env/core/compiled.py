@@ -1,4 +1,4 @@
-"""The functions of `dynamics`, compiled by Numba: the same source, not a second copy.
+"""The functions of `tables`, compiled by Numba: the same source, not a second copy.
 
 Importing this module costs Numba's import; compiling happens at the first call.
 """
@@ -7,7 +7,7 @@ from typing import Any
 
 from numba.extending import register_jitable  # pyright: ignore
 
-from drone_env.core import drone, dynamics, grid_generator, observation, obstacles, rewards, score, seeds
+from drone_env.core import drone, grid_generator, observation, obstacles, rewards, rules, score, seeds
 from drone_env.core.compile_cache import compiled_once
 
 COMPILED = (
@@ -34,13 +34,13 @@ COMPILED = (
     obstacles.flight_event,
     rewards.potential_of,
     rewards.reward_of,
-    dynamics.reset,
-    dynamics.step,
-    dynamics.begin,
-    dynamics.deliver,
-    dynamics.choose_target,
-    dynamics.outcome_of,
-    dynamics.outcome,
+    rules.reset,
+    rules.step,
+    rules.begin,
+    rules.deliver,
+    rules.choose_target,
+    rules.outcome_of,
+    rules.outcome,
     observation.write_telemetry,
     observation.write_own_telemetry,
     observation.write_target_telemetry,
@@ -53,5 +53,5 @@ OPTIONS: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
 for function in COMPILED:
     register_jitable(forceinline=True, **OPTIONS)(function)
 
-reset = compiled_once(**OPTIONS)(dynamics.reset)
-step = compiled_once(**OPTIONS)(dynamics.step)
+reset = compiled_once(**OPTIONS)(rules.reset)
+step = compiled_once(**OPTIONS)(rules.step)

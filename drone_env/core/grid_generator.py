@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.cells import Cell
-from drone_env.core.rules import CELL, INDEX_BITS, PARCELS, UNDER, Buffer, Rules, interpreted, row_size, view
 from drone_env.core.seeds import SPLITS, check_seed, map_key, next_key, two_halves, uniform_below
+from drone_env.core.tables import CELL, INDEX_BITS, PARCELS, UNDER, Buffer, Tables, interpreted, state_size, view
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 
@@ -18,26 +18,26 @@ DRONE = int(Cell.DRONE)
 DELIVERY = int(Cell.DELIVERY)
 
 
-def draw_road(rules: Rules, grid: Buffer, key: int) -> tuple[int, int]:
+def draw_road(tables: Tables, grid: Buffer, key: int) -> tuple[int, int]:
     """A cell that is still road, drawn uniformly, and the generator's state after the draw."""
-    cell = uniform_below(key, rules.cells) & INDEX_BITS
+    cell = uniform_below(key, tables.cells) & INDEX_BITS
     while grid[cell] != ROAD:
         key = next_key(key)
-        cell = uniform_below(key, rules.cells) & INDEX_BITS
+        cell = uniform_below(key, tables.cells) & INDEX_BITS
     return cell, next_key(key)
 
 
-def place_anywhere(rules: Rules, grid: Buffer, row: Buffer, key: int) -> None:
+def place_anywhere(tables: Tables, grid: Buffer, state: Buffer, key: int) -> None:
     """Place the deliveries, then the terrain, each on a cell drawn anew until it is still road."""
-    for cell in range(rules.cells):
+    for cell in range(tables.cells):
         grid[cell] = ROAD
-    grid[row[CELL]] = DRONE
-    for i in range(rules.deliveries):
-        cell, key = draw_road(rules, grid, key)
+    grid[state[CELL]] = DRONE
+    for i in range(tables.deliveries):
+        cell, key = draw_road(tables, grid, key)
         grid[cell] = DELIVERY
-        row[PARCELS + i] = cell
-    for kind in rules.drawn_kinds:
-        cell, key = draw_road(rules, grid, key)
+        state[PARCELS + i] = cell
+    for kind in tables.drawn_kinds:
+        cell, key = draw_road(tables, grid, key)
         grid[cell] = kind
 
 
@@ -62,51 +62,51 @@ def shuffle_in(grid: Buffer, cells: Buffer, covered: int, kinds: Buffer, key: in
     return key
 
 
-def place_along_streets(rules: Rules, grid: Buffer, row: Buffer, key: int) -> None:
+def place_along_streets(tables: Tables, grid: Buffer, state: Buffer, key: int) -> None:
     """Place terrain and deliveries in a city whose streets cross at the start, with one draw for each of the fewer."""
-    start, spacing = row[CELL], rules.street_spacing
-    city = (rules.lines[start] % spacing * spacing + rules.columns[start] % spacing) * rules.cells
-    city_grid = rules.city_grids[city : city + rules.cells]
-    for cell in range(rules.cells):
+    start, spacing = state[CELL], tables.street_spacing
+    city = (tables.rows[start] % spacing * spacing + tables.columns[start] % spacing) * tables.cells
+    city_grid = tables.city_grids[city : city + tables.cells]
+    for cell in range(tables.cells):
         grid[cell] = city_grid[cell]
-    between = rules.city_cells[city : city + rules.blocks]
-    along = rules.city_cells[city + rules.blocks + 1 : city + rules.cells]
-    kinds = rules.drawn_kinds[: rules.drawn_between]
+    between = tables.city_cells[city : city + tables.blocks]
+    along = tables.city_cells[city + tables.blocks + 1 : city + tables.cells]
+    kinds = tables.drawn_kinds[: tables.drawn_between]
     key = shuffle_in(grid, between, len(between) - len(kinds), kinds, key)
-    kinds = rules.drawn_kinds[rules.drawn_between :]
-    covered = len(along) - rules.deliveries
+    kinds = tables.drawn_kinds[tables.drawn_between :]
+    covered = len(along) - tables.deliveries
     key = shuffle_in(grid, along, covered - len(kinds), kinds, key)
-    for i in range(rules.deliveries):
+    for i in range(tables.deliveries):
         end = (covered + i) & INDEX_BITS
         cell = along[uniform_below(key, end + 1) & INDEX_BITS]
         key = next_key(key)
-        move_parcel(rules, row, cell, along[end])
+        move_parcel(tables, state, cell, along[end])
         grid[along[end]] = grid[cell]
         grid[cell] = DELIVERY
-        row[PARCELS + i] = cell
+        state[PARCELS + i] = cell
     # Where the start is, something may stand now: it belongs on the street cell that was left out of the list.
-    left_out = rules.city_cells[city + rules.blocks]
-    move_parcel(rules, row, start, left_out)
+    left_out = tables.city_cells[city + tables.blocks]
+    move_parcel(tables, state, start, left_out)
     grid[left_out] = grid[start]
     grid[start] = DRONE
 
 
-def move_parcel(rules: Rules, row: Buffer, cell: int, to: int) -> None:
+def move_parcel(tables: Tables, state: Buffer, cell: int, to: int) -> None:
     """If a parcel stands on a cell, note that it stands on another now."""
-    for i in range(PARCELS, PARCELS + rules.deliveries):
-        if row[i] == cell:
-            row[i] = to
+    for i in range(PARCELS, PARCELS + tables.deliveries):
+        if state[i] == cell:
+            state[i] = to
 
 
-def scatter(rules: Rules, grid: Buffer, row: Buffer, seed: int) -> None:
-    """Write map `seed` into `grid` and `row`: start, deliveries and each kind of terrain, all on distinct cells."""
-    key = next_key(map_key(rules.key, seed))
-    row[CELL] = uniform_below(key, rules.cells)
-    row[UNDER] = ROAD
-    if rules.street_spacing == 0:
-        place_anywhere(rules, grid, row, next_key(key))
+def scatter(tables: Tables, grid: Buffer, state: Buffer, seed: int) -> None:
+    """Write map `seed` into `grid` and `state`: start, deliveries and each kind of terrain, all on distinct cells."""
+    key = next_key(map_key(tables.key, seed))
+    state[CELL] = uniform_below(key, tables.cells)
+    state[UNDER] = ROAD
+    if tables.street_spacing == 0:
+        place_anywhere(tables, grid, state, next_key(key))
     else:
-        place_along_streets(rules, grid, row, next_key(key))
+        place_along_streets(tables, grid, state, next_key(key))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,21 +142,21 @@ def generate_city_map(config: str | TaskConfig, rng: Any) -> CityMap:
     """
     task = get_task(config)
     seed = _seed_from(rng)
-    rules = interpreted(task)
-    grid = np.zeros(rules.cells, np.uint8)
-    row = np.zeros(row_size(rules), np.uint16)
-    scatter(rules, view(grid), view(row), seed)
-    grid[row[CELL]] = ROAD
+    tables = interpreted(task)
+    grid = np.zeros(tables.cells, np.uint8)
+    state = np.zeros(state_size(tables), np.uint16)
+    scatter(tables, view(grid), view(state), seed)
+    grid[state[CELL]] = ROAD
 
     def position(cell: int) -> tuple[int, int]:
-        return rules.columns[cell], rules.lines[cell]
+        return tables.columns[cell], tables.rows[cell]
 
     return CityMap(
         task=task,
         seed=seed,
         grid=np.reshape(grid, (task.height, task.width)),
-        start=position(row[CELL]),
-        deliveries=tuple(position(cell) for cell in row[PARCELS:]),
+        start=position(state[CELL]),
+        deliveries=tuple(position(cell) for cell in state[PARCELS:]),
     )
 
 

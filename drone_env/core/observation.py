@@ -5,7 +5,7 @@ from typing import TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.rules import (
+from drone_env.core.tables import (
     BATTERY,
     CELL,
     N_MOVES,
@@ -16,7 +16,7 @@ from drone_env.core.rules import (
     UNDER,
     Buffer,
     FloatBuffer,
-    Rules,
+    Tables,
 )
 
 
@@ -29,40 +29,40 @@ class Observation(TypedDict):
     """float32[5] (or 6, or 13): see `write_telemetry`."""
 
 
-def write_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
+def write_telemetry(tables: Tables, state: Buffer, telemetry: FloatBuffer) -> None:
     """Write drone x/width, y/height, battery/capacity, target x/width, y/height into float32[5].
 
     Where nothing is left to deliver, the drone's own position stands for the target. Tasks whose battery does not
     tell the time have a sixth value: the share of steps left. Tasks with pads have it too, and then seven more, of
     which one is 1: that of the kind of the cell below the drone, in the order of `tasks.TERRAIN`.
     """
-    write_own_telemetry(rules, row, telemetry)
-    write_target_telemetry(rules, row, telemetry)
+    write_own_telemetry(tables, state, telemetry)
+    write_target_telemetry(tables, state, telemetry)
 
 
-def write_own_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
+def write_own_telemetry(tables: Tables, state: Buffer, telemetry: FloatBuffer) -> None:
     """The part that every step changes: position, battery, steps left, the cell below."""
-    at = 2 * row[CELL]
-    x, y, battery = rules.shares[at], rules.shares[at + 1], rules.battery_share[row[BATTERY]]
+    at = 2 * state[CELL]
+    x, y, battery = tables.shares[at], tables.shares[at + 1], tables.battery_share[state[BATTERY]]
     telemetry[0], telemetry[1], telemetry[2] = x, y, battery
-    if rules.telemetry_size > 5:
-        telemetry[5] = rules.steps_share[row[STEPS]]
-    if rules.telemetry_size > 6:
+    if tables.telemetry_size > 5:
+        telemetry[5] = tables.steps_share[state[STEPS]]
+    if tables.telemetry_size > 6:
         for i in range(6, 6 + N_TERRAIN):
             telemetry[i] = 0.0
-        telemetry[6 + rules.terrain_numbers[row[UNDER]]] = 1.0
+        telemetry[6 + tables.terrain_numbers[state[UNDER]]] = 1.0
 
 
-def write_target_telemetry(rules: Rules, row: Buffer, telemetry: FloatBuffer) -> None:
+def write_target_telemetry(tables: Tables, state: Buffer, telemetry: FloatBuffer) -> None:
     """The part that only a delivery or a reset changes: the target."""
-    target = row[TARGET] if row[TARGET] != NOWHERE else row[CELL]
-    telemetry[3], telemetry[4] = rules.shares[2 * target], rules.shares[2 * target + 1]
+    target = state[TARGET] if state[TARGET] != NOWHERE else state[CELL]
+    telemetry[3], telemetry[4] = tables.shares[2 * target], tables.shares[2 * target + 1]
 
 
-def open_actions(rules: Rules, grid: Buffer, row: Buffer) -> int:
+def open_actions(tables: Tables, grid: Buffer, state: Buffer) -> int:
     """The actions that do not bump: 1 in byte `action` of an integer. Advice, never enforced."""
-    mask = rules.open_moves[row[CELL]]
-    if rules.any_impassable:
+    mask = tables.open_moves[state[CELL]]
+    if tables.any_impassable:
         for action in range(N_MOVES):
-            mask -= rules.impassable[grid[rules.around[row[CELL] * N_MOVES + action]]] << 8 * action
+            mask -= tables.impassable[grid[tables.around[state[CELL] * N_MOVES + action]]] << 8 * action
     return mask

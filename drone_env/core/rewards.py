@@ -9,17 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drone_env.core.actions import N_EVENTS, Event, Outcome
-from drone_env.core.rules import (
+from drone_env.core.score import score
+from drone_env.core.tables import (
     DELIVERIES,
     DISTANCE,
     OUTCOME,
     Buffer,
     FloatBuffer,
-    Rules,
+    Tables,
     as_views,
     read_only,
 )
-from drone_env.core.score import score
 from drone_env.core.tasks import MAX_SIDE, TaskConfig
 from drone_env.errors import InvalidTaskError, UnknownNameError
 
@@ -192,25 +192,27 @@ def interpreted_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
     return as_views(tabulate_rewards(task, profile))
 
 
-def potential_of(table: FloatBuffer, row: Buffer) -> float:
+def potential_of(table: FloatBuffer, state: Buffer) -> float:
     """What a table of a profile, `potential` or `discounted`, holds for the state."""
-    return table[row[DELIVERIES] * STRIDE + row[DISTANCE]]
+    return table[state[DELIVERIES] * STRIDE + state[DISTANCE]]
 
 
-def reward_of(rules: Rules, rewards: Rewards, row: Buffer, event: int, closer: int, potential_before: float) -> float:
-    """What the step that led to `row` pays.
+def reward_of(
+    tables: Tables, rewards: Rewards, state: Buffer, event: int, closer: int, potential_before: float
+) -> float:
+    """What the step that led to `state` pays.
 
     Args:
-        rules: The task's tables.
+        tables: The task's tables.
         rewards: The profile's tables.
-        row: The state after the step, its outcome settled.
+        state: The state after the step, its outcome settled.
         event: What the step came to.
         closer: 2 if the step came closer to the target that was current before it, 1 if it stayed as far, else 0.
         potential_before: The potential of the state before the step.
     """
     reward = rewards.events[event * 3 + closer] - potential_before
-    if row[OUTCOME] == FLYING:
-        return reward + potential_of(rewards.discounted, row)
+    if state[OUTCOME] == FLYING:
+        return reward + potential_of(rewards.discounted, state)
     if rewards.pays_score:
-        return reward + score(rules, row)
+        return reward + score(tables, state)
     return reward

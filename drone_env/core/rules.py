@@ -1,251 +1,128 @@
-"""A task as tables, and the layout of an episode's state.
+"""The rules of the world: `reset` makes the first state of an episode, `step` turns state and action into the next.
 
-`tabulate(task)` turns a `TaskConfig` into small tables once; a step then only looks things up, so a new number or
-mechanic is a new entry and not a new branch. The same tables serve compiled code (as NumPy arrays) and interpreted
-code (as memory views, whose items are plain Python integers).
-
-The state of one episode is two buffers:
-
-- `grid`: one cell id per cell, row by row (cell number = y * width + x), as the drone sees it: its own id hides what
-  lies below it.
-- `row`: the integers named below, then one entry per delivery: its cell number, plus `DELIVERED_FLAG` once it has been
-  delivered. They are unsigned 16-bit integers: compiled code then needs no care for indices below zero.
+These functions, and the ones that they call, are the only place where the rules stand. They run as plain Python for a
+single episode (`episode.Episode`) and compiled by Numba (`compiled`), with the same bits as a result.
 """
 
-from functools import lru_cache
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from drone_env.core.actions import N_ACTIONS, Event, Outcome
+from drone_env.core.cells import Cell
+from drone_env.core.drone import distance, move, use_battery
+from drone_env.core.grid_generator import scatter
+from drone_env.core.obstacles import collision, flight_event
+from drone_env.core.rewards import Rewards, potential_of, reward_of
+from drone_env.core.tables import (
+    BATTERY,
+    CELL,
+    DELIVERED_FLAG,
+    DELIVERIES,
+    DISTANCE,
+    EVENT,
+    NOWHERE,
+    OUTCOME,
+    PARCELS,
+    STEPS,
+    TARGET,
+    UNDER,
+    Buffer,
+    Tables,
+)
 
-import numpy as np
-import numpy.typing as npt
+CLOSER_BITS = 3
+"""Changes nothing from 0 to 2, and tells the compiler that none is below zero."""
 
-from drone_env.core.actions import ACTION_OFFSETS, N_ACTIONS, Action, Event
-from drone_env.core.cells import N_CELL_KINDS, Cell
-from drone_env.core.seeds import task_key
-from drone_env.core.tasks import TERRAIN, TaskConfig
+DELIVERY_CELL = int(Cell.DELIVERY)
+DELIVERED_CELL = int(Cell.DELIVERED)
 
-Buffer: TypeAlias = "memoryview[int]"
-"""A buffer of integers: a memory view when interpreted, a NumPy array when compiled."""
-FloatBuffer: TypeAlias = "memoryview[float]"
-"""The same, of floating-point numbers."""
+DELIVERY = int(Event.DELIVERY)
+DEAD = int(Event.BATTERY_DEAD)
+NONE = int(Event.NONE)
 
-INDEX_BITS = (1 << 16) - 1
-"""Changes no index of a table, and tells the compiler that none is below zero."""
-N_MOVES = N_ACTIONS - 1
-"""All actions but WAIT, which is the last."""
-N_TERRAIN = len(TERRAIN)
-
-Tables = TypeVar("Tables", bound=tuple[Any, ...])
-
-CELL = 0
-"""Where the drone is."""
-UNDER = 1
-"""The kind of the cell below it."""
-STEPS = 2
-"""Steps taken."""
-BATTERY = 3
-"""Battery units left."""
-DELIVERIES = 4
-"""Parcels delivered."""
-TARGET = 5
-"""Cell of the current target, or `NOWHERE` when none is left."""
-DISTANCE = 6
-"""Manhattan distance to the current target; 0 when none is left."""
-EVENT = 7
-"""What the last step came to (`Event`)."""
-OUTCOME = 8
-"""How the episode stands (`Outcome`)."""
-PARCELS = 9
-"""From here on: one entry per delivery."""
-
-NOWHERE = (1 << 16) - 1
-"""Stands for a cell that does not exist: off the grid, or no target left."""
-DELIVERED_FLAG = 1 << 15
-"""Added to the cell of a parcel that has been delivered."""
+FLYING = int(Outcome.FLYING)
+DELIVERED = int(Outcome.DELIVERED)
+BATTERY_DEAD = int(Outcome.BATTERY_DEAD)
+OUT_OF_STEPS = int(Outcome.OUT_OF_STEPS)
 
 
-class Rules(NamedTuple):
-    """A task's tables. Arrays when compiled, memory views when interpreted; `cells` is width * height."""
-
-    key: int
-    """Sets this task's maps apart from those of others."""
-    width: int
-    height: int
-    cells: int
-    deliveries: int
-    max_steps: int
-    capacity: int
-    columns: Buffer
-    """x of each cell, int64[cells]."""
-    lines: Buffer
-    """y of each cell, int64[cells]."""
-    moves: Buffer
-    """Cell reached from `cell` by `action`, `NOWHERE` at the wall: uint16[cells * 5], at
-    cell * N_ACTIONS + action."""
-    open_moves: Buffer
-    """The actions that do not meet the wall, 1 in byte `action` of each int64[cells]."""
-    around: Buffer
-    """The cell that each move reaches, the cell itself at the wall: uint16[cells * 4], at cell * N_MOVES + action."""
-    any_impassable: int
-    """1 if some kind of cell is impassable."""
-    impassable: Buffer
-    """1 for the kinds of cell that the drone cannot enter, uint8[kinds]."""
-    drain: Buffer
-    """Battery units that an action costs above a kind of cell, below zero where it charges: int16[kinds * 5], at
-    kind * N_ACTIONS + action."""
-    flight_event: Buffer
-    """The event of an action that ends above a kind of cell, if nothing else happened: uint8[kinds * 5], laid
-    out alike."""
-    street_spacing: int
-    """Every how many rows and columns there is a street; 0 where everything lies anywhere."""
-    blocks: int
-    """How many cells lie between the streets."""
-    city_grids: Buffer
-    """The map before anything is drawn, for each way in which the streets can lie: uint8[ways * cells]."""
-    city_cells: Buffer
-    """The cells between the streets, then those on them, in each of these ways: uint16[ways * cells]."""
-    drawn_kinds: Buffer
-    """The kinds of terrain that are drawn, in the order in which they are: uint8[draws]."""
-    drawn_between: int
-    """How many of these stand between the streets: they are the first."""
-    efficiency_needs_all: int
-    """1 if battery and steps left count in the score only when everything is delivered."""
-    telemetry_size: int
-    """Values in the telemetry: 5, 6 with the share of steps left, 13 with the kind of the cell below as well."""
-    shares: FloatBuffer
-    """x / width and y / height of each cell: float32[cells * 2], at cell * 2."""
-    battery_share: FloatBuffer
-    """units / capacity for each number of units, float32[capacity + 1]."""
-    steps_share: FloatBuffer
-    """Share of steps left after each number of steps, float32[max_steps + 1]."""
-    terrain_numbers: Buffer
-    """Where a kind stands in `TERRAIN`: uint8[kinds]."""
+def reset(tables: Tables, grid: Buffer, state: Buffer, seed: int) -> None:
+    """Write the first state of map `seed`."""
+    scatter(tables, grid, state, seed)
+    begin(tables, state)
 
 
-def row_size(rules: Rules) -> int:
-    """Length of an episode's `row`."""
-    return PARCELS + rules.deliveries
+def begin(tables: Tables, state: Buffer) -> None:
+    """Full battery, no step taken, nothing delivered, on the map that stands in the state."""
+    state[STEPS] = 0
+    state[BATTERY] = tables.capacity
+    state[DELIVERIES] = 0
+    state[EVENT] = NONE
+    state[OUTCOME] = FLYING
+    choose_target(tables, state)
 
 
-@lru_cache(maxsize=64)
-def tabulate(task: TaskConfig) -> Rules:
-    """The task's tables as NumPy arrays, for compiled code. Shared: do not write to them."""
-    width, height = task.width, task.height
-    cells = width * height
-    moves = np.full((height, width, N_ACTIONS), NOWHERE, np.uint16)
-    for y in range(height):
-        for x in range(width):
-            for action, (dx, dy) in ACTION_OFFSETS.items():
-                if 0 <= x + dx < width and 0 <= y + dy < height:
-                    moves[y, x, action] = (y + dy) * width + x + dx
+def step(tables: Tables, rewards: Rewards, grid: Buffer, state: Buffer, action: int) -> float:
+    """Fly one action and return its reward. After the end of the episode it changes nothing and pays 0."""
+    if state[OUTCOME] != FLYING:
+        return 0.0
+    potential = potential_of(rewards.potential, state)
 
-    impassable = np.zeros(N_CELL_KINDS, np.uint8)
-    impassable[list(task.impassable)] = 1
-    drain = np.ones((N_CELL_KINDS, N_ACTIONS), np.int16)
-    for kind, units in task.drain:
-        drain[kind] = units
-    if task.charge_rate:
-        drain[Cell.PAD, Action.WAIT] = -task.charge_rate
-    flight_event = np.full((N_CELL_KINDS, N_ACTIONS), Event.STEP, np.uint8)
-    flight_event[:, Action.WAIT] = Event.WAIT
-    flight_event[Cell.OBSTACLE] = Event.OBSTACLE
-    flight_event[Cell.BUILDING] = Event.BUILDING
-    flight_event[Cell.TREE] = Event.TREE
-    terrain_numbers = np.zeros(N_CELL_KINDS, np.uint8)
-    terrain_numbers[list(TERRAIN)] = np.arange(N_TERRAIN)
-
-    numbers = np.arange(cells)
-    tables: dict[str, Any] = {
-        "key": task_key(task.id, task.version),
-        "width": width,
-        "height": height,
-        "cells": cells,
-        "deliveries": task.deliveries,
-        "max_steps": task.max_steps,
-        "capacity": task.battery_capacity,
-        "columns": numbers % width,
-        "lines": numbers // width,
-        "moves": np.ravel(moves),
-        "open_moves": (np.reshape(moves != NOWHERE, (cells, N_ACTIONS)) << 8 * np.arange(N_ACTIONS)).sum(axis=1),
-        "around": np.where(moves == NOWHERE, numbers.reshape(height, width, 1), moves)[:, :, :N_MOVES]
-        .ravel()
-        .astype(np.uint16),
-        "any_impassable": int(impassable.any()),
-        "impassable": impassable,
-        "drain": np.ravel(drain),
-        "flight_event": np.ravel(flight_event),
-        "street_spacing": task.street_spacing,
-        **_city_tables(task),
-        "efficiency_needs_all": int(task.efficiency_needs_all),
-        "telemetry_size": task.telemetry_size,
-        "shares": np.ravel(np.column_stack([numbers % width / width, numbers // width / height])).astype(np.float32),
-        "battery_share": (np.arange(task.battery_capacity + 1) / task.battery_capacity).astype(np.float32),
-        "steps_share": (np.arange(task.max_steps, -1, -1) / task.max_steps).astype(np.float32),
-        "terrain_numbers": terrain_numbers,
-    }
-    return read_only(Rules(**tables))
+    cell, under, steps = state[CELL], state[UNDER], state[STEPS] + 1
+    to = tables.moves[cell * N_ACTIONS + action]
+    happened = collision(tables, grid, to)
+    if happened == NONE:
+        under = move(grid, state, cell, to)
+        cell = to
+        happened = flight_event(tables, under, action)
+    far = distance(tables, cell, state[TARGET])
+    battery = use_battery(tables, state, under, action)
+    closer = (1 + state[DISTANCE] - far) & CLOSER_BITS
+    state[STEPS] = steps
+    state[DISTANCE] = far
+    if under == DELIVERY_CELL:
+        deliver(tables, state)
+        happened = DELIVERY
+        if far == 0:
+            choose_target(tables, state)
+        state[OUTCOME] = outcome(tables, state)
+    elif battery == 0 or steps == tables.max_steps:
+        state[OUTCOME] = outcome(tables, state)
+        if state[OUTCOME] == BATTERY_DEAD:
+            happened = DEAD
+    state[EVENT] = happened
+    return reward_of(tables, rewards, state, happened, closer, potential)
 
 
-def _city_tables(task: TaskConfig) -> dict[str, Any]:
-    """What a map is drawn from.
-
-    With streets: of the kinds that stand between them (open ground among them), and of those on them, the most frequent
-    one covers all at first, and the others are drawn: the fewest draws that do.
-    """
-    counts, spacing, cells = task.cell_counts(), task.street_spacing, task.width * task.height
-    if spacing == 0:
-        kinds = [kind for kind, count in counts.items() for _ in range(count)]
-        return {
-            "blocks": 0,
-            "city_grids": np.zeros(0, np.uint8),
-            "city_cells": np.zeros(0, np.uint16),
-            "drawn_kinds": np.array(kinds, np.uint8),
-            "drawn_between": 0,
-        }
-    numbers, way = np.arange(cells), np.arange(spacing**2)[:, None]
-    across, down = numbers % task.width % spacing, numbers // task.width % spacing
-    on_street = (across == way % spacing) | (down == way // spacing)
-    blocks = (task.width - task.width // spacing) * (task.height - task.height // spacing)
-
-    between = {kind: counts[kind] for kind in (Cell.BUILDING, Cell.TREE)}
-    along = {kind: counts[kind] for kind in (Cell.OBSTACLE, Cell.PAD)}
-    between[Cell.ROAD] = blocks - sum(between.values())
-    along[Cell.ROAD] = cells - blocks - 1 - task.deliveries - sum(along.values())
-    covers: list[Cell] = []
-    kinds: list[Cell] = []
-    for placed in between, along:
-        cover, *others = sorted(placed, key=lambda kind: (-placed[kind], kind))
-        covers.append(cover)
-        kinds += [kind for kind in others for _ in range(placed[kind])]
-    return {
-        "blocks": blocks,
-        "city_grids": np.ravel(np.where(on_street, covers[1], covers[0])).astype(np.uint8),
-        "city_cells": np.ravel(np.argsort(on_street, axis=1, kind="stable")).astype(np.uint16),
-        "drawn_kinds": np.array(kinds, np.uint8),
-        "drawn_between": blocks - between[covers[0]],
-    }
+def deliver(tables: Tables, state: Buffer) -> None:
+    """Deliver the parcel that waits for the drone on its cell."""
+    state[UNDER] = DELIVERED_CELL
+    state[DELIVERIES] += 1
+    for i in range(PARCELS, PARCELS + tables.deliveries):
+        if state[i] == state[CELL]:
+            state[i] += DELIVERED_FLAG
 
 
-@lru_cache(maxsize=64)
-def interpreted(task: TaskConfig) -> Rules:
-    """The same tables as memory views, for interpreted code."""
-    return as_views(tabulate(task))
+def choose_target(tables: Tables, state: Buffer) -> None:
+    """Make the nearest undelivered parcel the current target (the first of equally near ones)."""
+    state[TARGET] = NOWHERE
+    state[DISTANCE] = 0
+    for i in range(PARCELS, PARCELS + tables.deliveries):
+        if state[i] < DELIVERED_FLAG:
+            far = distance(tables, state[CELL], state[i])
+            if state[TARGET] == NOWHERE or far < state[DISTANCE]:
+                state[TARGET] = state[i]
+                state[DISTANCE] = far
 
 
-def view(array: npt.NDArray[Any]) -> Any:
-    """The memory of an array as a memory view, whose items are plain Python numbers and fast to get at."""
-    memory: Any = array
-    return memoryview(memory)
+def outcome(tables: Tables, state: Buffer) -> int:
+    """How the episode stands after a step."""
+    return outcome_of(tables, state[DELIVERIES], state[BATTERY], state[STEPS])
 
 
-def as_views(tables: Tables) -> Tables:
-    """A named tuple of tables with a memory view for each array."""
-    items: tuple[Any, ...] = tables
-    return type(tables)(*(view(item) if hasattr(item, "dtype") else item for item in items))
-
-
-def read_only(tables: Tables) -> Tables:
-    """The same named tuple, its arrays closed to writing."""
-    for table in tables:
-        if isinstance(table, np.ndarray):
-            table.setflags(write=False)
-    return tables
+def outcome_of(tables: Tables, deliveries: int, battery: int, steps: int) -> int:
+    """The same, of the three numbers that decide it."""
+    if deliveries == tables.deliveries:
+        return DELIVERED
+    if battery == 0:
+        return BATTERY_DEAD
+    if steps == tables.max_steps:
+        return OUT_OF_STEPS
+    return FLYING

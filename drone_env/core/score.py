@@ -1,6 +1,6 @@
 """The graded score: the one formula behind graders, observations, rewards and solvers."""
 
-from drone_env.core.rules import BATTERY, DELIVERIES, STEPS, Buffer, Rules
+from drone_env.core.tables import BATTERY, DELIVERIES, STEPS, Buffer, Tables
 
 LOWEST = 0.01
 HIGHEST = 0.99
@@ -20,16 +20,16 @@ def score_of(
     return min(max(tenths / (10 * total * capacity * max_steps), LOWEST), HIGHEST)
 
 
-def score(rules: Rules, row: Buffer) -> float:
+def score(tables: Tables, state: Buffer) -> float:
     """The score of the episode as it stands: provisional until it has ended."""
     return score_of(
-        row[DELIVERIES],
-        rules.deliveries,
-        row[BATTERY],
-        rules.capacity,
-        row[STEPS],
-        rules.max_steps,
-        rules.efficiency_needs_all,
+        state[DELIVERIES],
+        tables.deliveries,
+        state[BATTERY],
+        tables.capacity,
+        state[STEPS],
+        tables.max_steps,
+        tables.efficiency_needs_all,
     )
 
 
@@ -37,12 +37,12 @@ EFFICIENCY_WEIGHTS = {"parcels delivered": 75, "battery left": 15, "steps left":
 """What the efficiency is made of, in percent: a figure for people to look at, paid nowhere."""
 
 
-def efficiency_shares(rules: Rules, row: Buffer) -> tuple[float, float, float]:
+def efficiency_shares(tables: Tables, state: Buffer) -> tuple[float, float, float]:
     """The share of each part of the efficiency, 0 to 1, in the order of `EFFICIENCY_WEIGHTS`."""
-    return row[DELIVERIES] / rules.deliveries, row[BATTERY] / rules.capacity, 1 - row[STEPS] / rules.max_steps
+    return state[DELIVERIES] / tables.deliveries, state[BATTERY] / tables.capacity, 1 - state[STEPS] / tables.max_steps
 
 
-def efficiency(rules: Rules, row: Buffer) -> float:
+def efficiency(tables: Tables, state: Buffer) -> float:
     """The weighted sum of the shares, 0 to 100."""
-    shares = efficiency_shares(rules, row)
+    shares = efficiency_shares(tables, state)
     return sum(weight * share for weight, share in zip(EFFICIENCY_WEIGHTS.values(), shares, strict=True))

@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from drone_env.agents import Agent, make_agent
 from drone_env.core.actions import N_ACTIONS, Event
+from drone_env.core.episode import Episode, Observation
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
-from drone_env.core.state_manager import Episode, Observation
 from drone_env.datasets.config import DatasetConfig
 from drone_env.planning.exact import ExactSolver
 

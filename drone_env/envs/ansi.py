@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from drone_env.core.cells import CELL_KINDS, Cell
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 
 ROAD = "· "
 """Quieter than the emoji of a road, of which a city has too many."""

@@ -8,8 +8,8 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
 from drone_env.core.actions import N_ACTIONS
+from drone_env.core.episode import Episode, Observation
 from drone_env.core.rewards import RewardProfile
-from drone_env.core.state_manager import Episode, Observation
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.ansi import draw_text
 from drone_env.envs.registration import check_gym_id

@@ -15,8 +15,8 @@ from PIL import Image, ImageDraw, ImageFilter, ImageFont
 
 from drone_env.core.actions import Outcome
 from drone_env.core.cells import CELL_KINDS, Cell
+from drone_env.core.episode import Episode
 from drone_env.core.grid_generator import generate_city_map
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs.figures import PALETTE, Point, around, draw_figure, stroke
 from drone_env.errors import InvalidValueError

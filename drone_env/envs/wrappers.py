@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from drone_env.core.cells import N_CELL_KINDS
-from drone_env.core.state_manager import Observation
+from drone_env.core.episode import Observation
 from drone_env.envs.ansi import SYMBOLS, TARGET, draw_text
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 

@@ -6,8 +6,8 @@ from typing import cast
 from pydantic import Field, TypeAdapter, ValidationError
 from typing_extensions import Self
 
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.episodes.record import AgentLabel, EpisodeRecord, record_of
 from drone_env.errors import EpisodeError, InvalidValueError

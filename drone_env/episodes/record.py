@@ -13,8 +13,8 @@ from pydantic import Field, ValidationError, WithJsonSchema, field_validator, mo
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.files import replacing

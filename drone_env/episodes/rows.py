@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 from drone_env.core.actions import Action
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.episodes.analysis import FinishedRow
 from drone_env.episodes.finished import StoredEpisode
 from drone_env.episodes.record import parse_record
 from drone_env.episodes.sessions import SessionRow
+from drone_env.episodes.statistics import FinishedRow
 from drone_env.errors import NoSessionError, SessionGoneError
 
 FINISHED_SECONDS = 30.0

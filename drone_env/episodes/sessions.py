@@ -8,9 +8,9 @@ from datetime import datetime
 from typing import SupportsIndex, cast
 
 from drone_env.core.actions import N_ACTIONS
+from drone_env.core.episode import ALLOWED_ACTIONS, Episode
 from drone_env.core.rewards import get_reward_profile
 from drone_env.core.seeds import check_seed
-from drone_env.core.state_manager import ALLOWED_ACTIONS, Episode
 from drone_env.core.tasks import get_task
 from drone_env.episodes.finished import StoredEpisode, check_agent
 from drone_env.errors import EpisodeError, InvalidValueError, SessionGoneError, WithdrawnError

@@ -13,9 +13,8 @@ from pathlib import Path
 
 from typing_extensions import Self
 
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.episodes.analysis import Analysis, FinishedRow, analyse
 from drone_env.episodes.clock import steady_clock
 from drone_env.episodes.database import BUSY_SECONDS, Database
 from drone_env.episodes.finished import StoredEpisode, check_agent
@@ -38,6 +37,7 @@ from drone_env.episodes.rows import (
     update_session,
 )
 from drone_env.episodes.sessions import EPISODE_ID, SessionRow, known_task, new_episode_id
+from drone_env.episodes.statistics import Analysis, FinishedRow, analyse
 from drone_env.errors import CapacityError, InvalidValueError, UnknownNameError
 
 FILE_NAME = "drone_env.sqlite3"

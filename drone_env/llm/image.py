@@ -13,7 +13,7 @@ import httpx
 
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError
 from drone_env.models import DroneObservation
 

@@ -11,8 +11,8 @@ limited is Inspect's affair: a call that fails makes its sample an error, which 
 import math
 from typing import Any
 
+from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.episodes.record import record_of
 from drone_env.errors import InvalidValueError, MissingPackageError

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer, Outcome, read_answer

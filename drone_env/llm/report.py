@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from drone_env.analysis import analyse_flight
 from drone_env.errors import CheckpointError, TooLargeError, UnsupportedTaskError
-from drone_env.evaluation import EpisodeResults, episodes_key, run_episodes
+from drone_env.evaluation.analysis import analyse_flight
+from drone_env.evaluation.episodes import EpisodeResults, episodes_key, run_episodes
 from drone_env.files import replacing
 from drone_env.llm.answers import OUTCOMES
 from drone_env.llm.limits import Prices

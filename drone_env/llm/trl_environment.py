@@ -17,8 +17,8 @@ trainer = GRPOTrainer(
 from typing import TYPE_CHECKING, Any
 
 from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError
 from drone_env.llm.prompt import FOLDER, below_text, first_messages, read_prompt, repair_text

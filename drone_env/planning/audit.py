@@ -17,9 +17,11 @@ from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
 from drone_env.core.cells import Cell
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import distance
-from drone_env.core.dynamics import step
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, profile_for_discount, tabulate_rewards
-from drone_env.core.rules import (
+from drone_env.core.rules import step
+from drone_env.core.score import score
+from drone_env.core.tables import (
     BATTERY,
     CELL,
     DELIVERIES,
@@ -28,11 +30,9 @@ from drone_env.core.rules import (
     STEPS,
     TARGET,
     UNDER,
-    Rules,
+    Tables,
     tabulate,
 )
-from drone_env.core.score import score
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.planning.map_graph import (
@@ -54,10 +54,10 @@ NOISE = 1e-14
 """And if they differ by less than this share of the largest single reward: returns are sums of rounded numbers."""
 
 
-def number_of(row: Any, parcels: Any, cell: int) -> int:
+def number_of(state: Any, parcels: Any, cell: int) -> int:
     """Which of the parcels lies on a cell."""
     for i in range(len(parcels)):
-        if row[parcels[i]] == cell:
+        if state[parcels[i]] == cell:
             return i
     return 0
 
@@ -68,12 +68,12 @@ register_jitable(**compiled.OPTIONS)(number_of)
 # It allocates two small arrays, so it needs the runtime that the other kernels do without.
 @compiled_once(nogil=True, error_model="numpy")
 def audit_kernel(
-    rules: Rules,
+    tables: Tables,
     rewards: Rewards,
     gamma: float,
     noise: float,
     grid: Any,
-    row: Any,
+    state: Any,
     parcels: Any,
     first_step: int,
     lowest: Any,
@@ -85,13 +85,13 @@ def audit_kernel(
     """Fill the tables from the last step backwards.
 
     Args:
-        rules: The task's tables.
+        tables: The task's tables.
         rewards: The profile's tables.
         gamma: The learner's discount.
         noise: What returns may differ by, by rounding alone.
         grid: uint8[cells], without the drone; left as it was.
-        row: uint16[row size], working memory.
-        parcels: int64[n], the entries of `row` that hold the parcels still to deliver.
+        state: uint16[state size], working memory.
+        parcels: int64[n], the entries of `state` that hold the parcels still to deliver.
         first_step: Steps taken when the planning starts.
         lowest: int64[T + 1], the lowest battery that can be left after each step.
         sizes: int64[T], how many values of the battery from there on.
@@ -105,36 +105,36 @@ def audit_kernel(
     for t in range(len(sizes) - 1, -1, -1):
         now, later = t & 1, 1 - (t & 1)
         for delivered in range((1 << n) - 1):
-            put_parcels(rules, grid, row, parcels, delivered)
+            put_parcels(tables, grid, state, parcels, delivered)
             for target in range(n):
                 if delivered >> target & 1:
                     continue
-                target_cell = row[parcels[target]]
-                for cell in range(rules.cells):
+                target_cell = state[parcels[target]]
+                for cell in range(tables.cells):
                     under = grid[cell]
-                    if under == DELIVERY or rules.impassable[under]:
+                    if under == DELIVERY or tables.impassable[under]:
                         continue
                     for units in range(sizes[t]):
                         for action in range(N_ACTIONS):
-                            put_drone(rules, grid, row, cell, first_step + t, lowest[t] + units)
-                            row[TARGET] = target_cell
-                            row[DISTANCE] = distance(rules, cell, target_cell)
-                            before = row[DELIVERIES]
-                            returns[action] = step(rules, rewards, grid, row, action)
-                            arrived = row[DELIVERIES] != before
-                            if row[OUTCOME] != FLYING:
-                                scores[action] = score(rules, row)
+                            put_drone(tables, grid, state, cell, first_step + t, lowest[t] + units)
+                            state[TARGET] = target_cell
+                            state[DISTANCE] = distance(tables, cell, target_cell)
+                            before = state[DELIVERIES]
+                            returns[action] = step(tables, rewards, grid, state, action)
+                            arrived = state[DELIVERIES] != before
+                            if state[OUTCOME] != FLYING:
+                                scores[action] = score(tables, state)
                             else:
-                                left = row[BATTERY] - lowest[t + 1]
+                                left = state[BATTERY] - lowest[t + 1]
                                 after, aim = delivered, target
                                 if arrived:
-                                    after = delivered_set(row, parcels)
-                                    aim = number_of(row, parcels, row[TARGET])
-                                returns[action] += gamma * values[later, left, after, aim, row[CELL]]
-                                scores[action] = lows[later, left, after, aim, row[CELL]]
-                            grid[row[CELL]] = row[UNDER]
+                                    after = delivered_set(state, parcels)
+                                    aim = number_of(state, parcels, state[TARGET])
+                                returns[action] += gamma * values[later, left, after, aim, state[CELL]]
+                                scores[action] = lows[later, left, after, aim, state[CELL]]
+                            grid[state[CELL]] = state[UNDER]
                             if arrived:
-                                put_parcels(rules, grid, row, parcels, delivered)
+                                put_parcels(tables, grid, state, parcels, delivered)
                             grid[cell] = under
                         best = returns.max()
                         tie = TIE * np.abs(returns).max() + noise
@@ -221,25 +221,25 @@ def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardPro
 def _maximise(episode: Episode, profile: RewardProfile, gamma: float) -> tuple[list[Action], float]:
     """The actions and the return of the return-maximising flight with the lowest score."""
     task = episode.task
-    rules = tabulate(task)
-    grid, row, parcels = state_arrays(episode)
-    first_step, battery = int(row[STEPS]), int(row[BATTERY])
+    tables = tabulate(task)
+    grid, state, parcels = state_arrays(episode)
+    first_step, battery = int(state[STEPS]), int(state[BATTERY])
     lowest, sizes = battery_ranges(battery, *drain_range(task), task, task.max_steps - first_step)
-    shape = (int(sizes.max()), 1 << len(parcels), len(parcels), rules.cells)
+    shape = (int(sizes.max()), 1 << len(parcels), len(parcels), tables.cells)
     size = int(np.prod(shape, dtype=object)) * (len(sizes) + 32)
     require_memory("the audit", task, size)
     values, lows = np.zeros((2, 2, *shape))
     choices = np.zeros((len(sizes), *shape), np.uint8)
-    start, aim = int(row[CELL]), number_of(row, parcels, int(row[TARGET]))
+    start, aim = int(state[CELL]), number_of(state, parcels, int(state[TARGET]))
     rewards = tabulate_rewards(task, profile)
     largest = max(np.abs(rewards.events).max(), np.abs(rewards.potential).max())
     audit_kernel(
-        rules,
+        tables,
         rewards,
         gamma,
         NOISE * float(largest),
         grid,
-        row,
+        state,
         parcels,
         first_step,
         lowest,
@@ -261,9 +261,9 @@ def _maximise(episode: Episode, profile: RewardProfile, gamma: float) -> tuple[l
 
 def _where(flight: Episode, parcels: npt.NDArray[np.int64]) -> tuple[int, int, tuple[int, int]]:
     """(cell, battery, (delivered set, number of the target)) of an episode."""
-    row = np.frombuffer(flight.get_state().row, np.uint16)
-    entries = delivered_set(row, parcels), number_of(row, parcels, int(row[TARGET]))
-    return int(row[CELL]), int(row[BATTERY]), entries
+    state = np.frombuffer(flight.get_state().numbers, np.uint16)
+    entries = delivered_set(state, parcels), number_of(state, parcels, int(state[TARGET]))
+    return int(state[CELL]), int(state[BATTERY]), entries
 
 
 def _fly(episode: Episode, actions: tuple[Action, ...], gamma: float) -> float:

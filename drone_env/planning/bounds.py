@@ -4,10 +4,10 @@ from collections import deque
 from typing import NamedTuple
 
 from drone_env.core.actions import N_ACTIONS, Action, Event
+from drone_env.core.episode import Episode
 from drone_env.core.obstacles import collision
-from drone_env.core.rules import Buffer, Rules, interpreted, view
 from drone_env.core.score import score_of
-from drone_env.core.state_manager import Episode
+from drone_env.core.tables import Buffer, Tables, interpreted, view
 from drone_env.planning.greedy import greedy_action
 from drone_env.planning.held_karp import UNREACHED, held_karp
 from drone_env.planning.map_graph import drain_range
@@ -40,18 +40,18 @@ def bounds(episode: Episode) -> Bounds:
 
 
 def _upper(episode: Episode) -> float:
-    task, rules = episode.task, interpreted(episode.task)
+    task, tables = episode.task, interpreted(episode.task)
     if episode.ended:
         return episode.score
     waiting = [y * task.width + x for x, y, delivered in episode.parcels if not delivered]
     x, y = episode.position
     steps_left = task.max_steps - episode.steps
     grid = view(episode.grid().ravel())
-    first = _steps_to(rules, grid, y * task.width + x)
+    first = _steps_to(tables, grid, y * task.width + x)
     near = [cell for cell in waiting if first[cell] <= steps_left]
     reached, steps = len(near), max((first[cell] for cell in near), default=0)
     if 0 < len(near) <= MAX_TOURED:
-        legs = [[from_here[b] for b in near] for from_here in (_steps_to(rules, grid, a) for a in near)]
+        legs = [[from_here[b] for b in near] for from_here in (_steps_to(tables, grid, a) for a in near)]
         n = len(near)
         lengths, order = [[UNREACHED] * n for _ in range(1 << n)], [0] * n
         reached = held_karp([first[cell] for cell in near], legs, n, steps_left, lengths, order)
@@ -60,10 +60,10 @@ def _upper(episode: Episode) -> float:
     least_drain, _ = drain_range(task)
 
     def score(deliveries: int, after: int) -> float:
-        battery = rules.capacity if charges else max(episode.battery_units - least_drain * after, 0)
+        battery = tables.capacity if charges else max(episode.battery_units - least_drain * after, 0)
         at = episode.steps + after
         return score_of(
-            deliveries, task.deliveries, battery, rules.capacity, at, task.max_steps, task.efficiency_needs_all
+            deliveries, task.deliveries, battery, tables.capacity, at, task.max_steps, task.efficiency_needs_all
         )
 
     done = episode.deliveries_done
@@ -73,16 +73,16 @@ def _upper(episode: Episode) -> float:
     return score(done + reached, 1)
 
 
-def _steps_to(rules: Rules, grid: Buffer, start: int) -> list[int]:
+def _steps_to(tables: Tables, grid: Buffer, start: int) -> list[int]:
     """The fewest steps from a cell to each other, `UNREACHED` where nothing leads."""
-    steps = [UNREACHED] * rules.cells
+    steps = [UNREACHED] * tables.cells
     steps[start] = 0
     queue = deque([start])
     while queue:
         cell = queue.popleft()
         for action in range(Action.WAIT):
-            to = rules.moves[cell * N_ACTIONS + action]
-            if collision(rules, grid, to) == Event.NONE and steps[to] == UNREACHED:
+            to = tables.moves[cell * N_ACTIONS + action]
+            if collision(tables, grid, to) == Event.NONE and steps[to] == UNREACHED:
                 steps[to] = steps[cell] + 1
                 queue.append(to)
     return steps

@@ -17,10 +17,10 @@ from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Action, Outcome
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import units_left
-from drone_env.core.dynamics import outcome_of
-from drone_env.core.rules import BATTERY, CELL, DELIVERED_FLAG, PARCELS, STEPS, Rules, tabulate
+from drone_env.core.episode import ALLOWED_ACTIONS, Episode
+from drone_env.core.rules import outcome_of
 from drone_env.core.score import score_of
-from drone_env.core.state_manager import ALLOWED_ACTIONS, Episode
+from drone_env.core.tables import BATTERY, CELL, DELIVERED_FLAG, PARCELS, STEPS, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.planning.map_graph import (
@@ -38,25 +38,25 @@ ANOTHER = "this episode cannot have come from the one that was solved: make a so
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
-def score_kernel(rules: Rules, scores: Any) -> None:
+def score_kernel(tables: Tables, scores: Any) -> None:
     """Write the score of every end into float64[deliveries + 1, capacity + 1, max_steps + 1]."""
     for deliveries in range(scores.shape[0]):
         for battery in range(scores.shape[1]):
             for steps in range(scores.shape[2]):
                 scores[deliveries, battery, steps] = score_of(
                     deliveries,
-                    rules.deliveries,
+                    tables.deliveries,
                     battery,
-                    rules.capacity,
+                    tables.capacity,
                     steps,
-                    rules.max_steps,
-                    rules.efficiency_needs_all,
+                    tables.max_steps,
+                    tables.efficiency_needs_all,
                 )
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
 def value_kernel(
-    rules: Rules,
+    tables: Tables,
     leads_to: Any,
     drain: Any,
     done: Any,
@@ -69,7 +69,7 @@ def value_kernel(
     """Fill `values` from the last step backwards.
 
     Args:
-        rules: The task's tables.
+        tables: The task's tables.
         leads_to: int32[places, 5], see `MapGraph`.
         drain: int16[places, 5], see `MapGraph`.
         done: int64[2^n], parcels delivered in all for each delivered set.
@@ -90,9 +90,9 @@ def value_kernel(
                 best = 0
                 for action in range(N_ACTIONS):
                     to = leads_to[place, action]
-                    battery = units_left(rules, lowest[t] + j, drain[place, action])
-                    deliveries = done[to // rules.cells]
-                    if outcome_of(rules, deliveries, battery, steps) != FLYING:
+                    battery = units_left(tables, lowest[t] + j, drain[place, action])
+                    deliveries = done[to // tables.cells]
+                    if outcome_of(tables, deliveries, battery, steps) != FLYING:
                         rank = np.int64(ranks[deliveries, battery, steps])
                     else:
                         rank = np.int64(values[starts[t + 1] + (battery - lowest[t + 1]) * places + to])
@@ -129,8 +129,8 @@ class ExactSolver:
         task = episode.task
         self._start = episode.get_state()
         self._task = task
-        self._grid, row, self._parcels = state_arrays(episode)
-        self._first_step, battery = int(row[STEPS]), int(row[BATTERY])
+        self._grid, state, self._parcels = state_arrays(episode)
+        self._first_step, battery = int(state[STEPS]), int(state[BATTERY])
         self._places = len(self._grid) << len(self._parcels)
         ends = (task.deliveries + 1) * (task.battery_capacity + 1) * (task.max_steps + 1)
         require_memory("the exact values", task, 12 * ends + 30 * self._places)
@@ -144,7 +144,7 @@ class ExactSolver:
         self._leads_to, self._drain, self._ranks = graph.leads_to, graph.drain, ranks
         self._values = np.zeros(int(self._starts[-1]), ranks.dtype)
         value_kernel(
-            graph.rules,
+            graph.tables,
             graph.leads_to,
             graph.drain,
             self._done,
@@ -154,7 +154,7 @@ class ExactSolver:
             self._first_step,
             self._values,
         )
-        self._rules = graph.rules
+        self._tables = graph.tables
 
     @property
     def nbytes(self) -> int:
@@ -172,9 +172,9 @@ class ExactSolver:
         ranks = np.zeros(N_ACTIONS, np.int64)
         for action in range(N_ACTIONS):
             to = int(self._leads_to[place, action])
-            left = units_left(self._rules, battery, int(self._drain[place, action]))
-            deliveries = int(self._done[to // self._rules.cells])
-            if outcome_of(self._rules, deliveries, left, steps + 1) != FLYING:
+            left = units_left(self._tables, battery, int(self._drain[place, action]))
+            deliveries = int(self._done[to // self._tables.cells])
+            if outcome_of(self._tables, deliveries, left, steps + 1) != FLYING:
                 ranks[action] = self._ranks[deliveries, left, steps + 1]
             else:
                 index = int(self._starts[t + 1]) + (left - int(self._lowest[t + 1])) * self._places + to
@@ -223,26 +223,26 @@ class ExactSolver:
         """(place, steps, battery) of an episode."""
         if episode.ended:
             raise EpisodeError("the episode has ended: there is no action left to value")
-        grid, row, _ = state_arrays(episode)
-        if not self._same_map(episode, grid, row):
+        grid, state, _ = state_arrays(episode)
+        if not self._same_map(episode, grid, state):
             raise EpisodeError(ANOTHER)
-        t, battery = int(row[STEPS]) - self._first_step, int(row[BATTERY])
-        place = delivered_set(row, self._parcels) * self._rules.cells + int(row[CELL])
+        t, battery = int(state[STEPS]) - self._first_step, int(state[BATTERY])
+        place = delivered_set(state, self._parcels) * self._tables.cells + int(state[CELL])
         possible = (
             t >= 0
-            and np.all(np.delete(row, self._parcels)[PARCELS:] >= DELIVERED_FLAG)
+            and np.all(np.delete(state, self._parcels)[PARCELS:] >= DELIVERED_FLAG)
             and int(self._leads_to[place, 0]) >= 0
             and self._lowest[t] <= battery < self._lowest[t] + (self._starts[t + 1] - self._starts[t]) // self._places
         )
         if not possible:
             raise EpisodeError(ANOTHER)
-        return place, int(row[STEPS]), battery
+        return place, int(state[STEPS]), battery
 
-    def _same_map(self, episode: Episode, grid: npt.NDArray[np.uint8], row: npt.NDArray[np.uint16]) -> bool:
-        """Whether an episode, with this grid (which is overwritten) and row, is of the map that was solved."""
+    def _same_map(self, episode: Episode, grid: npt.NDArray[np.uint8], state: npt.NDArray[np.uint16]) -> bool:
+        """Whether an episode, with this grid (which is overwritten) and state, is of the map that was solved."""
         if (episode.task, episode.seed) != (self._task, self._start.seed):
             return False
-        parcels = row[PARCELS:] % DELIVERED_FLAG
+        parcels = state[PARCELS:] % DELIVERED_FLAG
         grid[parcels] = self._grid[parcels]  # whether delivered or not
-        start = np.frombuffer(self._start.row, np.uint16)
+        start = np.frombuffer(self._start.numbers, np.uint16)
         return np.array_equal(parcels, start[PARCELS:] % DELIVERED_FLAG) and np.array_equal(grid, self._grid)

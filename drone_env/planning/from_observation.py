@@ -5,9 +5,10 @@ import numpy.typing as npt
 
 from drone_env.core.actions import Event
 from drone_env.core.cells import N_CELL_KINDS, Cell
-from drone_env.core.dynamics import choose_target, outcome
+from drone_env.core.episode import Episode, EpisodeState, Observation
 from drone_env.core.rewards import get_reward_profile
-from drone_env.core.rules import (
+from drone_env.core.rules import choose_target, outcome
+from drone_env.core.tables import (
     BATTERY,
     CELL,
     DELIVERED_FLAG,
@@ -18,37 +19,36 @@ from drone_env.core.rules import (
     STEPS,
     UNDER,
     interpreted,
-    row_size,
+    state_size,
     view,
 )
-from drone_env.core.state_manager import Episode, EpisodeState, Observation
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.planning.greedy import drone_position
 
 
 def episode_of(task: TaskConfig, observation: Observation) -> Episode:
     """An episode that shows this observation. Parcels are numbered in reading order, its seed is 0."""
-    rules = interpreted(task)
+    tables = interpreted(task)
     grid = np.ravel(observation["grid"]).copy()
     telemetry = observation["telemetry"].tolist()
     x, y = drone_position(task, observation)
-    row = np.zeros(row_size(rules), np.uint16)
-    row[CELL] = y * task.width + x
-    row[BATTERY] = round(telemetry[2] * task.battery_capacity)
-    left = round(telemetry[5] * task.max_steps) if len(telemetry) > 5 else int(row[BATTERY])
-    row[STEPS] = task.max_steps - left
-    row[EVENT] = Event.NONE
-    row[UNDER] = TERRAIN[telemetry[6:].index(1)] if len(telemetry) > 6 else hidden_kind(task, grid)
-    grid[row[CELL]] = row[UNDER]
+    state = np.zeros(state_size(tables), np.uint16)
+    state[CELL] = y * task.width + x
+    state[BATTERY] = round(telemetry[2] * task.battery_capacity)
+    left = round(telemetry[5] * task.max_steps) if len(telemetry) > 5 else int(state[BATTERY])
+    state[STEPS] = task.max_steps - left
+    state[EVENT] = Event.NONE
+    state[UNDER] = TERRAIN[telemetry[6:].index(1)] if len(telemetry) > 6 else hidden_kind(task, grid)
+    grid[state[CELL]] = state[UNDER]
     waiting, delivered = (np.flatnonzero(grid == kind) for kind in (Cell.DELIVERY, Cell.DELIVERED))
-    row[PARCELS:] = np.concatenate([waiting, delivered + DELIVERED_FLAG])
-    row[DELIVERIES] = len(delivered)
-    row[OUTCOME] = outcome(rules, view(row))
-    grid[row[CELL]] = Cell.DRONE
-    choose_target(rules, view(row))
+    state[PARCELS:] = np.concatenate([waiting, delivered + DELIVERED_FLAG])
+    state[DELIVERIES] = len(delivered)
+    state[OUTCOME] = outcome(tables, view(state))
+    grid[state[CELL]] = Cell.DRONE
+    choose_target(tables, view(state))
     profile = get_reward_profile("score")
     episode = Episode(task, profile)
-    episode.set_state(EpisodeState(task, profile, 0, grid.tobytes(), row.tobytes(), 0.0, 0.0, ()))
+    episode.set_state(EpisodeState(task, profile, 0, grid.tobytes(), state.tobytes(), 0.0, 0.0, ()))
     return episode
 
 

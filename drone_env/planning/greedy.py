@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Observation
+from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.paths import Position, towards, towards_batch
 

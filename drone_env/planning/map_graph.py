@@ -15,9 +15,10 @@ from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Outcome
 from drone_env.core.cells import Cell
 from drone_env.core.compile_cache import compiled_once
-from drone_env.core.dynamics import choose_target, step
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile, Rewards, tabulate_rewards
-from drone_env.core.rules import (
+from drone_env.core.rules import choose_target, step
+from drone_env.core.tables import (
     BATTERY,
     CELL,
     DELIVERED_FLAG,
@@ -26,10 +27,9 @@ from drone_env.core.rules import (
     PARCELS,
     STEPS,
     UNDER,
-    Rules,
+    Tables,
     tabulate,
 )
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError
 
@@ -42,43 +42,43 @@ MAX_BYTES = 1 << 30
 """Working memory that a planner may take for one map."""
 
 
-def put_parcels(rules: Rules, grid: Any, row: Any, parcels: Any, delivered: int) -> None:
+def put_parcels(tables: Tables, grid: Any, state: Any, parcels: Any, delivered: int) -> None:
     """Set which of the parcels are delivered, in a state without a drone on its grid.
 
     Args:
-        rules: The task's tables.
+        tables: The task's tables.
         grid: uint8[cells], without the drone.
-        row: uint16[row size].
-        parcels: int64[n], the entries of `row` that hold the parcels that were waiting at the start.
+        state: uint16[state size].
+        parcels: int64[n], the entries of `state` that hold the parcels that were waiting at the start.
         delivered: Bit i for parcel i of these.
     """
-    row[DELIVERIES] = rules.deliveries - len(parcels)
+    state[DELIVERIES] = tables.deliveries - len(parcels)
     for i in range(len(parcels)):
-        cell = row[parcels[i]] & (DELIVERED_FLAG - 1)
+        cell = state[parcels[i]] & (DELIVERED_FLAG - 1)
         if delivered >> i & 1:
-            row[parcels[i]] = cell + DELIVERED_FLAG
-            row[DELIVERIES] += 1
+            state[parcels[i]] = cell + DELIVERED_FLAG
+            state[DELIVERIES] += 1
             grid[cell] = DELIVERED
         else:
-            row[parcels[i]] = cell
+            state[parcels[i]] = cell
             grid[cell] = DELIVERY
 
 
-def put_drone(rules: Rules, grid: Any, row: Any, cell: int, steps: int, battery: int) -> None:
+def put_drone(tables: Tables, grid: Any, state: Any, cell: int, steps: int, battery: int) -> None:
     """Put the drone over a cell of a grid that has none, in flight; the caller chooses the target."""
-    row[CELL] = cell
-    row[UNDER] = grid[cell]
-    row[STEPS] = steps
-    row[BATTERY] = battery
-    row[OUTCOME] = FLYING
+    state[CELL] = cell
+    state[UNDER] = grid[cell]
+    state[STEPS] = steps
+    state[BATTERY] = battery
+    state[OUTCOME] = FLYING
     grid[cell] = DRONE
 
 
-def delivered_set(row: Any, parcels: Any) -> int:
+def delivered_set(state: Any, parcels: Any) -> int:
     """Which of the parcels are delivered, bit i for parcel i."""
     delivered = 0
     for i in range(len(parcels)):
-        if row[parcels[i]] >= DELIVERED_FLAG:
+        if state[parcels[i]] >= DELIVERED_FLAG:
             delivered |= 1 << i
     return delivered
 
@@ -88,33 +88,33 @@ for function in (put_parcels, put_drone, delivered_set):
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
-def explore(rules: Rules, rewards: Rewards, grid: Any, row: Any, parcels: Any, leads_to: Any, drain: Any) -> None:
+def explore(tables: Tables, rewards: Rewards, grid: Any, state: Any, parcels: Any, leads_to: Any, drain: Any) -> None:
     """Fly every action from every place that the drone can be at.
 
     A step from a full battery shows a drain, a step with one unit left shows a charge. With all parcels delivered the
     episode is over: those places lead nowhere.
     """
     for delivered in range((1 << len(parcels)) - 1):
-        for cell in range(rules.cells):
-            put_parcels(rules, grid, row, parcels, delivered)
-            if grid[cell] == DELIVERY or rules.impassable[grid[cell]]:
+        for cell in range(tables.cells):
+            put_parcels(tables, grid, state, parcels, delivered)
+            if grid[cell] == DELIVERY or tables.impassable[grid[cell]]:
                 continue
             under = grid[cell]
-            place = delivered * rules.cells + cell
+            place = delivered * tables.cells + cell
             for action in range(N_ACTIONS):
                 units = 0
-                for battery in (1, rules.capacity):
-                    put_drone(rules, grid, row, cell, 0, battery)
-                    choose_target(rules, row)
-                    step(rules, rewards, grid, row, action)
-                    after = delivered_set(row, parcels)
-                    leads_to[place, action] = after * rules.cells + row[CELL]
+                for battery in (1, tables.capacity):
+                    put_drone(tables, grid, state, cell, 0, battery)
+                    choose_target(tables, state)
+                    step(tables, rewards, grid, state, action)
+                    after = delivered_set(state, parcels)
+                    leads_to[place, action] = after * tables.cells + state[CELL]
                     if battery == 1:
-                        units = 1 - row[BATTERY]
-                    if battery == rules.capacity and row[BATTERY] < rules.capacity:
-                        units = rules.capacity - row[BATTERY]
-                    grid[row[CELL]] = row[UNDER]
-                    put_parcels(rules, grid, row, parcels, delivered)
+                        units = 1 - state[BATTERY]
+                    if battery == tables.capacity and state[BATTERY] < tables.capacity:
+                        units = tables.capacity - state[BATTERY]
+                    grid[state[CELL]] = state[UNDER]
+                    put_parcels(tables, grid, state, parcels, delivered)
                     grid[cell] = under
                 drain[place, action] = units
 
@@ -124,31 +124,31 @@ class MapGraph(NamedTuple):
 
     Attributes:
         task: The task.
-        rules: Its tables, as arrays.
+        tables: Its tables, as arrays.
         grid: uint8[cells], without the drone.
-        row: uint16[row size], the state that the planning starts from.
-        parcels: int64[n], the entries of `row` that hold the parcels still to deliver.
+        state: uint16[state size], the state that the planning starts from.
+        parcels: int64[n], the entries of `state` that hold the parcels still to deliver.
         leads_to: int32[2^n * cells, 5], the place that an action leads to; -1 from places where no drone can fly on.
         drain: int16[2^n * cells, 5], battery units that it costs, below zero where it charges.
     """
 
     task: TaskConfig
-    rules: Rules
+    tables: Tables
     grid: npt.NDArray[np.uint8]
-    row: npt.NDArray[np.uint16]
+    state: npt.NDArray[np.uint16]
     parcels: npt.NDArray[np.int64]
     leads_to: npt.NDArray[np.int32]
     drain: npt.NDArray[np.int16]
 
 
 def state_arrays(episode: Episode) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16], npt.NDArray[np.int64]]:
-    """The grid without the drone, the row, and which of its entries hold waiting parcels: copies."""
-    state = episode.get_state()
-    grid = np.frombuffer(state.grid, np.uint8).copy()
-    row = np.frombuffer(state.row, np.uint16).copy()
-    grid[row[CELL]] = row[UNDER]
-    parcels = PARCELS + np.flatnonzero(row[PARCELS:] < DELIVERED_FLAG)
-    return grid, row, parcels.astype(np.int64)
+    """The grid without the drone, the state, and which of its entries hold waiting parcels: copies."""
+    snapshot = episode.get_state()
+    grid = np.frombuffer(snapshot.grid, np.uint8).copy()
+    state = np.frombuffer(snapshot.numbers, np.uint16).copy()
+    grid[state[CELL]] = state[UNDER]
+    parcels = PARCELS + np.flatnonzero(state[PARCELS:] < DELIVERED_FLAG)
+    return grid, state, parcels.astype(np.int64)
 
 
 def map_graph(episode: Episode) -> MapGraph:
@@ -157,13 +157,13 @@ def map_graph(episode: Episode) -> MapGraph:
     Its size is 2^n * cells, for n parcels still to deliver: callers check that first.
     """
     task = episode.task
-    rules = tabulate(task)
-    grid, row, parcels = state_arrays(episode)
-    places = rules.cells << len(parcels)
+    tables = tabulate(task)
+    grid, state, parcels = state_arrays(episode)
+    places = tables.cells << len(parcels)
     leads_to = np.full((places, N_ACTIONS), -1, np.int32)
     drain = np.zeros((places, N_ACTIONS), np.int16)
-    explore(rules, tabulate_rewards(task, _UNPAID), grid.copy(), row.copy(), parcels, leads_to, drain)
-    return MapGraph(task, rules, grid, row, parcels, leads_to, drain)
+    explore(tables, tabulate_rewards(task, _UNPAID), grid.copy(), state.copy(), parcels, leads_to, drain)
+    return MapGraph(task, tables, grid, state, parcels, leads_to, drain)
 
 
 def require_memory(what: str, task: TaskConfig, size: int) -> None:

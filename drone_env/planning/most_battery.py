@@ -13,10 +13,10 @@ from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Action, Outcome
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import units_left
-from drone_env.core.dynamics import outcome_of
-from drone_env.core.rules import BATTERY, CELL, STEPS, Rules
+from drone_env.core.episode import Episode
+from drone_env.core.rules import outcome_of
 from drone_env.core.score import score_of
-from drone_env.core.state_manager import Episode
+from drone_env.core.tables import BATTERY, CELL, STEPS, Tables
 from drone_env.errors import UnsupportedTaskError
 from drone_env.planning.map_graph import done_counts, map_graph, require_memory
 
@@ -25,12 +25,12 @@ FLYING = int(Outcome.FLYING)
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
 def forward_kernel(
-    rules: Rules, leads_to: Any, drain: Any, done: Any, start: int, steps: int, most: Any, came_from: Any, best: Any
+    tables: Tables, leads_to: Any, drain: Any, done: Any, start: int, steps: int, most: Any, came_from: Any, best: Any
 ) -> float:
     """Find the best end and return its score.
 
     Args:
-        rules: The task's tables.
+        tables: The task's tables.
         leads_to: int32[places, 5], see `MapGraph`.
         drain: int16[places, 5], see `MapGraph`.
         done: int64[2^n], parcels delivered in all for each delivered set.
@@ -41,31 +41,31 @@ def forward_kernel(
         best: int64[2], receives (steps flown, place * 5 + action) of the step that leads to the best end.
     """
     highest = -1.0
-    total, full = rules.deliveries, rules.capacity
+    total, full = tables.deliveries, tables.capacity
     for t in range(len(most) - 1):
         soonest = steps + t + 1
-        if highest >= score_of(total, total, full, full, soonest, rules.max_steps, rules.efficiency_needs_all):
+        if highest >= score_of(total, total, full, full, soonest, tables.max_steps, tables.efficiency_needs_all):
             break
         for place in range(leads_to.shape[0]):
             if most[t, place] == 0:
                 continue
             for action in range(N_ACTIONS):
                 to = leads_to[place, action]
-                battery = units_left(rules, most[t, place], drain[place, action])
-                deliveries = done[to // rules.cells]
-                if outcome_of(rules, deliveries, battery, steps + t + 1) == FLYING:
+                battery = units_left(tables, most[t, place], drain[place, action])
+                deliveries = done[to // tables.cells]
+                if outcome_of(tables, deliveries, battery, steps + t + 1) == FLYING:
                     if battery > most[t + 1, to]:
                         most[t + 1, to] = battery
                         came_from[t + 1, to] = place * N_ACTIONS + action
                     continue
                 score = score_of(
                     deliveries,
-                    rules.deliveries,
+                    tables.deliveries,
                     battery,
-                    rules.capacity,
+                    tables.capacity,
                     steps + t + 1,
-                    rules.max_steps,
-                    rules.efficiency_needs_all,
+                    tables.max_steps,
+                    tables.efficiency_needs_all,
                 )
                 if score > highest:
                     highest = score
@@ -89,13 +89,13 @@ def best_actions(episode: Episode) -> list[Action]:
     size = places * (30 + 6 * (task.max_steps - episode.steps + 1))
     require_memory("the optimum", task, size)
     graph = map_graph(episode)
-    steps, start = int(graph.row[STEPS]), int(graph.row[CELL])
+    steps, start = int(graph.state[STEPS]), int(graph.state[CELL])
     most = np.zeros((task.max_steps - steps + 1, places), np.uint16)
     came_from = np.zeros(most.shape, np.int32)
-    most[0, start] = graph.row[BATTERY]
+    most[0, start] = graph.state[BATTERY]
     best = np.zeros(2, np.int64)
     forward_kernel(
-        graph.rules, graph.leads_to, graph.drain, done_counts(task, graph.parcels), start, steps, most, came_from, best
+        graph.tables, graph.leads_to, graph.drain, done_counts(task, graph.parcels), start, steps, most, came_from, best
     )
     t, arrow = best.tolist()
     actions = [Action(arrow % N_ACTIONS)]

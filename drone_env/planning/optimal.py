@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from drone_env.core.actions import Action, Event
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import TooLargeError
 from drone_env.planning.held_karp import UNREACHED, held_karp

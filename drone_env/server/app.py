@@ -1,7 +1,7 @@
 """The application, and the command that serves it.
 
-OpenEnv's server package is not imported: it costs seconds and 150 MB, most of it for Gradio. `openenv_socket` and
-`routes.openenv` speak its protocol, and `grid_world_environment` is the environment for those who bring OpenEnv.
+OpenEnv's server package is not imported: it costs seconds and 150 MB, most of it for Gradio. `openenv.socket` and
+`openenv.routes` speak its protocol, and `openenv.environment` is the environment for those who bring OpenEnv.
 """
 
 import argparse
@@ -29,16 +29,17 @@ with needs("server", __name__):
     from starlette.responses import Response
     from starlette.routing import Route, WebSocketRoute
 
-from drone_env.registry import load_plugins
-from drone_env.server.flight import DEFAULT_TASK
+from drone_env.envs.registry import load_plugins
 from drone_env.server.live.socket import LiveSocket
-from drone_env.server.openenv_socket import OpenEnvSocket
+from drone_env.server.openenv import routes as openenv
+from drone_env.server.openenv.session import DEFAULT_TASK
+from drone_env.server.openenv.socket import OpenEnvSocket
 from drone_env.server.plain_steps import PlainSteps
 from drone_env.server.predict import Networks
 from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, listen, most_connections
 from drone_env.server.request_log import LogRequests
-from drone_env.server.routes import catalogue, flight, history, openenv, replay
+from drone_env.server.routes import catalogue, flight, history, replay
 from drone_env.server.security import PAGE, protect
 from drone_env.server.settings import Settings, load_settings, misspelt_variables
 from drone_env.server.state import Shared

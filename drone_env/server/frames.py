@@ -6,8 +6,8 @@ from typing import cast
 from pydantic import Field
 
 from drone_env.core.actions import Event
+from drone_env.core.episode import Episode
 from drone_env.core.score import EFFICIENCY_WEIGHTS
-from drone_env.core.state_manager import Episode
 from drone_env.models import NAMES, Count, Direction, EventName, GroundName, Message, OutcomeName, Position, Score
 from drone_env.server.predict import Networks
 

@@ -9,9 +9,9 @@ from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig
-from drone_env.episodes.analysis import Analysis
 from drone_env.episodes.finished import check_agent
 from drone_env.episodes.rows import ListedEpisode
+from drone_env.episodes.statistics import Analysis
 from drone_env.models import (
     Count,
     Direction,

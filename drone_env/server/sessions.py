@@ -9,12 +9,12 @@ from collections import OrderedDict
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.episodes.sessions import SessionRow
 from drone_env.episodes.store import Store
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import DroneAction
-from drone_env.server.flight import flat_json, start_of
+from drone_env.server.openenv.session import flat_json, start_of
 from drone_env.server.schemas import ResetOptions
 
 ANONYMOUS = "anonymous"

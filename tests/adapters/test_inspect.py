@@ -10,7 +10,7 @@ import pytest
 
 from drone_env.core.seeds import SPLITS
 from drone_env.episodes.record import EpisodeRecord, replay
-from drone_env.evaluation import episodes_key, run_episodes
+from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.planning.optimal import solve
 from tests.llm.conftest import Endpoint, environment
 

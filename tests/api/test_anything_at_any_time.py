@@ -14,7 +14,7 @@ import websockets.exceptions
 import websockets.sync.client as websockets_client
 
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from tests.api.serving import Server
 

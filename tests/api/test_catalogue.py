@@ -14,7 +14,7 @@ from drone_env import __version__
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.models import DroneObservation
 from drone_env.server.app import create_app

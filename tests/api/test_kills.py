@@ -12,7 +12,7 @@ import websockets.sync.client
 
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.episodes.record import replay
 from drone_env.episodes.store import Store
 from drone_env.planning.optimal import solve

@@ -10,13 +10,13 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.agents import make_agent
-from drone_env.analysis import FlightAnalysis, analyse_flight
 from drone_env.core.actions import Action
 from drone_env.core.cells import CELL_KINDS
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.episodes.store import Store
+from drone_env.evaluation.analysis import FlightAnalysis, analyse_flight
 from drone_env.planning.optimal import solve
 from drone_env.server.state import STUDIES, WAITING_STUDIES
 

@@ -13,14 +13,14 @@ from pydantic_core import to_json
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.episodes.store import FILE_NAME
 from drone_env.models import observation_fields
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
-from drone_env.server.flight import Flight
-from drone_env.server.openenv_socket import Connection, OpenEnvSocket
+from drone_env.server.openenv.session import Flight
+from drone_env.server.openenv.socket import Connection, OpenEnvSocket
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock

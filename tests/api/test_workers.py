@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from drone_env.client import DroneEnvClient
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.planning.optimal import solve
 from tests.api.serving import Server, serving
 from tests.api.test_stalled_readers import MOST, connected, pushed

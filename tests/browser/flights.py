@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 
 from drone_env.agents import make_agent
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.episodes.store import Store

@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, WebSocketRoute, expect
 
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.episodes.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames

@@ -12,7 +12,7 @@ import websockets.exceptions
 from pydantic_core import from_json, to_json
 
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.models import DroneState, observation_fields
 
 TASK = "hard"

@@ -102,7 +102,7 @@ def test_a_task_of_a_plugin_is_flown_on_nodes_that_have_the_plugin(tmp_path: Pat
     task = "replace(get_task('easy'), id='hops', short_name='hops', grader='drone_env.graders:grade_hops')"
     (tmp_path / "cluster_hops.py").write_text(
         "from dataclasses import replace\nfrom drone_env.core.tasks import get_task\n"
-        f"from drone_env.registry import register_task\nregister_task({task})\n"
+        f"from drone_env.envs.registry import register_task\nregister_task({task})\n"
     )
     words = ["evaluate", "--task", "hops", "--seeds", "0:40", "--agents", "greedy", "--json", "-"]
     on_ray = [*words, "--engine", "ray", "--address", cluster.address]

@@ -11,8 +11,8 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.rendering import draw_mission
@@ -314,4 +314,4 @@ def test_a_flown_environment_can_be_pickled() -> None:
         ours, theirs = env.step(action), twin.step(action)
         assert np.array_equal(ours[0]["grid"], theirs[0]["grid"])
         assert ours[1] == theirs[1]
-    assert env.episode.get_state().row == twin.episode.get_state().row
+    assert env.episode.get_state().numbers == twin.episode.get_state().numbers

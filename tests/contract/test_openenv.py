@@ -14,7 +14,7 @@ from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
 from drone_env.client import DroneEnvClient
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError
 from drone_env.graders import GRADERS

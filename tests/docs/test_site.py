@@ -22,7 +22,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_tables_and_the_diagram_are_up_to_date() -> None:
-    done = run("docs/tables.py", "--check")
+    done = run("tools/docs_tables.py", "--check")
     assert done.returncode == 0, done.stderr
 
 
@@ -43,7 +43,7 @@ def test_the_map_of_the_code_names_files_that_exist() -> None:
     tree = next(block.text for block in blocks(ROOT / "docs" / "architecture.md") if block.language == "text")
     there = {file.name for file in (ROOT / "drone_env").rglob("*.py")}
     named = set(re.findall(r"\b[a-z0-9_]+\.py\b", tree))
-    assert "dynamics.py" in named
+    assert "rules.py" in named
     assert named - there == set()
 
 

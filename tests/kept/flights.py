@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from drone_env.agents import make_agent
+from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 
 HERE = Path(__file__).parent

@@ -24,8 +24,8 @@ from typing import Any
 from drone_env import __version__
 from drone_env.cli import main as run_program
 from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.planning.optimal import solve
 from tests.kept.flights import HERE, LETTERS, MANIFEST, digests, flight_of, fly, fly_surely, judged
@@ -201,7 +201,7 @@ def make_sweep(folder: Path, elsewhere: Path) -> dict[str, Any]:
     from drone_env.cluster.sweep.halving import rungs
     from drone_env.cluster.sweep.settings import settings_of
     from drone_env.cluster.sweep.trial import best_until, network_digest
-    from drone_env.evaluation import episodes_key, run_episodes
+    from drone_env.evaluation.episodes import episodes_key, run_episodes
     from drone_env.rl.export import export_network
     from drone_env.rl.trainer import Trainer
 

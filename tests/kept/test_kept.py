@@ -23,8 +23,8 @@ from drone_env.episodes.jsonl import read_records
 from drone_env.episodes.record import EpisodeRecord, load_record, replay
 from drone_env.episodes.store import Store
 from drone_env.errors import SessionGoneError
-from drone_env.evaluation import episodes_key, summarise
-from drone_env.evaluation_folder import ResultsFolder, evaluate_keys
+from drone_env.evaluation.episodes import episodes_key, summarise
+from drone_env.evaluation.folder import ResultsFolder, evaluate_keys
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings

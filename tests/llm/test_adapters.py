@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError, UnknownNameError
 from drone_env.installer import install_command
 from drone_env.llm.trl_environment import DroneEnvironment, training_maps

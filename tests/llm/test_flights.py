@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from drone_env.core.seeds import SPLITS
-from drone_env.evaluation import episodes_key, run_episodes
+from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.planning.optimal import solve
 
 from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines

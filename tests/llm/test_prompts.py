@@ -9,7 +9,7 @@ import pytest
 
 from drone_env.core.actions import Action
 from drone_env.core.cells import CELL_KINDS, Cell
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.llm.prompt import FOLDER, VALUES, Flown, first_messages, get_prompt, prompt_ids, read_prompt

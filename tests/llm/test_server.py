@@ -14,7 +14,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.errors import InvalidValueError, StoreError
 from drone_env.llm.image import ServerFlight

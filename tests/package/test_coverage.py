@@ -28,5 +28,5 @@ def test_pytest_tells_how_much_of_the_code_is_covered(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "1 passed" in done.stdout
-    covered = json.loads(report.read_text(encoding="utf-8"))["files"]["drone_env/core/state_manager.py"]
+    covered = json.loads(report.read_text(encoding="utf-8"))["files"]["drone_env/core/episode.py"]
     assert 40 < covered["summary"]["percent_covered"] < 100

@@ -29,10 +29,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core import dynamics, observation, score
+from drone_env.core import observation, rules, score
 from drone_env.core.rewards import REWARD_PROFILES, interpreted_rewards
-from drone_env.core.rules import CELL, OUTCOME, PARCELS, UNDER, interpreted, row_size
 from drone_env.core.seeds import SPLITS
+from drone_env.core.tables import CELL, OUTCOME, PARCELS, UNDER, interpreted, state_size
 from drone_env.core.tasks import TASKS, TaskConfig
 
 GOLDEN_FILE = Path(__file__).with_name("golden.json")
@@ -72,36 +72,36 @@ class Interpreted:
 
     def __init__(self, task: TaskConfig) -> None:
         self.task = task
-        self.rules = interpreted(task)
+        self.tables = interpreted(task)
         self.rewards = [interpreted_rewards(task, REWARD_PROFILES[name]) for name in PROFILES]
-        self.grid = np.zeros(self.rules.cells, np.uint8)
-        self.row = np.zeros(row_size(self.rules), np.uint16)
-        self.telemetry = np.zeros(self.rules.telemetry_size, np.float32)
-        self.state = memoryview(self.grid), memoryview(self.row)
+        self.grid = np.zeros(self.tables.cells, np.uint8)
+        self.state = np.zeros(state_size(self.tables), np.uint16)
+        self.telemetry = np.zeros(self.tables.telemetry_size, np.float32)
+        self.views = memoryview(self.grid), memoryview(self.state)
 
     def __call__(self, seeds: list[int]) -> Iterator[tuple[bytes, bytes]]:
         for seed in seeds:
-            dynamics.reset(self.rules, *self.state, seed)
-            yield map_bytes(self.grid, self.row), self.trajectory(seed)
+            rules.reset(self.tables, *self.views, seed)
+            yield map_bytes(self.grid, self.state), self.trajectory(seed)
 
     def trajectory(self, seed: int) -> bytes:
         actions = [pattern(seed, step) for step in range(self.task.max_steps)]
         states = [self.observed()]
         paid = []
         for rewards in self.rewards:
-            dynamics.reset(self.rules, *self.state, seed)
+            rules.reset(self.tables, *self.views, seed)
             for action in actions:
-                paid.append(dynamics.step(self.rules, rewards, *self.state, action))
+                paid.append(rules.step(self.tables, rewards, *self.views, action))
                 if rewards is self.rewards[0]:
                     states.append(self.observed())
-                if self.state[1][OUTCOME]:
+                if self.views[1][OUTCOME]:
                     break
         return b"".join([*(b"".join(column) for column in zip(*states, strict=True)), little(np.array(paid))])
 
     def observed(self) -> tuple[bytes, bytes, bytes, bytes]:
-        observation.write_telemetry(self.rules, self.state[1], memoryview(self.telemetry))
-        mask = observation.open_actions(self.rules, *self.state)
-        graded = score.score(self.rules, self.state[1])
+        observation.write_telemetry(self.tables, self.views[1], memoryview(self.telemetry))
+        mask = observation.open_actions(self.tables, *self.views)
+        graded = score.score(self.tables, self.views[1])
         return self.grid.tobytes(), little(self.telemetry), mask.to_bytes(8, "little")[:5], struct.pack("<d", graded)
 
 
@@ -114,7 +114,7 @@ class Compiled:
     def __call__(self, seeds: list[int]) -> Iterator[tuple[bytes, bytes]]:
         from drone_env.core.batch import Batch
 
-        n, rules = len(seeds), interpreted(self.task)
+        n, tables = len(seeds), interpreted(self.task)
         actions = np.array([[pattern(seed, step) for seed in seeds] for step in range(self.task.max_steps)])
         logs: list[list[Any]] = [[] for _ in range(5)]
         for profile in PROFILES:
@@ -123,11 +123,11 @@ class Compiled:
             paid, ends = [], np.zeros(n, np.int64)
             for step, chosen in enumerate([*actions, None]):
                 if profile == PROFILES[0]:
-                    state = batch.get_state()
-                    graded = np.array([score.score(rules, row) for row in state["rows"].tolist()])
+                    batched = batch.get_state()
+                    graded = np.array([score.score(tables, state) for state in batched["states"].tolist()])
                     masks = batch.copy_action_masks()
                     for log, array in zip(
-                        logs, (state["grids"], state["telemetry"], masks, graded, state["rows"]), strict=True
+                        logs, (batched["grids"], batched["telemetry"], masks, graded, batched["states"]), strict=True
                     ):
                         log.append(array)
                 if chosen is not None:
@@ -135,18 +135,18 @@ class Compiled:
                     paid.append(batch.rewards.copy())
                     ends[batch.terminated & (ends == 0)] = step + 1
             logs.append(paid)
-        *states, rows = (np.array(log) for log in logs[:5])
+        *seen, states = (np.array(log) for log in logs[:5])
         payments = [np.array(log) for log in logs[5:]]
         for i, steps in enumerate(ends.tolist()):
-            parts = [little(array[: steps + 1, i]) for array in states]
+            parts = [little(array[: steps + 1, i]) for array in seen]
             parts += [little(array[:steps, i]) for array in payments]
-            yield map_bytes(states[0][0, i], rows[0, i]), b"".join(parts)
+            yield map_bytes(seen[0][0, i], states[0, i]), b"".join(parts)
 
 
-def map_bytes(grid: Any, row: Any) -> bytes:
+def map_bytes(grid: Any, state: Any) -> bytes:
     uncovered = grid.copy()
-    uncovered[row[CELL]] = row[UNDER]
-    return little(uncovered) + little(row[[CELL]]) + little(row[PARCELS:])
+    uncovered[state[CELL]] = state[UNDER]
+    return little(uncovered) + little(state[[CELL]]) + little(state[PARCELS:])
 
 
 def golden_hashes(way: Way, seeds: list[int]) -> Hashes:

@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drone_env.core import dynamics
+from drone_env.core import rules
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.batch import OWN_CACHE, Batch
 from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
 from drone_env.core.observation import open_actions, write_telemetry
 from drone_env.core.rewards import REWARD_PROFILES, get_reward_profile, interpreted_rewards
-from drone_env.core.rules import DELIVERIES, OUTCOME, interpreted, row_size
-from drone_env.core.rules import STEPS as STEPS_TAKEN
 from drone_env.core.score import score
 from drone_env.core.seeds import SPLITS, next_seed
-from drone_env.core.state_manager import Episode
+from drone_env.core.tables import DELIVERIES, OUTCOME, interpreted, state_size
+from drone_env.core.tables import STEPS as STEPS_TAKEN
 from drone_env.core.tasks import MAX_UNITS, TASKS, TaskConfig
 
 STEPS = int(os.environ.get("DRONE_ENV_PARITY_STEPS", "250000"))
@@ -55,49 +55,49 @@ class Reference:
     """Episodes flown one by one by the rules in plain Python, begun anew as the batch does."""
 
     def __init__(self, task: TaskConfig, profile: str, same_step: bool, n: int = N) -> None:
-        self.rules = interpreted(task)
+        self.tables = interpreted(task)
         self.rewards_of = interpreted_rewards(task, get_reward_profile(profile))
         self.same_step = same_step
-        self.grids = np.zeros((n, self.rules.cells), np.uint8)
+        self.grids = np.zeros((n, self.tables.cells), np.uint8)
         self.telemetry = np.zeros((n, task.telemetry_size), np.float32)
         self.masks = np.zeros((n, 1), np.int64)
         self.seeds = [0] * n
         self.rewards = [0.0] * n
         self.terminated = [False] * n
         self.finals: list[dict[str, Any]] = []
-        self.rows = np.zeros((n, row_size(self.rules)), np.uint16)
+        self.states = np.zeros((n, state_size(self.tables)), np.uint16)
         self.episodes = [
-            tuple(map(memoryview, arrays)) for arrays in zip(self.grids, self.rows, self.telemetry, strict=True)
+            tuple(map(memoryview, arrays)) for arrays in zip(self.grids, self.states, self.telemetry, strict=True)
         ]
 
     def reset(self, i: int, seed: int) -> None:
-        grid, row, _ = self.episodes[i]
+        grid, state, _ = self.episodes[i]
         self.seeds[i] = seed
-        dynamics.reset(self.rules, grid, row, seed)
+        rules.reset(self.tables, grid, state, seed)
         self.observe(i)
 
     def observe(self, i: int) -> None:
-        grid, row, telemetry = self.episodes[i]
-        write_telemetry(self.rules, row, telemetry)
-        self.masks[i] = open_actions(self.rules, grid, row)
+        grid, state, telemetry = self.episodes[i]
+        write_telemetry(self.tables, state, telemetry)
+        self.masks[i] = open_actions(self.tables, grid, state)
 
     def step(self, actions: list[int]) -> None:
         self.finals = []
-        for i, (grid, row, _) in enumerate(self.episodes):
+        for i, (grid, state, _) in enumerate(self.episodes):
             self.rewards[i], self.terminated[i] = 0.0, False
-            if row[OUTCOME]:
+            if state[OUTCOME]:
                 self.reset(i, next_seed(self.seeds[i]))
                 continue
-            self.rewards[i] = dynamics.step(self.rules, self.rewards_of, grid, row, actions[i])
+            self.rewards[i] = rules.step(self.tables, self.rewards_of, grid, state, actions[i])
             self.observe(i)
-            if row[OUTCOME]:
+            if state[OUTCOME]:
                 self.terminated[i] = True
                 self.finals.append(
                     {
                         "episode": i,
-                        "score": score(self.rules, row),
-                        "steps": row[STEPS_TAKEN],
-                        "deliveries": row[DELIVERIES],
+                        "score": score(self.tables, state),
+                        "steps": state[STEPS_TAKEN],
+                        "deliveries": state[DELIVERIES],
                         "seed": self.seeds[i],
                         "grid": self.grids[i].tobytes(),
                         "telemetry": self.telemetry[i].tobytes(),
@@ -109,7 +109,7 @@ class Reference:
     def assert_equals(self, batch: Batch) -> None:
         """Bit by bit: rewards and telemetry are compared as bytes, so that 0.0 is not -0.0."""
         assert batch.grids.tobytes() == self.grids.tobytes()
-        assert batch.get_state()["rows"].tobytes() == self.rows.tobytes()
+        assert batch.get_state()["states"].tobytes() == self.states.tobytes()
         assert batch.telemetry.tobytes() == self.telemetry.tobytes()
         assert batch.action_masks.tobytes() == self.masks.view(np.int8)[:, :N_ACTIONS].tobytes()
         assert batch.seeds.tolist() == self.seeds

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
 from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.models import DroneObservation, DroneState, observation_fields
 from drone_env.planning.from_observation import episode_of

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from drone_env.agents.optimal import OptimalAgent
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning import most_battery, optimal
 from drone_env.planning.exact import ExactSolver

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.episodes.sessions import SessionRow
 from drone_env.episodes.store import Store, StoredEpisode

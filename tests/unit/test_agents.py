@@ -11,7 +11,7 @@ from drone_env.agents import AGENTS, make_agent
 from drone_env.agents.pathqnet import CHUNK, PathQNetAgent, shipped_network
 from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import CheckpointError, UnknownNameError
 from drone_env.planning.optimal import solve

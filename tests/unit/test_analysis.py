@@ -8,12 +8,19 @@ from functools import cache
 import pytest
 
 from drone_env.agents import make_agent
-from drone_env.analysis import LABELS, FlightAnalysis, analyse_actions, analyse_flight, label_of, parcel_value
 from drone_env.core.actions import Action, Event, Outcome
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError
+from drone_env.evaluation.analysis import (
+    LABELS,
+    FlightAnalysis,
+    analyse_actions,
+    analyse_flight,
+    label_of,
+    parcel_value,
+)
 from drone_env.planning.exact import ExactSolver
 from drone_env.planning.optimal import solve, solve_episode
 from tests.toy import toy_episode

@@ -11,9 +11,9 @@ import pytest
 from drone_env import cli
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.seeds import split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.episodes.record import load_record, replay
 from drone_env.errors import InvalidTaskError, InvalidValueError, TooLargeError, UnknownNameError

@@ -8,8 +8,8 @@ import pytest
 
 from drone_env.agents import make_agent
 from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import TooLargeError
 from drone_env.planning.bounds import bounds

@@ -16,10 +16,10 @@ from drone_env import __version__
 from drone_env.cli import main
 from drone_env.commands.play import split_keys
 from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.evaluation import episodes_key, run_episodes, summarise
+from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.planning.optimal import solve
 
 STEP = re.compile(r"\[STEP\] step=(\d+) action=([A-Z]+) reward=(\d\.\d\d) done=(true|false) error=null")

@@ -147,7 +147,7 @@ def test_the_digest_is_of_all_sources_and_of_nothing_else(tmp_path: Path) -> Non
     seen = {digest_of_sources(tmp_path)}
     assert seen == {digest_of_sources(PACKAGE)}
     sources = sorted(tmp_path.rglob("*.py"))
-    assert {file.name for file in sources} >= {"dynamics.py", "drone.py", "exact.py", "held_karp.py"}
+    assert {file.name for file in sources} >= {"rules.py", "drone.py", "exact.py", "held_karp.py"}
     for changed, file in enumerate(sources, start=1):
         file.write_bytes(file.read_bytes() + b"\n")
         seen.add(digest_of_sources(tmp_path))

@@ -13,8 +13,8 @@ import pytest
 
 from drone_env.cli import main
 from drone_env.core.actions import N_ACTIONS, Event
+from drone_env.core.episode import Episode
 from drone_env.core.seeds import SPLITS, split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.datasets import build
 from drone_env.datasets.build import build_dataset

@@ -7,7 +7,7 @@ import pytest
 
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.cells import Cell
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from tests.toy import fly, toy_episode
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drone_env.core import dynamics
+from drone_env.core import rules
 from drone_env.core.actions import Action, Event, Outcome
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile, interpreted_rewards
-from drone_env.core.rules import interpreted, row_size
-from drone_env.core.state_manager import Episode
+from drone_env.core.tables import interpreted, state_size
 from drone_env.core.tasks import TASKS
 from tests.toy import fly, toy_episode
 
@@ -91,14 +91,14 @@ class TestEnd:
 
     def test_the_functions_below_an_episode_refuse_it_too(self) -> None:
         task = replace(TASKS["easy_delivery"], max_steps=1)
-        rules, rewards = interpreted(task), interpreted_rewards(task, get_reward_profile("tiered"))
-        grid, row = memoryview(np.zeros(rules.cells, np.uint8)), memoryview(np.zeros(row_size(rules), np.uint16))
-        dynamics.reset(rules, grid, row, 0)
-        dynamics.step(rules, rewards, grid, row, Action.WAIT)
-        before = grid.tobytes(), row.tobytes()
+        tables, rewards = interpreted(task), interpreted_rewards(task, get_reward_profile("tiered"))
+        grid, state = memoryview(np.zeros(tables.cells, np.uint8)), memoryview(np.zeros(state_size(tables), np.uint16))
+        rules.reset(tables, grid, state, 0)
+        rules.step(tables, rewards, grid, state, Action.WAIT)
+        before = grid.tobytes(), state.tobytes()
         for action in Action:
-            assert dynamics.step(rules, rewards, grid, row, action) == 0
-        assert (grid.tobytes(), row.tobytes()) == before
+            assert rules.step(tables, rewards, grid, state, action) == 0
+        assert (grid.tobytes(), state.tobytes()) == before
 
     def test_reset_after_a_refused_step_starts_afresh(self) -> None:
         episode = toy_episode(["@0", ".."])

@@ -7,7 +7,7 @@ import pytest
 
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes import optima
-from drone_env.episodes.analysis import FinishedRow, analyse
+from drone_env.episodes.statistics import FinishedRow, analyse
 from drone_env.episodes.store import Store
 from drone_env.planning.optimal import Solution, solve
 from tests.unit.stores import eventually, flown

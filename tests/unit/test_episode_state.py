@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drone_env.core import state_manager
+from drone_env.core import episode as episodes
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode, PathStep
 from drone_env.core.seeds import SPLITS, next_seed
-from drone_env.core.state_manager import Episode, PathStep
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, UnknownNameError
 from drone_env.server.frames import frame_of
 from drone_env.server.predict import Networks
@@ -175,7 +175,7 @@ class TestState:
             made.append(PathStep(*values))
             return made[-1]
 
-        monkeypatch.setattr(state_manager, "PathStep", make)
+        monkeypatch.setattr(episodes, "PathStep", make)
         episode = toy_episode(["@T0", "..."], battery_capacity=8)
         assert episode.last_step is None
         fly(episode, "URR")

@@ -9,12 +9,19 @@ import pytest
 
 from drone_env.agents import AGENTS, make_agent
 from drone_env.agents.pathqnet import shipped_network
+from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.evaluation import EpisodeResults, concatenate, episodes_key, run_episodes, run_in_chunks, summarise
-from drone_env.evaluation_folder import ResultsFolder
+from drone_env.evaluation.episodes import (
+    EpisodeResults,
+    concatenate,
+    episodes_key,
+    run_episodes,
+    run_in_chunks,
+    summarise,
+)
+from drone_env.evaluation.folder import ResultsFolder
 
 
 def test_results_are_the_same_whole_or_in_pieces() -> None:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from drone_env import evaluation_folder
 from drone_env.cli import main
+from drone_env.evaluation import folder as results_folder
 
 
 def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -42,8 +42,8 @@ def test_a_later_version_shows_what_is_whole_and_goes_on_with_nothing(
     command = ["evaluate", "--task", "easy", "--seeds", "0:1001", "--agents", "greedy", "--json", "-"]
     assert main([*command, "--out", str(folder)]) == 0
     figures = capsys.readouterr().out
-    own = evaluation_folder.__version__
-    monkeypatch.setattr(evaluation_folder, "__version__", "99.0")
+    own = results_folder.__version__
+    monkeypatch.setattr(results_folder, "__version__", "99.0")
     assert main([*command, "--out", str(folder)]) == 0
     assert capsys.readouterr().out == figures
     min((folder / "pieces").iterdir()).unlink()

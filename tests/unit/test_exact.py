@@ -14,9 +14,9 @@ from drone_env.agents.greedy import GreedyAgent
 from drone_env.core.actions import Action, Event
 from drone_env.core.batch import Batch
 from drone_env.core.cells import Cell
-from drone_env.core.rules import BATTERY
+from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.state_manager import Episode
+from drone_env.core.tables import BATTERY
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError, UnsupportedTaskError
 from drone_env.planning import map_graph, most_battery
@@ -263,14 +263,14 @@ class TestRefusals:
         full = toy_episode(["@..", "..0"], max_steps=9, battery_capacity=9)
         spent = toy_episode(["@..", "..0"], max_steps=9, battery_capacity=9, drain=())
         fly(spent, "WW")
-        row = np.frombuffer(spent.get_state().row, np.uint16).copy()
+        state = np.frombuffer(spent.get_state().numbers, np.uint16).copy()
         for battery in (0, 6, 8, 9):
-            row[BATTERY] = battery
-            spent.set_state(replace(spent.get_state(), row=row.tobytes()))
+            state[BATTERY] = battery
+            spent.set_state(replace(spent.get_state(), numbers=state.tobytes()))
             with pytest.raises(EpisodeError, match="solver of its own"):
                 ExactSolver(full).value(spent)
-        row[BATTERY] = 7
-        spent.set_state(replace(spent.get_state(), row=row.tobytes()))
+        state[BATTERY] = 7
+        spent.set_state(replace(spent.get_state(), numbers=state.tobytes()))
         assert ExactSolver(full).value(spent) == ExactSolver(spent).value(spent)
 
     def test_more_memory_than_is_allowed(self, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 import check_graders
 from drone_env import graders
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.graders import GRADERS, grade_easy, grade_hard, grade_medium

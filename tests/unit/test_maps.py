@@ -8,10 +8,10 @@ import pytest
 
 from drone_env.core.batch import Batch
 from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
 from drone_env.core.grid_generator import CityMap, generate_city_map
-from drone_env.core.rules import CELL, PARCELS
 from drone_env.core.seeds import SPLITS, split_seeds
-from drone_env.core.state_manager import Episode
+from drone_env.core.tables import CELL, PARCELS
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import InvalidTaskError, InvalidValueError, UnknownNameError
 
@@ -283,7 +283,7 @@ class TestFairness:
         task, n = TASKS["skyline_easy"], 100_000
         batch = Batch(task, n)
         batch.reset(np.arange(n))
-        grids, rows = (batch.get_state()[name] for name in ("grids", "rows"))
+        grids, rows = (batch.get_state()[name] for name in ("grids", "states"))
         starts, parcels = rows[:, CELL].astype(int), rows[:, PARCELS:].astype(int)
         # 63 degrees of freedom: mean 63, standard deviation 11
         assert 15 < chi_square(np.bincount(starts, minlength=64)) < 130

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ValidationError
 
 from drone_env.core.actions import Action
 from drone_env.core.cells import CELL_KINDS, Cell
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.models import DroneAction, DroneObservation, DroneState
 
 OBSERVATION_FIELDS = {

@@ -21,11 +21,11 @@ from drone_env.agents.pathqnet import CHUNK, PathQNetAgent, shipped_network
 from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
 from drone_env.core.cells import N_CELL_KINDS
+from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, UnsupportedTaskError
-from drone_env.evaluation import episodes_key, run_episodes, summarise
+from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.rl.export import export_network
 from drone_env.rl.model import MapEncoder, PathQNet
 from drone_env.server.app import create_app

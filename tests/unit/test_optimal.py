@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from drone_env.core.cells import Cell
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.planning.optimal import shortest_tour, solve, tour_actions
 

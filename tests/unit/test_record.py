@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.episodes.jsonl import RecordWriter, numbered_records, read_records
 from drone_env.episodes.record import EpisodeRecord, load_record, parse_record, record_of, replay, save_record

@@ -13,15 +13,15 @@ import pytest
 
 import drone_env
 from drone_env.core.actions import Event
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.envs.registry import register_reward_profile, register_task
 from drone_env.errors import InvalidTaskError
-from drone_env.evaluation import episodes_key, run_episodes
+from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.graders import GRADERS
 from drone_env.models import DroneState
 from drone_env.planning.optimal import solve
-from drone_env.registry import register_reward_profile, register_task
 
 PLUGIN = """
 from dataclasses import replace

@@ -19,7 +19,7 @@ from PIL import Image
 
 from drone_env.core.actions import Action, Event
 from drone_env.core.cells import CELL_KINDS, Cell
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.envs import figures, rendering
 from drone_env.envs.ansi import ROAD, TARGET, WAY, draw_text, draw_tour

@@ -2,8 +2,8 @@
 
 import pytest
 
+from drone_env.core.episode import Episode
 from drone_env.core.score import score_of
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
 from tests.toy import fly, toy_episode
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.episodes.clock import steady_clock
 from drone_env.episodes.record import record_of
 from drone_env.episodes.store import FILE_NAME, Store

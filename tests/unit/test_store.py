@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.episodes.record import EpisodeRecord, parse_record, record_of, replay
 from drone_env.episodes.schema import APPLICATION_ID, MIGRATIONS, migrate

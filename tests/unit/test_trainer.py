@@ -15,7 +15,7 @@ from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import SPLITS, split_of, split_seeds
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
-from drone_env.evaluation import episodes_key, run_episodes, summarise
+from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
 from drone_env.rl.export import export_network
 from drone_env.rl.model import PathQNet

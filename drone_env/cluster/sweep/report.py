@@ -11,7 +11,7 @@ from drone_env.cluster.sweep.bootstrap import Interval, bootstrap
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
-from drone_env.evaluation import episodes_key, run_episodes, summarise
+from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.files import replacing
 
 

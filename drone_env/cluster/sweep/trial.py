@@ -18,7 +18,7 @@ from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import MapScores, SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation import episodes_key, run_episodes
+from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.rl.run import Run, StopTraining
 from drone_env.rl.trainer import Progress
 

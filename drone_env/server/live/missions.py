@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from drone_env.agents.base import Agent
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.episodes.sessions import SessionRow
 from drone_env.errors import EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import Direction

@@ -18,7 +18,6 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, UnknownNameError
-from drone_env.server.flight import start_of
 from drone_env.server.frames import Frame
 from drone_env.server.live.commands import (
     Attach,
@@ -34,6 +33,7 @@ from drone_env.server.live.commands import (
 from drone_env.server.live.feeds import Feed
 from drone_env.server.live.missions import LiveMission
 from drone_env.server.live.values import ExactValues
+from drone_env.server.openenv.session import start_of
 from drone_env.server.pilots import PILOTS, agent_of
 from drone_env.server.problems import FAILED, printable, status_of
 from drone_env.server.schemas import EpisodeSummary, ResetOptions

@@ -5,11 +5,11 @@ from typing import Annotated, cast
 from fastapi import APIRouter, Body, Response
 from pydantic import Field
 
-from drone_env.analysis import FlightAnalysis, Label, Move, analyse_flight
 from drone_env.core.actions import Action
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.record import EpisodeRecord, replay
+from drone_env.evaluation.analysis import FlightAnalysis, Label, Move, analyse_flight
 from drone_env.models import Count, Direction, EventName, Message, Position, Score
 from drone_env.planning.optimal import Solution, solve
 from drone_env.server.frames import Frame, Mission, frames_of

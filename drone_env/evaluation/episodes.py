@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents import Agent, BatchAgent, make_agent
+from drone_env.core.episode import Episode
 from drone_env.core.seeds import SPLITS, check_seed, split_of
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
 

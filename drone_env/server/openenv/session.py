@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 from pydantic_core import to_json
 
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile, get_reward_profile
 from drone_env.core.seeds import SPLITS, next_seed
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.models import LEGEND, DroneState, map_lines, observation_numbers, shown
+from drone_env.server.openenv.task_api import find_map
 from drone_env.server.schemas import ResetOptions
-from drone_env.server.task_api import find_map
 
 ENV_NAME = "drone-env"
 DESCRIPTION = (

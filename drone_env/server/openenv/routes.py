@@ -7,9 +7,9 @@ from pydantic import Field
 
 from drone_env import __version__
 from drone_env.models import DroneState, Message
-from drone_env.server import task_api
-from drone_env.server.flight import DESCRIPTION, ENV_NAME
-from drone_env.server.openenv_socket import mcp_answer
+from drone_env.server.openenv import task_api
+from drone_env.server.openenv.session import DESCRIPTION, ENV_NAME
+from drone_env.server.openenv.socket import mcp_answer
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import WireAction, WireObservation
 

@@ -13,7 +13,7 @@ import numpy as np
 from drone_env import __version__
 from drone_env.core.tasks import WITHDRAWN, withdrawal
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation import (
+from drone_env.evaluation.episodes import (
     PIECE,
     EpisodeResults,
     EpisodesKey,

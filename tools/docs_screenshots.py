@@ -17,6 +17,7 @@ import io
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 from playwright.sync_api import Page, expect
@@ -51,11 +52,12 @@ def steps(page: Page, number: int) -> None:
 
 def watch(tabs: Tabs) -> None:
     """The main view, dark, light and narrow, and over a skyline city."""
-    for name, options in (
+    views: tuple[tuple[str, dict[str, Any]], ...] = (
         ("watch", {}),
         ("watch-light", {"color_scheme": "light"}),
         ("narrow", {"viewport": NARROW, "device_scale_factor": 2, "is_mobile": True, "has_touch": True}),
-    ):
+    )
+    for name, options in views:
         page = tabs.open(HARD, **options)
         expect(page.locator("#possible")).not_to_have_text("–")
         steps(page, 22)

@@ -1,13 +1,13 @@
 """Write the tables of the documentation that follow from the code, and the diagram of its imports: takes seconds.
 
-python docs/tables.py            writes them between their markers, and docs/images/imports.svg
-python docs/tables.py --check    changes nothing, and names what is not up to date
+python tools/docs_tables.py            writes them between their markers, and docs/images/imports.svg
+python tools/docs_tables.py --check    changes nothing, and names what is not up to date
 """
 
 import sys
 from pathlib import Path
 
-from imports import diagram
+from docs_imports import diagram
 
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
@@ -15,7 +15,7 @@ from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm import settings as of_models
 from drone_env.server import settings as of_server
 
-DOCS = Path(__file__).parent
+DOCS = Path(__file__).parents[1] / "docs"
 STANDARD = [task for task in TASKS.values() if task.battery_capacity == task.max_steps]
 SPECIAL = (Event.NONE, Event.DELIVERY)
 
@@ -136,6 +136,6 @@ def changes() -> dict[Path, str]:
 if __name__ == "__main__":
     stale = changes()
     if "--check" in sys.argv[1:]:
-        sys.exit("\n".join(f"{path} is not up to date: run docs/tables.py" for path in stale) or None)
+        sys.exit("\n".join(f"{path} is not up to date: run tools/docs_tables.py" for path in stale) or None)
     for path, text in stale.items():
         path.write_text(text, encoding="utf-8")

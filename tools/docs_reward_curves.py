@@ -1,4 +1,4 @@
-"""Train on `tiered` and on `aligned`, all else equal, and draw what comes of it: `python docs/reward_curves.py`.
+"""Train on `tiered` and on `aligned`, all else equal, and draw what comes of it: `python tools/docs_reward_curves.py`.
 
 Writes docs/images/training/*.png and the table of docs/reward.md between its two markers; five minutes, with PyTorch.
 """
@@ -11,7 +11,7 @@ from drone_env.rl.config import preset
 from drone_env.rl.curves import draw_curves
 from drone_env.rl.trainer import Progress, Trainer
 
-DOCS = Path(__file__).parent
+DOCS = Path(__file__).parents[1] / "docs"
 TASK = "easy"
 EPISODES = 1_500
 """Enough to see which way each goes."""

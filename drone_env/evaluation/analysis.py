@@ -17,7 +17,7 @@ from itertools import pairwise
 from typing import Any, Literal, NamedTuple, get_args
 
 from drone_env.core.actions import Action, Event, Outcome
-from drone_env.core.state_manager import Episode
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.record import EpisodeRecord, replay
 

@@ -21,7 +21,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.episodes.store import Store
 from drone_env.errors import DroneEnvError, InvalidValueError
-from drone_env.server.flight import Flight
+from drone_env.server.openenv.session import Flight
 from drone_env.server.problems import printable, where
 from drone_env.server.schemas import ResetOptions, WireAction
 from drone_env.server.sessions import ANONYMOUS

@@ -4,7 +4,7 @@
     docs/images/<task>.png  a best flight over its first test map
     docs/reward.md          the table of audits between its two markers
 
-`python docs/generate.py --tasks` leaves the audits out.
+`python tools/docs_generate.py --tasks` leaves the audits out.
 """
 
 import sys
@@ -12,19 +12,19 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from tables import between, numbers
+from docs_tables import between, numbers
 
 from drone_env.agents.pathqnet import shipped_network
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import split_seeds
-from drone_env.core.state_manager import Episode
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.envs.rendering import save_picture
-from drone_env.evaluation import episodes_key, run_episodes, summarise
+from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.planning.audit import MapAudit, audit_map, audited_profile
 from drone_env.planning.optimal import solve
 
-DOCS = Path(__file__).parent
+DOCS = Path(__file__).parents[1] / "docs"
 AGENTS = ("random", "greedy", "pathqnet", "optimal")
 MAPS = 1000
 AUDITED = {
@@ -64,8 +64,9 @@ def picture(task: TaskConfig) -> None:
 
 INTRODUCTION = f"""# Tasks
 
-Written by `docs/generate.py` from `TASKS` (`drone_env/core/tasks.py`). [rules.md](rules.md) says what the numbers mean.
-The pictures show a best flight over the first test map; the figures are means over the first {MAPS:,} test maps.
+Written by `tools/docs_generate.py` from `TASKS` (`drone_env/core/tasks.py`). [rules.md](rules.md) says what the
+numbers mean. The pictures show a best flight over the first test map; the figures are means over the first {MAPS:,}
+test maps.
 
 On the three `delivery` tasks chasing the nearest parcel nearly reaches the optimum. The three `skyline` tasks are made
 so that it does not: the battery does not last for the tour, buildings cost extra, obstacles block the way, and whoever

@@ -1,0 +1,385 @@
+"""One episode: holds the state, flies actions by the `rules`, and tells what there is to know."""
+
+import operator
+import secrets
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.core import rules
+from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome
+from drone_env.core.observation import Observation, open_actions, write_telemetry
+from drone_env.core.rewards import RewardProfile, get_reward_profile, interpreted_rewards
+from drone_env.core.score import efficiency, efficiency_shares, score
+from drone_env.core.seeds import SPLITS, check_seed, next_seed
+from drone_env.core.tables import (
+    BATTERY,
+    CELL,
+    DELIVERED_FLAG,
+    DELIVERIES,
+    DISTANCE,
+    EVENT,
+    NOWHERE,
+    OUTCOME,
+    PARCELS,
+    STEPS,
+    TARGET,
+    UNDER,
+    Buffer,
+    interpreted,
+    state_size,
+    view,
+)
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.errors import EpisodeError, InvalidValueError
+
+ALLOWED_ACTIONS = ", ".join(f"{int(action)} {action.name}" for action in Action)
+
+
+class PathStep(NamedTuple):
+    """One flown step: the action and what it led to."""
+
+    action: Action
+    x: int
+    y: int
+    event: Event
+    reward: float
+    battery: int
+
+
+@dataclass(frozen=True)
+class EpisodeState:
+    """A snapshot of an `Episode`, made by `get_state` and read by `set_state`. Immutable and comparable."""
+
+    task: TaskConfig
+    reward_profile: RewardProfile
+    seed: int
+    grid: bytes
+    numbers: bytes
+    reward_last: float
+    reward_total: float
+    path: tuple[tuple[int, int, int, float, int], ...]
+    refused: bool = field(default=False, compare=False)
+    """Whether the last step came after the end."""
+
+
+class _NoEpisode:
+    """Stands for the state before the first reset: whoever reads it is told so."""
+
+    def __getitem__(self, index: object) -> Any:
+        raise EpisodeError(NOT_STARTED)
+
+
+NOT_STARTED = "no episode yet: call reset() first"
+_NO_EPISODE: Any = _NoEpisode()
+
+
+class Episode:
+    """A single drone on a single map. Before the first reset there is no state to read: that raises `EpisodeError`.
+
+    Args:
+        task: A task or its name.
+        reward_profile: A reward profile or its name.
+
+    Raises:
+        UnknownNameError: if there is no such task or profile.
+    """
+
+    def __init__(
+        self, task: str | TaskConfig = "easy_delivery", reward_profile: str | RewardProfile = "tiered"
+    ) -> None:
+        self.task = get_task(task)
+        self.tables = interpreted(self.task)
+        self._choose_rewards(get_reward_profile(reward_profile))
+        self._grid_array = np.zeros(self.tables.cells, np.uint8)
+        self._state_array = np.zeros(state_size(self.tables), np.uint16)
+        self._grid = view(self._grid_array)
+        self._state: Buffer = _NO_EPISODE
+        self._seed: int | None = None
+        self._reward_last = 0.0
+        self._reward_total = 0.0
+        self._refused = False
+        self._path: list[tuple[int, int, int, float, int]] = []
+
+    def reset(self, seed: SupportsIndex | None = None, reward_profile: str | RewardProfile | None = None) -> int:
+        """Start map `seed` and return the seed. On an error the running episode is left as it was.
+
+        Args:
+            seed: Without one, the map that follows the last one on the walk of `next_seed`; the very first is drawn
+                at random from the train split.
+            reward_profile: The profile from now on; None keeps the present one.
+
+        Raises:
+            InvalidValueError: if the seed is not an integer in [0, 2^53).
+            UnknownNameError: if there is no such profile.
+        """
+        profile = self.reward_profile if reward_profile is None else get_reward_profile(reward_profile)
+        if seed is not None:
+            chosen = check_seed(seed)
+        elif self._seed is None:
+            chosen = secrets.randbelow(SPLITS["train"].stop)
+        else:
+            chosen = next_seed(self._seed)
+        self._seed = chosen
+        self._choose_rewards(profile)
+        self._state = view(self._state_array)
+        rules.reset(self.tables, self._grid, self._state, chosen)
+        self._reward_last = 0.0
+        self._reward_total = 0.0
+        self._refused = False
+        self._path = []
+        return chosen
+
+    def step(self, action: SupportsIndex) -> float:
+        """Fly one action and return its reward. After the end it changes nothing, pays 0, and `message` says so.
+
+        Raises:
+            InvalidValueError: if the action is not an integer from 0 to 4; the state is left as it was.
+            EpisodeError: before the first reset.
+        """
+        try:
+            number = -1 if isinstance(action, bool) else operator.index(action)
+        except TypeError:
+            number = -1
+        if not 0 <= number < N_ACTIONS:
+            raise InvalidValueError(f"action must be one of {ALLOWED_ACTIONS}; got {action!r}")
+        state = self._state
+        if state[OUTCOME]:
+            self._refused = True
+            return 0.0
+        reward = rules.step(self.tables, self._rewards, self._grid, state, number)
+        self._reward_last = reward
+        self._reward_total += reward
+        self._path.append((number, state[CELL], state[EVENT], reward, state[BATTERY]))
+        return reward
+
+    @property
+    def seed(self) -> int:
+        """The seed of the map.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        if self._seed is None:
+            raise EpisodeError(NOT_STARTED)
+        return self._seed
+
+    @property
+    def started(self) -> bool:
+        """Whether there has been a reset."""
+        return self._seed is not None
+
+    @property
+    def ended(self) -> bool:
+        """Whether the episode is over."""
+        return self._state[OUTCOME] != Outcome.FLYING
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the episode stands."""
+        return Outcome(self._state[OUTCOME])
+
+    @property
+    def success(self) -> bool:
+        """Whether every parcel has been delivered."""
+        return self._state[OUTCOME] == Outcome.DELIVERED
+
+    @property
+    def event(self) -> Event:
+        """What the last step came to."""
+        return Event(self._state[EVENT])
+
+    @property
+    def steps(self) -> int:
+        """Steps flown."""
+        return self._state[STEPS]
+
+    @property
+    def battery_units(self) -> int:
+        """Battery units left."""
+        return self._state[BATTERY]
+
+    @property
+    def battery(self) -> float:
+        """Share of the battery left, 0 to 1."""
+        return self._state[BATTERY] / self.tables.capacity
+
+    @property
+    def deliveries_done(self) -> int:
+        """Parcels delivered."""
+        return self._state[DELIVERIES]
+
+    @property
+    def position(self) -> tuple[int, int]:
+        """(x, y) of the drone."""
+        return self._xy(self._state[CELL])
+
+    @property
+    def target(self) -> tuple[int, int] | None:
+        """(x, y) of the current target, None when nothing is left."""
+        return None if self._state[TARGET] == NOWHERE else self._xy(self._state[TARGET])
+
+    @property
+    def distance_to_target(self) -> int | None:
+        """Manhattan distance to the current target in cells, None when nothing is left."""
+        return None if self._state[TARGET] == NOWHERE else self._state[DISTANCE]
+
+    @property
+    def parcels(self) -> list[tuple[int, int, bool]]:
+        """(x, y, delivered) of each parcel, by its index."""
+        entries = self._state[PARCELS:].tolist()
+        return [(*self._xy(cell % DELIVERED_FLAG), cell >= DELIVERED_FLAG) for cell in entries]
+
+    @property
+    def under(self) -> int:
+        """The kind of the cell below the drone."""
+        return self._state[UNDER]
+
+    @property
+    def score(self) -> float:
+        """The graded score as the episode stands, 0.01 to 0.99: provisional until it has ended."""
+        return score(self.tables, self._state)
+
+    @property
+    def efficiency(self) -> float:
+        """How sparing the flight was, 0 to 100: for people to look at; not the score."""
+        return efficiency(self.tables, self._state)
+
+    @property
+    def efficiency_shares(self) -> tuple[float, float, float]:
+        """What each part of the efficiency comes to, 0 to 1, in the order of `score.EFFICIENCY_WEIGHTS`."""
+        return efficiency_shares(self.tables, self._state)
+
+    @property
+    def reward_last(self) -> float:
+        """What the last step paid; 0 where it came after the end."""
+        return 0.0 if self._refused else self._reward_last
+
+    @property
+    def reward_total(self) -> float:
+        """What all steps paid, undiscounted."""
+        return self._reward_total
+
+    @property
+    def path(self) -> list[PathStep]:
+        """All steps flown, in order."""
+        return [self._path_step(entry) for entry in self._path]
+
+    @property
+    def last_step(self) -> PathStep | None:
+        """The last step flown, None before the first: what stands at the end of `path`, without the rest."""
+        return self._path_step(self._path[-1]) if self._path else None
+
+    @property
+    def actions(self) -> list[int]:
+        """The actions flown, in order."""
+        return [entry[0] for entry in self._path]
+
+    @property
+    def rewards(self) -> list[float]:
+        """What each step paid, in order."""
+        return [entry[3] for entry in self._path]
+
+    @property
+    def message(self) -> str:
+        """What happened last, in words."""
+        if self._seed is None:
+            return "No episode yet: reset to start one."
+        if self._refused:
+            return f"Nothing done: the episode has ended ({self.outcome.name.lower()}). Reset to fly again."
+        return (
+            MESSAGES[self.event].format(done=self.deliveries_done, total=self.task.deliveries) + ENDINGS[self.outcome]
+        )
+
+    def counted_score(self) -> float:
+        """The score to report: the final one, or of an unfinished episode what waiting to its end would earn."""
+        grid, state = view(np.ravel(self.grid())), view(np.array(self._state_array))
+        while not state[OUTCOME]:
+            rules.step(self.tables, self._rewards, grid, state, Action.WAIT)
+        return score(self.tables, state)
+
+    def observation(self) -> Observation:
+        """What an agent sees now, as arrays of its own."""
+        telemetry = np.zeros(self.tables.telemetry_size, np.float32)
+        write_telemetry(self.tables, self._state, view(telemetry))
+        return {"grid": self.grid(), "telemetry": telemetry}
+
+    def grid(self) -> npt.NDArray[np.uint8]:
+        """The cell ids as the drone sees them: a copy, uint8[height, width].
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        if not self.started:
+            raise EpisodeError(NOT_STARTED)
+        return np.array(np.reshape(self._grid_array, (self.tables.height, self.tables.width)))
+
+    def action_mask(self) -> npt.NDArray[np.int8]:
+        """int8[5]: 0 for each action that would bump into a wall or an impassable cell."""
+        mask = open_actions(self.tables, self._grid, self._state)
+        return np.array([mask >> 8 * action & 1 for action in range(N_ACTIONS)], np.int8)
+
+    def get_state(self) -> EpisodeState:
+        """A snapshot for planners; `set_state` returns to it.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        return EpisodeState(
+            task=self.task,
+            reward_profile=self.reward_profile,
+            seed=self.seed,
+            grid=self._grid_array.tobytes(),
+            numbers=self._state_array.tobytes(),
+            reward_last=self._reward_last,
+            reward_total=self._reward_total,
+            refused=self._refused,
+            path=tuple(self._path),
+        )
+
+    def set_state(self, state: EpisodeState) -> None:
+        """Return to a snapshot of an episode of the same task and reward profile.
+
+        Raises:
+            InvalidValueError: if the snapshot is of another task, profile or size; the state is left as it was.
+        """
+        if state.task != self.task or state.reward_profile != self.reward_profile:
+            raise InvalidValueError(
+                f"the snapshot is of {state.task.id!r} with rewards {state.reward_profile.id!r}; "
+                f"this episode flies {self.task.id!r} with {self.reward_profile.id!r}"
+            )
+        if (len(state.grid), len(state.numbers)) != (self._grid_array.nbytes, self._state_array.nbytes):
+            raise InvalidValueError(
+                f"the snapshot holds {len(state.grid)} and {len(state.numbers)} bytes of grid and state; "
+                f"{self.task.id!r} has {self._grid_array.nbytes} and {self._state_array.nbytes}"
+            )
+        self._seed = state.seed
+        self._state = view(self._state_array)
+        self._grid_array[:] = np.frombuffer(state.grid, np.uint8)
+        self._state_array[:] = np.frombuffer(state.numbers, np.uint16)
+        self._reward_last = state.reward_last
+        self._reward_total = state.reward_total
+        self._refused = state.refused
+        self._path = list(state.path)
+
+    def __getstate__(self) -> tuple[TaskConfig, RewardProfile, EpisodeState | None]:
+        return self.task, self.reward_profile, self.get_state() if self.started else None
+
+    def __setstate__(self, state: tuple[TaskConfig, RewardProfile, EpisodeState | None]) -> None:
+        task, reward_profile, snapshot = state
+        Episode.__init__(self, task, reward_profile)
+        if snapshot is not None:
+            self.set_state(snapshot)
+
+    def _choose_rewards(self, profile: RewardProfile) -> None:
+        self.reward_profile = profile
+        self._rewards = interpreted_rewards(self.task, profile)
+
+    def _path_step(self, entry: tuple[int, int, int, float, int]) -> PathStep:
+        action, cell, event, reward, battery = entry
+        return PathStep(Action(action), *self._xy(cell), Event(event), reward, battery)
+
+    def _xy(self, cell: int) -> tuple[int, int]:
+        return self.tables.columns[cell], self.tables.rows[cell]

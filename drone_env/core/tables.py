@@ -1,0 +1,251 @@
+"""A task as tables, and the layout of an episode's state.
+
+`tabulate(task)` turns a `TaskConfig` into small tables once; a step then only looks things up, so a new number or
+mechanic is a new entry and not a new branch. The same tables serve compiled code (as NumPy arrays) and interpreted
+code (as memory views, whose items are plain Python integers).
+
+The state of one episode is two buffers:
+
+- `grid`: one cell id per cell, row by row (cell number = y * width + x), as the drone sees it: its own id hides what
+  lies below it.
+- `state`: the integers named below, then one entry per parcel: its cell number, plus `DELIVERED_FLAG` once it has been
+  delivered. They are unsigned 16-bit integers: compiled code then needs no care for indices below zero.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.core.actions import ACTION_OFFSETS, N_ACTIONS, Action, Event
+from drone_env.core.cells import N_CELL_KINDS, Cell
+from drone_env.core.seeds import task_key
+from drone_env.core.tasks import TERRAIN, TaskConfig
+
+Buffer: TypeAlias = "memoryview[int]"
+"""A buffer of integers: a memory view when interpreted, a NumPy array when compiled."""
+FloatBuffer: TypeAlias = "memoryview[float]"
+"""The same, of floating-point numbers."""
+
+INDEX_BITS = (1 << 16) - 1
+"""Changes no index of a table, and tells the compiler that none is below zero."""
+N_MOVES = N_ACTIONS - 1
+"""All actions but WAIT, which is the last."""
+N_TERRAIN = len(TERRAIN)
+
+AnyTables = TypeVar("AnyTables", bound=tuple[Any, ...])
+
+CELL = 0
+"""Where the drone is."""
+UNDER = 1
+"""The kind of the cell below it."""
+STEPS = 2
+"""Steps taken."""
+BATTERY = 3
+"""Battery units left."""
+DELIVERIES = 4
+"""Parcels delivered."""
+TARGET = 5
+"""Cell of the current target, or `NOWHERE` when none is left."""
+DISTANCE = 6
+"""Manhattan distance to the current target; 0 when none is left."""
+EVENT = 7
+"""What the last step came to (`Event`)."""
+OUTCOME = 8
+"""How the episode stands (`Outcome`)."""
+PARCELS = 9
+"""From here on: one entry per delivery."""
+
+NOWHERE = (1 << 16) - 1
+"""Stands for a cell that does not exist: off the grid, or no target left."""
+DELIVERED_FLAG = 1 << 15
+"""Added to the cell of a parcel that has been delivered."""
+
+
+class Tables(NamedTuple):
+    """A task's tables. Arrays when compiled, memory views when interpreted; `cells` is width * height."""
+
+    key: int
+    """Sets this task's maps apart from those of others."""
+    width: int
+    height: int
+    cells: int
+    deliveries: int
+    max_steps: int
+    capacity: int
+    columns: Buffer
+    """x of each cell, int64[cells]."""
+    rows: Buffer
+    """y of each cell, int64[cells]."""
+    moves: Buffer
+    """Cell reached from `cell` by `action`, `NOWHERE` at the wall: uint16[cells * 5], at
+    cell * N_ACTIONS + action."""
+    open_moves: Buffer
+    """The actions that do not meet the wall, 1 in byte `action` of each int64[cells]."""
+    around: Buffer
+    """The cell that each move reaches, the cell itself at the wall: uint16[cells * 4], at cell * N_MOVES + action."""
+    any_impassable: int
+    """1 if some kind of cell is impassable."""
+    impassable: Buffer
+    """1 for the kinds of cell that the drone cannot enter, uint8[kinds]."""
+    drain: Buffer
+    """Battery units that an action costs above a kind of cell, below zero where it charges: int16[kinds * 5], at
+    kind * N_ACTIONS + action."""
+    flight_event: Buffer
+    """The event of an action that ends above a kind of cell, if nothing else happened: uint8[kinds * 5], laid
+    out alike."""
+    street_spacing: int
+    """Every how many rows and columns there is a street; 0 where everything lies anywhere."""
+    blocks: int
+    """How many cells lie between the streets."""
+    city_grids: Buffer
+    """The map before anything is drawn, for each way in which the streets can lie: uint8[ways * cells]."""
+    city_cells: Buffer
+    """The cells between the streets, then those on them, in each of these ways: uint16[ways * cells]."""
+    drawn_kinds: Buffer
+    """The kinds of terrain that are drawn, in the order in which they are: uint8[draws]."""
+    drawn_between: int
+    """How many of these stand between the streets: they are the first."""
+    efficiency_needs_all: int
+    """1 if battery and steps left count in the score only when everything is delivered."""
+    telemetry_size: int
+    """Values in the telemetry: 5, 6 with the share of steps left, 13 with the kind of the cell below as well."""
+    shares: FloatBuffer
+    """x / width and y / height of each cell: float32[cells * 2], at cell * 2."""
+    battery_share: FloatBuffer
+    """units / capacity for each number of units, float32[capacity + 1]."""
+    steps_share: FloatBuffer
+    """Share of steps left after each number of steps, float32[max_steps + 1]."""
+    terrain_numbers: Buffer
+    """Where a kind stands in `TERRAIN`: uint8[kinds]."""
+
+
+def state_size(tables: Tables) -> int:
+    """Length of the state of an episode."""
+    return PARCELS + tables.deliveries
+
+
+@lru_cache(maxsize=64)
+def tabulate(task: TaskConfig) -> Tables:
+    """The task's tables as NumPy arrays, for compiled code. Shared: do not write to them."""
+    width, height = task.width, task.height
+    cells = width * height
+    moves = np.full((height, width, N_ACTIONS), NOWHERE, np.uint16)
+    for y in range(height):
+        for x in range(width):
+            for action, (dx, dy) in ACTION_OFFSETS.items():
+                if 0 <= x + dx < width and 0 <= y + dy < height:
+                    moves[y, x, action] = (y + dy) * width + x + dx
+
+    impassable = np.zeros(N_CELL_KINDS, np.uint8)
+    impassable[list(task.impassable)] = 1
+    drain = np.ones((N_CELL_KINDS, N_ACTIONS), np.int16)
+    for kind, units in task.drain:
+        drain[kind] = units
+    if task.charge_rate:
+        drain[Cell.PAD, Action.WAIT] = -task.charge_rate
+    flight_event = np.full((N_CELL_KINDS, N_ACTIONS), Event.STEP, np.uint8)
+    flight_event[:, Action.WAIT] = Event.WAIT
+    flight_event[Cell.OBSTACLE] = Event.OBSTACLE
+    flight_event[Cell.BUILDING] = Event.BUILDING
+    flight_event[Cell.TREE] = Event.TREE
+    terrain_numbers = np.zeros(N_CELL_KINDS, np.uint8)
+    terrain_numbers[list(TERRAIN)] = np.arange(N_TERRAIN)
+
+    numbers = np.arange(cells)
+    tables: dict[str, Any] = {
+        "key": task_key(task.id, task.version),
+        "width": width,
+        "height": height,
+        "cells": cells,
+        "deliveries": task.deliveries,
+        "max_steps": task.max_steps,
+        "capacity": task.battery_capacity,
+        "columns": numbers % width,
+        "rows": numbers // width,
+        "moves": np.ravel(moves),
+        "open_moves": (np.reshape(moves != NOWHERE, (cells, N_ACTIONS)) << 8 * np.arange(N_ACTIONS)).sum(axis=1),
+        "around": np.where(moves == NOWHERE, numbers.reshape(height, width, 1), moves)[:, :, :N_MOVES]
+        .ravel()
+        .astype(np.uint16),
+        "any_impassable": int(impassable.any()),
+        "impassable": impassable,
+        "drain": np.ravel(drain),
+        "flight_event": np.ravel(flight_event),
+        "street_spacing": task.street_spacing,
+        **_city_tables(task),
+        "efficiency_needs_all": int(task.efficiency_needs_all),
+        "telemetry_size": task.telemetry_size,
+        "shares": np.ravel(np.column_stack([numbers % width / width, numbers // width / height])).astype(np.float32),
+        "battery_share": (np.arange(task.battery_capacity + 1) / task.battery_capacity).astype(np.float32),
+        "steps_share": (np.arange(task.max_steps, -1, -1) / task.max_steps).astype(np.float32),
+        "terrain_numbers": terrain_numbers,
+    }
+    return read_only(Tables(**tables))
+
+
+def _city_tables(task: TaskConfig) -> dict[str, Any]:
+    """What a map is drawn from.
+
+    With streets: of the kinds that stand between them (open ground among them), and of those on them, the most frequent
+    one covers all at first, and the others are drawn: the fewest draws that do.
+    """
+    counts, spacing, cells = task.cell_counts(), task.street_spacing, task.width * task.height
+    if spacing == 0:
+        kinds = [kind for kind, count in counts.items() for _ in range(count)]
+        return {
+            "blocks": 0,
+            "city_grids": np.zeros(0, np.uint8),
+            "city_cells": np.zeros(0, np.uint16),
+            "drawn_kinds": np.array(kinds, np.uint8),
+            "drawn_between": 0,
+        }
+    numbers, way = np.arange(cells), np.arange(spacing**2)[:, None]
+    across, down = numbers % task.width % spacing, numbers // task.width % spacing
+    on_street = (across == way % spacing) | (down == way // spacing)
+    blocks = (task.width - task.width // spacing) * (task.height - task.height // spacing)
+
+    between = {kind: counts[kind] for kind in (Cell.BUILDING, Cell.TREE)}
+    along = {kind: counts[kind] for kind in (Cell.OBSTACLE, Cell.PAD)}
+    between[Cell.ROAD] = blocks - sum(between.values())
+    along[Cell.ROAD] = cells - blocks - 1 - task.deliveries - sum(along.values())
+    covers: list[Cell] = []
+    kinds: list[Cell] = []
+    for placed in between, along:
+        cover, *others = sorted(placed, key=lambda kind: (-placed[kind], kind))
+        covers.append(cover)
+        kinds += [kind for kind in others for _ in range(placed[kind])]
+    return {
+        "blocks": blocks,
+        "city_grids": np.ravel(np.where(on_street, covers[1], covers[0])).astype(np.uint8),
+        "city_cells": np.ravel(np.argsort(on_street, axis=1, kind="stable")).astype(np.uint16),
+        "drawn_kinds": np.array(kinds, np.uint8),
+        "drawn_between": blocks - between[covers[0]],
+    }
+
+
+@lru_cache(maxsize=64)
+def interpreted(task: TaskConfig) -> Tables:
+    """The same tables as memory views, for interpreted code."""
+    return as_views(tabulate(task))
+
+
+def view(array: npt.NDArray[Any]) -> Any:
+    """The memory of an array as a memory view, whose items are plain Python numbers and fast to get at."""
+    memory: Any = array
+    return memoryview(memory)
+
+
+def as_views(tables: AnyTables) -> AnyTables:
+    """A named tuple of tables with a memory view for each array."""
+    items: tuple[Any, ...] = tables
+    return type(tables)(*(view(item) if hasattr(item, "dtype") else item for item in items))
+
+
+def read_only(tables: AnyTables) -> AnyTables:
+    """The same named tuple, its arrays closed to writing."""
+    for table in tables:
+        if isinstance(table, np.ndarray):
+            table.setflags(write=False)
+    return tables

@@ -1,0 +1,1 @@
+"""Episodes on splits, their results and figures, and the analysis of a flight."""

@@ -1,0 +1,1 @@
+"""OpenEnv: the session, its WebSocket, the task API, the environment for those who bring OpenEnv, the client."""

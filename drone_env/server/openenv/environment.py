@@ -1,0 +1,157 @@
+"""The environment for those who bring OpenEnv: in process, or behind OpenEnv's own server.
+
+    from openenv.core.env_server import create_fastapi_app
+
+    app = create_fastapi_app(
+        DroneDeliveryEnvironment, DroneEnvAction, DroneEnvObservation, max_concurrent_envs=64, state_cls=DroneEnvState
+    )
+
+Importing this module imports OpenEnv's server package, which takes seconds.
+"""
+
+from typing import Any
+
+from openenv.core.env_server.interfaces import Environment
+from openenv.core.env_server.types import Action, EnvironmentMetadata, Observation, State
+from openenv.core.rubrics import Rubric
+from pydantic import ConfigDict, ValidationError
+
+from drone_env import __version__
+from drone_env.errors import InvalidValueError
+from drone_env.models import DroneState, observation_fields
+from drone_env.server.openenv import task_api
+from drone_env.server.openenv.session import DEFAULT_TASK, DESCRIPTION, ENV_NAME, Flight
+from drone_env.server.problems import where
+from drone_env.server.schemas import ResetOptions, WireAction, WireObservation
+
+
+class DroneEnvAction(WireAction, Action):
+    """One action, as OpenEnv's classes have it."""
+
+    model_config = ConfigDict(frozen=False)
+
+
+class DroneEnvObservation(WireObservation, Observation):
+    """One observation, as OpenEnv's classes have it."""
+
+    model_config = ConfigDict(frozen=False)
+
+
+class DroneEnvState(DroneState, State):
+    """The full state, as OpenEnv's classes have it."""
+
+    model_config = ConfigDict(frozen=False, extra="forbid")
+
+
+class GradeRubric(Rubric):
+    """What the grader says: the graded score of the episode as it stands; provisional until it has ended."""
+
+    def forward(self, action: Any, observation: Any) -> float:
+        """The score of the observation."""
+        return observation.score
+
+
+class DroneDeliveryEnvironment(Environment[DroneEnvAction, DroneEnvObservation, DroneEnvState]):
+    """One drone on one map, by OpenEnv's rules. Rewards are those of the reward profile; `rubric` is the grader.
+
+    Args:
+        task: The task of a reset that names none.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+    """
+
+    SUPPORTS_CONCURRENT_SESSIONS = True
+
+    def __init__(self, task: str = DEFAULT_TASK) -> None:
+        super().__init__(rubric=GradeRubric())
+        self._flight = Flight(task)
+
+    def reset(self, seed: int | None = None, episode_id: str | None = None, **kwargs: Any) -> DroneEnvObservation:
+        """Start an episode. On an error the running one is left as it was.
+
+        Args:
+            seed: Number of the map, 0 to 2^53 - 1; without one, the map after the last on a fixed walk, and at first
+                one that is drawn at random from the train split.
+            episode_id: Names the episode in the state; a random one without.
+            kwargs: `task_name`, `reward_profile`, `agent`, or `split` and `index` of the task API.
+
+        Raises:
+            InvalidValueError: if one of them is unknown or has a value that is not allowed.
+            UnknownNameError: if there is no such task, profile or split.
+        """
+        try:
+            options = ResetOptions(seed=seed, episode_id=episode_id, **kwargs)
+        except ValidationError as error:
+            wrong = "; ".join(f"{where(e['loc']) or 'reset'}: {e['msg']}" for e in error.errors())
+            raise InvalidValueError(wrong) from None
+        self._flight.reset(options)
+        self._reset_rubric()
+        return self._observe(None)
+
+    def step(self, action: DroneEnvAction, timeout_s: float | None = None, **kwargs: Any) -> DroneEnvObservation:
+        """Fly one action. After the end it changes nothing, pays 0, and `message` says so.
+
+        Args:
+            action: Where to fly.
+            timeout_s: OpenEnv's; a step takes microseconds.
+            kwargs: OpenEnv's; nothing is taken.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        observation = self._observe(self._flight.episode.step(action.action))
+        self._apply_rubric(action, observation)
+        return observation
+
+    async def reset_async(
+        self, seed: int | None = None, episode_id: str | None = None, **kwargs: Any
+    ) -> DroneEnvObservation:
+        """As `reset`: it takes some microseconds, so it needs no thread."""
+        return self.reset(seed, episode_id, **kwargs)
+
+    async def step_async(
+        self, action: DroneEnvAction, timeout_s: float | None = None, **kwargs: Any
+    ) -> DroneEnvObservation:
+        """As `step`: it takes some microseconds, so it needs no thread."""
+        return self.step(action, timeout_s, **kwargs)
+
+    @property
+    def state(self) -> DroneEnvState:
+        """The full state.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        flown = DroneState.of(self._flight.episode).model_copy(update={"episode_id": self._flight.episode_id})
+        return DroneEnvState(**dict(flown))
+
+    def get_metadata(self) -> EnvironmentMetadata:
+        """What the environment is."""
+        return EnvironmentMetadata(name=ENV_NAME, description=DESCRIPTION, version=__version__)
+
+    def list_splits(self) -> list[dict[str, str]]:
+        """All splits, named `task/split`; `reset(split=..., index=...)` flies one of their maps."""
+        return task_api.list_splits()
+
+    def list_tasks(self, split: str) -> list[dict[str, Any]]:
+        """The first 1,000 maps of a split; raises as `task_api.list_tasks`."""
+        return task_api.list_tasks(split)
+
+    def num_tasks(self, split: str) -> int:
+        """How many maps a split has; raises as `task_api.num_tasks`."""
+        return task_api.num_tasks(split)
+
+    def get_task(self, split: str, index: int) -> dict[str, Any]:
+        """One map of a split; raises as `task_api.describe`."""
+        return task_api.describe(split, index)
+
+    def get_task_range(self, split: str, start: int | None = None, stop: int | None = None) -> list[dict[str, Any]]:
+        """Maps of a split, at most 1,000; raises as `task_api.get_task_range`."""
+        return task_api.get_task_range(split, start, stop)
+
+    def _observe(self, reward: float | None) -> DroneEnvObservation:
+        # Made from the rules, so it needs no validation.
+        return DroneEnvObservation.model_construct(
+            **observation_fields(self._flight.episode), reward=reward, metadata={}
+        )
