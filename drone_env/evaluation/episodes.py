@@ -5,7 +5,7 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -87,7 +87,7 @@ def config_hash(task: TaskConfig, agent: str) -> str:
     Raises:
         InvalidValueError: if the agent does not say what decides how it flies.
     """
-    numbers = asdict(task) | {"impassable": sorted(task.impassable)}
+    numbers = task.rules() | {"impassable": sorted(task.impassable)}
     flies: Any = getattr(make_agent(agent, task), "config", None)
     try:
         text = json.dumps({"task": numbers, "agent": dict(flies)}, sort_keys=True)
