@@ -14,7 +14,7 @@ from drone_env.core.batch import Batch
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.envs.registration import check_gym_id
+from drone_env.envs.registry import check_gym_id
 from drone_env.envs.spaces import observation_space
 from drone_env.errors import EpisodeError, InvalidValueError
 
