@@ -9,7 +9,7 @@ from gymnasium.error import ResetNeeded
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.episode import Episode, Observation
-from drone_env.core.rewards import RewardProfile
+from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.ansi import draw_text
 from drone_env.envs.registry import check_gym_id
@@ -49,7 +49,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         self,
         task: str | TaskConfig = "easy_delivery",
         version: int | None = None,
-        reward_profile: str | RewardProfile = "aligned",
+        reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         render_mode: str | None = None,
         gym_id: str | None = None,
     ) -> None:
