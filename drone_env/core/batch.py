@@ -21,7 +21,7 @@ from drone_env.core.observation import (
     write_target_telemetry,
     write_telemetry,
 )
-from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, tabulate_rewards
+from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, Rewards, get_reward_profile, tabulate_rewards
 from drone_env.core.rules import reset as reset_episode
 from drone_env.core.rules import step as step_episode
 from drone_env.core.score import score
@@ -211,7 +211,7 @@ class Batch:
         self,
         task: str | TaskConfig,
         num_envs: SupportsIndex,
-        reward_profile: str | RewardProfile = "aligned",
+        reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         same_step: bool = False,
         num_threads: SupportsIndex = 1,
     ) -> None:

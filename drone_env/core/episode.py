@@ -12,7 +12,7 @@ import numpy.typing as npt
 from drone_env.core import rules
 from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome, check_action
 from drone_env.core.observation import Observation, open_actions, write_telemetry
-from drone_env.core.rewards import RewardProfile, get_reward_profile, interpreted_rewards
+from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, get_reward_profile, interpreted_rewards
 from drone_env.core.score import efficiency, efficiency_shares, score
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tables import (
@@ -91,7 +91,7 @@ class Episode:
     def __init__(
         self,
         task: str | TaskConfig = "easy_delivery",
-        reward_profile: str | RewardProfile = "tiered",
+        reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         seed: SupportsIndex | None = None,
     ) -> None:
         self.task = get_task(task)
