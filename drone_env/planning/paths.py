@@ -4,23 +4,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import Action
-from drone_env.core.tasks import TaskConfig
-from drone_env.errors import UnsupportedTaskError
 
 Position = tuple[int, int]
-
-
-def require_uniform(task: TaskConfig) -> None:
-    """Refuse tasks whose distances are not Manhattan distances.
-
-    Raises:
-        UnsupportedTaskError: if something blocks the way, drains more than one unit a step, or charges.
-    """
-    if not task.uniform:
-        raise UnsupportedTaskError(
-            f"task {task.id!r} has impassable cells, a drain other than 1 or charging pads; "
-            "this planner covers tasks on which every step costs one battery unit and leads anywhere"
-        )
 
 
 def distance(a: Position, b: Position) -> int:
