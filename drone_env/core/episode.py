@@ -19,7 +19,7 @@ from drone_env.core.tables import (
     BATTERY,
     CELL,
     DELIVERED_FLAG,
-    DELIVERIES,
+    DELIVERIES_DONE,
     DISTANCE,
     EVENT,
     NOWHERE,
@@ -57,7 +57,6 @@ class EpisodeState:
     seed: int
     grid: bytes
     numbers: bytes
-    reward_last: float
     reward_total: float
     path: tuple[tuple[int, int, int, float, int], ...]
     refused: bool = field(default=False, compare=False)
@@ -102,7 +101,6 @@ class Episode:
         self._grid = view(self._grid_array)
         self._state: Buffer = _NO_EPISODE
         self._seed: int | None = None
-        self._reward_last = 0.0
         self._reward_total = 0.0
         self._refused = False
         self._path: list[tuple[int, int, int, float, int]] = []
@@ -132,7 +130,6 @@ class Episode:
         self._choose_rewards(profile)
         self._state = view(self._state_array)
         rules.reset(self.tables, self._grid, self._state, chosen)
-        self._reward_last = 0.0
         self._reward_total = 0.0
         self._refused = False
         self._path = []
@@ -151,7 +148,6 @@ class Episode:
             self._refused = True
             return 0.0
         reward = rules.step(self.tables, self._rewards, self._grid, state, number)
-        self._reward_last = reward
         self._reward_total += reward
         self._path.append((number, state[CELL], state[EVENT], reward, state[BATTERY]))
         return reward
@@ -220,7 +216,7 @@ class Episode:
     @property
     def deliveries_done(self) -> int:
         """Parcels delivered."""
-        return self._state[DELIVERIES]
+        return self._state[DELIVERIES_DONE]
 
     @property
     def cell(self) -> int:
@@ -271,7 +267,7 @@ class Episode:
     @property
     def reward_last(self) -> float:
         """What the last step paid; 0 where it came after the end."""
-        return 0.0 if self._refused else self._reward_last
+        return self._path[-1][3] if self._path and not self._refused else 0.0
 
     @property
     def reward_total(self) -> float:
@@ -338,7 +334,6 @@ class Episode:
             seed=self.seed,
             grid=self._grid_array.tobytes(),
             numbers=self._state_array.tobytes(),
-            reward_last=self._reward_last,
             reward_total=self._reward_total,
             refused=self._refused,
             path=tuple(self._path),
@@ -364,7 +359,6 @@ class Episode:
         self._state = view(self._state_array)
         self._grid_array[:] = np.frombuffer(state.grid, np.uint8)
         self._state_array[:] = np.frombuffer(state.numbers, np.uint16)
-        self._reward_last = state.reward_last
         self._reward_total = state.reward_total
         self._refused = state.refused
         self._path = list(state.path)

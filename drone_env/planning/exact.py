@@ -37,15 +37,7 @@ def score_kernel(tables: Tables, scores: Any) -> None:
     for deliveries in range(scores.shape[0]):
         for battery in range(scores.shape[1]):
             for steps in range(scores.shape[2]):
-                scores[deliveries, battery, steps] = score_of(
-                    deliveries,
-                    tables.deliveries,
-                    battery,
-                    tables.capacity,
-                    steps,
-                    tables.max_steps,
-                    tables.efficiency_needs_all,
-                )
+                scores[deliveries, battery, steps] = score_of(tables, deliveries, battery, steps)
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
