@@ -1,4 +1,4 @@
-"""Flying a mission and telling about it, as several subcommands do."""
+"""A flight as log lines, and where its files go: what several subcommands share."""
 
 import sys
 from collections.abc import Iterable

@@ -13,7 +13,7 @@ from drone_env.core import rules
 from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome, check_action
 from drone_env.core.observation import Observation, open_actions, write_telemetry
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, get_reward_profile, interpreted_rewards
-from drone_env.core.score import efficiency, efficiency_shares, score
+from drone_env.core.score import EFFICIENCY_WEIGHTS, score
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tables import (
     BATTERY,
@@ -257,12 +257,12 @@ class Episode:
     @property
     def efficiency(self) -> float:
         """How sparing the flight was, 0 to 100: for people to look at; not the score."""
-        return efficiency(self.tables, self._state)
+        return sum(w * share for w, share in zip(EFFICIENCY_WEIGHTS.values(), self.efficiency_shares, strict=True))
 
     @property
     def efficiency_shares(self) -> tuple[float, float, float]:
         """What each part of the efficiency comes to, 0 to 1, in the order of `score.EFFICIENCY_WEIGHTS`."""
-        return efficiency_shares(self.tables, self._state)
+        return self.deliveries_done / self.task.deliveries, self.battery, 1 - self.steps / self.task.max_steps
 
     @property
     def reward_last(self) -> float:

@@ -26,15 +26,3 @@ def score(tables: Tables, state: Buffer) -> float:
 
 EFFICIENCY_WEIGHTS = {"parcels delivered": 75, "battery left": 15, "steps left": 10}
 """What the efficiency is made of, in percent: a figure for people to look at, paid nowhere."""
-
-
-def efficiency_shares(tables: Tables, state: Buffer) -> tuple[float, float, float]:
-    """The share of each part of the efficiency, 0 to 1, in the order of `EFFICIENCY_WEIGHTS`."""
-    delivered = state[DELIVERIES_DONE] / tables.deliveries
-    return delivered, state[BATTERY] / tables.capacity, 1 - state[STEPS] / tables.max_steps
-
-
-def efficiency(tables: Tables, state: Buffer) -> float:
-    """The weighted sum of the shares, 0 to 100."""
-    shares = efficiency_shares(tables, state)
-    return sum(weight * share for weight, share in zip(EFFICIENCY_WEIGHTS.values(), shares, strict=True))

@@ -1,4 +1,4 @@
-"""One map as a graph: where each action leads from each place, found by flying it with the dynamics.
+"""One map as a graph: where each action leads from each place, found by flying it by the rules.
 
 A *place* is a cell together with the set of parcels delivered; its number is `delivered * cells + cell`, where bit i
 of `delivered` stands for the i-th parcel that was waiting at the start of the planning. Where an action leads, what it

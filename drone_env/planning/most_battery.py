@@ -1,6 +1,6 @@
 """The exact optimum where more battery never hurts: forwards, the most battery with which each place can be reached.
 
-With `efficiency_needs_all`, the score of an unfinished mission is its parcels alone, so of two ways to a place that
+With `efficiency_needs_all`, the score of an unfinished flight is its parcels alone, so of two ways to a place that
 take the same steps the one that leaves more battery is at least as good: whatever can be flown after the other can be
 flown after it, with as much battery left or more. One number for each (steps, place) then stands for all ways there.
 """
