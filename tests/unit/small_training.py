@@ -5,6 +5,7 @@ from typing import Any
 import torch
 
 from drone_env.rl.config import TrainConfig
+from drone_env.rl.trainer import Trainer
 
 SMALL = TrainConfig(
     task="easy",
@@ -25,6 +26,13 @@ SMALL = TrainConfig(
 
 def do_nothing(*_: object) -> None:
     """A callback."""
+
+
+def finished(trainer: Trainer) -> Trainer:
+    """The trainer at the end of its run."""
+    for _ in trainer.train():
+        pass
+    return trainer
 
 
 def assert_same(a: Any, b: Any) -> None:

@@ -24,7 +24,7 @@ from drone_env.cli import main
 from drone_env.errors import CheckpointError
 from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
 from drone_env.rl.config import ORIGINAL, TrainConfig, preset
-from drone_env.rl.run import Run, log_line
+from drone_env.rl.run import TrainingRun, log_line
 from drone_env.rl.trainer import Progress, Trainer
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
@@ -37,7 +37,7 @@ KILLS = 20 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 1
 @pytest.fixture
 def no_curves(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing them takes longer than the runs of most of these tests."""
-    monkeypatch.setattr("drone_env.rl.curves.draw_curves", do_nothing)
+    monkeypatch.setattr("drone_env.rl.run.draw_curves", do_nothing)
 
 
 # Checkpoints
@@ -54,7 +54,7 @@ def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> 
         with pytest.raises(CheckpointError, match=r"easy\.pth cannot be read: cut short, or no checkpoint \(\w+\)$"):
             load_checkpoint(path)
         with pytest.raises(CheckpointError, match="--fresh"):
-            Run(SMALL, tmp_path, tmp_path / "results")
+            TrainingRun(SMALL, tmp_path, tmp_path / "results")
         assert path.read_bytes() == content
     torch.save({"weights": torch.zeros(3)}, path)
     with pytest.raises(CheckpointError, match="not a checkpoint of this project"):
@@ -67,7 +67,7 @@ def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> 
         load_checkpoint(path)
     save_checkpoint(path, {"config": SMALL.identity()})
     with pytest.raises(CheckpointError, match=r"easy\.pth lacks 'online'; --fresh"):
-        Run(SMALL, tmp_path, tmp_path / "results")
+        TrainingRun(SMALL, tmp_path, tmp_path / "results")
     assert [file.name for file in tmp_path.iterdir()] == ["easy.pth"]
 
 
@@ -89,15 +89,15 @@ def test_a_checkpoint_that_could_run_code_is_not_loaded(tmp_path: Path) -> None:
 
 
 def test_a_checkpoint_of_another_run_names_the_difference(tmp_path: Path) -> None:
-    Run(SMALL, tmp_path, tmp_path / "results").save()
+    TrainingRun(SMALL, tmp_path, tmp_path / "results").save()
     with pytest.raises(CheckpointError, match=r"gamma 0.99 \(now 0.9\).*--fresh"):
-        Run(replace(SMALL, gamma=0.9), tmp_path, tmp_path / "results")
-    run = Run(replace(SMALL, gamma=0.9), tmp_path, tmp_path / "results", fresh=True)
+        TrainingRun(replace(SMALL, gamma=0.9), tmp_path, tmp_path / "results")
+    run = TrainingRun(replace(SMALL, gamma=0.9), tmp_path, tmp_path / "results", fresh=True)
     assert not run.resumed
     assert (tmp_path / "easy.pth.old").exists()
 
 
-def saved_at(run: Run) -> list[tuple[int, int]]:
+def saved_at(run: TrainingRun) -> list[tuple[int, int]]:
     """The (steps, episodes) at which a run saves, which it is then made to do."""
     kept: list[tuple[int, int]] = []
     run.save = lambda: kept.append((run.trainer.steps, run.trainer.episodes))  # type: ignore[method-assign]
@@ -113,8 +113,8 @@ def test_checkpoints_are_so_many_episodes_and_seconds_apart_but_for_the_first(tm
     def saved(episodes: int, seconds: float) -> list[tuple[int, int]]:
         place = tmp_path / f"{episodes} {seconds}"
         config_here = replace(config, checkpoint_episodes=episodes, checkpoint_seconds=seconds)
-        runs: list[Run] = []
-        runs.append(Run(config_here, place, place, clock=lambda: runs[0].trainer.steps if runs else 0))
+        runs: list[TrainingRun] = []
+        runs.append(TrainingRun(config_here, place, place, clock=lambda: runs[0].trainer.steps if runs else 0))
         return saved_at(runs[0])
 
     steps = sorted(set(saved(0, 0)))
@@ -143,8 +143,8 @@ def test_what_the_log_has_told_is_not_lost_by_a_kill(tmp_path: Path) -> None:
             raise Killed
 
     with pytest.raises(Killed):
-        Run(config, tmp_path, tmp_path / "results").train(kill)
-    assert Run(config, tmp_path, tmp_path / "results").trainer.episodes >= 50
+        TrainingRun(config, tmp_path, tmp_path / "results").train(kill)
+    assert TrainingRun(config, tmp_path, tmp_path / "results").trainer.episodes >= 50
 
 
 # The command
@@ -352,10 +352,10 @@ def test_the_first_training_of_the_manual_reads_as_one_that_learns(tmp_path: Pat
 
 @pytest.mark.feature("L5")
 def test_where_the_checkpoint_was_deleted_it_starts_anew(tmp_path: Path) -> None:
-    Run(SMALL, tmp_path, tmp_path / "results").save()
-    assert Run(SMALL, tmp_path, tmp_path / "results").resumed
+    TrainingRun(SMALL, tmp_path, tmp_path / "results").save()
+    assert TrainingRun(SMALL, tmp_path, tmp_path / "results").resumed
     (tmp_path / "easy.pth").unlink()
-    assert not Run(SMALL, tmp_path, tmp_path / "results").resumed
+    assert not TrainingRun(SMALL, tmp_path, tmp_path / "results").resumed
 
 
 @contextmanager
@@ -399,7 +399,7 @@ def test_interrupted_the_run_saves_and_ends_cleanly(
 
 def test_interrupted_twice_it_ends_at_once(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
-    run = Run(SMALL, tmp_path, tmp_path / "results")
+    run = TrainingRun(SMALL, tmp_path, tmp_path / "results")
     asked = []
 
     def show(_: Progress) -> None:
@@ -417,13 +417,13 @@ def test_interrupted_twice_it_ends_at_once(tmp_path: Path) -> None:
 @pytest.mark.feature("L6")
 @pytest.mark.usefixtures("no_curves")
 def test_the_log_grows_and_begins_anew_with_what_the_checkpoint_holds(tmp_path: Path) -> None:
-    run = Run(replace(SMALL, episodes=10), tmp_path, tmp_path / "results")
+    run = TrainingRun(replace(SMALL, episodes=10), tmp_path, tmp_path / "results")
     lengths: list[int] = []
     run.train(lambda _: lengths.append((tmp_path / "train.log").read_text().count("\n")))
     assert lengths == [1, 2]  # each line is there for others when it is told
     first = [log_line(line) for line in run.trainer.history]
     (tmp_path / "train.log").write_text("flown after the checkpoint\n")
-    run = Run(replace(SMALL, episodes=15, final_learning_rate=1e-5), tmp_path, tmp_path / "results")
+    run = TrainingRun(replace(SMALL, episodes=15, final_learning_rate=1e-5), tmp_path, tmp_path / "results")
     run.train(lambda _: None)
     assert (tmp_path / "train.log").read_text().splitlines() == [*first, log_line(run.trainer.history[-1])]
     assert [asdict(line)["episode"] for line in run.trainer.history] == [5, 10, 15]
