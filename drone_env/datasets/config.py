@@ -61,7 +61,7 @@ class DatasetConfig:
         config: dict[str, Any] = {
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
-            "task": asdict(self.task),
+            "task": self.task.rules(),
             "split": self.split,
             "seeds": [self.seeds.start, self.seeds.stop],
             "agents": [
