@@ -54,25 +54,16 @@ class Flown(NamedTuple):
 def whole() -> Flown:
     trainer = Trainer(SMALL)
     flown = Flown(trainer, set(trainer.batch.seeds.tolist()), [], [])
-    paid, started, step = np.zeros(SMALL.num_envs), [0] * SMALL.num_envs, 0
-    fly = trainer.fly
-
-    def flying() -> None:
-        nonlocal step
-        fly()
-        batch, step = trainer.batch, step + 1
-        paid[:] += batch.rewards
+    batch, paid, started = trainer.batch, np.zeros(SMALL.num_envs), [0] * SMALL.num_envs
+    for step, lines in enumerate(trainer.train(), start=1):
+        paid += batch.rewards
         finals = batch.finals()
         for k, i in enumerate(batch.ended.tolist()):
             came = float(finals["score"][k]), int(finals["steps"][k]), int(finals["deliveries"][k])
             flown.landed.append(Landed((started[i], i), step, float(paid[i]), *came))
             paid[i], started[i] = 0, step
         flown.seeds.update(batch.seeds.tolist())
-
-    trainer.fly = flying  # type: ignore[method-assign]
-    for lines in trainer.train():
         flown.told.extend(step for _ in lines)
-    trainer.fly = fly  # type: ignore[method-assign]
     return flown
 
 
@@ -258,7 +249,8 @@ def test_its_figures_are_those_of_its_flights(whole: Flown) -> None:
     for line, step in zip(history, whole.told, strict=True):
         # Of all that have ended when it is told (of those of the last step only up to this number) ...
         ended = [landed for landed in whole.landed if landed.ended <= step][: line.episode]
-        flying = {(s, i) for s, i in starts(whole, step)} - {landed.started for landed in ended}
+        started = {(landed.ended, landed.started[1]) for landed in whole.landed if landed.ended <= step}
+        flying = (started | {(0, i) for i in range(SMALL.num_envs)}) - {landed.started for landed in ended}
         # ... those that started before every one that still flies.
         of_age = sorted(landed for landed in ended if landed.started < min(flying))
         told = of_age[-max(len(of_age) - before, 5) :]
@@ -279,13 +271,6 @@ def test_its_figures_are_those_of_its_flights(whole: Flown) -> None:
     # From the first validation on, after 10 episodes, each line tells the last one.
     assert [bool(np.isnan(line.validation)) for line in history] == [True] + 7 * [False]
     assert history[-1].validation == whole.trainer.validation.score
-
-
-def starts(whole: Flown, step: int) -> set[tuple[int, int]]:
-    """All episodes that had started when a step was over."""
-    return {(0, i) for i in range(SMALL.num_envs)} | {
-        (landed.ended, landed.started[1]) for landed in whole.landed if landed.ended <= step
-    }
 
 
 def test_short_flights_are_not_told_before_the_long_ones_of_their_age() -> None:
