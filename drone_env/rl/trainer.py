@@ -41,9 +41,9 @@ Figures = tuple[float, float, bool, int]
 class Progress:
     """How a run stands: one line of its log.
 
-    The episodes that end first are the short ones. So means are not over those that ended last: they are over those
-    that have ended and before which, in the order of their starts, all have ended; over those of them that no line
-    has told yet, and at least over `log_every`, told before or not. NaN while there are none.
+    Of episodes that start together the short ones end first, and a mean over the last ends would favour them. So the
+    means go through the episodes in the order of their starts, up to the first that still flies: over all that no line
+    has counted yet, and over the last `log_every` at least. NaN while there are none.
 
     Attributes:
         episode: Episodes ended so far.
@@ -117,7 +117,7 @@ class Trainer:
         self.window: list[Figures] = []
         """The last episodes that all older ones ended before."""
         self.untold = 0
-        """How many of them no line has told."""
+        """How many of them no line has counted."""
         self.losses: list[float] = []
         self.history: list[Progress] = []
         self.validation = Validation(float("nan"), self.validator.optimum, float("nan"))
