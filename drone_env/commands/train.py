@@ -72,6 +72,7 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
 
         The defaults below are those of the preset for the task and the number of episodes. `original` has the
         hyperparameters of the first version of this project, `fast` those that were found to learn fastest.
+
         Example: drone-env train --task hard
 
         Args:

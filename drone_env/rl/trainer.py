@@ -278,7 +278,6 @@ class Trainer:
 
     def get_state(self) -> dict[str, Any]:
         """Everything that the run needs to go on, as tensors and plain values."""
-        rows = min(self.replay.added, len(self.replay.grids))
         return {
             "config": self.config.identity(),
             "episodes_wanted": self.config.episodes,
@@ -286,7 +285,9 @@ class Trainer:
             **{name: copy(getattr(self, name)) for name in PLAIN},
             **{name: torch.from_numpy(getattr(self, name)) for name in PLACES},
             "counters": [getattr(self, name) for name in COUNTERS],
-            "replay": {name: torch.from_numpy(getattr(self.replay, name)[:rows]) for name in REPLAY_ARRAYS},
+            "replay": {
+                name: torch.from_numpy(getattr(self.replay, name)[: self.replay.held]) for name in REPLAY_ARRAYS
+            },
             "replay_added": self.replay.added,
             "batch": {name: as_tensor(array) for name, array in self.batch.get_state().items()},
             "rng": self.rng.bit_generator.state,
