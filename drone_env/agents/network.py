@@ -40,9 +40,9 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "head.5.weight": (64, 128),
     "head.7.weight": (N_ACTIONS, 64),
 }
-SHAPES |= {
-    name.replace("weight", "bias"): shape[:1] for name, shape in SHAPES.items() if name != "encoder.embedding.weight"
-}
+SHAPES.update(
+    {name.replace("weight", "bias"): shape[:1] for name, shape in SHAPES.items() if name != "encoder.embedding.weight"}
+)
 """The parameters of a network, here and in `rl.model`; a layer has a bias for each of its outputs."""
 MOST_BYTES = 1 << 20
 """More than three times what a network takes, packed or not. No more than that is ever read or unpacked."""
