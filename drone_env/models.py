@@ -272,27 +272,15 @@ class DroneState(Message):
         Raises:
             EpisodeError: before the first reset.
         """
-        x, y = episode.position
         return cls(
+            **{name: value for name, value in observation_numbers(episode).items() if name in cls.model_fields},
             task_name=episode.task.id,
             task_version=episode.task.version,
             seed=episode.seed,
             reward_profile=episode.reward_profile.id,
             grid=episode.grid().tolist(),
-            drone_x=x,
-            drone_y=y,
-            battery=episode.battery,
-            battery_steps_remaining=episode.battery_units,
             battery_capacity=episode.task.battery_capacity,
-            deliveries_total=episode.task.deliveries,
-            deliveries_done=episode.deliveries_done,
             parcels=[ParcelState(x=px, y=py, delivered=delivered) for px, py, delivered in episode.parcels],
-            current_target=episode.target,
-            step_count=episode.steps,
-            max_steps=episode.task.max_steps,
-            reward_total=episode.reward_total,
-            score=episode.score,
-            done=episode.ended,
             outcome=cast(OutcomeName, episode.outcome.name.lower()),
             path_history=[
                 PathPoint(

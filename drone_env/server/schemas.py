@@ -27,6 +27,13 @@ from drone_env.models import (
 MAX_SEED = N_SEEDS - 1
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
 STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
+
+
+def examples(values: list[JsonValue]) -> Any:
+    """Examples of a body, as its documentation shows them."""
+    return {str(value): {"value": value} for value in values}
+
+
 Seed = Annotated[int, Field(ge=0, le=MAX_SEED)]
 
 
@@ -313,24 +320,12 @@ class EpisodeSummary(Message):
     def of(cls, listed: ListedEpisode) -> Self:
         """The summary of a finished episode."""
         stored, optimum = listed.episode, listed.optimum
-        record = stored.record
+        known = {**dict(stored.record), **dict(stored)}
         return cls(
-            id=stored.id,
+            **{name: known[name] for name in cls.model_fields if name in known and name != "finished_at"},
             finished_at=stored.finished_at.isoformat(),
-            task=record.task,
-            task_version=record.task_version,
-            seed=record.seed,
-            agent=record.agent,
-            reward_profile=record.reward_profile,
-            steps=stored.steps,
-            deliveries=record.deliveries,
-            deliveries_total=stored.deliveries_total,
-            reward_total=stored.reward_total,
-            score=record.score,
-            success=record.success,
-            outcome=stored.outcome,
             optimal_score=optimum,
-            regret=None if optimum is None else optimum - record.score,
+            regret=None if optimum is None else optimum - stored.record.score,
         )
 
 
