@@ -48,11 +48,7 @@ async def graders() -> GraderList:
 @router.get("/kinds")
 async def kinds() -> KindList:
     """What can stand in a cell of a map."""
-    return KindList(
-        kinds=[
-            KindInfo(id=cell, name=kind.name, emoji=kind.emoji, effect=kind.effect) for cell, kind in CELL_KINDS.items()
-        ]
-    )
+    return KindList(kinds=[KindInfo(id=cell, **kind._asdict()) for cell, kind in CELL_KINDS.items()])
 
 
 @router.get("/pilots")
