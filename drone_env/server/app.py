@@ -13,6 +13,7 @@ from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 from functools import cache
 from pathlib import Path
+from threading import Lock
 
 from drone_env import __version__
 from drone_env.core.tasks import get_task
@@ -121,12 +122,13 @@ def _add_page(app: FastAPI, live: LiveSocket) -> None:
     async def docs() -> FileResponse:
         return FileResponse(PAGE / "docs.html")
 
-    description = cache(lambda: to_json(app.openapi()))
+    described, lock = cache(lambda: to_json(app.openapi())), Lock()
 
     # FastAPI's own holds up the event loop, and writes it each time.
     @app.get("/openapi.json", include_in_schema=False)
-    def openapi() -> Response:
-        return Response(description(), media_type="application/json")
+    def description() -> Response:
+        with lock:
+            return Response(described(), media_type="application/json")
 
     app.mount("/static", StaticFiles(directory=PAGE))
 
