@@ -213,12 +213,12 @@ class DroneEnvClient:
         answer: Any = None
         with suppress(ValueError):
             answer = {} if response.status_code == NO_CONTENT else response.json()
-        told = cast(dict[str, Any], answer) if isinstance(answer, dict) else None
-        if response.is_success and told is not None:
-            return told
+        found = cast(dict[str, Any], answer) if isinstance(answer, dict) else None
+        if response.is_success and found is not None:
+            return found
         code, detail = "http", response.text[:200]
-        if told is not None:
-            code, detail = told.get("code", code), told.get("detail", detail)
+        if found is not None:
+            code, detail = found.get("code", code), found.get("detail", detail)
         raise ServerError(response.status_code, code, f"{method} {path}: {response.status_code}: {detail}")
 
 

@@ -128,8 +128,8 @@ def listen(host: str, port: int) -> list[socket.socket]:
             if refused is not None and not sockets:
                 raise refused
         except OSError as error:
-            told = f"cannot listen on {host}, port {port}: {error.strerror or error}"
-            raise InvalidValueError(f"{told}; --host and --port choose another address") from None
+            message = f"cannot listen on {host}, port {port}: {error.strerror or error}"
+            raise InvalidValueError(f"{message}; --host and --port choose another address") from None
         opened.pop_all()
     return sockets
 

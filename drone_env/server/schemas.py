@@ -126,7 +126,7 @@ class ResetResult(StepResult):
 class AnalysisAnswer(Analysis):
     """What the finished episodes of a task come to."""
 
-    status: Literal["Success", "No data"] = Field(description="Whether there are any, as older clients are told.")
+    status: Literal["Success", "No data"] = Field(description="Whether there are any, in the words of older clients.")
 
 
 class Grade(Message):

@@ -89,8 +89,8 @@ class Shared:
             RequestError: if the server has not started, or has ended.
         """
         if self._sessions is None:
-            told = "the server is not running: a test client starts it in a block, `with TestClient(app) as client:`"
-            raise RequestError(503, "not_started", told)
+            message = "the server is not running: a test client starts it in a block, `with TestClient(app) as client:`"
+            raise RequestError(503, "not_started", message)
         return self._sessions
 
     @property
