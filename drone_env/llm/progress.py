@@ -8,10 +8,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from typing_extensions import Self
 
-from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.config import RunConfig
-from drone_env.llm.limits import Spending
-from drone_env.llm.pilot import Flight
+from drone_env.llm.gate import Gate
+from drone_env.llm.pilot import PilotedEpisode
 from drone_env.llm.runner import log_text
 from drone_env.llm.transcript import Call
 
@@ -27,7 +26,7 @@ class ConsoleObserver:
         keep: Is given each flight before its log lines are printed.
     """
 
-    def __init__(self, keep: Callable[[Flight], None] | None = None) -> None:
+    def __init__(self, keep: Callable[[PilotedEpisode], None]) -> None:
         self._keep = keep
         self._console = Console(stderr=True, highlight=False, markup=False, emoji=False)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -48,8 +47,7 @@ class ConsoleObserver:
         self._began = self._told = time.monotonic()
         self._waits = 0
         self._wait_told = 0.0
-        self._spending: Spending | None = None
-        self._gate: AdaptiveGate | None = None
+        self._gate: Gate | None = None
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -60,10 +58,9 @@ class ConsoleObserver:
     ) -> None:
         self._progress.stop()
 
-    def started(self, config: RunConfig, spending: Spending, gate: AdaptiveGate) -> None:
+    def started(self, config: RunConfig, gate: Gate) -> None:
         """The run begins."""
-        self._model, self._flights = config.model, config.flights
-        self._spending, self._gate = spending, gate
+        self._model, self._flights, self._gate = config.model, config.flights, gate
         self._progress.update(self._bar, total=config.flights, description=config.task_config.short_name)
 
     def called(self, call: Call) -> None:
@@ -79,14 +76,13 @@ class ConsoleObserver:
             self._wait_told = now
             self._console.print(f"waiting {seconds:.1f} s, then trying again ({self._waits} so far): {reason}")
 
-    def flown(self, flight: Flight) -> None:
+    def flown(self, flown: PilotedEpisode) -> None:
         """A flight is over: its log lines."""
-        if self._keep is not None:
-            self._keep(flight)
-        print(log_text(flight, self._model), end="", flush=True)
+        self._keep(flown)
+        print(log_text(flown, self._model), end="", flush=True)
         self._done += 1
-        if flight.status != "finished":
-            self._console.print(f"map {flight.seed}: {flight.status}: {flight.error}")
+        if flown.status != "finished":
+            self._console.print(f"map {flown.episode.seed}: {flown.status}: {flown.error}")
         self._progress.update(self._bar, completed=self._done)
         self._show()
 
@@ -100,14 +96,14 @@ class ConsoleObserver:
         self._progress.update(self._bar, figures=self._figures(now))
 
     def _figures(self, now: float) -> str:
-        spending, gate = self._spending, self._gate
-        if spending is None or gate is None:
+        gate = self._gate
+        if gate is None:
             return ""
         rate = self._calls / max(now - self._began, 1e-9)
         parts = [
-            f"{spending.requests} requests, {rate:.1f} calls/s, {gate.active} at once",
-            f"{spending.tokens} tokens",
+            f"{gate.requests} requests, {rate:.1f} calls/s, {gate.active} at once",
+            f"{gate.tokens} tokens",
         ]
-        if spending.cost is not None:
-            parts.append(f"${spending.cost:.4f}")
+        if gate.cost is not None:
+            parts.append(f"${gate.cost:.4f}")
         return ", ".join(parts)

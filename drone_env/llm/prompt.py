@@ -16,6 +16,7 @@ from typing import Any
 from typing_extensions import TypedDict
 
 from drone_env.core.cells import CELL_KINDS
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.models import DroneObservation
@@ -72,16 +73,6 @@ class Prompt:
         return "{history}" in self.user
 
 
-@dataclass(frozen=True)
-class Flown:
-    """One flown step, for the history."""
-
-    action: str
-    x: int
-    y: int
-    message: str
-
-
 def prompt_ids() -> list[str]:
     """The ids of all prompts, sorted."""
     return sorted(path.stem for path in FOLDER.glob("*-*.toml"))
@@ -132,9 +123,7 @@ def read_prompt(path: Path) -> Prompt:
     return Prompt(id=path.stem, plan=data["plan"], digest=hashlib.sha256(raw).hexdigest()[:16], **texts)
 
 
-def first_messages(
-    prompt: Prompt, task: TaskConfig, observation: DroneObservation, flown: Sequence[Flown], history: int
-) -> list[ChatMessage]:
+def first_messages(prompt: Prompt, episode: Episode, last_steps: Sequence[str] = ()) -> list[ChatMessage]:
     """The messages that ask for the next action, or for the route.
 
     In tasks with pads every prompt ends with what lies below the drone, which no map shows: that belongs to the version
@@ -142,16 +131,15 @@ def first_messages(
 
     Args:
         prompt: The prompt.
-        task: The task, whose costs and barriers are told.
-        observation: What the drone sees now.
-        flown: All steps so far.
-        history: How many of the last steps to tell.
+        episode: Where it stands.
+        last_steps: The last steps, each in a line.
     """
-    values = _values(task, observation, flown, history)
-    told = [_fill(prompt.user, values), below_text(task, observation.cell_below)]
+    observation = DroneObservation.of(episode)
+    values = _values(episode.task, observation, last_steps)
+    parts = [_fill(prompt.user, values), below_text(episode.task, observation.cell_below)]
     return [
         {"role": "system", "content": _fill(prompt.system, values)},
-        {"role": "user", "content": "\n".join(part for part in told if part)},
+        {"role": "user", "content": "\n".join(part for part in parts if part)},
     ]
 
 
@@ -188,7 +176,7 @@ def _fill(template: str, values: dict[str, object]) -> str:
     return re.sub(r"\n{3,}", "\n\n", template.format(**values)).strip()
 
 
-def _values(task: TaskConfig, observation: DroneObservation, flown: Sequence[Flown], history: int) -> dict[str, object]:
+def _values(task: TaskConfig, observation: DroneObservation, last_steps: Sequence[str]) -> dict[str, object]:
     target, away = observation.current_target, observation.distance_to_target
     return {
         "x": observation.drone_x,
@@ -211,7 +199,7 @@ def _values(task: TaskConfig, observation: DroneObservation, flown: Sequence[Flo
         "obstacles": _places(observation, "obstacle"),
         "pads": _places(observation, "pad"),
         "rules": rules_text(task),
-        "history": _history(flown, history),
+        "history": "\n".join(["", "Last steps:", *last_steps]) if last_steps else "",
     }
 
 
@@ -224,17 +212,6 @@ def _places(observation: DroneObservation, kind: str) -> str:
         f"({x}, {y})" for y, line in enumerate(observation.cell_types) for x, name in enumerate(line) if name == kind
     ]
     return " ".join(found) or "none"
-
-
-def _history(flown: Sequence[Flown], last: int) -> str:
-    if not last or not flown:
-        return ""
-    start = max(0, len(flown) - last)
-    lines = [
-        f"{number}. {step.action} -> ({step.x}, {step.y}). {step.message}"
-        for number, step in enumerate(flown[start:], start + 1)
-    ]
-    return "\n".join(["", "Last steps:", *lines])
 
 
 def rules_text(task: TaskConfig) -> str:

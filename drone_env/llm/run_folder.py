@@ -1,5 +1,6 @@
 """The folder of a run: what it is, its transcript, and what follows from that. One process at a time writes to it."""
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,18 +9,19 @@ from pydantic import Field, ValidationError
 from typing_extensions import Self
 
 from drone_env.episodes.record import record_of
+from drone_env.episodes.store import Store
 from drone_env.errors import InvalidValueError
 from drone_env.files import lock_file, replacing
-from drone_env.llm.answers import OUTCOMES, Outcome
+from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
-from drone_env.llm.pilot import Flight, Status
+from drone_env.llm.pilot import PilotedEpisode, Status
 from drone_env.models import Count, Message, Score
 
 CONFIG, TRANSCRIPT, EPISODES, RESULTS = "run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl"
 
 
-class FlightResult(Message):
-    """One flight of a run; its record is the line of the same number in `episodes.jsonl`."""
+class PilotedRecord(Message):
+    """What is kept of a piloted episode; its `EpisodeRecord` is the line of the same number in `episodes.jsonl`."""
 
     flight: Count
     seed: Count
@@ -30,25 +32,25 @@ class FlightResult(Message):
     ended: bool = Field(description="Whether it was flown to the end of the episode.")
     success: bool
     score: Score = Field(description="Of an unfinished flight what waiting to its end would earn.")
-    turns: dict[Outcome, Count] = Field(description="How the requests for actions came out.")
+    turns: dict[TurnKind, Count] = Field(description="How the requests for actions came out.")
     waits: Count = Field(description="Steps that are a WAIT because no answer could be used.")
 
     @classmethod
-    def of(cls, flight: Flight) -> Self:
-        """The result of a flight."""
-        episode = flight.episode
+    def of(cls, flown: PilotedEpisode) -> Self:
+        """What is kept of an episode."""
+        episode = flown.episode
         return cls(
-            flight=flight.index,
-            seed=flight.seed,
-            repeat=flight.repeat,
-            status=flight.status,
-            error=flight.error,
+            flight=flown.index,
+            seed=episode.seed,
+            repeat=flown.repeat,
+            status=flown.status,
+            error=flown.error,
             steps=episode.steps,
             ended=episode.ended,
             success=episode.success,
             score=episode.counted_score(),
-            turns={name: flight.turns.count(name) for name in OUTCOMES},
-            waits=sum(error is not None for error in flight.step_errors),
+            turns={name: flown.turns.count(name) for name in TURN_KINDS},
+            waits=sum(error is not None for error in flown.step_errors),
         )
 
 
@@ -87,18 +89,31 @@ class RunFolder:
             self.close()
             raise
 
-    def write_flights(self, flights: Sequence[Flight], agent: str) -> None:
+    def write_flights(self, flights: Sequence[PilotedEpisode], agent: str) -> None:
         """Write the records and the results of flights, in their order; each file is there whole or not at all.
 
         Raises:
             OSError: if they cannot be written.
         """
-        ordered = sorted(flights, key=lambda flight: flight.index)
-        records = [record_of(flight.episode, agent).to_json() for flight in ordered]
-        results = [FlightResult.of(flight).model_dump_json() for flight in ordered]
+        ordered = sorted(flights, key=lambda flown: flown.index)
+        records = [record_of(flown.episode, agent).to_json() for flown in ordered]
+        results = [PilotedRecord.of(flown).model_dump_json() for flown in ordered]
         for name, lines in ((EPISODES, records), (RESULTS, results)):
             with replacing(self.path / name) as temporary:
                 temporary.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+
+    def keep(self, flown: PilotedEpisode, store: Store, agent: str) -> None:
+        """Keep an episode that was flown to its end in a store: once, however often the run is gone on with.
+
+        Raises:
+            StoreError: if the store refuses it.
+        """
+        if not flown.episode.ended:
+            return
+        with (self.path / TRANSCRIPT).open("rb") as file:
+            # It holds the time of the run's first call, and is the same for all parts of the run.
+            run = file.readline()
+        store.add_episode(flown.episode, agent, hashlib.sha256(b"%d %s" % (flown.index, run)).hexdigest()[:16])
 
     def close(self) -> None:
         """Let other processes in."""
@@ -120,17 +135,17 @@ def load_config(path: Path) -> RunConfig:
         raise InvalidValueError(f"{path / CONFIG} is not the configuration of a run: {first_problem(error)}") from None
 
 
-def load_results(path: Path) -> list[FlightResult]:
+def load_results(path: Path) -> list[PilotedRecord]:
     """The results of a run, in order.
 
     Raises:
         OSError: if there are none yet.
         InvalidValueError: if a line is no result.
     """
-    results: list[FlightResult] = []
+    results: list[PilotedRecord] = []
     for number, line in enumerate((path / RESULTS).read_bytes().splitlines(), 1):
         try:
-            results.append(FlightResult.model_validate_json(line))
+            results.append(PilotedRecord.model_validate_json(line))
         except ValidationError as error:
             where = f"line {number} of {path / RESULTS}"
             raise InvalidValueError(f"{where} is not the result of a flight: {first_problem(error)}") from None
