@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileName, parse_seeds
+from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError, StoreError, needs
+from drone_env.errors import InvalidValueError, StoreError, needs, text_of
 from drone_env.llm.options import Number, Options, Whole
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def infer(
     max_answer_tokens: int = 1024,
     sampling_seed: Whole = None,
     extra: str = "{}",
-    reward_profile: ProfileName = "tiered",
+    reward_profile: ProfileName = ORIGINAL_PROFILE,
     options: Annotated[Options, tyro.conf.arg(name="")] = DEFAULTS,
     data: Path | None = None,
     out: Path | None = None,
@@ -148,7 +149,7 @@ def infer(
             ),
         )
     except ValidationError as error:
-        raise InvalidValueError(run_folder.first_problem(error)) from None
+        raise InvalidValueError(text_of(error)) from None
     except (json_format.JSONDecodeError, RecursionError) as error:
         raise InvalidValueError(f"--extra takes a JSON object: {error}") from None
     token = token_for(settings, config.base_url)

@@ -35,7 +35,7 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         (stored,) = httpx.get(f"{server.url}/memory_logs", timeout=30).json()["episodes"]
         assert (stored["seed"], stored["agent"], stored["score"]) == (14, "scripted", 0.99)
         # A server of other rules would show another flight than the one here.
-        episode, session = Episode("easy"), ServerSession(server.url, "mine")
+        episode, session = Episode("easy", "tiered"), ServerSession(server.url, "mine")
         episode.reset(14)
         asyncio.run(session.reset(episode))
         episode.step(Action.LEFT)
