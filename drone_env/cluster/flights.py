@@ -112,20 +112,21 @@ class Flyer:
 
 
 async def run_on_nodes(
-    config: RunConfig, folder: RunFolder, token: str | None, options: Options, observer: Observer
+    config: RunConfig, folder: RunFolder, token: str | None, gate: Gate, observer: Observer
 ) -> RunResult:
     """What `runner.run` does, on all nodes of the cluster. Inside of `connect` only.
+
+    Requests pass a gate at the desk; the one that is given counts what they come to.
 
     Raises:
         OSError: if the folder cannot be written to.
         InvalidValueError: if the transcript is damaged or of another run.
         ClusterError: if a node has another package than this one, or flights were lost again and again.
     """
+    options = gate.options
     here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
     desk = _actor(DeskActor, options, scheduling_strategy=here, num_cpus=0)
     secret = None if token is None else SecretStr(token)
-    # What the observer is shown: the gate itself is at the desk.
-    gate = Gate(options)
     for call in cast(list[Call], await _result(desk.open.remote(str(folder.path.resolve()), config, options))):
         gate.count(call)
     nodes = [node for node in cast(list[dict[str, Any]], ray.nodes()) if node["Alive"]]

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileName, parse_seeds
+from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileName, SeedRange, SplitName, chosen_maps
 from drone_env.core.rewards import ORIGINAL_PROFILE
-from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError, needs, text_of
 from drone_env.llm.options import Number, Options, Whole
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
     from drone_env.llm.runner import Engine
 
 ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
-SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
-SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 PromptName = Annotated[str, tyro.conf.arg(metavar="minimal|grid|coordinates|plan")]
 DEFAULTS = Options()
 
@@ -106,6 +103,7 @@ def infer(
     with needs("llm"):
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import RunConfig, Sampling
+        from drone_env.llm.gate import Gate
         from drone_env.llm.image import running_image
         from drone_env.llm.pilot import PilotedEpisode
         from drone_env.llm.progress import ConsoleObserver
@@ -113,16 +111,11 @@ def infer(
         from drone_env.llm.settings import check_url, load_settings, token_for
     from pydantic import ValidationError
 
-    if seeds is not None and (split is not None or episodes is not None):
-        raise InvalidValueError("--seeds names the maps itself: give it without --split and --episodes")
-    if episodes is not None and episodes < 1:
-        raise InvalidValueError(f"--episodes must be at least 1, got {episodes}")
+    chosen_split, maps = chosen_maps(seeds, split, episodes, 1)
     if resume and out is None:
         raise InvalidValueError("--resume needs --out, the folder of the run to go on with")
     settings = load_settings(base_url)
     config_task = get_task(settings.drone_task if task is None else task)
-    chosen_split = "custom" if seeds is not None else split or "test"
-    maps = split_seeds(chosen_split, episodes or 1) if seeds is None else parse_seeds(seeds)
     chosen_prompt = get_prompt(prompt)
     try:
         more = json_format.loads(extra)
@@ -181,8 +174,10 @@ def infer(
                     url = stack.enter_context(running_image(settings.local_image_name))
                     options = dataclasses.replace(options, server=url)
                 run = runner.run if engine == "local" else _on_cluster(stack, address)
-                observer = stack.enter_context(ConsoleObserver(keep))
-                result = asyncio.run(run(config, folder, token, options, observer))
+                gate = Gate(options)
+                observer = ConsoleObserver(config, gate, keep)
+                stack.enter_context(observer.progress)
+                result = asyncio.run(run(config, folder, token, gate, observer))
             if report:
                 from drone_env.llm.report import report as figures_of
                 from drone_env.llm.report import write_report

@@ -1,7 +1,7 @@
 """What all flights of a run share: its transcript, its cache of answers, and the gate that their requests pass."""
 
 from pathlib import Path
-from typing import NamedTuple, NoReturn, Protocol
+from typing import NoReturn, Protocol
 from urllib.parse import urlsplit
 
 from pydantic import ValidationError
@@ -30,13 +30,6 @@ class Watcher(Protocol):
         ...
 
 
-class Known(NamedTuple):
-    """What is there of a call before it is made: an answer, and whether it is from the cache."""
-
-    answer: Answer | None
-    cached: bool
-
-
 class Desk:
     """Where flights ask before they send and report before they go on. It may stand in another process.
 
@@ -56,8 +49,8 @@ class Desk:
         for call in transcript.calls:
             gate.count(call)
 
-    async def known(self, key: CallKey, request: str, cache_key: str) -> Known:
-        """What is there of a call; of its flight nothing else is under way.
+    async def known(self, key: CallKey, request: str, cache_key: str) -> tuple[Answer | None, bool]:
+        """The answer of a call, where there is one, and whether it is from the cache. The flight does nothing else now.
 
         Raises:
             StoppedError: if the run is being stopped for the sake of another call.
@@ -69,10 +62,10 @@ class Desk:
         if call is not None:
             if call.request_digest != request:
                 raise InvalidValueError(f"{self._transcript.path}: call {key} asks something else than this run would")
-            return Known(call.answer, False)
+            return call.answer, False
         self._gate.check_going_on()
         answer = self._cache.get(cache_key) if self._cache else None
-        return Known(answer, answer is not None)
+        return answer, answer is not None
 
     async def acquire(self, flight: int) -> float:
         """See `Gate.acquire`."""

@@ -2,11 +2,9 @@
 
 import time
 from collections.abc import Callable
-from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from typing_extensions import Self
 
 from drone_env.llm.config import RunConfig
 from drone_env.llm.gate import Gate
@@ -23,15 +21,22 @@ class ConsoleObserver:
     """Prints the log lines of each flight to standard output, together, and all else to standard error.
 
     Args:
+        config: The run.
+        gate: What its requests pass, for the figures.
         keep: Is given each flight before its log lines are printed.
+
+    Attributes:
+        progress: The bar, to be entered by a `with`.
     """
 
-    def __init__(self, keep: Callable[[PilotedEpisode], None]) -> None:
+    def __init__(self, config: RunConfig, gate: Gate, keep: Callable[[PilotedEpisode], None]) -> None:
+        self._config = config
+        self._gate = gate
         self._keep = keep
         self._console = Console(stderr=True, highlight=False, markup=False, emoji=False)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         terminal = self._console.is_terminal
-        self._progress = Progress(
+        self.progress = Progress(
             *columns,
             TextColumn("{task.fields[figures]}"),
             console=self._console,
@@ -39,29 +44,12 @@ class ConsoleObserver:
             disable=not terminal,
             redirect_stdout=terminal,
         )
-        self._bar = self._progress.add_task("flights", total=None, figures="")
-        self._model = ""
-        self._flights = 0
+        self._bar = self.progress.add_task(config.task_config.short_name, total=config.flights, figures="")
         self._done = 0
         self._calls = 0
         self._began = self._told = time.monotonic()
         self._waits = 0
         self._wait_told = 0.0
-        self._gate: Gate | None = None
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._progress.stop()
-
-    def started(self, config: RunConfig, gate: Gate) -> None:
-        """The run begins."""
-        self._model, self._flights, self._gate = config.model, config.flights, gate
-        self._progress.update(self._bar, total=config.flights, description=config.task_config.short_name)
 
     def called(self, call: Call) -> None:
         """A call was made."""
@@ -79,31 +67,26 @@ class ConsoleObserver:
     def flown(self, flown: PilotedEpisode) -> None:
         """A flight is over: its log lines."""
         self._keep(flown)
-        print(log_text(flown, self._model), end="", flush=True)
+        print(log_text(flown, self._config.model), end="", flush=True)
         self._done += 1
         if flown.status != "finished":
             self._console.print(f"map {flown.episode.seed}: {flown.status}: {flown.error}")
-        self._progress.update(self._bar, completed=self._done)
+        self.progress.update(self._bar, completed=self._done)
         self._show()
 
     def _show(self) -> None:
         now = time.monotonic()
-        if self._progress.disable:
+        if self.progress.disable:
             if now - self._told >= LINE_SECONDS:
                 self._told = now
-                self._console.print(f"{self._done} of {self._flights} flights, {self._figures(now)}", soft_wrap=True)
+                self._console.print(
+                    f"{self._done} of {self._config.flights} flights, {self._figures(now)}", soft_wrap=True
+                )
             return
-        self._progress.update(self._bar, figures=self._figures(now))
+        self.progress.update(self._bar, figures=self._figures(now))
 
     def _figures(self, now: float) -> str:
         gate = self._gate
-        if gate is None:
-            return ""
         rate = self._calls / max(now - self._began, 1e-9)
-        parts = [
-            f"{gate.requests} requests, {rate:.1f} calls/s, {gate.active} at once",
-            f"{gate.tokens} tokens",
-        ]
-        if gate.cost is not None:
-            parts.append(f"${gate.cost:.4f}")
-        return ", ".join(parts)
+        cost = "" if gate.cost is None else f", ${gate.cost:.4f}"
+        return f"{gate.requests} requests, {rate:.1f} calls/s, {gate.active} at once, {gate.tokens} tokens{cost}"

@@ -4,7 +4,6 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from filelock import FileLock
 from pydantic import Field, ValidationError
 from typing_extensions import Self
 
@@ -75,7 +74,7 @@ class RunFolder:
         if resume and not config_path.exists():
             raise InvalidValueError(f"there is no run in {path} to resume")
         path.mkdir(parents=True, exist_ok=True)
-        self._lock = _lock(path)
+        self._lock = lock_file(path / "lock", f"another process is working on the run in {path}")
         try:
             if config_path.exists():
                 before = load_config(path)
@@ -155,11 +154,3 @@ def load_results(path: Path) -> list[PilotedRecord]:
 def _begun(path: Path) -> bool:
     """Whether the folder holds nothing but what a run that was killed at its very start leaves."""
     return all(entry.name == "lock" or entry.name.endswith(".part") for entry in path.iterdir())
-
-
-def _lock(path: Path) -> FileLock:
-    """Keep other processes out until the lock is released, or this process dies."""
-    try:
-        return lock_file(path / "lock")
-    except BlockingIOError:
-        raise InvalidValueError(f"another process is working on the run in {path}") from None

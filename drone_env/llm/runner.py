@@ -15,8 +15,7 @@ from drone_env.llm.caller import Caller
 from drone_env.llm.config import RunConfig
 from drone_env.llm.desk import Desk, Watcher
 from drone_env.llm.endpoint import Endpoint
-from drone_env.llm.gate import Clock, Gate, StoppedError
-from drone_env.llm.options import Options
+from drone_env.llm.gate import Gate, StoppedError
 from drone_env.llm.pilot import PilotedEpisode, fly_one
 from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
 from drone_env.llm.transcript import Transcript
@@ -28,10 +27,6 @@ EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "inco
 
 class Observer(Watcher, Protocol):
     """Is told what happens in a run."""
-
-    def started(self, config: RunConfig, gate: Gate) -> None:
-        """It begins."""
-        ...
 
     def flown(self, flown: PilotedEpisode) -> None:
         """A flight is over."""
@@ -54,7 +49,7 @@ class RunResult:
     flights: list[PilotedEpisode]
 
 
-Engine = Callable[[RunConfig, RunFolder, str | None, Options, Observer], Coroutine[Any, Any, RunResult]]
+Engine = Callable[[RunConfig, RunFolder, str | None, Gate, Observer], Coroutine[Any, Any, RunResult]]
 """What flies a run: `run`, or the same on a cluster."""
 
 
@@ -77,25 +72,25 @@ def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> t
     return "valid", ""
 
 
-async def run(
-    config: RunConfig,
-    folder: RunFolder,
-    token: str | None,
-    options: Options,
-    observer: Observer,
-    clock: Clock | None = None,
-) -> RunResult:
+async def run(config: RunConfig, folder: RunFolder, token: str | None, gate: Gate, observer: Observer) -> RunResult:
     """Fly all flights of a run, going on where its transcript ends. The folder then holds records and results.
+
+    Args:
+        config: The run.
+        folder: Its folder.
+        token: What authorises; None to send none.
+        gate: What its requests pass, which is new.
+        observer: Is told what happens.
 
     Raises:
         OSError: if the folder cannot be written to.
         InvalidValueError: if the transcript is damaged or of another run.
     """
-    gate = Gate(options, clock)
+    options = gate.options
     with contextlib.closing(Transcript(folder.path / TRANSCRIPT)) as transcript:
         desk = Desk(config, transcript, gate, observer)
         endpoint = Endpoint(config, token, options.timeout)
-        caller = Caller(config, endpoint, desk, options, clock)
+        caller = Caller(config, endpoint, desk, options, gate.clock)
         try:
             flights = await fly_all(
                 config, folder, gate, observer, lambda index: fly_one(config, index, caller.ask, options.server)
@@ -133,7 +128,6 @@ async def fly_all(
                 observer.flown(flown)
             gate.check_going_on()
 
-    observer.started(config, gate)
     workers = [asyncio.ensure_future(worker()) for _ in range(min(config.flights, gate.options.concurrency))]
     try:
         with contextlib.suppress(StoppedError):

@@ -103,11 +103,7 @@ class DroneEnvironment:
         """
         if not self._episode.started:
             raise EpisodeError("no flight to pay for: call reset() first")
-        rest = Episode(self._episode.task, self._reward_profile)
-        rest.set_state(self._episode.get_state())
-        while not rest.ended:
-            rest.step(Action.WAIT)
-        return rest.reward_total
+        return self._episode.waited_out().reward_total
 
 
 def training_maps(task: str = "easy", maps: int = 1000, split: str = "train") -> "Dataset":

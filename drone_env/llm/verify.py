@@ -12,7 +12,7 @@ from drone_env.llm.config import RunConfig, digest
 from drone_env.llm.desk import CallFailedError
 from drone_env.llm.endpoint import request_body
 from drone_env.llm.gate import LimitReachedError
-from drone_env.llm.pilot import Ask, fly_one
+from drone_env.llm.pilot import fly_one
 from drone_env.llm.prompt import ChatMessage
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, PilotedRecord, load_config, load_results
 from drone_env.llm.transcript import Call, CallKey, read_calls
@@ -62,30 +62,29 @@ def verified_run(path: Path) -> VerifiedRun:
     used: set[CallKey] = set()
     body, plan = request_body(config), config.load_prompt().plan
 
-    def asker(result: PilotedRecord) -> Ask:
-        async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
-            call = answers.get(key)
-            if call is not None and call.answer is not None:
-                if call.messages != messages:
-                    raise InvalidValueError(f"call {key} asked something else than this prompt does")
-                if call.request_digest != digest({"body": body, "messages": messages}):
-                    raise InvalidValueError(f"call {key} asked another model or otherwise than run.json says")
-                used.add(key)
-                return read_answer(call.answer, plan)
-            # Where the answers end, the flight ended as its result says, which is compared with the rest of it.
-            if result.status == "errored" and key in failed:
-                raise CallFailedError(result.error or "")
-            if result.status == "budget_stop":
-                raise LimitReachedError(result.error or "")
-            # An errored flight counts for nothing, so nobody may call one so whose calls did not fail.
-            missing = "has neither an answer nor a failure" if result.status == "errored" else "has no answer"
-            raise InvalidValueError(f"call {key} {missing}, but the flight is said to be {result.status}")
+    by_number = {result.flight: result for result in results}
 
-        return ask
+    async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
+        call, ended = answers.get(key), by_number[key.flight]
+        if call is not None and call.answer is not None:
+            if call.messages != messages:
+                raise InvalidValueError(f"call {key} asked something else than this prompt does")
+            if call.request_digest != digest({"body": body, "messages": messages}):
+                raise InvalidValueError(f"call {key} asked another model or otherwise than run.json says")
+            used.add(key)
+            return read_answer(call.answer, plan)
+        # Where the answers end, the flight ended as its result says, which is compared with the rest of it.
+        if ended.status == "errored" and key in failed:
+            raise CallFailedError(ended.error or "")
+        if ended.status == "budget_stop":
+            raise LimitReachedError(ended.error or "")
+        # An errored flight counts for nothing, so nobody may call one so whose calls did not fail.
+        missing = "has neither an answer nor a failure" if ended.status == "errored" else "has no answer"
+        raise InvalidValueError(f"call {key} {missing}, but the flight is said to be {ended.status}")
 
     for result, record in zip(results, records, strict=True):
         try:
-            flown = asyncio.run(fly_one(config, result.flight, asker(result)))
+            flown = asyncio.run(fly_one(config, result.flight, ask))
             fits = record_of(flown.episode, config.model) == record
             if not fits:
                 replay(record)  # says more, where the record does not even fit itself

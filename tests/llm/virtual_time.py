@@ -39,8 +39,6 @@ class VirtualClock(Clock):
 class Nobody:
     """Watches nothing."""
 
-    def started(self, config: RunConfig, gate: Gate) -> None: ...
-
     def called(self, call: Call) -> None: ...
 
     def waiting(self, seconds: float, reason: str) -> None: ...
@@ -89,7 +87,7 @@ def fly(url: str, folder: Path, options: Options, **change: Any) -> Flown:
     options = dataclasses.replace(options, concurrency=1)
     opened = RunFolder(folder, config, resume=False)
     try:
-        result = asyncio.run(run(config, opened, None, options, Nobody(), clock))
+        result = asyncio.run(run(config, opened, None, Gate(options, clock), Nobody()))
     finally:
         opened.close()
     return Flown(result, clock, [call for _, call in read_calls(folder / "calls.jsonl")])
