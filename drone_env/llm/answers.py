@@ -22,10 +22,9 @@ TURN_KINDS: tuple[TurnKind, ...] = get_args(TurnKind)
 KEYS = {"action", "direction", "actions", "directions"}
 FENCE = "```"
 LANGUAGE = re.compile(r"[a-zA-Z]+(?=[\s\[{])")
-THOUGHT = re.compile(r"\A\s*<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
-OPEN_THOUGHT = re.compile(r"\A\s*<think(?:ing)?>", re.IGNORECASE)
 # Some servers' chat templates open the block in the prompt, so that only its end is in the answer.
-HEADLESS_THOUGHT = re.compile(r"\A.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
+THOUGHT = re.compile(r"\A.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
+OPEN_THOUGHT = re.compile(r"\A\s*<think(?:ing)?>", re.IGNORECASE)
 REFUSAL = re.compile(
     r"\A\W*(?:i['’]?m sorry|i am sorry|sorry,|i can(?:no|['’])t|i can not|i am (?:not able|unable)"
     r"|i['’]m (?:not able|unable)|i won['’]t|i will not|as an ai\b)",
@@ -99,11 +98,8 @@ def read_answer(answer: Answer, plan: bool) -> Reading:
 
 def _without_thoughts(text: str) -> str | None:
     """The text behind its thoughts; None where they do not end."""
-    if THOUGHT.match(text):
-        return THOUGHT.sub("", text, count=1)
-    if OPEN_THOUGHT.match(text):
-        return None
-    return HEADLESS_THOUGHT.sub("", text, count=1)
+    rest = THOUGHT.sub("", text, count=1)
+    return None if rest == text and OPEN_THOUGHT.match(text) else rest
 
 
 def _words(text: str, plan: bool) -> list[str] | None:

@@ -5,6 +5,7 @@ import itertools
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from time import time
 from typing import Any
@@ -40,25 +41,26 @@ HINTS = {
 }
 
 
+@dataclass(eq=False)
 class TryFailedError(DroneEnvError):
     """A try that brought no answer.
 
     Attributes:
         status: The HTTP status, 0 where there was none.
+        reason: What went wrong, in words.
         retried: Whether another try may bring one.
         retry_after: Seconds that the endpoint asks to wait; None where it does not say.
         fatal: Whether every other call would be refused as well.
     """
 
-    def __init__(
-        self, status: int, reason: str, retried: bool, retry_after: float | None = None, fatal: bool = False
-    ) -> None:
-        self.status = status
-        self.reason = reason
-        self.retried = retried
-        self.retry_after = retry_after
-        self.fatal = fatal
-        super().__init__(f"{status or 'no answer'}: {reason}")
+    status: int
+    reason: str
+    retried: bool
+    retry_after: float | None = None
+    fatal: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.status or 'no answer'}: {self.reason}"
 
 
 class Endpoint:

@@ -7,7 +7,7 @@ import hashlib
 import re
 import string
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -19,7 +19,7 @@ from drone_env.core.cells import CELL_KINDS
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.models import DroneObservation
+from drone_env.models import NAMES, DroneObservation
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -27,17 +27,7 @@ else:
     import tomli as tomllib
 
 FOLDER = Path(__file__).with_name("prompts")
-LETTERS = {
-    "road": ".",
-    "building": "B",
-    "tree": "T",
-    "obstacle": "O",
-    "delivery": "P",
-    "delivered": "x",
-    "drone": "D",
-    "unknown": "?",
-    "pad": "C",
-}
+LETTERS = dict(zip(NAMES, ".BTOPxD?C", strict=True))
 QUOTED_CHARACTERS = 2000
 """How much of a bad answer is shown to the model again."""
 
@@ -164,47 +154,8 @@ def repair_text(prompt: Prompt, reason: str) -> str:
     return _fill(prompt.repair, {"reason": reason})
 
 
-VALUES = {
-    *("x", "y", "battery_percent", "battery_steps", "target", "distance", "deliveries_done", "deliveries_total"),
-    *("step", "steps_left", "max_steps", "width", "height", "grid", "parcels", "buildings", "trees", "obstacles"),
-    *("pads", "rules", "history"),
-}
-"""What a template may name."""
-
-
 def _fill(template: str, values: dict[str, object]) -> str:
     return re.sub(r"\n{3,}", "\n\n", template.format(**values)).strip()
-
-
-def _values(task: TaskConfig, observation: DroneObservation, last_steps: Sequence[str]) -> dict[str, object]:
-    target, away = observation.current_target, observation.distance_to_target
-    return {
-        "x": observation.drone_x,
-        "y": observation.drone_y,
-        "battery_percent": round(100 * observation.battery),
-        "battery_steps": observation.battery_steps_remaining,
-        "target": "none" if target is None else f"({target[0]}, {target[1]})",
-        "distance": 0 if away is None else round(away),
-        "deliveries_done": observation.deliveries_done,
-        "deliveries_total": observation.deliveries_total,
-        "step": observation.step_count,
-        "steps_left": observation.max_steps - observation.step_count,
-        "max_steps": observation.max_steps,
-        "width": observation.grid_width,
-        "height": observation.grid_height,
-        "grid": _grid(observation),
-        "parcels": _places(observation, "delivery"),
-        "buildings": _places(observation, "building"),
-        "trees": _places(observation, "tree"),
-        "obstacles": _places(observation, "obstacle"),
-        "pads": _places(observation, "pad"),
-        "rules": rules_text(task),
-        "history": "\n".join(["", "Last steps:", *last_steps]) if last_steps else "",
-    }
-
-
-def _grid(observation: DroneObservation) -> str:
-    return "\n".join(" ".join(LETTERS[name] for name in line) for line in observation.cell_types)
 
 
 def _places(observation: DroneObservation, kind: str) -> str:
@@ -212,6 +163,41 @@ def _places(observation: DroneObservation, kind: str) -> str:
         f"({x}, {y})" for y, line in enumerate(observation.cell_types) for x, name in enumerate(line) if name == kind
     ]
     return " ".join(found) or "none"
+
+
+def _target(observation: DroneObservation) -> str:
+    target = observation.current_target
+    return "none" if target is None else f"({target[0]}, {target[1]})"
+
+
+OBSERVED: dict[str, Callable[[DroneObservation], object]] = {
+    "x": lambda seen: seen.drone_x,
+    "y": lambda seen: seen.drone_y,
+    "battery_percent": lambda seen: round(100 * seen.battery),
+    "battery_steps": lambda seen: seen.battery_steps_remaining,
+    "target": _target,
+    "distance": lambda seen: round(seen.distance_to_target or 0),
+    "deliveries_done": lambda seen: seen.deliveries_done,
+    "deliveries_total": lambda seen: seen.deliveries_total,
+    "step": lambda seen: seen.step_count,
+    "steps_left": lambda seen: seen.max_steps - seen.step_count,
+    "max_steps": lambda seen: seen.max_steps,
+    "width": lambda seen: seen.grid_width,
+    "height": lambda seen: seen.grid_height,
+    "grid": lambda seen: "\n".join(" ".join(LETTERS[name] for name in line) for line in seen.cell_types),
+    "parcels": lambda seen: _places(seen, "delivery"),
+    "buildings": lambda seen: _places(seen, "building"),
+    "trees": lambda seen: _places(seen, "tree"),
+    "obstacles": lambda seen: _places(seen, "obstacle"),
+    "pads": lambda seen: _places(seen, "pad"),
+}
+VALUES = {*OBSERVED, "rules", "history"}
+"""What a template may name."""
+
+
+def _values(task: TaskConfig, observation: DroneObservation, last_steps: Sequence[str]) -> dict[str, object]:
+    history = "\n".join(["", "Last steps:", *last_steps]) if last_steps else ""
+    return {name: of(observation) for name, of in OBSERVED.items()} | {"rules": rules_text(task), "history": history}
 
 
 def rules_text(task: TaskConfig) -> str:

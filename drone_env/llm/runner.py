@@ -105,7 +105,7 @@ async def fly_all(
     folder: RunFolder,
     gate: Gate,
     observer: Observer,
-    fly_one: Callable[[int], Awaitable[PilotedEpisode]],
+    fly: Callable[[int], Awaitable[PilotedEpisode]],
 ) -> list[PilotedEpisode]:
     """Fly all flights, as many at once as there may be requests, until one fails or is stopped; write what was flown.
 
@@ -114,14 +114,14 @@ async def fly_all(
         folder: Its folder.
         gate: What its requests pass, or a copy of that.
         observer: Is told what happens.
-        fly_one: Flies the flight of a number; raises `StoppedError` where the run is being stopped.
+        fly: Flies the flight of a number; raises `StoppedError` where the run is being stopped.
     """
     flights: list[PilotedEpisode] = []
     numbers = iter(range(config.flights))
 
     async def worker() -> None:
         for number in numbers:
-            flown = await fly_one(number)
+            flown = await fly(number)
             # A flight that the limits did not let begin is not one.
             if flown.begun or flown.status != "budget_stop":
                 flights.append(flown)
