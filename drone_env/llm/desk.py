@@ -4,8 +4,6 @@ from pathlib import Path
 from typing import NoReturn, Protocol
 from urllib.parse import urlsplit
 
-from pydantic import ValidationError
-
 from drone_env.errors import DroneEnvError, EndpointError, InvalidValueError
 from drone_env.files import replacing
 from drone_env.llm.answers import Answer
@@ -134,12 +132,7 @@ class AnswerCache:
             InvalidValueError: if the file is no answer.
         """
         path = self._path(key)
-        if not path.exists():
-            return None
-        try:
-            return Answer.model_validate_json(path.read_bytes())
-        except ValidationError:
-            raise InvalidValueError(f"{path} is no answer: remove it") from None
+        return Answer.read(path.read_bytes(), f"remove {path}, which is no answer") if path.exists() else None
 
     def put(self, key: str, answer: Answer) -> None:
         """Keep an answer.

@@ -19,7 +19,7 @@ from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig
 from drone_env.llm.prompt import ChatMessage
-from drone_env.llm.redaction import without_secret, without_secret_in
+from drone_env.llm.redaction import without_secret
 from drone_env.llm.settings import LOOPBACK
 
 RETRIED = {408, 409, 429}
@@ -136,7 +136,8 @@ class Endpoint:
         fields = _streamed(data) if self._stream else _answer([json.loads(data)], "message")
         if fields["finish_reason"] is None and self._stream:
             raise TryFailedError(0, "the stream ended before the answer did", retried=True)
-        return Answer.model_validate(without_secret_in(fields, self._token))
+        texts = {name: value for name, value in fields.items() if isinstance(value, str)}
+        return Answer.model_validate(fields | {name: without_secret(text, self._token) for name, text in texts.items()})
 
     def _refusal(self, response: httpx.Response, data: bytes) -> TryFailedError:
         status, reason = response.status_code, self._clean(_error_text(data))

@@ -4,12 +4,12 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 from typing_extensions import Self
 
 from drone_env.episodes.record import record_of
 from drone_env.episodes.store import Store
-from drone_env.errors import InvalidValueError, text_of
+from drone_env.errors import InvalidValueError
 from drone_env.files import lock_file, replacing
 from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
@@ -127,11 +127,10 @@ def load_config(path: Path) -> RunConfig:
         InvalidValueError: if there is none, or the file is not the configuration of a run.
     """
     try:
-        return RunConfig.model_validate_json((path / CONFIG).read_bytes())
+        text = (path / CONFIG).read_bytes()
     except (FileNotFoundError, NotADirectoryError):
         raise InvalidValueError(f"{path}: this is not the folder of a run: there is no {CONFIG} in it") from None
-    except ValidationError as error:
-        raise InvalidValueError(f"{path / CONFIG} is not the configuration of a run: {text_of(error)}") from None
+    return RunConfig.read(text, f"{path / CONFIG} is not the configuration of a run")
 
 
 def load_results(path: Path) -> list[PilotedRecord]:
@@ -141,14 +140,9 @@ def load_results(path: Path) -> list[PilotedRecord]:
         OSError: if there are none yet.
         InvalidValueError: if a line is no result.
     """
-    results: list[PilotedRecord] = []
-    for number, line in enumerate((path / RESULTS).read_bytes().splitlines(), 1):
-        try:
-            results.append(PilotedRecord.model_validate_json(line))
-        except ValidationError as error:
-            where = f"line {number} of {path / RESULTS}"
-            raise InvalidValueError(f"{where} is not the result of a flight: {text_of(error)}") from None
-    return results
+    lines = enumerate((path / RESULTS).read_bytes().splitlines(), 1)
+    wrong = f"of {path / RESULTS} is not the result of a flight"
+    return [PilotedRecord.read(line, f"line {number} {wrong}") for number, line in lines]
 
 
 def _begun(path: Path) -> bool:

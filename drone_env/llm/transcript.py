@@ -10,9 +10,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from drone_env.errors import InvalidValueError, text_of
+from drone_env.errors import InvalidValueError
 from drone_env.files import lock_file
 from drone_env.llm.answers import Answer
 from drone_env.llm.prompt import ChatMessage
@@ -132,10 +132,7 @@ def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
         for number, line in enumerate(file, 1):
             if not line.endswith(b"\n"):
                 return
-            try:
-                call = Call.model_validate_json(line)
-            except ValidationError as error:
-                raise InvalidValueError(f"line {number} of {path} is no call: {text_of(error)}") from None
+            call = Call.read(line, f"line {number} of {path} is no call")
             if call.answer is not None:
                 if call.key in seen:
                     raise InvalidValueError(f"line {number} of {path}: call {call.key} has an answer already")
