@@ -1,10 +1,11 @@
 """One request to an OpenAI-compatible endpoint: what goes out, what comes back, which failures are worth a retry."""
 
 import asyncio
+import contextlib
 import itertools
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from time import time
@@ -32,6 +33,8 @@ PACKED = 64
 """How many times less a compressed answer may have. None is asked for, and one may grow a thousandfold."""
 POOLS = 8
 """Pools of connections. A pool looks at all of its own for each request, which hundreds in one would make slow."""
+SILENCE_SECONDS = 1.0
+"""How long the end of a response is waited for behind the end of its stream."""
 STREAM_END = re.compile(rb"^data: ?\[DONE\]", re.MULTILINE)
 DIRECTIONS = [action.name for action in Action]
 HINTS = {
@@ -191,18 +194,26 @@ def _form(config: RunConfig) -> dict[str, Any]:
 
 
 async def _read(response: httpx.Response) -> bytes:
-    """What is sent, up to a limit; of a stream up to its mark of the end, behind which some servers wait."""
+    """What is sent, up to a limit; of a stream up to its mark of the end, behind which a server may fall silent."""
     packed = "content-encoding" in response.headers
     most = MOST_BYTES // PACKED if packed else MOST_BYTES
-    data = bytearray()
-    async for chunk in response.aiter_raw():
+    data, chunks = bytearray(), response.aiter_raw()
+    async for chunk in chunks:
         data += chunk
         if len(data) > most:
             # Not worth a retry, whatever its status.
             raise ValueError(f"it takes more than {most:,} bytes")
         if STREAM_END.search(data, max(0, len(data) - len(chunk) - len("data: [DONE]"))):
+            # A connection is used again if its response was read to the end.
+            with contextlib.suppress(asyncio.TimeoutError, httpx.HTTPError):
+                await asyncio.wait_for(_pass_over(chunks), SILENCE_SECONDS)
             break
     return httpx.Response(200, headers=response.headers, content=bytes(data)).content if packed else bytes(data)
+
+
+async def _pass_over(chunks: AsyncIterator[bytes]) -> None:
+    async for _ in chunks:
+        pass
 
 
 def _streamed(data: bytes) -> dict[str, Any]:
