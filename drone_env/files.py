@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from drone_env.errors import InvalidValueError
+
 if TYPE_CHECKING:
     from filelock import FileLock
 
@@ -25,18 +27,48 @@ def replacing(path: Path) -> Generator[Path, None, None]:
         temporary.unlink(missing_ok=True)
 
 
-def lock_file(path: Path) -> "FileLock":
+def lock_file(path: Path, taken: str, seconds: float = 0.0) -> "FileLock":
     """A lock that this file stands for, which is made; until it is released, or this process dies, no other gets one.
 
+    Args:
+        path: The file.
+        taken: The message where another has the lock.
+        seconds: How long to wait for another to release it.
+
     Raises:
-        BlockingIOError: if another has one.
+        InvalidValueError: if another has one still.
         OSError: if the file cannot be made.
     """
     from filelock import FileLock, Timeout  # slow to load, and most who import this module lock nothing
 
-    lock = FileLock(path, mode=0o600, thread_local=False)
+    lock = FileLock(path, timeout=seconds, mode=0o600, thread_local=False)
     try:
-        lock.acquire(blocking=False)
+        lock.acquire()
     except Timeout:
-        raise BlockingIOError(f"{path} is locked by another process") from None
+        raise InvalidValueError(taken) from None
     return lock
+
+
+@contextmanager
+def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None, None]:
+    """`lock_file` for the length of a `with`."""
+    lock = lock_file(path, taken, seconds)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def is_begun(folder: Path, config: str, what: str) -> bool:
+    """Whether a folder holds `what`, such as "a sweep", already: a file that says which, called `config`.
+
+    Raises:
+        InvalidValueError: if it is a file, or holds anything but what was killed at its very start.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InvalidValueError(f"{folder} is a file; {what} needs a folder")
+    if (folder / config).exists():
+        return True
+    if folder.is_dir() and any(entry.name != "lock" and entry.suffix != ".part" for entry in folder.iterdir()):
+        raise InvalidValueError(f"{folder} holds other things than {what}: name a new folder")
+    return False

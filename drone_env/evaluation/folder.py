@@ -21,7 +21,7 @@ from drone_env.evaluation.episodes import (
     pieces_of,
     run_episodes,
 )
-from drone_env.files import replacing
+from drone_env.files import is_begun, replacing
 
 Engine = Callable[[Sequence[EpisodesKey]], Iterator[EpisodeResults]]
 """Brings the results of all keys, in any order; bringing one twice does no harm."""
@@ -55,12 +55,8 @@ class ResultsFolder:
         self._pieces = path / PIECES
         config_path, config = path / CONFIG, _config(keys)
         self.package: str = __version__
-        if path.exists() and not path.is_dir():
-            raise InvalidValueError(f"{path} is a file; an evaluation needs a folder")
-        if config_path.exists():
+        if is_begun(path, CONFIG, "an evaluation"):
             self.package = _begun_by(config_path, config)
-        elif path.is_dir() and any(entry.suffix != ".part" for entry in path.iterdir()):
-            raise InvalidValueError(f"{path} holds other things than an evaluation: name a new folder")
         else:
             path.mkdir(parents=True, exist_ok=True)
             with replacing(config_path) as temporary:

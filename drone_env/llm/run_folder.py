@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from filelock import FileLock
 from pydantic import Field, ValidationError
 from typing_extensions import Self
 
 from drone_env.episodes.record import record_of
 from drone_env.errors import InvalidValueError, text_of
-from drone_env.files import lock_file, replacing
+from drone_env.files import is_begun, lock_file, replacing
 from drone_env.llm.answers import OUTCOMES, Outcome
 from drone_env.llm.config import RunConfig
 from drone_env.llm.pilot import Flight, Status
@@ -64,16 +63,13 @@ class RunFolder:
     def __init__(self, path: Path, config: RunConfig, resume: bool) -> None:
         self.path = path
         config_path = path / CONFIG
-        if path.exists() and not path.is_dir():
-            raise InvalidValueError(f"{path} is a file; a run needs a folder")
-        if path.is_dir() and any(path.iterdir()) and not config_path.exists() and not _begun(path):
-            raise InvalidValueError(f"{path} holds other things than a run: name a new folder")
-        if config_path.exists() and not resume:
+        begun = is_begun(path, CONFIG, "a run")
+        if begun and not resume:
             raise InvalidValueError(f"{path} holds a run already: add --resume to go on with it, or name a new folder")
-        if resume and not config_path.exists():
+        if resume and not begun:
             raise InvalidValueError(f"there is no run in {path} to resume")
         path.mkdir(parents=True, exist_ok=True)
-        self._lock = _lock(path)
+        self._lock = lock_file(path / "lock", f"another process is working on the run in {path}")
         try:
             if config_path.exists():
                 before = load_config(path)
@@ -135,16 +131,3 @@ def load_results(path: Path) -> list[FlightResult]:
             where = f"line {number} of {path / RESULTS}"
             raise InvalidValueError(f"{where} is not the result of a flight: {text_of(error)}") from None
     return results
-
-
-def _begun(path: Path) -> bool:
-    """Whether the folder holds nothing but what a run that was killed at its very start leaves."""
-    return all(entry.name == "lock" or entry.name.endswith(".part") for entry in path.iterdir())
-
-
-def _lock(path: Path) -> FileLock:
-    """Keep other processes out until the lock is released, or this process dies."""
-    try:
-        return lock_file(path / "lock")
-    except BlockingIOError:
-        raise InvalidValueError(f"another process is working on the run in {path}") from None

@@ -84,10 +84,7 @@ class Transcript:
         self.path = path
         self._secret = secret
         self.calls: list[Call] = []
-        try:
-            self._lock = lock_file(path.with_suffix(".lock"))
-        except BlockingIOError:
-            raise InvalidValueError(f"another process writes to {path}") from None
+        self._lock = lock_file(path.with_suffix(".lock"), f"another process writes to {path}")
         with ExitStack() as on_error:
             on_error.callback(self._lock.release)
             self._file = on_error.enter_context(path.open("ab+", buffering=0))

@@ -13,9 +13,8 @@ One process drives a sweep at a time, and one trains a trial: locks say so, whic
 import json
 import os
 import socket
-import time
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Literal
@@ -25,7 +24,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.core.tasks import withdrawal
 from drone_env.errors import InvalidValueError, text_of
-from drone_env.files import lock_file, replacing
+from drone_env.files import is_begun, locked, replacing
 from drone_env.models import Count, Message
 
 CONFIG, STOPPED, STATE, PARTS = "sweep.json", "stopped.json", "trial.json", "parts.jsonl"
@@ -86,15 +85,11 @@ class SweepFolder:
             OSError: if it cannot be made or read.
             InvalidValueError: if it holds something else, or a sweep of another configuration.
         """
-        if self.path.exists() and not self.path.is_dir():
-            raise InvalidValueError(f"{self.path} is a file; a sweep needs a folder")
-        if (self.path / CONFIG).exists():
+        if is_begun(self.path, CONFIG, "a sweep"):
             changed = self.config().differences(config)
             if changed:
                 raise InvalidValueError(f"the sweep in {self.path} has another configuration: {'; '.join(changed)}")
             return
-        if self.path.is_dir() and {entry.name for entry in self.path.iterdir()} - {"lock"}:
-            raise InvalidValueError(f"{self.path} holds other things than a sweep: name a new folder")
         self.path.mkdir(parents=True, exist_ok=True)
         _write(self.path / CONFIG, config)
 
@@ -111,44 +106,24 @@ class SweepFolder:
             raise InvalidValueError(f"the sweep in {self.path} is of what there is no more: {withdrawn}")
         return config
 
-    @contextmanager
-    def driving(self) -> Generator[None, None, None]:
+    def driving(self) -> AbstractContextManager[None]:
         """Keep other drivers out.
 
         Raises:
             InvalidValueError: if there is one.
         """
         self.path.mkdir(parents=True, exist_ok=True)
-        try:
-            lock = lock_file(self.path / "lock")
-        except BlockingIOError:
-            raise InvalidValueError(f"another process is driving the sweep in {self.path}") from None
-        try:
-            yield
-        finally:
-            lock.release()
+        return locked(self.path / "lock", f"another process is driving the sweep in {self.path}")
 
-    @contextmanager
-    def training(self, trial: Trial) -> Generator[Path, None, None]:
-        """The trial's folder, with other processes kept out; waits a minute for one that is being ended.
+    def training(self, trial: Trial) -> AbstractContextManager[None]:
+        """Keep other processes out of the trial's folder; waits a minute for one that is being ended.
 
         Raises:
             InvalidValueError: if another process trains it still.
         """
         folder = self.folder(trial)
         folder.mkdir(parents=True, exist_ok=True)
-        until, lock = time.monotonic() + LOCK_SECONDS, None
-        while lock is None:
-            with suppress(BlockingIOError):
-                lock = lock_file(folder / "lock")
-            if lock is None and time.monotonic() > until:
-                raise InvalidValueError(f"another process is still training in {folder}")
-            if lock is None:
-                time.sleep(0.2)
-        try:
-            yield folder
-        finally:
-            lock.release()
+        return locked(folder / "lock", f"another process is still training in {folder}", LOCK_SECONDS)
 
     def folder(self, trial: Trial) -> Path:
         """Where a trial's files lie."""

@@ -63,7 +63,8 @@ def train_trial(folder: SweepFolder, trial: Trial, until: int, checkpoint_second
         report: Called with `episodes`, `validation` and `optimum` at every validation; with `failed`, the error, where
             training goes wrong.
     """
-    with folder.training(trial) as place:
+    place = folder.folder(trial)
+    with folder.training(trial):
         state = folder.state(trial)
         if state.status != "unfinished" or str(until) in state.rungs:
             return
