@@ -13,6 +13,19 @@ if TYPE_CHECKING:
     from filelock import FileLock
 
 
+PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
+"""Where the parts of what is kept lie in the working directory."""
+
+
+def data_folder(part: str = "") -> Path:
+    """The folder of what is kept, if a command is not told another, or of a part: `results` or `sweep`.
+
+    `DRONE_ENV_DATA` names the one folder of all; without it, parts lie in the working directory, as `PLACES` says.
+    """
+    configured = os.environ.get("DRONE_ENV_DATA")
+    return Path(configured, part) if configured else Path(PLACES[part])
+
+
 @contextmanager
 def replacing(path: Path) -> Generator[Path, None, None]:
     """A temporary path beside `path`, to be written inside the `with`; at its end it takes the place of `path`.

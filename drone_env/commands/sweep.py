@@ -10,6 +10,7 @@ from rich.console import Console
 
 from drone_env.commands.arguments import SHORT_NAMES
 from drone_env.errors import InvalidValueError, MissingPackageError
+from drone_env.files import data_folder
 
 if TYPE_CHECKING:
     from drone_env.cluster.sweep.config import SweepConfig
@@ -29,7 +30,7 @@ def sweep(
     samples_seed: int = 0,
     early_stopping: bool = True,
     test_maps: int = 1000,
-    out: Path = Path("runs/sweep"),
+    out: Path | None = None,
     resume: bool = False,
     retry_failed: bool = False,
     dry_run: bool = False,
@@ -58,7 +59,8 @@ def sweep(
         early_stopping: Stop the worse half of the settings, each with all its seeds, at a quarter and at half of the
             episodes.
         test_maps: How many test maps each finished network flies.
-        out: The folder of the sweep; on a cluster, where all machines see it.
+        out: The folder of the sweep; on a cluster, where all machines see it. If nothing is said, sweep/ in
+            DRONE_ENV_DATA, and runs/sweep without that.
         resume: Insist that there is a sweep to go on with.
         retry_failed: Go on with the trials that failed, too.
         dry_run: List the trials and train nothing.
@@ -77,9 +79,9 @@ def sweep(
     settings = settings_of(values, samples, samples_seed)
     config = make_config(task, preset, settings, seeds, cpus_per_trial, early_stopping, test_maps)
     config.training(config.trials()[0], checkpoint_seconds)
-    folder = SweepFolder(out)
-    if resume and not (out / CONFIG).exists():
-        raise InvalidValueError(f"--resume: there is no sweep in {out}")
+    folder = SweepFolder(data_folder("sweep") if out is None else out)
+    if resume and not (folder.path / CONFIG).exists():
+        raise InvalidValueError(f"--resume: there is no sweep in {folder.path}")
     if dry_run:
         for trial in config.trials():
             print(f"{trial.name}\t{config.label(trial.setting)}\t{config.command(trial)}")

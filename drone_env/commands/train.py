@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError, MissingPackageError, UnknownNameError
+from drone_env.files import data_folder
 
 if TYPE_CHECKING:
     from drone_env.rl.config import TrainConfig
@@ -56,8 +57,8 @@ def train_command(arguments: Sequence[str]) -> Callable[..., int]:
         preset: Literal["fast", "original"] = "fast",
         resume: bool = False,
         fresh: bool = False,
-        data: Path = Path("data"),
-        results: Path = Path("results"),
+        data: Path | None = None,
+        results: Path | None = None,
     ) -> int:
         """Train a network to fly a task, and judge it against the exact optimum while it learns.
 
@@ -76,12 +77,12 @@ def train_command(arguments: Sequence[str]) -> Callable[..., int]:
             preset: Which defaults to start from.
             resume: Insist that there is a checkpoint to go on from.
             fresh: Start anew; a checkpoint that is there is renamed to `TASK.pth.old`.
-            data: Folder of checkpoint, network and log.
-            results: Folder of tables and curves.
+            data: Folder of checkpoint, network and log; DRONE_ENV_DATA if nothing is said, else data.
+            results: Folder of tables and curves; results/ in DRONE_ENV_DATA if nothing is said, else results.
         """
         if resume and fresh:
             raise InvalidValueError("--resume goes on and --fresh starts anew: give one of them")
-        run = _run(config, data, results, fresh)
+        run = _run(config, data or data_folder(), results or data_folder("results"), fresh)
         if resume and not run.resumed:
             raise InvalidValueError(f"--resume: there is no checkpoint {run.checkpoint}")
         return _train(run)
@@ -99,7 +100,7 @@ def _defaults(arguments: Sequence[str]) -> "TrainConfig":
         defaults = preset(chosen or "fast", task or "easy", number)
     except (InvalidValueError, UnknownNameError):
         return preset("fast", "easy")  # tyro or TrainConfig says what is wrong with the arguments
-    checkpoint = Path(_value_of("--data", arguments) or "data") / f"{get_task(defaults.task).short_name}.pth"
+    checkpoint = Path(_value_of("--data", arguments) or data_folder()) / f"{get_task(defaults.task).short_name}.pth"
     if chosen or "--fresh" in arguments or not checkpoint.exists():
         return defaults
     # How many fly side by side follows from how many were asked for at first, which is forgotten by now.
