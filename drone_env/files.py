@@ -2,10 +2,10 @@
 
 import os
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from drone_env.errors import InvalidValueError
 
@@ -85,3 +85,9 @@ def is_begun(folder: Path, config: str, what: str) -> bool:
     if folder.is_dir() and any(entry.name != "lock" and entry.suffix != ".part" for entry in folder.iterdir()):
         raise InvalidValueError(f"{folder} holds other things than {what}: name a new folder")
     return False
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """What differs between two configurations, one line for each name."""
+    names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+    return [f"{name}: {before.get(name)!r} is now {now.get(name)!r}" for name in names]

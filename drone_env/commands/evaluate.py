@@ -118,9 +118,9 @@ def _engine(name: str, address: str | None) -> Generator[Engine, None, None]:
     if name == "local":
         yield local_engine
         return
-    from drone_env.cluster.connect import LOCAL, connect
+    from drone_env.cluster.connect import connect
 
-    with connect(LOCAL if address is None else address):
+    with connect(address):
         from drone_env.cluster.episodes import fly_on_nodes
 
         yield fly_on_nodes

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -142,11 +142,6 @@ def pieces_of(key: EpisodesKey, size: int = PIECE) -> list[EpisodesKey]:
     """The keys of neighbouring pieces of at most `size` episodes each."""
     start, stop = key.seeds
     return [key._replace(seeds=(first, min(first + size, stop))) for first in range(start, stop, size)]
-
-
-def run_in_chunks(key: EpisodesKey, chunk: int = PIECE) -> Iterator[EpisodeResults]:
-    """The episodes of a key in pieces of `chunk`, for progress bars; `concatenate` puts them together."""
-    return map(run_episodes, pieces_of(key, chunk))
 
 
 def concatenate(pieces: Sequence[EpisodeResults]) -> EpisodeResults:

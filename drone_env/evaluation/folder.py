@@ -21,7 +21,7 @@ from drone_env.evaluation.episodes import (
     pieces_of,
     run_episodes,
 )
-from drone_env.files import is_begun, replacing
+from drone_env.files import differences, is_begun, replacing
 
 Engine = Callable[[Sequence[EpisodesKey]], Iterator[EpisodeResults]]
 """Brings the results of all keys, in any order; bringing one twice does no harm."""
@@ -172,11 +172,7 @@ def _begun_by(path: Path, config: dict[str, Any]) -> str:
             raise ValueError("it has another format")
     except ValueError as error:
         raise InvalidValueError(f"{path} is not the configuration of an evaluation: {error}") from None
-    changed = [
-        f"{name}: {before.get(name)} is now {config[name]}"
-        for name in config
-        if name != "package" and before.get(name) != config[name]
-    ]
+    changed = differences({**before, "package": ""}, {**config, "package": ""})
     if changed:
         gone = [f"{withdrawal(*pair)}" for pair in WITHDRAWN if "{} v{}".format(*pair) in before.get("tasks", ())]
         raise InvalidValueError(f"{path.parent} holds another evaluation: {'; '.join(changed + gone)}")
