@@ -33,8 +33,8 @@ def connect(address: str | None = None, cpus: int | None = None) -> Generator[No
     `with`.
 
     Args:
-        address: `local`, or None, starts a cluster of this machine alone, `auto` joins the one that runs on this machine
-            or at RAY_ADDRESS, HOST:PORT joins that one.
+        address: `local` or None starts a cluster of this machine alone, `auto` joins the one that runs here or at
+            RAY_ADDRESS, HOST:PORT joins that one.
         cpus: Of a cluster that is started here; the machine's if nothing is said.
 
     Raises:
