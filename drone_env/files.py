@@ -40,6 +40,12 @@ def replacing(path: Path) -> Generator[Path, None, None]:
         temporary.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a file in UTF-8, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def lock_file(path: Path, taken: str, seconds: float = 0.0) -> "FileLock":
     """A lock that this file stands for, which is made; until it is released, or this process dies, no other gets one.
 

@@ -19,7 +19,7 @@ from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, summarise
 from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
-from drone_env.files import replacing
+from drone_env.files import write_text
 from drone_env.reports.tables import Table, number, percent, print_table, with_margin
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
@@ -108,8 +108,7 @@ def evaluate(
         sys.stdout.write(text)
         return
     if target is not None:
-        with replacing(target) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(target, text)
     _print(report)
 
 

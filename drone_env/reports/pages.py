@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from drone_env.files import replacing
+from drone_env.files import write_text
 from drone_env.reports.tables import Table, markdown_table, number, percent
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -30,8 +30,7 @@ def write_pages(folder: Path, figures: Mapping[str, Any], pages: Mapping[str, st
         OSError: if they cannot be written.
     """
     for name, text in {"report.json": json.dumps(figures, indent=2, allow_nan=False) + "\n", **pages}.items():
-        with replacing(folder / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(folder / name, text)
 
 
 def as_markdown(text: object) -> str:

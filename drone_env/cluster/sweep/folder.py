@@ -20,11 +20,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
+from pydantic_core import to_json
 
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.core.tasks import withdrawal
 from drone_env.errors import InvalidValueError, text_of
-from drone_env.files import is_begun, locked, replacing
+from drone_env.files import is_begun, locked, write_text
 from drone_env.models import Count, Message
 
 CONFIG, STOPPED, STATE, PARTS = "sweep.json", "stopped.json", "trial.json", "parts.jsonl"
@@ -166,14 +167,11 @@ class SweepFolder:
 
     def set_stopped(self, decisions: Sequence[StoppedSettings]) -> None:
         """Write what was decided."""
-        text = json.dumps([decision.model_dump() for decision in decisions], indent=2)
-        with replacing(self.path / STOPPED) as temporary:
-            temporary.write_text(f"{text}\n", encoding="utf-8")
+        _write(self.path / STOPPED, decisions)
 
 
-def _write(path: Path, message: Message) -> None:
-    with replacing(path) as temporary:
-        temporary.write_text(message.model_dump_json(indent=2) + "\n", encoding="utf-8")
+def _write(path: Path, value: Message | Sequence[Message]) -> None:
+    write_text(path, to_json(value, indent=2).decode() + "\n")
 
 
 def _read(path: Path, kind: TypeAdapter[Any]) -> Any:
