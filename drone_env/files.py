@@ -2,15 +2,28 @@
 
 import os
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from drone_env.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from filelock import FileLock
+
+
+PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
+"""Where the parts of what is kept lie in the working directory."""
+
+
+def data_folder(part: str = "") -> Path:
+    """The folder of what is kept, if a command is not told another, or of a part: `results` or `sweep`.
+
+    `DRONE_ENV_DATA` names the one folder of all; without it, parts lie in the working directory, as `PLACES` says.
+    """
+    configured = os.environ.get("DRONE_ENV_DATA")
+    return Path(configured, part) if configured else Path(PLACES[part])
 
 
 @contextmanager
@@ -27,23 +40,60 @@ def replacing(path: Path) -> Generator[Path, None, None]:
         temporary.unlink(missing_ok=True)
 
 
-def lock_file(path: Path, busy: str, seconds: float = 0.0) -> "FileLock":
+def write_text(path: Path, text: str) -> None:
+    """Write a file in UTF-8, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def lock_file(path: Path, taken: str, seconds: float = 0.0) -> "FileLock":
     """A lock that this file stands for, which is made; until it is released, or this process dies, no other gets one.
 
     Args:
         path: The file.
-        busy: What to say if another process has the lock.
-        seconds: How long to wait for that process.
+        taken: The message where another has the lock.
+        seconds: How long to wait for another to release it.
 
     Raises:
-        InvalidValueError: if another process still has it.
+        InvalidValueError: if another has one still.
         OSError: if the file cannot be made.
     """
     from filelock import FileLock, Timeout  # slow to load, and most who import this module lock nothing
 
-    lock = FileLock(path, mode=0o600, thread_local=False)
+    lock = FileLock(path, timeout=seconds, mode=0o600, thread_local=False)
     try:
-        lock.acquire(timeout=seconds, poll_interval=0.2)
+        lock.acquire(poll_interval=0.2)
     except Timeout:
-        raise InvalidValueError(busy) from None
+        raise InvalidValueError(taken) from None
     return lock
+
+
+@contextmanager
+def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None, None]:
+    """`lock_file` for the length of a `with`."""
+    lock = lock_file(path, taken, seconds)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def is_begun(folder: Path, config: str, what: str) -> bool:
+    """Whether a folder holds `what`, such as "a sweep", already: a file that says which, called `config`.
+
+    Raises:
+        InvalidValueError: if it is a file, or holds anything but what was killed at its very start.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InvalidValueError(f"{folder} is a file; {what} needs a folder")
+    if (folder / config).exists():
+        return True
+    if folder.is_dir() and any(entry.name != "lock" and entry.suffix != ".part" for entry in folder.iterdir()):
+        raise InvalidValueError(f"{folder} holds other things than {what}: name a new folder")
+    return False
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """What differs between two configurations, one line for each name."""
+    names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+    return [f"{name}: {before.get(name)!r} is now {now.get(name)!r}" for name in names]

@@ -13,6 +13,7 @@ from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm import settings as of_models
+from drone_env.reports.tables import markdown_table
 from drone_env.server import settings as of_server
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -22,8 +23,7 @@ SPECIAL = (Event.NONE, Event.DELIVERY)
 
 def table(rows: list[list[str]]) -> str:
     """Rows as a table in Markdown; the first one is its head."""
-    lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in rows]
-    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
+    return markdown_table(rows[0], rows[1:])
 
 
 def kinds() -> str:

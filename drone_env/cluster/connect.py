@@ -25,7 +25,7 @@ QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.WARNIN
 
 
 @contextmanager
-def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, None, None]:
+def connect(address: str | None = None, cpus: int | None = None) -> Generator[None, None, None]:
     """Ray, from here to the end of the `with`.
 
     Token authentication is on unless RAY_AUTH_MODE says `disabled`. A cluster that is started here has the token that
@@ -33,7 +33,7 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
     `with`.
 
     Args:
-        address: `local` starts a cluster of this machine alone, `auto` joins the one that runs on this machine or at
+        address: `local` or None starts a cluster of this machine alone, `auto` joins the one that runs here or at
             RAY_ADDRESS, HOST:PORT joins that one.
         cpus: Of a cluster that is started here; the machine's if nothing is said.
 
@@ -42,6 +42,7 @@ def connect(address: str = LOCAL, cpus: int | None = None) -> Generator[None, No
         InvalidValueError: if this process is connected already, or `cpus` is below 1 or given for another's cluster.
         ClusterError: if there is no cluster at the address, it refuses the token, or none can be started.
     """
+    address = LOCAL if address is None else address
     if cpus is not None and (address != LOCAL or cpus < 1):
         raise InvalidValueError(f"cpus are those of a cluster that is started here, 1 or more; got {cpus}")
     # Read by Ray when it is imported, and handed on to all processes that it starts.

@@ -22,6 +22,7 @@ from drone_env.core.compile_cache import cache_folder
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import load_plugins, plugin_names
 from drone_env.errors import DroneEnvError
+from drone_env.files import data_folder
 from drone_env.installer import DISTRIBUTION, install_command
 
 Status = Literal["ok", "absent", "attention", "broken"]
@@ -190,7 +191,7 @@ def _recorded_digests() -> dict[str, bool]:
 
 def _folders(data: Path) -> Iterator[Finding]:
     yield _folder("data", data, "episodes, sessions, logs, checkpoints, runs of language models")
-    yield _folder("results", Path("results"), "curves of training")
+    yield _folder("results", data_folder("results"), "curves of training")
     try:
         cache = cache_folder()
     except OSError as error:

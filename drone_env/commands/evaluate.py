@@ -8,19 +8,18 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from drone_env import __version__
 from drone_env.agents import AGENTS
 from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, SeedRange, SplitName, chosen_maps
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, summarise
 from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
-from drone_env.files import replacing
+from drone_env.files import write_text
+from drone_env.reports.tables import Table, number, percent, print_table, with_margin
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
 AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
@@ -85,16 +84,24 @@ def evaluate(
         if out is not None:
             print(f"interrupted; to go on, give the same options with --out {out}", file=sys.stderr)
         raise
-    figures = {t.id: _report_task(t, of_agent, results) for t, of_agent in keys.items()}
+    figures = {
+        t.id: {
+            "version": t.version,
+            "split": chosen_split,
+            "seeds": [maps.start, maps.stop],
+            "episodes": len(maps),
+            "agents": {agent: summarise(results[key]) for agent, key in of_agent.items()},
+        }
+        for t, of_agent in keys.items()
+    }
     report = {"package": __version__, "tasks": figures}
     text = json_format.dumps(report, indent=2) + "\n"
     if json == "-":
         sys.stdout.write(text)
         return
     if target is not None:
-        with replacing(target) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    Console(width=None if sys.stdout.isatty() else 120).print(_table(report))
+        write_text(target, text)
+    _print(report)
 
 
 @contextlib.contextmanager
@@ -102,9 +109,9 @@ def _engine(name: str, address: str | None) -> Generator[Engine, None, None]:
     if name == "local":
         yield local_engine
         return
-    from drone_env.cluster.connect import LOCAL, connect
+    from drone_env.cluster.connect import connect
 
-    with connect(LOCAL if address is None else address):
+    with connect(address):
         from drone_env.cluster.episodes import fly_on_nodes
 
         yield fly_on_nodes
@@ -125,52 +132,25 @@ def _fly_all(
         return evaluate_keys(keys, engine, folder, arrived)
 
 
-def _report_task(
-    task: TaskConfig, keys: dict[str, EpisodesKey], results: dict[EpisodesKey, EpisodeResults]
-) -> dict[str, Any]:
-    key = next(iter(keys.values()))
-    start, stop = key.seeds
-    return {
-        "version": task.version,
-        "split": key.split,
-        "seeds": [start, stop],
-        "episodes": stop - start,
-        "agents": {agent: summarise(results[agent_key]) for agent, agent_key in keys.items()},
-    }
-
-
-def _table(report: dict[str, Any]) -> Table:
-    table = Table(
-        title="Graded score beside the exact optimum of the same maps",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        collapse_padding=True,
-    )
-    table.add_column("task", no_wrap=True)
-    table.add_column("agent", no_wrap=True)
-    for heading in ("score (95 %)", "optimum", "ratio", "regret", "success", "steps", "excess"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for task_id, of_task in report["tasks"].items():
-        table.add_section()
-        for agent, figures in of_task["agents"].items():
-            interval = figures["score_ci95"]
-            half_width = "" if interval is None else f" ± {interval[1] - figures['mean_score']:.4f}"
-            table.add_row(
-                f"{get_task(task_id).short_name} v{of_task['version']}",
-                agent,
-                f"{figures['mean_score']:.4f}{half_width}",
-                _figure(figures["mean_optimal_score"], ".4f"),
-                _figure(figures["score_ratio"], ".4f"),
-                _figure(figures["mean_regret"], ".4f"),
-                f"{figures['success_rate']:.1%}",
-                f"{figures['mean_steps']:.1f}",
-                _figure(figures["mean_excess_steps"], ".2f"),
-            )
+def _print(report: dict[str, Any]) -> None:
+    head = ("task", "agent", "score (95 %)", "optimum", "ratio", "regret", "success", "steps", "excess")
+    rows = [
+        (
+            f"{get_task(task_id).short_name} v{of_task['version']}",
+            agent,
+            with_margin(figures["mean_score"], figures["score_ci95"]),
+            number(figures["mean_optimal_score"]),
+            number(figures["score_ratio"]),
+            number(figures["mean_regret"]),
+            percent(figures["success_rate"]),
+            number(figures["mean_steps"], ".1f"),
+            number(figures["mean_excess_steps"], ".2f"),
+        )
+        for task_id, of_task in report["tasks"].items()
+        for agent, figures in of_task["agents"].items()
+    ]
     flown = next(iter(report["tasks"].values()))
     start, stop = flown["seeds"]
-    table.caption = f"{stop - start:,} maps a task, split {flown['split']}, seeds {start} to {stop - 1}"
-    return table
-
-
-def _figure(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
+    caption = f"{stop - start:,} maps a task, split {flown['split']}, seeds {start} to {stop - 1}"
+    table = Table("Graded score beside the exact optimum of the same maps", head, rows)
+    print_table(table, width=120, names=2, caption=caption, sections=True)

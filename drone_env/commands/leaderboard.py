@@ -3,15 +3,15 @@
 import json as json_format
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich import box
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from drone_env.errors import InvalidValueError, needs
+from drone_env.reports.tables import Table, number, percent, print_table, with_margin
+
+if TYPE_CHECKING:
+    from drone_env.llm.leaderboard import Board
 
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 
@@ -41,32 +41,28 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
         }
         print(json_format.dumps(report, indent=2, allow_nan=False))
     else:
-        console = Console(width=None if sys.stdout.isatty() else 140)
         for board in boards:
-            console.print(_table(f"{board.task}, {board.maps}", board.rows))
+            print_table(_table(board), width=140, names=3)
         for run in refused:
             print(f"not ranked: {run.path}: {run.reason}", file=sys.stderr)
     return int(any(run.damaged for run in refused))
 
 
-def _table(title: str, rows: list[dict[str, Any]]) -> Table:
-    table = Table(title=escape(title), box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("", "model", "prompt"):
-        table.add_column(heading)
-    for heading in ("score (95 %)", "normalised", "regret", "success", "errored", "WAIT in place", "tokens"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for rank, row in enumerate(rows, 1):
-        interval, tokens = row["score_ci95"], row["tokens"]
-        table.add_row(
+def _table(board: "Board") -> Table:
+    figures = ("score (95 %)", "normalised", "regret", "success", "errored", "WAIT in place", "tokens")
+    rows = [
+        (
             str(rank),
-            escape(row["config"]["model"]),
+            row["config"]["model"],
             row["config"]["prompt"],
-            f"{row['score']:.4f}" + ("" if interval is None else f" ± {interval[1] - row['score']:.4f}"),
-            "-" if row["normalised"] is None else f"{row['normalised']:.4f}",
-            "-" if row["regret"] is None else f"{row['regret']:.4f}",
-            f"{row['success_rate']:.1%}",
+            with_margin(row["score"], row["score_ci95"]),
+            number(row["normalised"]),
+            number(row["regret"]),
+            percent(row["success_rate"]),
             str(row["flights"]["errored"]),
             str(row["waits"]),
-            str(tokens["prompt"] + tokens["completion"]),
+            str(sum(row["tokens"].values())),
         )
-    return table
+        for rank, row in enumerate(board.rows, 1)
+    ]
+    return Table(f"{board.task}, {board.maps}", ("", "model", "prompt", *figures), rows)

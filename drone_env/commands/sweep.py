@@ -3,17 +3,14 @@
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 
 from drone_env.commands.arguments import SHORT_NAMES
 from drone_env.errors import InvalidValueError, MissingPackageError
-
-if TYPE_CHECKING:
-    from drone_env.cluster.sweep.config import SweepConfig
-    from drone_env.cluster.sweep.folder import SweepFolder
+from drone_env.files import data_folder
 
 TaskChoice = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
@@ -29,7 +26,7 @@ def sweep(
     samples_seed: int = 0,
     early_stopping: bool = True,
     test_maps: int = 1000,
-    out: Path = Path("runs/sweep"),
+    out: Path | None = None,
     resume: bool = False,
     retry_failed: bool = False,
     dry_run: bool = False,
@@ -58,7 +55,8 @@ def sweep(
         early_stopping: Stop the worse half of the settings, each with all its seeds, at a quarter and at half of the
             episodes.
         test_maps: How many test maps each finished network flies.
-        out: The folder of the sweep; on a cluster, where all machines see it.
+        out: The folder of the sweep; on a cluster, where all machines see it. If nothing is said, sweep/ in
+            DRONE_ENV_DATA, and runs/sweep without that.
         resume: Insist that there is a sweep to go on with.
         retry_failed: Go on with the trials that failed, too.
         dry_run: List the trials and train nothing.
@@ -77,60 +75,41 @@ def sweep(
     settings = settings_of(values, samples, samples_seed)
     config = make_config(task, preset, settings, seeds, cpus_per_trial, early_stopping, test_maps)
     config.training(config.trials()[0], checkpoint_seconds)
-    folder = SweepFolder(out)
-    if resume and not (out / CONFIG).exists():
-        raise InvalidValueError(f"--resume: there is no sweep in {out}")
+    folder = SweepFolder(data_folder("sweep") if out is None else out)
+    if resume and not (folder.path / CONFIG).exists():
+        raise InvalidValueError(f"--resume: there is no sweep in {folder.path}")
     if dry_run:
         for trial in config.trials():
             print(f"{trial.name}\t{config.label(trial.setting)}\t{config.command(trial)}")
         return 0
-    _check_packages()
-    with folder.driving():
-        folder.begin(config)
-        return _sweep(folder, config, retry_failed, checkpoint_seconds, max_concurrent, (address, cpus))
-
-
-def _check_packages() -> None:
     for package, extra in (("torch", "train"), ("tensorboard", "train"), ("matplotlib", "train"), ("ray", "cluster")):
         if find_spec(package) is None:
             raise MissingPackageError(package, extra)
-
-
-def _sweep(
-    folder: "SweepFolder",
-    config: "SweepConfig",
-    retry: bool,
-    checkpoint_seconds: float,
-    concurrent: int | None,
-    cluster: tuple[str, int | None],
-) -> int:
     from drone_env.cluster.connect import connect
-    from drone_env.cluster.sweep.driver import drive, is_done, retry_failed
+    from drone_env.cluster.sweep import driver
     from drone_env.cluster.sweep.report import sweep_report, write_report
 
-    console = Console(stderr=True)
-    if retry:
-        retry_failed(folder, config)
-
-    def show(trial: Any, result: dict[str, Any]) -> None:
-        if "failed" in result:
-            told = f"failed: {result['failed']}"
+    def show(trial: Any, report: dict[str, Any]) -> None:
+        if "failed" in report:
+            told = f"failed: {report['failed']}"
         else:
-            told = f"{result['episodes']} episodes, validation {result['validation']:.4f} of {result['optimum']:.4f}"
+            told = f"{report['episodes']} episodes, validation {report['validation']:.4f} of {report['optimum']:.4f}"
         print(f"{trial.name} ({config.label(trial.setting)}): {told}", file=sys.stderr, flush=True)
 
-    if not is_done(folder, config):
-        try:
-            with connect(*cluster):
-                drive(folder, config, checkpoint_seconds, concurrent, show)
-        except KeyboardInterrupt:
-            print(f"interrupted; to go on, give the same options with --out {folder.path}", file=sys.stderr)
-            raise
-    figures = sweep_report(folder, config)
-    write_report(folder, figures)
+    with folder.driving():
+        folder.begin(config)
+        if retry_failed:
+            driver.retry_failed(folder, config)
+        if not driver.is_done(folder, config):
+            try:
+                with connect(address, cpus):
+                    driver.drive(folder, config, checkpoint_seconds, max_concurrent, show)
+            except KeyboardInterrupt:
+                print(f"interrupted; to go on, give the same options with --out {folder.path}", file=sys.stderr)
+                raise
+        figures = sweep_report(folder, config)
+        write_report(folder, figures)
     count = figures["trials_by_status"]
-    console.print(
-        f"{count['finished']} trials finished, {count['stopped']} stopped early, {count['failed']} failed; "
-        f"report {folder.path / 'report.md'}"
-    )
+    told = f"{count['finished']} trials finished, {count['stopped']} stopped early, {count['failed']} failed"
+    Console(stderr=True).print(f"{told}; report {folder.path / 'report.md'}")
     return 1 if count["failed"] else 0

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from drone_env.commands.arguments import SHORT_NAMES
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError, MissingPackageError
+from drone_env.files import data_folder
 from drone_env.rl.config import TrainConfig, preset
 
 if TYPE_CHECKING:
@@ -61,8 +62,8 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
         preset: Literal["fast", "original"] = "fast",
         resume: bool = False,
         fresh: bool = False,
-        data: Path = Path("data"),
-        results: Path = Path("results"),
+        data: Path | None = None,
+        results: Path | None = None,
     ) -> int:
         """Train a network to fly a task, and judge it against the exact optimum while it learns.
 
@@ -81,8 +82,8 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
             preset: Which defaults to start from.
             resume: Insist that there is a checkpoint to go on from.
             fresh: Start anew; a checkpoint that is there is renamed to `TASK.pth.old`.
-            data: Folder of checkpoint, network and log.
-            results: Folder of tables and curves.
+            data: Folder of checkpoint, network and log; DRONE_ENV_DATA if nothing is said, else data.
+            results: Folder of tables and curves; results/ in DRONE_ENV_DATA if nothing is said, else results.
         """
         if resume and fresh:
             raise InvalidValueError("--resume goes on and --fresh starts anew: give one of them")
@@ -92,7 +93,7 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
             if error.name != "torch":
                 raise
             raise MissingPackageError("PyTorch", "train") from None
-        run = TrainingRun(config, data, results, fresh)
+        run = TrainingRun(config, data or data_folder(), results or data_folder("results"), fresh)
         if resume and not run.resumed:
             raise InvalidValueError(f"--resume: there is no checkpoint {run.checkpoint}")
         return _train(run)
@@ -112,7 +113,7 @@ def _named(arguments: Sequence[str]) -> argparse.Namespace:
 def _defaults(task: str, named: argparse.Namespace) -> Settings:
     episodes = int(named.episodes) if named.episodes and named.episodes.isdecimal() else None
     defaults = vars(preset(named.preset or "fast", task, episodes))
-    checkpoint = Path(named.data or "data") / f"{get_task(task).short_name}.pth"
+    checkpoint = Path(named.data or data_folder()) / f"{get_task(task).short_name}.pth"
     if named.preset or named.fresh or not checkpoint.exists():
         return Settings(**defaults)
     # How many fly side by side follows from how many were asked for at first, which is forgotten by now.

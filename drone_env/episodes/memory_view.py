@@ -11,7 +11,7 @@ from pathlib import Path
 
 from drone_env.episodes.finished import StoredEpisode
 from drone_env.errors import DroneEnvError
-from drone_env.files import replacing
+from drone_env.files import write_text
 
 LENGTH = 100
 PAUSE_SECONDS = 0.05
@@ -81,8 +81,7 @@ class MemoryView:
         text = HEAD + ",\n".join([line for _, line in self._lines]) + TAIL
         try:
             self._keep_what_is_not_ours()
-            with replacing(self._path) as temporary:
-                temporary.write_text(text, encoding="utf-8")
+            write_text(self._path, text)
         except OSError as error:
             # The episode is safe in the store: whoever flew it must not be told otherwise.
             log.warning("%s could not be written: %s", self._path, error)

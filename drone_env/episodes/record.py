@@ -17,7 +17,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-from drone_env.files import replacing
+from drone_env.files import write_text
 from drone_env.models import Count, Direction, Message, Score
 
 FORMAT_VERSION = 2
@@ -143,8 +143,7 @@ def save_record(record: EpisodeRecord, path: str | Path) -> None:
         OSError: if it cannot be written.
     """
     path = Path(path)
-    with replacing(path) as temporary:
-        temporary.write_text(record.to_json(None if path.suffix == ".jsonl" else 2) + "\n", encoding="utf-8")
+    write_text(path, record.to_json(None if path.suffix == ".jsonl" else 2) + "\n")
 
 
 def load_record(path: str | Path) -> EpisodeRecord:

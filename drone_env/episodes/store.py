@@ -5,7 +5,6 @@ at any moment, SIGKILL included; power loss may take the last transactions, and 
 must be on a local disk. A store must not be carried across a fork: open one in each process.
 """
 
-import os
 import secrets
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
@@ -39,17 +38,13 @@ from drone_env.episodes.rows import (
 from drone_env.episodes.sessions import EPISODE_ID, SessionRow, known_task, new_episode_id
 from drone_env.episodes.statistics import Analysis, FinishedRow, analyse
 from drone_env.errors import CapacityError, InvalidValueError, UnknownNameError
+from drone_env.files import data_folder as data_folder  # whoever opens the store asks for its folder
 
 FILE_NAME = "drone_env.sqlite3"
 VIEW_NAME = "memory.json"
 GONE_SECONDS = 7 * 24 * 3600.0
 PAGE = 100
 MOST_ROWS = 1 << 31
-
-
-def data_folder() -> Path:
-    """The folder of what is kept: `DRONE_ENV_DATA`, or `data` in the working directory."""
-    return Path(os.environ.get("DRONE_ENV_DATA") or "data")
 
 
 class Store:

@@ -2,12 +2,12 @@
 
 import hashlib
 import json
-import math
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import pairwise
+from statistics import fmean
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from drone_env.core.rollout import rollout
 from drone_env.core.seeds import SPLITS, check_seed, split_of
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
+from drone_env.evaluation.statistics import normal_interval
 
 if TYPE_CHECKING:
     from drone_env.agents.together import Ends
@@ -171,27 +172,21 @@ def summarise(results: EpisodeResults) -> dict[str, Any]:
     mean score / mean optimal score on the same maps. `mean_excess_steps` counts the steps beyond the optimal flight's,
     over maps that the agent delivered in full; null where there is none.
     """
-    n = len(results.scores)
-    mean = _mean(results.scores)
-    error = 1.96 * float(results.scores.std(ddof=1)) / math.sqrt(n) if n > 1 else None
+    # Sums are correctly rounded: the same figures in whatever order the episodes were flown.
+    mean = fmean(results.scores)
     solved = not np.isnan(results.optimal_scores).any()
-    optimal = _mean(results.optimal_scores) if solved else None
+    optimal = fmean(results.optimal_scores) if solved else None
     excess = (results.steps - results.optimal_steps)[results.success]
     return {
         "mean_score": mean,
-        "score_ci95": None if error is None else [mean - error, mean + error],
-        "success_rate": _mean(results.success),
-        "mean_steps": _mean(results.steps),
+        "score_ci95": normal_interval(results.scores),
+        "success_rate": fmean(results.success),
+        "mean_steps": fmean(results.steps),
         "mean_optimal_score": optimal,
         "score_ratio": None if optimal is None else mean / optimal,
-        "mean_regret": _mean(results.optimal_scores - results.scores) if solved else None,
-        "mean_excess_steps": _mean(excess) if solved and len(excess) else None,
+        "mean_regret": fmean(results.optimal_scores - results.scores) if solved else None,
+        "mean_excess_steps": fmean(excess) if solved and len(excess) else None,
     }
-
-
-def _mean(values: npt.NDArray[Any]) -> float:
-    """The correctly rounded sum by the count: the same figure in whatever order the episodes were flown."""
-    return math.fsum(values) / len(values)
 
 
 @lru_cache(maxsize=256)

@@ -21,7 +21,7 @@ from drone_env.evaluation.episodes import (
     pieces_of,
     run_episodes,
 )
-from drone_env.files import replacing
+from drone_env.files import differences, is_begun, replacing, write_text
 
 Engine = Callable[[Sequence[EpisodesKey]], Iterator[EpisodeResults]]
 """Brings the results of all keys, in any order; bringing one twice does no harm."""
@@ -54,16 +54,11 @@ class ResultsFolder:
         self._pieces = path / PIECES
         config_path, config = path / CONFIG, _config(keys)
         self.package: str = __version__
-        if path.exists() and not path.is_dir():
-            raise InvalidValueError(f"{path} is a file; an evaluation needs a folder")
-        if config_path.exists():
+        if is_begun(path, CONFIG, "an evaluation"):
             self.package = _begun_by(config_path, config)
-        elif path.is_dir() and any(entry.suffix != ".part" for entry in path.iterdir()):
-            raise InvalidValueError(f"{path} holds other things than an evaluation: name a new folder")
         else:
             path.mkdir(parents=True, exist_ok=True)
-            with replacing(config_path) as temporary:
-                temporary.write_text(json.dumps(config, indent=2) + "\n", encoding="utf-8")
+            write_text(config_path, json.dumps(config, indent=2) + "\n")
         self._pieces.mkdir(exist_ok=True)
 
     def load(self, key: EpisodesKey) -> EpisodeResults | None:
@@ -175,11 +170,7 @@ def _begun_by(path: Path, config: dict[str, Any]) -> str:
             raise ValueError("it has another format")
     except ValueError as error:
         raise InvalidValueError(f"{path} is not the configuration of an evaluation: {error}") from None
-    changed = [
-        f"{name}: {before.get(name)} is now {config[name]}"
-        for name in config
-        if name != "package" and before.get(name) != config[name]
-    ]
+    changed = differences({**before, "package": ""}, {**config, "package": ""})
     if changed:
         gone = [f"{withdrawal(*pair)}" for pair in WITHDRAWN if "{} v{}".format(*pair) in before.get("tasks", ())]
         raise InvalidValueError(f"{path.parent} holds another evaluation: {'; '.join(changed + gone)}")

@@ -10,6 +10,7 @@ from typing_extensions import Self
 from drone_env.core.rewards import get_reward_profile
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.files import differences
 from drone_env.llm.prompt import Prompt, get_prompt
 from drone_env.llm.settings import check_url
 from drone_env.models import Count, Message
@@ -110,11 +111,7 @@ class RunConfig(Message):
 
     def differences(self, other: "RunConfig") -> list[str]:
         """What differs, one line for each field."""
-        return [
-            f"{name}: {getattr(self, name)!r} is now {getattr(other, name)!r}"
-            for name in type(self).model_fields
-            if getattr(self, name) != getattr(other, name)
-        ]
+        return differences(dict(self), dict(other))
 
 
 def digest(value: object) -> str:

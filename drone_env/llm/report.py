@@ -1,17 +1,15 @@
 """The figures of a run: every score beside the exact optimum of its map, and beside other agents on the same maps."""
 
-import json
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from statistics import fmean
 from typing import Any
-
-import numpy as np
 
 from drone_env.errors import CheckpointError, TooLargeError, UnsupportedTaskError
 from drone_env.evaluation.analysis import analyse_flight
-from drone_env.evaluation.episodes import EpisodeResults, episodes_key, run_episodes
-from drone_env.files import replacing
+from drone_env.evaluation.episodes import episodes_key, run_episodes
+from drone_env.evaluation.statistics import normal_interval
 from drone_env.llm.answers import TURN_KINDS
 from drone_env.llm.options import Prices
 from drone_env.llm.run_folder import PilotedRecord
@@ -63,7 +61,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
             if r.status != "finished"
         ],
         "score": score,
-        "score_ci95": _interval([math.fsum(r.score for r in results) / len(results) for results in by_map.values()]),
+        "score_ci95": normal_interval([fmean(r.score for r in results) for results in by_map.values()]),
         "success_rate": mean_over_maps([(result.seed, result.success) for result in counted]),
         "pass_hat_k": _pass_hat_k(list(by_map.values())),
         "regret": None
@@ -101,28 +99,12 @@ def _baselines(run: VerifiedRun, seeds: Sequence[int]) -> dict[str, dict[int, fl
         except (CheckpointError, FileNotFoundError, TooLargeError, UnsupportedTaskError):
             found[agent] = None
             continue
-        found[agent] = {seed: _score(flown, seed) for seed in seeds}
+        found[agent] = {seed: float(flown.scores[seed - config.seeds[0]]) for seed in seeds}
     return found
 
 
-def _score(flown: EpisodeResults, seed: int) -> float:
-    return float(flown.scores[int(np.searchsorted(flown.seeds, seed))])
-
-
 def _mean_of(scores: dict[int, float] | None) -> float | None:
-    return None if scores is None else _mean(list(scores.values()))
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return math.fsum(values) / len(values) if values else None
-
-
-def _interval(means: Sequence[float]) -> list[float] | None:
-    if len(means) < 2:
-        return None
-    mean = math.fsum(means) / len(means)
-    error = 1.96 * float(np.std(means, ddof=1)) / math.sqrt(len(means))
-    return [mean - error, mean + error]
+    return fmean(scores.values()) if scores else None
 
 
 def _pass_hat_k(maps: Sequence[Sequence[PilotedRecord]]) -> dict[str, float]:
@@ -136,7 +118,7 @@ def _pass_hat_k(maps: Sequence[Sequence[PilotedRecord]]) -> dict[str, float]:
         chances = [
             math.comb(sum(result.success for result in results), k) / math.comb(len(results), k) for results in maps
         ]
-        found[str(k)] = math.fsum(chances) / len(chances)
+        found[str(k)] = fmean(chances)
     return found
 
 
@@ -182,14 +164,10 @@ def write_report(run: VerifiedRun, figures: dict[str, Any]) -> None:
     Raises:
         OSError: if they cannot be written.
     """
-    from drone_env.llm.report_page import page
-    from drone_env.llm.report_tables import markdown
+    from drone_env.llm.report_plots import plots
+    from drone_env.llm.report_tables import page_values
+    from drone_env.reports.pages import render, write_pages
 
-    texts = {
-        "report.json": json.dumps(figures, indent=2, allow_nan=False) + "\n",
-        "report.md": markdown(figures),
-        "report.html": page(figures),
-    }
-    for name, text in texts.items():
-        with replacing(run.path / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+    values = page_values(figures)
+    page = render("llm.html", **values, plots=plots(figures))
+    write_pages(run.path, figures, {"report.md": render("llm.md", **values), "report.html": page})

@@ -10,7 +10,7 @@ from typing_extensions import Self
 from drone_env.episodes.record import record_of
 from drone_env.episodes.store import Store
 from drone_env.errors import InvalidValueError
-from drone_env.files import lock_file, replacing
+from drone_env.files import is_begun, lock_file, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
 from drone_env.llm.pilot import PilotedEpisode, Status
@@ -65,13 +65,10 @@ class RunFolder:
     def __init__(self, path: Path, config: RunConfig, resume: bool) -> None:
         self.path = path
         config_path = path / CONFIG
-        if path.exists() and not path.is_dir():
-            raise InvalidValueError(f"{path} is a file; a run needs a folder")
-        if path.is_dir() and any(path.iterdir()) and not config_path.exists() and not _begun(path):
-            raise InvalidValueError(f"{path} holds other things than a run: name a new folder")
-        if config_path.exists() and not resume:
+        begun = is_begun(path, CONFIG, "a run")
+        if begun and not resume:
             raise InvalidValueError(f"{path} holds a run already: add --resume to go on with it, or name a new folder")
-        if resume and not config_path.exists():
+        if resume and not begun:
             raise InvalidValueError(f"there is no run in {path} to resume")
         path.mkdir(parents=True, exist_ok=True)
         self._lock = lock_file(path / "lock", f"another process is working on the run in {path}")
@@ -82,8 +79,7 @@ class RunFolder:
                 if changed:
                     raise InvalidValueError(f"the run in {path} has another configuration: {'; '.join(changed)}")
             else:
-                with replacing(config_path) as temporary:
-                    temporary.write_text(config.model_dump_json(indent=2) + "\n", encoding="utf-8")
+                write_text(config_path, config.model_dump_json(indent=2) + "\n")
         except BaseException:
             self.close()
             raise
@@ -98,8 +94,7 @@ class RunFolder:
         records = [record_of(flown.episode, agent).to_json() for flown in ordered]
         results = [PilotedRecord.of(flown).model_dump_json() for flown in ordered]
         for name, lines in ((EPISODES, records), (RESULTS, results)):
-            with replacing(self.path / name) as temporary:
-                temporary.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+            write_text(self.path / name, "".join(f"{line}\n" for line in lines))
 
     def keep(self, flown: PilotedEpisode, store: Store, agent: str) -> None:
         """Keep an episode that was flown to its end in a store: once, however often the run is gone on with.
@@ -143,8 +138,3 @@ def load_results(path: Path) -> list[PilotedRecord]:
     lines = enumerate((path / RESULTS).read_bytes().splitlines(), 1)
     wrong = f"of {path / RESULTS} is not the result of a flight"
     return [PilotedRecord.read(line, f"line {number} {wrong}") for number, line in lines]
-
-
-def _begun(path: Path) -> bool:
-    """Whether the folder holds nothing but what a run that was killed at its very start leaves."""
-    return all(entry.name == "lock" or entry.name.endswith(".part") for entry in path.iterdir())

@@ -11,6 +11,7 @@ from pydantic import Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drone_env.errors import InvalidValueError, text_of
+from drone_env.reports.tables import markdown_table
 
 HUGGING_FACE = "https://router.huggingface.co/v1"
 OPENAI = "https://api.openai.com/v1"
@@ -159,14 +160,13 @@ def token_for(settings: InferenceSettings, url: str) -> str | None:
 
 def settings_table() -> str:
     """The settings as a table in Markdown."""
-    lines = ["| variable | default | meaning |", "|---|---|---|"]
-    for name, field in InferenceSettings.model_fields.items():
-        default = "-" if field.default is None else f"`{field.default}`"
-        lines.append(f"| `{name.upper()}` | {default} | {field.description} |")
-    return "\n".join(lines)
+    fields = InferenceSettings.model_fields.items()
+    defaults = {name: "-" if field.default is None else f"`{field.default}`" for name, field in fields}
+    rows = [(f"`{name.upper()}`", defaults[name], f"{field.description}") for name, field in fields]
+    return markdown_table(("variable", "default", "meaning"), rows)
 
 
 def models_table() -> str:
     """The supported models as a table in Markdown."""
-    lines = ["| model | provider | tier | notes |", "|---|---|---|---|"]
-    return "\n".join(lines + [f"| `{model}` | {' | '.join(rest)} |" for model, *rest in SUPPORTED_MODELS])
+    rows = [(f"`{model}`", *rest) for model, *rest in SUPPORTED_MODELS]
+    return markdown_table(("model", "provider", "tier", "notes"), rows)

@@ -10,6 +10,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from drone_env.agents.pathqnet import WEIGHTS
 from drone_env.errors import InvalidValueError, text_of
+from drone_env.reports.tables import markdown_table
 
 Listed = Annotated[tuple[str, ...], NoDecode]
 """Comma-separated in the environment."""
@@ -94,10 +95,11 @@ def misspelt_variables() -> dict[str, str]:
 
 def settings_table() -> str:
     """The settings as a table in Markdown."""
-    lines = ["| variable | default | meaning |", "|---|---|---|"]
-    for name, field in Settings.model_fields.items():
-        lines.append(f"| `DRONE_ENV_{name.upper()}` | {_shown(name, field.default)} | {field.description} |")
-    return "\n".join(lines)
+    fields = Settings.model_fields.items()
+    rows = [
+        (f"`DRONE_ENV_{name.upper()}`", _shown(name, field.default), f"{field.description}") for name, field in fields
+    ]
+    return markdown_table(("variable", "default", "meaning"), rows)
 
 
 def _shown(name: str, default: object) -> str:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from drone_env.cli import main
-from drone_env.cluster.sweep.bootstrap import bootstrap
 from drone_env.cluster.sweep.config import SweepConfig, Trial, make_config
 from drone_env.cluster.sweep.driver import is_done, outstanding, retry_failed
 from drone_env.cluster.sweep.folder import SweepFolder, TrialState
@@ -17,6 +16,7 @@ from drone_env.cluster.sweep.report import sweep_report, write_report
 from drone_env.cluster.sweep.settings import settings_of
 from drone_env.cluster.sweep.trial import train_trial
 from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.evaluation.statistics import bootstrap
 from drone_env.rl.config import TrainConfig
 
 SMALL = (

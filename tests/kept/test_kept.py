@@ -247,7 +247,7 @@ def test_a_sweep_is_told_again(kept: Kept) -> None:
     from drone_env.cluster.sweep.driver import is_done
     from drone_env.cluster.sweep.folder import SweepFolder
     from drone_env.cluster.sweep.report import sweep_report
-    from drone_env.cluster.sweep.tables import markdown
+    from drone_env.reports.pages import render
 
     told, folder = kept.told["sweep"], SweepFolder(kept.copy("sweep"))
     config = folder.config()
@@ -266,7 +266,7 @@ def test_a_sweep_is_told_again(kept: Kept) -> None:
     }
     assert best["test"]["seed_scores"] == [pytest.approx(sum(first["test_scores"]) / 20, rel=1e-12)]
     assert trial["parts"] >= 1
-    assert trial["name"] in markdown(figures)
+    assert trial["name"] in render("sweep.md", **figures)
 
 
 @pytest.mark.long

@@ -27,7 +27,7 @@ ALLOWED_IN_CORE = {"numpy", "numba", "llvmlite", "platformdirs", *sys.stdlib_mod
 
 # Each floor may import from the floors below it, and from its own.
 FLOORS = [
-    {"errors", "files", "installer"},
+    {"errors", "files", "installer", "reports"},
     {"core"},
     {"planning", "models", "reward_file"},
     {"agents", "graders", "episodes"},

@@ -160,8 +160,10 @@ def test_the_folder_is_data_or_what_the_environment_names(monkeypatch: pytest.Mo
     assert data_folder() == Path("data")
     monkeypatch.setenv("DRONE_ENV_DATA", "")
     assert data_folder() == Path("data")
+    assert [data_folder(part) for part in ("results", "sweep")] == [Path("results"), Path("runs/sweep")]
     monkeypatch.setenv("DRONE_ENV_DATA", "/somewhere/else")
     assert data_folder() == Path("/somewhere/else")
+    assert data_folder("sweep") == Path("/somewhere/else/sweep")
 
 
 def test_a_file_that_is_newer_is_left_as_it_is(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import json
 import shlex
-from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
 from typing import Any, Literal, NamedTuple
 
@@ -10,6 +9,7 @@ from pydantic import Field
 
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
+from drone_env.files import differences
 from drone_env.models import Message
 from drone_env.rl.config import TrainConfig, preset
 
@@ -103,14 +103,10 @@ class SweepConfig(Message):
 
     def differences(self, other: "SweepConfig") -> list[str]:
         """What differs, one line for each field."""
-        found: list[str] = []
-        for name in type(self).model_fields:
-            mine, others = getattr(self, name), getattr(other, name)
-            if name == "fixed":
-                found += _changed(mine, others)
-            elif mine != others:
-                found.append(f"{name}: {_short(mine)} is now {_short(others)}")
-        return found
+        before, now = self.model_dump(mode="json"), other.model_dump(mode="json")
+        for values in (before, now):
+            values.update({f"{name} of the preset": value for name, value in values.pop("fixed").items()})
+        return differences(before, now)
 
 
 def make_config(
@@ -128,14 +124,13 @@ def make_config(
         UnknownNameError: if there is no such task.
         InvalidValueError: if a value is out of range, a setting is there twice, or settings cannot be compared early.
     """
-    for name, value, most in (("seeds", seeds, 1000), ("cpus-per-trial", cpus_per_trial, 4096)):
+    counts = (("seeds", seeds, 1000), ("cpus-per-trial", cpus_per_trial, 4096), ("test-maps", test_maps, 1_000_000))
+    for name, value, most in counts:
         if not 1 <= value <= most:
             raise InvalidValueError(f"--{name} must be from 1 to {most}, got {value}")
-    if not 1 <= test_maps <= 1_000_000:
-        raise InvalidValueError(f"--test-maps must be from 1 to 1000000, got {test_maps}")
     twice = [setting for i, setting in enumerate(settings) if setting in settings[:i]]
     if twice:
-        raise InvalidValueError(f"a setting is there twice: {_short(twice[0])}")
+        raise InvalidValueError(f"a setting is there twice: {json.dumps(twice[0])}")
     known = get_task(task)
     defaults = asdict(preset(preset_name, task))
     config = SweepConfig(
@@ -156,12 +151,3 @@ def make_config(
                 f"settings with different {name} cannot be compared half way: add --no-early-stopping"
             )
     return config
-
-
-def _changed(mine: Mapping[str, Value], others: Mapping[str, Value]) -> list[str]:
-    names = [name for name in {**mine, **others} if mine.get(name) != others.get(name)]
-    return [f"{name} of the preset: {mine.get(name)!r} is now {others.get(name)!r}" for name in names]
-
-
-def _short(value: object) -> str:
-    return json.dumps(value)

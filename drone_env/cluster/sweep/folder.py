@@ -13,18 +13,19 @@ One process drives a sweep at a time, and one trains a trial: locks say so, whic
 import json
 import os
 import socket
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
+from pydantic_core import to_json
 
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.core.tasks import withdrawal
 from drone_env.errors import InvalidValueError, text_of
-from drone_env.files import lock_file, replacing
+from drone_env.files import is_begun, locked, write_text
 from drone_env.models import Count, Message
 
 CONFIG, STOPPED, STATE, PARTS = "sweep.json", "stopped.json", "trial.json", "parts.jsonl"
@@ -85,15 +86,11 @@ class SweepFolder:
             OSError: if it cannot be made or read.
             InvalidValueError: if it holds something else, or a sweep of another configuration.
         """
-        if self.path.exists() and not self.path.is_dir():
-            raise InvalidValueError(f"{self.path} is a file; a sweep needs a folder")
-        if (self.path / CONFIG).exists():
+        if is_begun(self.path, CONFIG, "a sweep"):
             changed = self.config().differences(config)
             if changed:
                 raise InvalidValueError(f"the sweep in {self.path} has another configuration: {'; '.join(changed)}")
             return
-        if self.path.is_dir() and {entry.name for entry in self.path.iterdir()} - {"lock"}:
-            raise InvalidValueError(f"{self.path} holds other things than a sweep: name a new folder")
         self.path.mkdir(parents=True, exist_ok=True)
         _write(self.path / CONFIG, config)
 
@@ -110,34 +107,24 @@ class SweepFolder:
             raise InvalidValueError(f"the sweep in {self.path} is of what there is no more: {withdrawn}")
         return config
 
-    @contextmanager
-    def driving(self) -> Generator[None, None, None]:
+    def driving(self) -> AbstractContextManager[None]:
         """Keep other drivers out.
 
         Raises:
             InvalidValueError: if there is one.
         """
         self.path.mkdir(parents=True, exist_ok=True)
-        lock = lock_file(self.path / "lock", f"another process is driving the sweep in {self.path}")
-        try:
-            yield
-        finally:
-            lock.release()
+        return locked(self.path / "lock", f"another process is driving the sweep in {self.path}")
 
-    @contextmanager
-    def training(self, trial: Trial) -> Generator[Path, None, None]:
-        """The trial's folder, with other processes kept out; waits a minute for one that is being ended.
+    def training(self, trial: Trial) -> AbstractContextManager[None]:
+        """Keep other processes out of the trial's folder; waits a minute for one that is being ended.
 
         Raises:
             InvalidValueError: if another process trains it still.
         """
         folder = self.folder(trial)
         folder.mkdir(parents=True, exist_ok=True)
-        lock = lock_file(folder / "lock", f"another process is still training in {folder}", LOCK_SECONDS)
-        try:
-            yield folder
-        finally:
-            lock.release()
+        return locked(folder / "lock", f"another process is still training in {folder}", LOCK_SECONDS)
 
     def folder(self, trial: Trial) -> Path:
         """Where a trial's files lie."""
@@ -180,14 +167,11 @@ class SweepFolder:
 
     def set_stopped(self, decisions: Sequence[StoppedSettings]) -> None:
         """Write what was decided."""
-        text = json.dumps([decision.model_dump() for decision in decisions], indent=2)
-        with replacing(self.path / STOPPED) as temporary:
-            temporary.write_text(f"{text}\n", encoding="utf-8")
+        _write(self.path / STOPPED, decisions)
 
 
-def _write(path: Path, message: Message) -> None:
-    with replacing(path) as temporary:
-        temporary.write_text(message.model_dump_json(indent=2) + "\n", encoding="utf-8")
+def _write(path: Path, value: Message | Sequence[Message]) -> None:
+    write_text(path, to_json(value, indent=2).decode() + "\n")
 
 
 def _read(path: Path, kind: TypeAdapter[Any]) -> Any:

@@ -1,18 +1,16 @@
 """The figures of a sweep: each setting over its seeds, each trial with the command that trains it alone."""
 
-import json
-import statistics
 from collections import Counter
+from statistics import fmean
 from typing import Any
 
 import numpy as np
 
-from drone_env.cluster.sweep.bootstrap import Interval, bootstrap
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
-from drone_env.files import replacing
+from drone_env.evaluation.statistics import Interval, bootstrap
 
 
 def sweep_report(folder: SweepFolder, config: SweepConfig) -> dict[str, Any]:
@@ -71,16 +69,10 @@ def write_report(folder: SweepFolder, figures: dict[str, Any]) -> None:
         OSError: if they cannot be written.
     """
     from drone_env.cluster.sweep.plots import draw_plots
-    from drone_env.cluster.sweep.tables import markdown
+    from drone_env.reports.pages import render, write_pages
 
     draw_plots(figures, folder.path)
-    texts = {
-        "report.json": json.dumps(figures, indent=2, allow_nan=False) + "\n",
-        "report.md": markdown(figures),
-    }
-    for name, text in texts.items():
-        with replacing(folder.path / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+    write_pages(folder.path, figures, {"report.md": render("sweep.md", **figures)})
 
 
 def _trial(
@@ -88,26 +80,17 @@ def _trial(
 ) -> dict[str, Any]:
     stopped = state.status == "unfinished" and stopped_at is not None
     test = state.test
+    score = None if test is None else fmean(test.scores)
     return {
         "name": trial.name,
         "setting": trial.setting,
         "seed": trial.seed,
+        **state.model_dump(exclude={"rungs", "test"}),
         "status": "stopped" if stopped else state.status,
         "stopped_at": stopped_at if stopped else None,
-        "error": state.error,
         "parts": len(folder.parts(trial)),
-        "episodes": state.episodes,
-        "steps": state.steps,
-        "updates": state.updates,
-        "seconds": state.seconds,
-        "curve": state.curve,
-        "validation_score": state.validation_score,
-        "validation_optimum": state.validation_optimum,
-        "network": state.network,
-        "test_score": None if test is None else statistics.fmean(test.scores),
-        "test_ratio": None
-        if test is None or test.optima is None
-        else statistics.fmean(test.scores) / statistics.fmean(test.optima),
+        "test_score": score,
+        "test_ratio": score / fmean(test.optima) if test and score is not None and test.optima else None,
         "test_success": None if test is None else test.success_rate,
         "command": config.command(trial),
     }
@@ -121,9 +104,9 @@ def _test(finished: list[TrialState]) -> dict[str, Any] | None:
     return {
         "score": _interval(bootstrap(scores)),
         "ratio": None if optima is None else _interval(bootstrap(scores, np.array(optima))),
-        "seed_scores": [statistics.fmean(test.scores) for test in flown],
-        "optimum": None if optima is None else statistics.fmean(optima),
-        "success": statistics.fmean(test.success_rate for test in flown),
+        "seed_scores": [fmean(test.scores) for test in flown],
+        "optimum": None if optima is None else fmean(optima),
+        "success": fmean(test.success_rate for test in flown),
     }
 
 

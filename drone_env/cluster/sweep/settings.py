@@ -21,11 +21,11 @@ MOST_SETTINGS = 10_000
 
 
 class Axis(NamedTuple):
-    """The values of one name: some, or a range to draw from."""
+    """The values of one name, none for a range, and how one is drawn."""
 
     name: str
-    values: tuple[Value, ...]
-    draw: Callable[[np.random.Generator], Value] | None
+    values: list[Value]
+    draw: Callable[[np.random.Generator], Value]
 
 
 def parse_axis(text: str) -> Axis:
@@ -45,8 +45,13 @@ def parse_axis(text: str) -> Axis:
         raise UnknownNameError("setting", given.strip(), [*SWEPT, *ALIASES])
     found = RANGE.fullmatch("".join(listed.split()))
     if found:
-        return Axis(name, (), _range(name, *found.groups()))
-    return Axis(name, tuple(_value(name, value.strip()) for value in listed.split(",")), None)
+        return Axis(name, [], _range(name, *found.groups()))
+    values = [_value(name, value.strip()) for value in listed.split(",")]
+
+    def draw(rng: np.random.Generator) -> Value:
+        return values[int(rng.integers(len(values)))]
+
+    return Axis(name, values, draw)
 
 
 def settings_of(texts: Sequence[str], samples: int | None = None, samples_seed: int = 0) -> list[Setting]:
@@ -68,18 +73,14 @@ def settings_of(texts: Sequence[str], samples: int | None = None, samples_seed: 
         if samples_seed < 0:
             raise InvalidValueError(f"--samples-seed must be 0 or more, got {samples_seed}")
         rng = np.random.default_rng(samples_seed)
-        drawn = [{axis.name: _drawn(axis, rng) for axis in axes} for _ in range(samples)]
+        drawn = [{axis.name: axis.draw(rng) for axis in axes} for _ in range(samples)]
         return [setting for i, setting in enumerate(drawn) if setting not in drawn[:i]]
     for axis in axes:
-        if axis.draw is not None:
+        if not axis.values:
             raise InvalidValueError(f"{axis.name} is a range: say with --samples N how many settings to draw")
     if math.prod(len(axis.values) for axis in axes) > MOST_SETTINGS:
         raise InvalidValueError(f"the grid has more than {MOST_SETTINGS} settings; draw some with --samples N")
     return [dict(zip(names, values, strict=True)) for values in itertools.product(*(axis.values for axis in axes))]
-
-
-def _drawn(axis: Axis, rng: np.random.Generator) -> Value:
-    return axis.draw(rng) if axis.draw else axis.values[int(rng.integers(len(axis.values)))]
 
 
 def _value(name: str, text: str) -> Value:

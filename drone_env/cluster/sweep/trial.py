@@ -63,7 +63,8 @@ def train_trial(folder: SweepFolder, trial: Trial, until: int, checkpoint_second
         report: Called with `episodes`, `validation` and `optimum` at every validation; with `failed`, the error, where
             training goes wrong.
     """
-    with folder.training(trial) as place:
+    place = folder.folder(trial)
+    with folder.training(trial):
         state = folder.state(trial)
         if state.status != "unfinished" or str(until) in state.rungs:
             return
@@ -93,13 +94,8 @@ def network_digest(path: Path) -> str:
 
 def best_until(history: Sequence[Progress], episodes: int) -> float:
     """The best validation score on the log up to its first line at or after so many episodes."""
-    best = -math.inf
-    for line in history:
-        if not math.isnan(line.validation):
-            best = max(best, line.validation)
-        if line.episode >= episodes:
-            break
-    return best
+    first = next((i for i, line in enumerate(history) if line.episode >= episodes), len(history))
+    return max((line.validation for line in history[: first + 1] if not math.isnan(line.validation)), default=-math.inf)
 
 
 def _train(run: TrainingRun, until: int, report: Report) -> None:

@@ -1,6 +1,9 @@
-"""Intervals by resampling both what was trained and what was flown."""
+"""Means and their 95 % intervals."""
 
-from typing import NamedTuple
+import math
+from collections.abc import Sequence
+from statistics import fmean
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +17,14 @@ class Interval(NamedTuple):
     mean: float
     low: float
     high: float
+
+
+def normal_interval(values: Sequence[float] | npt.NDArray[Any]) -> list[float] | None:
+    """Mean +- 1.96 standard errors (normal approximation); None for fewer than two values."""
+    if len(values) < 2:
+        return None
+    mean, error = fmean(values), 1.96 * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    return [mean - error, mean + error]
 
 
 def bootstrap(

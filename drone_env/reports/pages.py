@@ -1,0 +1,61 @@
+"""Pages from the templates beside this module. What is filled in stays text, wherever it comes from."""
+
+import json
+import re
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from drone_env.files import write_text
+from drone_env.reports.tables import Table, markdown_table, number, percent
+
+TEMPLATES = Path(__file__).with_name("templates")
+ENTITIES = {letter: f"&#{ord(letter)};" for letter in "|`*\\"} | {"&": "&amp;", "<": "&lt;"}
+
+
+def render(template: str, **values: Any) -> str:
+    """The page that a template in `templates/` makes of values: of HTML or of Markdown, as its name ends."""
+    html, markdown = _environments()
+    return (html if template.endswith(".html") else markdown).get_template(template).render(values)
+
+
+def write_pages(folder: Path, figures: Mapping[str, Any], pages: Mapping[str, str]) -> None:
+    """Write figures as `report.json`, and pages by their file names, each whole or not at all.
+
+    Raises:
+        OSError: if they cannot be written.
+    """
+    for name, text in {"report.json": json.dumps(figures, indent=2, allow_nan=False) + "\n", **pages}.items():
+        write_text(folder / name, text)
+
+
+def as_markdown(text: object) -> str:
+    """A text that Markdown shows as it is, in one line: names and errors come from elsewhere."""
+    if isinstance(text, Markup):
+        return text
+    line = re.sub(r"[&<|`*\\]", lambda found: ENTITIES[found[0]], " ".join(str(text).split()))
+    # Only what a bracket with an address follows becomes a link.
+    return re.sub(r"\[(?=.*\][(\[])", "&#91;", line)
+
+
+@lru_cache(maxsize=1)
+def _environments() -> tuple[Environment, Environment]:
+    html = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    html.filters.update(number=number, percent=percent, table=_markdown_table)
+    return html, html.overlay(autoescape=False, finalize=as_markdown)
+
+
+def _markdown_table(table: Table) -> Markup:
+    rows = [[as_markdown(cell) for cell in row] for row in table.rows]
+    return Markup(markdown_table(table.head or ("", ""), rows))

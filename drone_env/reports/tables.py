@@ -1,0 +1,59 @@
+"""Tables of figures, each made once and shown as HTML, as Markdown or on the terminal."""
+
+import sys
+from collections.abc import Sequence
+from typing import NamedTuple
+
+
+class Table(NamedTuple):
+    """One table: its title, its headings (none where each row is a name and a value), its rows."""
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+def number(value: float | None, form: str = ".4f") -> str:
+    """A figure, with four decimals if nothing is said; `-` where it is not known."""
+    return "-" if value is None else format(value, form)
+
+
+def percent(value: float | None) -> str:
+    """A share in percent; `-` where it is not known."""
+    return number(value, ".1%")
+
+
+def with_margin(mean: float | None, interval: Sequence[float] | None) -> str:
+    """A mean and half the width of its interval; the mean alone where there is no interval."""
+    return number(mean) + ("" if mean is None or interval is None else f" ± {interval[1] - mean:.4f}")
+
+
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown; the cells stand in it as they are."""
+    lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in (head, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
+
+
+def print_table(table: Table, width: int, names: int, caption: str | None = None, sections: bool = False) -> None:
+    """Print a table on standard output.
+
+    Args:
+        table: The table.
+        width: Columns of the page where standard output is no terminal.
+        names: How many of the first columns are names; the others are figures and stand to the right.
+        caption: A line below.
+        sections: Whether rows with another first cell than the one above stand apart.
+    """
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table as RichTable
+
+    shown = RichTable(
+        title=escape(table.title), caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
+    )
+    for i, heading in enumerate(table.head):
+        shown.add_column(heading, justify="left" if i < names else "right", no_wrap=i >= names)
+    for row, following in zip(table.rows, [*table.rows[1:], ("",)], strict=True):
+        shown.add_row(*map(escape, row), end_section=sections and row[0] != following[0])
+    Console(width=None if sys.stdout.isatty() else width).print(shown)
