@@ -12,7 +12,7 @@ from drone_env.server.schemas import MAX_SEED, Seed
 from drone_env.server.state import LONGEST_ID
 from drone_env.server.strict_json import parse_json
 
-MOST_MISSIONS = 4
+MOST_EPISODES = 4
 
 
 def _say_the_range(value: Any, check: ValidatorFunctionWrapHandler) -> int:
@@ -34,7 +34,7 @@ class Start(Message):
 
     type: Literal["start"]
     task: str = Field(max_length=100)
-    pilots: list[str] = Field(min_length=1, max_length=MOST_MISSIONS)
+    pilots: list[str] = Field(min_length=1, max_length=MOST_EPISODES)
     seed: MapNumber | None = None
     reward_profile: str | None = Field(default=None, max_length=100)
     number: Number = None
@@ -44,7 +44,7 @@ class Attach(Message):
     """Go on with missions, after the connection was lost."""
 
     type: Literal["attach"]
-    sessions: list[Annotated[str, Field(max_length=LONGEST_ID)]] = Field(min_length=1, max_length=MOST_MISSIONS)
+    sessions: list[Annotated[str, Field(max_length=LONGEST_ID)]] = Field(min_length=1, max_length=MOST_EPISODES)
     number: Number = None
 
 
@@ -72,7 +72,7 @@ class Fly(Message):
 
     type: Literal["fly"]
     direction: Direction
-    mission: int = Field(default=0, ge=0, lt=MOST_MISSIONS)
+    mission: int = Field(default=0, ge=0, lt=MOST_EPISODES)
 
 
 class End(Message):
