@@ -1,7 +1,6 @@
 """One episode that a page flies: a session, its pilot, and how far the page has seen it."""
 
 from contextlib import suppress
-from copy import copy
 from typing import TYPE_CHECKING
 
 from typing_extensions import Self
@@ -97,7 +96,7 @@ class LiveEpisode:
         solver = self._solver()
         if solver is None:
             return None
-        flight = self._start()
+        flight = self._at_start()
         values = [solver.value(flight)]
         for action in self.episode.actions:
             flight.step(action)
@@ -120,7 +119,7 @@ class LiveEpisode:
         return self._decision
 
     def _fly(self, action: int) -> list[Frame]:
-        flown = copy(self.episode)  # where the step cannot be kept, nothing has changed here
+        flown = self.episode.copy()  # where the step cannot be kept, nothing has changed here
         with self._sessions.store.session(self.session) as row:
             if row.agent != self.pilot or not row.follows(flown):
                 raise SessionGoneError("this session flies another mission by now: start a new one")
@@ -152,7 +151,7 @@ class LiveEpisode:
         if solver is not None:
             value = solver.value(self.episode)
             if self._optimum is None:
-                self._optimum = solver.value(self._start())
+                self._optimum = solver.value(self._at_start())
         frame = frame_of(self.episode, self._observation, self._network, value, self._optimum)
         own = frame.q_values if self._agent is self._network else None
         self._decision = Action[max(own, key=own.__getitem__)] if own else None
@@ -163,7 +162,5 @@ class LiveEpisode:
         told = self.pilot != HUMAN or self.episode.ended
         return self._values.get(self.episode.task, self.episode.seed) if told else None
 
-    def _start(self) -> Episode:
-        start = Episode(self.episode.task, self.episode.reward_profile)
-        start.reset(self.episode.seed)
-        return start
+    def _at_start(self) -> Episode:
+        return Episode(self.episode.task, self.episode.reward_profile, self.episode.seed)
