@@ -1,7 +1,7 @@
 """Finished episodes as the store keeps them: whole, and as rows for lists and figures."""
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from typing import Any, NamedTuple, cast
 
@@ -100,6 +100,11 @@ class EpisodeRow(NamedTuple):
 
 
 COLUMNS = EpisodeRow._fields[:-2]
+SELECT_ROWS = (
+    f"SELECT {', '.join([f'e.{name}' for name in COLUMNS])}, o.task IS NOT NULL, o.score "
+    "FROM episodes e LEFT JOIN optima o USING (task, task_version, seed)"
+)
+SELECT_STORED = "SELECT number, id, finished_at, steps, deliveries_total, reward_total, outcome, record FROM episodes"
 
 
 def selection(
@@ -127,51 +132,30 @@ def selection(
     return f"WHERE {' AND '.join(given)}" if given else "", tuple(given.values())
 
 
-def episode_rows(connection: sqlite3.Connection, where: str, values: tuple[object, ...]) -> list[EpisodeRow]:
-    """The rows of finished episodes."""
-    rows = connection.execute(
-        f"SELECT {', '.join([f'e.{name}' for name in COLUMNS])}, o.task IS NOT NULL, o.score "
-        f"FROM episodes e LEFT JOIN optima o USING (task, task_version, seed) {where}",
-        values,
-    ).fetchall()
-    return [EpisodeRow(*row) for row in rows]
-
-
-def stored_rows(connection: sqlite3.Connection, where: str, values: tuple[object, ...]) -> list[Any]:
-    """Whole episodes, for `stored_episodes` once the transaction is over."""
-    return connection.execute(
-        f"SELECT number, id, finished_at, steps, deliveries_total, reward_total, outcome, record FROM episodes {where}",
-        values,
-    ).fetchall()
-
-
-def stored_episodes(rows: list[Any], store: object) -> Iterator[tuple[int, StoredEpisode]]:
-    """The episodes of `stored_rows`, each with its number.
+def stored_episode(row: Sequence[Any], store: object) -> tuple[int, StoredEpisode]:
+    """The number of an episode, and the episode.
 
     Args:
-        rows: The rows.
+        row: One that `SELECT_STORED` gives.
         store: What an error calls the store.
 
     Raises:
-        InvalidValueError: if a record cannot be read.
+        InvalidValueError: if its record cannot be read.
     """
-    for number, episode_id, finished_at, steps, deliveries_total, reward_total, outcome, record in rows:
-        yield (
-            number,
-            StoredEpisode(
-                id=episode_id,
-                finished_at=utc(finished_at),
-                steps=steps,
-                deliveries_total=deliveries_total,
-                reward_total=reward_total,
-                outcome=outcome,
-                record=parse_record(record, f"episode {episode_id} of {store}"),
-            ),
-        )
+    number, episode_id, finished_at, steps, deliveries_total, reward_total, outcome, record = row
+    return number, StoredEpisode(
+        id=episode_id,
+        finished_at=utc(finished_at),
+        steps=steps,
+        deliveries_total=deliveries_total,
+        reward_total=reward_total,
+        outcome=outcome,
+        record=parse_record(record, f"episode {episode_id} of {store}"),
+    )
 
 
 def insert_episode(connection: sqlite3.Connection, stored: StoredEpisode) -> None:
-    """Add a finished episode."""
+    """Add a finished episode, unless there is one of its id."""
     columns = (*COLUMNS[1:], "record")
     values = {
         **vars(stored.record),
@@ -180,8 +164,9 @@ def insert_episode(connection: sqlite3.Connection, stored: StoredEpisode) -> Non
         "actions": "".join([str(DIRECTIONS.index(name)) for name in stored.record.actions]),
         "record": stored.record.to_json(),
     }
+    places = ", ".join([f":{name}" for name in columns])
     connection.execute(
-        f"INSERT INTO episodes ({', '.join(columns)}) VALUES ({', '.join([f':{name}' for name in columns])})", values
+        f"INSERT INTO episodes ({', '.join(columns)}) VALUES ({places}) ON CONFLICT (id) DO NOTHING", values
     )
 
 

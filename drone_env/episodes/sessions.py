@@ -235,8 +235,3 @@ def end_finished(connection: sqlite3.Connection, now: float) -> bool:
     if found is not None:
         end_session(connection, found[0], now)
     return found is not None
-
-
-def count_sessions(connection: sqlite3.Connection) -> int:
-    """How many are open."""
-    return connection.execute("SELECT count(*) FROM sessions").fetchone()[0]

@@ -10,6 +10,7 @@ import secrets
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from typing_extensions import Self
 
@@ -17,14 +18,14 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.database import BUSY_SECONDS, Database
 from drone_env.episodes.finished import (
+    SELECT_ROWS,
+    SELECT_STORED,
     EpisodeRow,
     StoredEpisode,
     check_agent,
-    episode_rows,
     insert_episode,
     selection,
-    stored_episodes,
-    stored_rows,
+    stored_episode,
 )
 from drone_env.episodes.memory_view import MemoryView
 from drone_env.episodes.optima import Optima
@@ -32,7 +33,6 @@ from drone_env.episodes.record import EpisodeRecord, replay
 from drone_env.episodes.sessions import (
     EPISODE_ID,
     SessionRow,
-    count_sessions,
     end_finished,
     end_session,
     known_task,
@@ -50,6 +50,7 @@ GONE_SECONDS = 7 * 24 * 3600.0
 PAGE = 100
 MOST_ROWS = 1 << 31
 NEWEST = "ORDER BY number DESC LIMIT ?"
+COUNT = "SELECT count(*) FROM sessions"
 
 
 def data_folder() -> Path:
@@ -138,8 +139,7 @@ class Store:
             raise InvalidValueError(f"the id of an episode is 16 hex digits, got {episode_id!r}")
         stored = StoredEpisode.of(episode_id or new_episode_id(), episode, str(agent))
         with self._database.writing() as connection:
-            if episode_id is None or not stored_rows(connection, "WHERE id = ?", (episode_id,)):
-                insert_episode(connection, stored)
+            insert_episode(connection, stored)
         self._view.refresh()
         return stored.id
 
@@ -230,8 +230,7 @@ class Store:
         known = get_task(task)
         rows = self.listed(last, known, patience=patience)
         where, values = selection(known)
-        with self._database.reading() as connection:
-            (total,) = connection.execute(f"SELECT count(*) FROM episodes {where}", values).fetchone()
+        ((total,),) = self._read(f"SELECT count(*) FROM episodes {where}", values)
         return analyse(known.id, total, rows)
 
     # Sessions
@@ -262,7 +261,8 @@ class Store:
         now = self._clock()
         row = (session_id, task, task_version, seed, reward_profile, check_agent(agent), "", None, now, now, address)
         with self._database.writing() as connection:
-            if count_sessions(connection) >= capacity and not end_finished(connection, now):
+            (taken,) = connection.execute(COUNT).fetchone()
+            if taken >= capacity and not end_finished(connection, now):
                 raise CapacityError(f"all {capacity} sessions are taken: try again later")
             # One at most is of those who name none: where it is named, they are not to find one that they left before.
             connection.execute("UPDATE sessions SET address = NULL WHERE address = ?", (address,))
@@ -319,9 +319,8 @@ class Store:
         Raises:
             StoreError: if the store cannot be read.
         """
-        with self._database.reading() as connection:
-            found = connection.execute("SELECT id FROM sessions WHERE address = ?", (address,)).fetchone()
-        return None if found is None else found[0]
+        found = self._read("SELECT id FROM sessions WHERE address = ?", (address,))
+        return found[0][0] if found else None
 
     def end_session(self, session_id: str) -> None:
         """End a session: from now on it is gone.
@@ -369,24 +368,24 @@ class Store:
         Raises:
             StoreError: if the store cannot be read.
         """
-        with self._database.reading() as connection:
-            return count_sessions(connection)
+        return self._read(COUNT)[0][0]
 
     def _continued(self, clock: Callable[[], float]) -> Callable[[], float]:
         """A clock that has gone back since the last start would let sessions live on: it begins where they are."""
-        with self._database.reading() as connection:
-            (used,) = connection.execute("SELECT coalesce(max(touched_at), 0) FROM sessions").fetchone()
+        ((used,),) = self._read("SELECT coalesce(max(touched_at), 0) FROM sessions")
         ahead = max(0.0, used - clock())
         return lambda: clock() + ahead
 
-    def _rows(self, where: str, values: tuple[object, ...]) -> list[EpisodeRow]:
+    def _read(self, query: str, values: tuple[object, ...] = ()) -> list[Any]:
         with self._database.reading() as connection:
-            return episode_rows(connection, where, values)
+            return connection.execute(query, values).fetchall()
+
+    def _rows(self, where: str, values: tuple[object, ...]) -> list[EpisodeRow]:
+        return [EpisodeRow(*row) for row in self._read(f"{SELECT_ROWS} {where}", values)]
 
     def _stored(self, where: str, values: tuple[object, ...]) -> list[tuple[int, StoredEpisode]]:
-        with self._database.reading() as connection:
-            found = stored_rows(connection, where, values)
-        return list(stored_episodes(found, self._database.path))
+        rows = self._read(f"{SELECT_STORED} {where}", values)
+        return [stored_episode(row, self._database.path) for row in rows]
 
     def _newer(self, after: int, n: int) -> list[tuple[int, StoredEpisode]]:
         return self._stored(f"WHERE number > ? {NEWEST}", (after, n))[::-1]
