@@ -5,9 +5,10 @@ from pathlib import Path
 
 from drone_env.agents import make_agent
 from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName
-from drone_env.commands.flights import choices, log_flight, prepare_file
+from drone_env.commands.flights import log_flight, prepare_file
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
+from drone_env.core.rollout import choices
 from drone_env.errors import InvalidValueError
 
 
@@ -46,7 +47,7 @@ def fly(
     if record is not None:
         prepare_file("--record", record)
     pilot.reset(episode.reset(seed))
-    log_flight(episode, agent, choices(pilot, episode), render)
+    log_flight(episode, agent, choices(episode, pilot.act), render)
     if picture is not None:
         from drone_env.envs.rendering import save_picture  # loads Pillow
 

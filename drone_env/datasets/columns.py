@@ -9,7 +9,7 @@ import numpy as np
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.cells import Cell
 from drone_env.core.tasks import TERRAIN, TaskConfig
-from drone_env.datasets.flights import Flight
+from drone_env.datasets.trajectories import Trajectory
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Column:
     shape: tuple[int, ...]
     """Of one entry, () for a scalar; an entry is stored flat, row by row."""
     text: str
-    values: Callable[[Flight], Any]
+    values: Callable[[Trajectory], Any]
 
 
 def columns(task: TaskConfig) -> list[Column]:

@@ -216,7 +216,7 @@ def _fly(task: TaskConfig, agent_name: str, seeds: npt.NDArray[np.int64]) -> "En
     ends: list[tuple[float, int, int]] = []
     for seed in seeds.tolist():
         agent.reset(seed)
-        episode = rollout(Episode(task, seed=seed), lambda episode: agent.act(episode.observation()))
+        episode = rollout(Episode(task, seed=seed), agent.act)
         ends.append((episode.score, episode.steps, episode.deliveries_done))
     scores, steps, deliveries_done = zip(*ends, strict=True)
     return Ends(np.array(scores), np.array(steps, np.int32), np.array(deliveries_done, np.int32))

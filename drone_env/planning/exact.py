@@ -190,7 +190,8 @@ class ExactSolver:
 
         Of equally good actions the lowest number, so it is the same in every run.
         """
-        flight = rollout(self._start.copy(), lambda flight: self.optimal_actions(flight)[0])
+        flight = self._start.copy()
+        rollout(flight, lambda _: self.optimal_actions(flight)[0])
         return [step.action for step in flight.path[len(self._start.actions) :]]
 
     def _locate(self, episode: Episode) -> int:
