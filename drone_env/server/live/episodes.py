@@ -76,8 +76,8 @@ class LiveEpisode:
         return self._agent is not None and not self.episode.ended
 
     def step(self) -> list[Frame]:
-        """Let the pilot fly one step; the frames that follow from it."""
-        return self._fly(self._decide()) if self.automatic else []
+        """Let the pilot of an automatic episode fly one step; the frames that follow from it."""
+        return self._fly(self._decide())
 
     def fly(self, direction: Direction) -> list[Frame]:
         """Fly one step by hand.

@@ -18,7 +18,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from drone_env.core.tasks import get_task
-from drone_env.errors import DroneEnvError, UnknownNameError
+from drone_env.errors import UnknownNameError
 from drone_env.server.frames import Frame, ShownEpisode
 from drone_env.server.live.commands import Attach, End, Fly, Pause, Play, Start, Step, Subscribe, parse_command
 from drone_env.server.live.episodes import LiveEpisode
@@ -272,11 +272,7 @@ class Page:
 
 def _problem(error: Exception) -> dict[str, str]:
     """What a page is told of an error."""
-    status, code = 500, "internal"
-    if isinstance(error, DroneEnvError):
-        status, code = status_of(error, "")
-    elif isinstance(error, OSError):
-        status, code = 503, "unavailable"
+    status, code = (503, "unavailable") if isinstance(error, OSError) else status_of(error, "")
     if status == 500:
         # Unforeseen: a page that lost its connection for it would come back, and meet it again, for ever.
         log.error("/live failed", exc_info=error)

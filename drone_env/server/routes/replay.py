@@ -6,9 +6,11 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Response
 from pydantic import Field
 
+from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import TaskConfig
-from drone_env.episodes.record import EpisodeRecord, replay_steps
+from drone_env.episodes.record import EpisodeRecord, record_of, replay_steps
 from drone_env.evaluation.analysis import Label, analyse_flight
 from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, Position, Score
 from drone_env.planning.optimal import Solution, solve
@@ -18,19 +20,7 @@ from drone_env.server.state import SharedParts
 
 router = APIRouter(tags=["replay"])
 RECORD_ERRORS = answers(400, 413, 415, 422, 503)
-RECORD = EpisodeRecord(
-    task="easy_delivery",
-    task_version=1,
-    seed=7,
-    agent="me",
-    reward_profile="tiered",
-    actions=["UP"],
-    rewards=[0.15],
-    deliveries=0,
-    success=False,
-    score=0.19666666666666666,
-    ended=False,
-)
+RECORD = record_of(Episode("easy_delivery", ORIGINAL_PROFILE, 7).fly([Action.UP]), "me")
 Record = Annotated[EpisodeRecord, Body(openapi_examples={"one step": {"value": RECORD.model_dump()}})]
 
 
@@ -112,13 +102,8 @@ def best_flight(task: TaskConfig, seed: int) -> tuple[Solution, list[Position]]:
         TooLargeError: if the map is too large to be solved.
     """
     best = solve(task, seed)
-    flight = Episode(task)
-    flight.reset(seed)
-    path = [flight.position]
-    for action in best.actions:
-        flight.step(action)
-        path.append(flight.position)
-    return best, path
+    start = Episode(task, seed=seed)
+    return best, [start.position, *((step.x, step.y) for step in start.copy().fly(best.actions).path)]
 
 
 def _json(answer: Message) -> Response:
