@@ -9,7 +9,6 @@ import sqlite3
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from typing import Any
 
 from drone_env.core.actions import check_action
 from drone_env.core.episode import Episode
@@ -154,6 +153,8 @@ class SessionRow:
 
 
 COLUMNS = [column.name for column in fields(SessionRow) if column.name != "finished"]
+ACTIONS = COLUMNS.index("actions")
+SELECT = f"SELECT {', '.join(COLUMNS)} FROM sessions WHERE id = ?"
 
 
 def flight_of(episode: Episode) -> tuple[str, int, int, str]:
@@ -200,14 +201,14 @@ def session_row(connection: sqlite3.Connection, session_id: str) -> SessionRow:
     """
     # What is not ASCII cannot be an id, and may be no text for SQLite either.
     known = session_id if session_id.isascii() else ""
-    found = connection.execute(f"SELECT {', '.join(COLUMNS)} FROM sessions WHERE id = ?", (known,)).fetchone()
+    found = connection.execute(SELECT, (known,)).fetchone()
     if found is None:
         if connection.execute("SELECT 1 FROM gone_sessions WHERE id = ?", (known,)).fetchone():
             raise SessionGoneError("this session has ended or was idle for too long: open a new one")
         raise NoSessionError("there is no such session: open one first")
-    values: dict[str, Any] = dict(zip(COLUMNS, found, strict=True))
-    values["actions"] = tuple(values["actions"].encode().translate(NUMBERS))
-    return SessionRow(**values)
+    row = SessionRow(*found)
+    row.actions = tuple(found[ACTIONS].encode().translate(NUMBERS))
+    return row
 
 
 def update_session(connection: sqlite3.Connection, row: SessionRow, now: float) -> None:

@@ -381,7 +381,7 @@ class Store:
             return connection.execute(query, values).fetchall()
 
     def _rows(self, where: str, values: tuple[object, ...]) -> list[EpisodeRow]:
-        return [EpisodeRow(*row) for row in self._read(f"{SELECT_ROWS} {where}", values)]
+        return [EpisodeRow._make(row) for row in self._read(f"{SELECT_ROWS} {where}", values)]
 
     def _stored(self, where: str, values: tuple[object, ...]) -> list[tuple[int, StoredEpisode]]:
         rows = self._read(f"{SELECT_STORED} {where}", values)
