@@ -1,4 +1,4 @@
-"""Flying a mission and telling about it, as several subcommands do."""
+"""Flying an episode and printing it, as several subcommands do."""
 
 import sys
 from collections.abc import Iterable

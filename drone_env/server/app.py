@@ -81,7 +81,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     async def lifespan(_: FastAPI) -> AsyncGenerator[None, None]:
         await run_in_threadpool(shared.open)
         # Seen where uvicorn itself was started; the command has printed it.
-        for line in shared.networks.told():
+        for line in shared.networks.described():
             logging.getLogger("uvicorn.error").info("%s", line)
         sweeper = asyncio.create_task(_sweep(shared, socket, live))
         try:
@@ -223,7 +223,7 @@ def run(host: str, port: int, workers: int, data: str) -> None:
         print(
             f"drone-env {__version__}: {url}, docs at {url}/docs, data in {settings.data}", file=sys.stderr, flush=True
         )
-        for line in Networks(settings.weights, settings.data).told():
+        for line in Networks(settings.weights, settings.data).described():
             print(f"drone-env: {line}", file=sys.stderr, flush=True)
         config = uvicorn.Config(
             "drone_env.server.app:app",

@@ -103,7 +103,9 @@ class Frame(Message):
         description="The network's value of each action from here: of the one that flies, else of the one that "
         "/predict asks; null where there is none that can be read, or at the end."
     )
-    value: Score | None = Field(default=None, description="The best score that can still be reached; null if not told.")
+    value: Score | None = Field(
+        default=None, description="The best score that can still be reached; null if not shown."
+    )
     regret: float | None = Field(default=None, ge=0, description="Optimum of the map - value.")
 
 
@@ -127,7 +129,7 @@ def frame_of(
         episode: The episode.
         observation: What an agent sees of it now.
         network: The network to ask for the value of each action, None for none.
-        value: The best score that can still be reached, None if that is not told.
+        value: The best score that can still be reached, None while it is unknown or kept back.
         optimum: The optimum of the map, where `value` is given.
     """
     x, y = episode.position

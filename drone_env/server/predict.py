@@ -86,7 +86,7 @@ class Networks:
             raise CheckpointError(str(found))
         return found
 
-    def told(self) -> list[str]:
+    def described(self) -> list[str]:
         """Which network flies which task, in lines for whoever starts the server; files that are refused, by name."""
         lines: list[str] = []
         for task in TASKS.values():

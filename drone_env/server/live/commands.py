@@ -24,12 +24,15 @@ def _say_the_range(value: Any, check: ValidatorFunctionWrapHandler) -> int:
 
 
 MapNumber = Annotated[Seed, WrapValidator(_say_the_range)]
-Number = Annotated[int | None, Field(ge=0, le=MAX_SEED, description="The answer names it, beside the missions.")]
+Number = Annotated[
+    int | None,
+    Field(ge=0, le=MAX_SEED, description="The answer repeats it."),
+]
 Topic = Literal["requests", "training", "episodes"]
 
 
 class Start(Message):
-    """Fly one map with one to four pilots; the missions before are given up."""
+    """Fly one map with one to four pilots; the flights before are given up."""
 
     type: Literal["start"]
     task: str = Field(max_length=100)
@@ -40,7 +43,7 @@ class Start(Message):
 
 
 class Attach(Message):
-    """Go on with missions, after the connection was lost."""
+    """Go on with flights after the connection was lost."""
 
     type: Literal["attach"]
     sessions: list[Annotated[str, Field(max_length=LONGEST_ID)]] = Field(min_length=1, max_length=MOST_EPISODES)
@@ -67,7 +70,7 @@ class Step(Message):
 
 
 class Fly(Message):
-    """One step of a mission that a person flies."""
+    """One step of a flight that a person flies."""
 
     type: Literal["fly"]
     direction: Direction
@@ -75,13 +78,13 @@ class Fly(Message):
 
 
 class End(Message):
-    """Give the missions up."""
+    """Give the flights up."""
 
     type: Literal["end"]
 
 
 class Subscribe(Message):
-    """What to be told beside the missions; replaces what was asked before."""
+    """Which news to send beside the flights; replaces the choice before."""
 
     type: Literal["subscribe"]
     topics: list[Topic] = Field(max_length=3)

@@ -92,7 +92,7 @@ class LiveEpisode:
         return self._fly(Action[direction])
 
     def reachable(self) -> list[float] | None:
-        """The best score that could still be reached at each frame so far; None while it is not known, or not told."""
+        """The best score that could still be reached at each frame so far; None while it is unknown or kept back."""
         solver = self._solver()
         if solver is None:
             return None
@@ -158,9 +158,9 @@ class LiveEpisode:
         return frame
 
     def _solver(self) -> "ExactSolver | None":
-        """What knows the values; None while they are not known, or not told: to a person they would tell good moves."""
-        told = self.pilot != HUMAN or self.episode.ended
-        return self._values.get(self.episode.task, self.episode.seed) if told else None
+        """The solver of the map; None while there is none, and for a person in flight: values would show good moves."""
+        shown = self.pilot != HUMAN or self.episode.ended
+        return self._values.get(self.episode.task, self.episode.seed) if shown else None
 
     def _at_start(self) -> Episode:
         return Episode(self.episode.task, self.episode.reward_profile, self.episode.seed)

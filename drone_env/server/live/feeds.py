@@ -1,4 +1,4 @@
-"""What goes on at the server beside the episodes of a page: requests, the training log, finished episodes."""
+"""The news of the server beside the episodes of a page: requests, the training log, finished episodes."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -17,7 +17,7 @@ class Feed:
 
     Args:
         shared: The parts of the server.
-        topics: What the page wants to be told.
+        topics: Which news the page wants.
     """
 
     def __init__(self, shared: Shared, topics: list[Topic]) -> None:

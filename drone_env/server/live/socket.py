@@ -122,12 +122,12 @@ class Page:
             await asyncio.sleep(0)
         self._tasks.cancel_scope.cancel()
 
-    async def _answering(self, act: Callable[..., Any], *arguments: Any, told: bool = False) -> bool:
-        """Do something; what goes wrong is told to the page, unless that has been told. Whether it went well."""
+    async def _answering(self, act: Callable[..., Any], *arguments: Any, silent: bool = False) -> bool:
+        """Do something, and send the page what goes wrong, unless `silent`. Whether it went well."""
         try:
             await act(*arguments)
         except Exception as error:
-            if not told:
+            if not silent:
                 await self._send({"type": "error", **_problem(error)})
             return False
         return True
@@ -254,7 +254,7 @@ class Page:
     async def _tell_news(self) -> None:
         failing = False
         while True:
-            failing = not await self._answering(self._send_news, told=failing)
+            failing = not await self._answering(self._send_news, silent=failing)
             await asyncio.sleep(FEED_SECONDS)
 
     async def _send_news(self) -> None:
@@ -271,7 +271,7 @@ class Page:
 
 
 def _problem(error: Exception) -> dict[str, str]:
-    """What a page is told of an error."""
+    """What a page receives of an error."""
     status, code = (503, "unavailable") if isinstance(error, OSError) else status_of(error, "")
     if status == 500:
         # Unforeseen: a page that lost its connection for it would come back, and meet it again, for ever.
