@@ -1,4 +1,4 @@
-"""Flying an episode and printing it, as several subcommands do."""
+"""A flight as log lines, and where its files go: what several subcommands share."""
 
 import sys
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""`drone-env fly`: one mission, as log lines."""
+"""`drone-env fly`: one flight, as log lines."""
 
 import sys
 from pathlib import Path
@@ -21,7 +21,7 @@ def fly(
     picture: Path | None = None,
     record: Path | None = None,
 ) -> None:
-    """Fly one mission and print its log lines.
+    """Fly one map and print its log lines.
 
     Standard output holds one [START] line, one [STEP] line per step and one [END] line, and nothing else; maps,
     pictures' paths and the comparison with the optimum go to standard error.

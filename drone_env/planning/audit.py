@@ -22,7 +22,7 @@ from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, p
 from drone_env.core.rollout import rollout
 from drone_env.core.rules import step
 from drone_env.core.score import score
-from drone_env.core.tables import BATTERY, CELL, DELIVERIES, DISTANCE, OUTCOME, TARGET, UNDER, Tables, tabulate
+from drone_env.core.tables import BATTERY, CELL, DELIVERIES_DONE, DISTANCE, OUTCOME, TARGET, UNDER, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
 from drone_env.planning.map_graph import (
@@ -109,9 +109,9 @@ def audit_kernel(
                             put_drone(tables, grid, state, cell, first_step + t, lowest[t] + units)
                             state[TARGET] = target_cell
                             state[DISTANCE] = distance(tables, cell, target_cell)
-                            before = state[DELIVERIES]
+                            before = state[DELIVERIES_DONE]
                             returns[action] = step(tables, rewards, grid, state, action)
-                            arrived = state[DELIVERIES] != before
+                            arrived = state[DELIVERIES_DONE] != before
                             if state[OUTCOME] != FLYING:
                                 scores[action] = score(tables, state)
                             else:

@@ -59,10 +59,7 @@ def _upper(episode: Episode) -> float:
 
     def score(deliveries: int, after: int) -> float:
         battery = tables.capacity if charges else max(episode.battery_units - least_drain * after, 0)
-        at = episode.steps + after
-        return score_of(
-            deliveries, task.deliveries, battery, tables.capacity, at, task.max_steps, task.efficiency_needs_all
-        )
+        return score_of(tables, deliveries, battery, episode.steps + after)
 
     done = episode.deliveries_done
     if done + reached == task.deliveries:
