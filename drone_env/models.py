@@ -32,6 +32,8 @@ LEGEND: dict[str, str] = {
 LEGEND[CELL_KINDS[Cell.DRONE].emoji] += ", which cell_below tells"
 EMOJI = [CELL_KINDS[cell].emoji for cell in Cell]
 NAMES = [CELL_KINDS[cell].name for cell in Cell]
+DIRECTIONS: list[Direction] = [action.name for action in Action]
+"""The names of the actions, by number."""
 EMOJI_OF = dict(zip(NAMES, EMOJI, strict=True))
 
 

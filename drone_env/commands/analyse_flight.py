@@ -54,32 +54,27 @@ def analyse_flight(
         json: Print JSON instead: positions are [x, y].
     """
     # These load Pydantic and Numba, which nobody should wait for who does not need them.
-    from drone_env.episodes.record import load_record, record_of
-    from drone_env.evaluation.analysis import analyse_flight as analyse
+    from drone_env.episodes.record import load_record
+    from drone_env.evaluation import analysis
 
     if file is not None and task is None:
         if agent is not None or seed is not None:
             raise InvalidValueError("a record names agent and seed itself: give the file without --agent and --seed")
-        record = load_record(file)
+        analysed = analysis.analyse_flight(load_record(file))
     elif file is None and task is not None:
         name = "greedy" if agent is None else agent
-        record = record_of(_flown(task, name, seed), name)
+        start, pilot = Episode(task), make_agent(name, task)
+        pilot.reset(start.reset(seed))
+        analysed = analysis.analyse_actions(start, rollout(start.copy(), pilot.act).actions, name)
     else:
         given = "neither" if file is None else "both"
         raise InvalidValueError(
             f"analyse-flight takes the file of a record, or --task (with --agent and --seed) to fly first; got {given}"
         )
-    analysis = analyse(record)
     if json:
-        print(analysis.to_json())
+        print(analysed.to_json())
     else:
-        _show(analysis)
-
-
-def _flown(task: str, agent: str, seed: int | None) -> Episode:
-    episode, pilot = Episode(task), make_agent(agent, task)
-    pilot.reset(episode.reset(seed))
-    return rollout(episode, pilot.act)
+        _show(analysed)
 
 
 def _show(analysis: "FlightAnalysis") -> None:

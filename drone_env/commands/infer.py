@@ -98,7 +98,8 @@ def infer(
     """
     import asyncio
 
-    from drone_env.episodes.store import Store, data_folder
+    from drone_env.episodes.store import Store
+    from drone_env.files import data_folder
 
     with needs("llm"):
         from drone_env.llm import run_folder, runner

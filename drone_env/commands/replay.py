@@ -80,7 +80,8 @@ def _records(source: str) -> Iterator[tuple[str, "EpisodeRecord"]]:
     from drone_env.episodes.jsonl import numbered_records
     from drone_env.episodes.record import load_record
     from drone_env.episodes.sessions import EPISODE_ID
-    from drone_env.episodes.store import FILE_NAME, Store, data_folder
+    from drone_env.episodes.store import FILE_NAME, Store
+    from drone_env.files import data_folder
 
     path = Path(source)
     if EPISODE_ID.fullmatch(source) and not path.exists():

@@ -1,6 +1,6 @@
 """Many flights in one file: JSONL, one record a line, each with its own `format_version`."""
 
-import os
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -51,18 +51,17 @@ class RecordWriter:
         self.close()
 
     def _check_last_line(self) -> None:
-        line = _last_line(self._path)
-        if not line:
-            return
+        with self._path.open("rb") as file:
+            last = b"".join(deque(file, 1))
         name = f"the last line of {self._path}"
-        if line.endswith(b"\n"):
-            parse_record(line, name)
-            return
-        try:
-            parse_record(line, name)
-        except InvalidValueError:
-            raise InvalidValueError(f"{name} is cut; remove it before more are appended") from None
-        self._file.write(b"\n")
+        if last.endswith(b"\n"):
+            parse_record(last, name)
+        elif last:
+            try:
+                parse_record(last, name)
+            except InvalidValueError:
+                raise InvalidValueError(f"{name} is cut; remove it before more are appended") from None
+            self._file.write(b"\n")
 
 
 def read_records(path: str | Path) -> Iterator[EpisodeRecord]:
@@ -91,15 +90,3 @@ def numbered_records(path: str | Path) -> Iterator[tuple[int, EpisodeRecord]]:
                     raise
                 raise InvalidValueError(f"the last line is cut, and all before it are whole: {error}") from None
             yield number, record
-
-
-def _last_line(path: Path, chunk: int = 1 << 16) -> bytes:
-    """The last line with its newline, if it has one."""
-    with path.open("rb") as file:
-        start = end = file.seek(0, os.SEEK_END)
-        line = b""
-        while start > 0 and b"\n" not in line[:-1]:
-            start = max(0, start - chunk)
-            file.seek(start)
-            line = file.read(end - start)
-    return line[line.rfind(b"\n", 0, -1) + 1 :]

@@ -5,10 +5,11 @@ import threading
 import time
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.episodes.database import Database
-from drone_env.episodes.rows import ListedEpisode
+from drone_env.episodes.finished import EpisodeRow
 from drone_env.errors import StoreError, UnknownNameError
 from drone_env.planning.optimal import best_of
 
@@ -26,11 +27,27 @@ class Optima:
         self._lock = threading.Lock()
         self._jobs: dict[TaskConfig, Future[None]] = {}
 
-    def solve(self, task: TaskConfig, seeds: Sequence[int], patience: float) -> None:
-        """Have maps solved and kept, unless the task is being worked on already; wait for that, up to `patience` s.
+    def solve_maps_of(self, rows: Iterable[EpisodeRow], patience: float) -> bool:
+        """Have the maps of episodes solved that were never given to the solver; whether there were any.
 
-        What goes wrong is logged, and tried anew by the next call: whoever asks is told what is known without.
+        A task that is being worked on is left to that. Waits for up to `patience` seconds. What goes wrong is logged,
+        and tried anew by the next call: whoever asks gets what is known without.
         """
+        unsolved: dict[TaskConfig, list[int]] = {}
+        for row in rows:
+            if not row.solved:
+                with suppress(UnknownNameError):  # of a plugin that is gone: nobody can solve its maps
+                    unsolved.setdefault(get_task(row.task, row.task_version), []).append(row.seed)
+        for task, seeds in unsolved.items():
+            self._solve(task, list(dict.fromkeys(seeds)), patience / len(unsolved))
+        return bool(unsolved)
+
+    def close(self) -> None:
+        """Stop; waits for the maps that are being solved just now."""
+        self._closing.set()
+        self._threads.shutdown()
+
+    def _solve(self, task: TaskConfig, seeds: Sequence[int], patience: float) -> None:
         with self._lock:
             if task not in self._jobs:
                 self._jobs[task] = self._threads.submit(self._work, task, seeds)
@@ -43,24 +60,6 @@ class Optima:
         if error is not None:
             unforeseen = None if isinstance(error, StoreError) else error
             log.warning("optima of %s could not be solved or kept: %s", task.id, error, exc_info=unforeseen)
-
-    def solve_maps_of(self, rows: Iterable[ListedEpisode], patience: float) -> bool:
-        """The same for the maps of episodes that were never given to the solver; whether there were any."""
-        unsolved: dict[TaskConfig, list[int]] = {}
-        for record in [row.episode.record for row in rows if not row.solved]:
-            try:
-                task = get_task(record.task, record.task_version)
-            except UnknownNameError:
-                continue  # of a plugin that is gone: nobody can solve its maps
-            unsolved.setdefault(task, []).append(record.seed)
-        for task, seeds in unsolved.items():
-            self.solve(task, list(dict.fromkeys(seeds)), patience / len(unsolved))
-        return bool(unsolved)
-
-    def close(self) -> None:
-        """Stop; waits for the maps that are being solved just now."""
-        self._closing.set()
-        self._threads.shutdown()
 
     def _work(self, task: TaskConfig, seeds: Sequence[int]) -> None:
         solved: list[tuple[str, int, int, float | None]] = []

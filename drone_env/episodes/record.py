@@ -5,7 +5,7 @@ The dynamics are deterministic, so task, seed and actions say it all; the result
 Version 1 of the format has no rewards; it is read for ever.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,10 +18,9 @@ from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.files import write_text
-from drone_env.models import Count, Direction, Message, Score
+from drone_env.models import DIRECTIONS, Count, Direction, Message, Score
 
 FORMAT_VERSION = 2
-NAMES: list[Direction] = [action.name for action in Action]
 AgentLabel = Annotated[
     str,
     Field(
@@ -83,7 +82,7 @@ def record_of(episode: Episode, agent: str) -> EpisodeRecord:
         seed=episode.seed,
         agent=agent,
         reward_profile=episode.reward_profile.id,
-        actions=[NAMES[action] for action in episode.actions],
+        actions=[DIRECTIONS[action] for action in episode.actions],
         rewards=episode.rewards,
         deliveries=episode.deliveries_done,
         success=episode.success,
@@ -105,14 +104,27 @@ def replay(record: EpisodeRecord, reward_profile: str | RewardProfile | None = N
         InvalidValueError: if the seed is not in [0, 2^53), there are actions after the end, or the flight comes to
             something else than the record says.
     """
+    *_, episode = replay_steps(record, reward_profile)
+    return episode
+
+
+def replay_steps(record: EpisodeRecord, reward_profile: str | RewardProfile | None = None) -> Iterator[Episode]:
+    """The same episode at its reset and after each of its actions; it is held against the record after the last.
+
+    Raises:
+        UnknownNameError: as `replay`.
+        InvalidValueError: as `replay`; what was given out before belongs to a record that is wrong.
+    """
     task = get_task(record.task, record.task_version)
     episode = Episode(task, record.reward_profile if reward_profile is None else reward_profile, record.seed)
+    yield episode
     for number, action in enumerate(record.actions, 1):
         if episode.ended:
             raise InvalidValueError(
                 f"the flight ends after {number - 1} steps, but the record has {len(record.actions)} actions"
             )
         episode.step(Action[action])
+        yield episode
     came_to = record_of(episode, record.agent)
     wrong = [
         f"{name} {getattr(record, name)!r} where the flight gives {getattr(came_to, name)!r}"
@@ -123,7 +135,6 @@ def replay(record: EpisodeRecord, reward_profile: str | RewardProfile | None = N
         wrong += _wrong_rewards(record.rewards, came_to.rewards or [])
     if wrong:
         raise InvalidValueError(f"the record does not fit its flight: {'; '.join(wrong)}")
-    return episode
 
 
 def _wrong_rewards(says: Sequence[float], pays: Sequence[float]) -> list[str]:

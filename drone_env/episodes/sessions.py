@@ -1,9 +1,14 @@
-"""A session as it is kept: which map, which actions so far. Flying them again gives its episode."""
+"""A session as it is kept: which map, which actions so far. Flying them again gives its episode.
+
+The functions at the end read and write its row, inside a transaction that the store has begun.
+"""
 
 import re
 import secrets
-from dataclasses import dataclass, field
-from datetime import datetime
+import sqlite3
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
 
 from drone_env.core.actions import check_action
 from drone_env.core.episode import Episode
@@ -11,8 +16,13 @@ from drone_env.core.rewards import get_reward_profile
 from drone_env.core.seeds import check_seed
 from drone_env.core.tasks import get_task
 from drone_env.episodes.finished import StoredEpisode, check_agent
-from drone_env.errors import EpisodeError, InvalidValueError, SessionGoneError, WithdrawnError
+from drone_env.errors import EpisodeError, InvalidValueError, NoSessionError, SessionGoneError, WithdrawnError
 
+FINISHED_SECONDS = 30.0
+"""For so long a finished session keeps its place even where others have none: its owner still asks for the score."""
+CHARACTERS = bytes.maketrans(bytes(range(10)), b"0123456789")
+NUMBERS = bytes.maketrans(b"0123456789", bytes(range(10)))
+"""Actions are kept as a text of digits; these turn bytes with their numbers into it, and back."""
 EPISODE_ID = re.compile(r"[0-9a-f]{16}")
 """What the store names an episode."""
 
@@ -30,10 +40,10 @@ class SessionRow:
         agent: Who flies.
         actions: The actions flown on this map, as numbers, in order.
         episode_id: The finished episode of this map in the store, None while it has not ended.
-        opened_at: When the session was opened, UTC.
-        touched_at: When it was last used, UTC, before this use.
-        finished: The episodes that `finish` noted.
+        opened_at: When the session was opened, in seconds since 1970.
+        touched_at: When it was last used, before this use.
         address: Where those are who fly it without naming it; None for a session that has been named.
+        finished: The episodes that `finish` noted.
     """
 
     id: str
@@ -44,10 +54,30 @@ class SessionRow:
     agent: str
     actions: tuple[int, ...]
     episode_id: str | None
-    opened_at: datetime
-    touched_at: datetime
-    finished: list[StoredEpisode] = field(default_factory=list[StoredEpisode])
+    opened_at: float
+    touched_at: float
     address: str | None = None
+    finished: list[StoredEpisode] = field(default_factory=list[StoredEpisode])
+
+    @property
+    def flight(self) -> tuple[str, int, int, str]:
+        """What is flown: task, its version, seed, reward profile."""
+        return self.task, self.task_version, self.seed, self.reward_profile
+
+    def follows(self, episode: Episode) -> bool:
+        """Whether this session flies the map of an episode, with the same actions as far as that has come."""
+        flown = tuple(episode.actions)
+        return flight_of(episode) == self.flight and self.actions[: len(flown)] == flown
+
+    def step(self, episode: Episode, action: int) -> float:
+        """Fly one action of the episode of this session and note it; after the end nothing changes. Its reward."""
+        over = episode.ended
+        reward = episode.step(action)
+        if not over:
+            self.append(action)
+            if episode.ended:
+                self.finish(episode)
+        return reward
 
     def append(self, action: object) -> None:
         """Note one more action.
@@ -73,10 +103,8 @@ class SessionRow:
         if self.episode_id is not None:
             raise EpisodeError("the episode of this session has been finished already")
         stored = StoredEpisode.of(new_episode_id(), episode, self.agent)
-        flown = (episode.task.id, episode.task.version, episode.seed, episode.reward_profile.id)
-        noted = (self.task, self.task_version, self.seed, self.reward_profile)
-        if flown != noted:
-            raise InvalidValueError(f"the session flies {noted}, this is an episode of {flown}")
+        if flight_of(episode) != self.flight:
+            raise InvalidValueError(f"the session flies {self.flight}, this is an episode of {flight_of(episode)}")
         if tuple(episode.actions) != self.actions:
             raise InvalidValueError(
                 f"the session has noted {len(self.actions)} actions, which are not the {episode.steps} of this episode"
@@ -124,6 +152,16 @@ class SessionRow:
         return self.begin().fly(self.actions)
 
 
+COLUMNS = [column.name for column in fields(SessionRow) if column.name != "finished"]
+ACTIONS = COLUMNS.index("actions")
+SELECT = f"SELECT {', '.join(COLUMNS)} FROM sessions WHERE id = ?"
+
+
+def flight_of(episode: Episode) -> tuple[str, int, int, str]:
+    """The same of an episode as `SessionRow.flight`."""
+    return episode.task.id, episode.task.version, episode.seed, episode.reward_profile.id
+
+
 def known_task(task: str, task_version: int, seed: int, reward_profile: str) -> str:
     """The id of a task, if this flight can be flown.
 
@@ -139,3 +177,62 @@ def known_task(task: str, task_version: int, seed: int, reward_profile: str) -> 
 def new_episode_id() -> str:
     """A name for a finished episode."""
     return secrets.token_hex(8)
+
+
+def steady_clock(
+    wall: Callable[[], float] = time.time, steady: Callable[[], float] = time.monotonic
+) -> Callable[[], float]:
+    """The time by which sessions are idle: right when the clock is made, in seconds since 1970, then never set.
+
+    Args:
+        wall: The machine's time, which people and programs set.
+        steady: Seconds since whenever.
+    """
+    offset = wall() - steady()
+    return lambda: steady() + offset
+
+
+def session_row(connection: sqlite3.Connection, session_id: str) -> SessionRow:
+    """A session.
+
+    Raises:
+        NoSessionError: if there never was such a session.
+        SessionGoneError: if it has ended or expired.
+    """
+    # What is not ASCII cannot be an id, and may be no text for SQLite either.
+    known = session_id if session_id.isascii() else ""
+    found = connection.execute(SELECT, (known,)).fetchone()
+    if found is None:
+        if connection.execute("SELECT 1 FROM gone_sessions WHERE id = ?", (known,)).fetchone():
+            raise SessionGoneError("this session has ended or was idle for too long: open a new one")
+        raise NoSessionError("there is no such session: open one first")
+    row = SessionRow(*found)
+    row.actions = tuple(found[ACTIONS].encode().translate(NUMBERS))
+    return row
+
+
+def update_session(connection: sqlite3.Connection, row: SessionRow, now: float) -> None:
+    """Write a session as it stands, used just now."""
+    connection.execute(
+        "UPDATE sessions SET task = :task, task_version = :task_version, seed = :seed, agent = :agent, "
+        "reward_profile = :reward_profile, actions = :actions, episode_id = :episode_id, touched_at = :now, "
+        "address = :address WHERE id = :id",
+        {**vars(row), "actions": bytes(row.actions).translate(CHARACTERS).decode(), "now": now},
+    )
+
+
+def end_session(connection: sqlite3.Connection, session_id: str, now: float) -> None:
+    """Take a session out, and remember since when it is gone."""
+    connection.execute("DELETE FROM sessions WHERE id = ?", (session_id,))
+    connection.execute("INSERT OR REPLACE INTO gone_sessions VALUES (?, ?)", (session_id, now))
+
+
+def end_finished(connection: sqlite3.Connection, now: float) -> bool:
+    """End the finished session that was not used for longest, if it may give way by now; whether there was one."""
+    found = connection.execute(
+        "SELECT id FROM sessions WHERE episode_id IS NOT NULL AND touched_at <= ? ORDER BY touched_at LIMIT 1",
+        (now - FINISHED_SECONDS,),
+    ).fetchone()
+    if found is not None:
+        end_session(connection, found[0], now)
+    return found is not None

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from pydantic import Field
 
 from drone_env.core.actions import Action
+from drone_env.episodes.finished import EpisodeRow
 from drone_env.models import Count, Direction, Message
 
 
@@ -36,24 +36,7 @@ class Analysis(Message):
     regret_episodes: Count = Field(description="Episodes whose optimum is known; the others are being solved.")
 
 
-class FinishedRow(NamedTuple):
-    """What an analysis needs of one episode."""
-
-    reward_total: float
-    score: float
-    steps: int
-    deliveries: int
-    outcome: str
-    actions: str
-    """One digit per action."""
-    solved: bool
-    """Whether the map has been given to the solver."""
-    optimum: float | None
-    """The optimum of the map, None while it is not known or where the map is too large."""
-    seed: int
-
-
-def analyse(task: str, total: int, rows: Sequence[FinishedRow]) -> Analysis:
+def analyse(task: str, total: int, rows: Sequence[EpisodeRow]) -> Analysis:
     """The figures of the newest episodes of a task.
 
     Args:

@@ -9,42 +9,47 @@ import secrets
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.episodes.clock import steady_clock
 from drone_env.episodes.database import BUSY_SECONDS, Database
-from drone_env.episodes.finished import StoredEpisode, check_agent
+from drone_env.episodes.finished import (
+    SELECT_ROWS,
+    SELECT_STORED,
+    EpisodeRow,
+    StoredEpisode,
+    check_agent,
+    insert_episode,
+    selection,
+    stored_episode,
+)
 from drone_env.episodes.memory_view import MemoryView
 from drone_env.episodes.optima import Optima
 from drone_env.episodes.record import EpisodeRecord, replay
-from drone_env.episodes.rows import (
-    ListedEpisode,
-    count_sessions,
+from drone_env.episodes.sessions import (
+    EPISODE_ID,
+    SessionRow,
     end_finished,
     end_session,
-    episode_rows,
-    finished_rows,
-    insert_episode,
-    listed_episode,
-    newest_use,
-    selection,
+    known_task,
+    new_episode_id,
     session_row,
-    unnamed_session,
+    steady_clock,
     update_session,
 )
-from drone_env.episodes.sessions import EPISODE_ID, SessionRow, known_task, new_episode_id
-from drone_env.episodes.statistics import Analysis, FinishedRow, analyse
-from drone_env.errors import CapacityError, InvalidValueError, UnknownNameError
-from drone_env.files import data_folder as data_folder  # whoever opens the store asks for its folder
+from drone_env.episodes.statistics import Analysis, analyse
+from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, UnknownNameError
 
 FILE_NAME = "drone_env.sqlite3"
 VIEW_NAME = "memory.json"
 GONE_SECONDS = 7 * 24 * 3600.0
 PAGE = 100
 MOST_ROWS = 1 << 31
+NEWEST = "ORDER BY number DESC LIMIT ?"
+COUNT = "SELECT count(*) FROM sessions"
 
 
 class Store:
@@ -128,8 +133,7 @@ class Store:
             raise InvalidValueError(f"the id of an episode is 16 hex digits, got {episode_id!r}")
         stored = StoredEpisode.of(episode_id or new_episode_id(), episode, str(agent))
         with self._database.writing() as connection:
-            if episode_id is None or not episode_rows(connection, "WHERE id = ?", (episode_id,)):
-                insert_episode(connection, stored)
+            insert_episode(connection, stored)
         self._view.refresh()
         return stored.id
 
@@ -141,8 +145,8 @@ class Store:
             StoreError: if the store cannot be read.
         """
         if episode_id.isascii():
-            for row in self._read_episodes("WHERE id = ?", (episode_id,)):
-                return row.episode
+            for _, stored in self._stored("WHERE id = ?", (episode_id,)):
+                return stored
         raise UnknownNameError(
             "episode", episode_id, [stored.id for stored in self.latest(3)] or ["none: the store is empty"]
         )
@@ -156,9 +160,7 @@ class Store:
             StoreError: if the store cannot be read.
         """
         where, values = selection(task)
-        return [
-            row.episode for row in self._read_episodes(f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n)))
-        ]
+        return [stored for _, stored in self._stored(f"{where} {NEWEST}", (*values, _at_most(n)))]
 
     def listed(
         self,
@@ -169,7 +171,7 @@ class Store:
         after: int | None = None,
         episode_id: str | None = None,
         patience: float = 0.25,
-    ) -> list[ListedEpisode]:
+    ) -> list[EpisodeRow]:
         """The last `n` finished episodes with the optima of their maps, newest first.
 
         Optima that are not known yet are solved as for `analysis`; those of tasks that are not registered stay unknown.
@@ -189,9 +191,9 @@ class Store:
             StoreError: if the store cannot be read.
         """
         where, values = selection(task, agent, before, after, episode_id)
-        chosen = f"{where} ORDER BY number DESC LIMIT ?", (*values, _at_most(n))
-        found = self._read_episodes(*chosen)
-        return self._read_episodes(*chosen) if self._optima.solve_maps_of(found, patience) else found
+        chosen = f"{where} {NEWEST}", (*values, _at_most(n))
+        found = self._rows(*chosen)
+        return self._rows(*chosen) if self._optima.solve_maps_of(found, patience) else found
 
     def episodes(self) -> Iterator[StoredEpisode]:
         """All finished episodes, oldest first, read as they are asked for.
@@ -201,9 +203,9 @@ class Store:
         """
         number = 0
         # In pages, since a reader that stays open keeps the log of the file from being folded back.
-        while page := self._read_episodes("WHERE number > ? ORDER BY number LIMIT ?", (number, PAGE)):
-            yield from (row.episode for row in page)
-            number = page[-1].number
+        while page := self._stored("WHERE number > ? ORDER BY number LIMIT ?", (number, PAGE)):
+            yield from (stored for _, stored in page)
+            number = page[-1][0]
 
     def analysis(self, task: str | TaskConfig, last: int = 1000, patience: float = 0.25) -> Analysis:
         """What the last episodes of a task come to.
@@ -220,11 +222,9 @@ class Store:
         if last < 1:
             raise InvalidValueError(f"last must be at least 1, got {last}")
         known = get_task(task)
-        total, rows = self._finished_rows(known, last)
-        unsolved = list(dict.fromkeys(row.seed for row in rows if not row.solved))
-        if unsolved:
-            self._optima.solve(known, unsolved, patience)
-            total, rows = self._finished_rows(known, last)
+        rows = self.listed(last, known, patience=patience)
+        where, values = selection(known)
+        ((total,),) = self._read(f"SELECT count(*) FROM episodes {where}", values)
         return analyse(known.id, total, rows)
 
     # Sessions
@@ -255,7 +255,8 @@ class Store:
         now = self._clock()
         row = (session_id, task, task_version, seed, reward_profile, check_agent(agent), "", None, now, now, address)
         with self._database.writing() as connection:
-            if count_sessions(connection) >= capacity and not end_finished(connection, now):
+            (taken,) = connection.execute(COUNT).fetchone()
+            if taken >= capacity and not end_finished(connection, now):
                 raise CapacityError(f"all {capacity} sessions are taken: try again later")
             # One at most is of those who name none: where it is named, they are not to find one that they left before.
             connection.execute("UPDATE sessions SET address = NULL WHERE address = ?", (address,))
@@ -263,30 +264,35 @@ class Store:
         return session_id
 
     @contextmanager
-    def session(self, session_id: str) -> Generator[SessionRow, None, None]:
+    def session(self, session_id: str, address: str | None = None) -> Generator[SessionRow, None, None]:
         """A session to be changed. Nobody else writes to the store meanwhile: keep the block short, without `await`.
 
         At the end of the block its changes and the finished episodes are kept together; if the block raises, nothing is
         kept, and an `Episode` that was stepped inside must be flown anew. Entering counts as use.
 
             with store.session(id) as row:
-                reward = episode.step(action)
-                row.append(action)
-                if episode.ended:
-                    row.finish(episode)
+                reward = row.step(episode, action)
+
+        Args:
+            session_id: The session.
+            address: Of a caller who does not name the session; whoever names it has it alone from then on.
 
         Raises:
-            NoSessionError: if there never was such a session.
+            NoSessionError: if there never was such a session, or somebody has named that of the address.
             SessionGoneError: if it has ended or expired.
             StoreError: if the store stays busy for 30 s, cannot be written, or the block is inside another one of the
                 same thread.
         """
         with self._database.writing() as connection:
             row = session_row(connection, session_id)
+            if address is None:
+                row.address = None
+            elif row.address != address:
+                raise NoSessionError("somebody has named this session meanwhile")
             yield row
             for stored in row.finished:
                 insert_episode(connection, stored)
-            update_session(connection, session_id, row, self._clock())
+            update_session(connection, row, self._clock())
         if row.finished:
             self._view.refresh()
 
@@ -307,8 +313,8 @@ class Store:
         Raises:
             StoreError: if the store cannot be read.
         """
-        with self._database.reading() as connection:
-            return unnamed_session(connection, address)
+        found = self._read("SELECT id FROM sessions WHERE address = ?", (address,))
+        return found[0][0] if found else None
 
     def end_session(self, session_id: str) -> None:
         """End a session: from now on it is gone.
@@ -356,27 +362,27 @@ class Store:
         Raises:
             StoreError: if the store cannot be read.
         """
-        with self._database.reading() as connection:
-            return count_sessions(connection)
+        return self._read(COUNT)[0][0]
 
     def _continued(self, clock: Callable[[], float]) -> Callable[[], float]:
         """A clock that has gone back since the last start would let sessions live on: it begins where they are."""
-        with self._database.reading() as connection:
-            ahead = max(0.0, newest_use(connection) - clock())
+        ((used,),) = self._read("SELECT coalesce(max(touched_at), 0) FROM sessions")
+        ahead = max(0.0, used - clock())
         return lambda: clock() + ahead
 
-    def _read_episodes(self, where: str, values: tuple[object, ...]) -> list[ListedEpisode]:
+    def _read(self, query: str, values: tuple[object, ...] = ()) -> list[Any]:
         with self._database.reading() as connection:
-            found = episode_rows(connection, where, values)
-        return [listed_episode(row, f"episode {row[1]} of {self._database.path}") for row in found]
+            return connection.execute(query, values).fetchall()
 
-    def _finished_rows(self, task: TaskConfig, last: int) -> tuple[int, list[FinishedRow]]:
-        with self._database.reading() as connection:
-            return finished_rows(connection, task, min(last, MOST_ROWS))
+    def _rows(self, where: str, values: tuple[object, ...]) -> list[EpisodeRow]:
+        return [EpisodeRow._make(row) for row in self._read(f"{SELECT_ROWS} {where}", values)]
+
+    def _stored(self, where: str, values: tuple[object, ...]) -> list[tuple[int, StoredEpisode]]:
+        rows = self._read(f"{SELECT_STORED} {where}", values)
+        return [stored_episode(row, self._database.path) for row in rows]
 
     def _newer(self, after: int, n: int) -> list[tuple[int, StoredEpisode]]:
-        rows = self._read_episodes("WHERE number > ? ORDER BY number DESC LIMIT ?", (after, n))
-        return [(row.number, row.episode) for row in reversed(rows)]
+        return self._stored(f"WHERE number > ? {NEWEST}", (after, n))[::-1]
 
 
 def _at_most(n: int) -> int:

@@ -72,7 +72,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     async def lifespan(_: FastAPI) -> AsyncGenerator[None, None]:
         await run_in_threadpool(shared.open)
         # Seen where uvicorn itself was started; the command has printed it.
-        for line in shared.networks.told():
+        for line in shared.networks.described():
             logging.getLogger("uvicorn.error").info("%s", line)
         sweeper = asyncio.create_task(_sweep(shared, socket, live))
         try:

@@ -1,19 +1,29 @@
-"""A flight as the page shows it: the mission as it stands at the start, then a frame per step."""
+"""An episode as the page shows it: its opening, then one frame per step."""
 
-from collections.abc import Iterable, Iterator
 from typing import cast
 
 from pydantic import Field
 
+from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.core.actions import Event
-from drone_env.core.episode import Episode
+from drone_env.core.episode import Episode, Observation
 from drone_env.core.score import EFFICIENCY_WEIGHTS
-from drone_env.models import NAMES, Count, Direction, EventName, GroundName, Message, OutcomeName, Position, Score
-from drone_env.server.predict import Networks
+from drone_env.models import (
+    DIRECTIONS,
+    NAMES,
+    Count,
+    Direction,
+    EventName,
+    GroundName,
+    Message,
+    OutcomeName,
+    Position,
+    Score,
+)
 
 
-class Mission(Message):
-    """What is flown, and where."""
+class Opening(Message):
+    """Who flies which map, and how it looks at the start."""
 
     session: str | None = Field(description="The session that flies it; null for a flight of the past.")
     pilot: str = Field(description="Who flies.")
@@ -32,8 +42,8 @@ class Mission(Message):
     start: Position = Field(description="[x, y] where the drone starts.")
 
     @classmethod
-    def of(cls, episode: Episode, pilot: str, session: str | None = None) -> "Mission":
-        """The mission of an episode that has been reset and not stepped."""
+    def of(cls, episode: Episode, pilot: str, session: str | None = None) -> "Opening":
+        """The opening of an episode that has been reset and not stepped."""
         task = episode.task
         x, y = episode.position
         cells = episode.grid().tolist()
@@ -93,20 +103,38 @@ class Frame(Message):
         description="The network's value of each action from here: of the one that flies, else of the one that "
         "/predict asks; null where there is none that can be read, or at the end."
     )
-    value: Score | None = Field(default=None, description="The best score that can still be reached; null if not told.")
+    value: Score | None = Field(
+        default=None, description="The best score that can still be reached; null if not shown."
+    )
     regret: float | None = Field(default=None, ge=0, description="Optimum of the map - value.")
 
 
-def frame_of(episode: Episode, networks: Networks, pilot: str) -> Frame:
+class ShownEpisode(Message):
+    """An episode, frame by frame."""
+
+    mission: Opening
+    frames: list[Frame] = Field(description="Frame 0 is the reset; then one per step.")
+
+
+def frame_of(
+    episode: Episode,
+    observation: Observation,
+    network: PathQNetAgent | None = None,
+    value: float | None = None,
+    optimum: float | None = None,
+) -> Frame:
     """The frame of an episode as it stands.
 
-    Raises:
-        EpisodeError: before the first reset.
+    Args:
+        episode: The episode.
+        observation: What an agent sees of it now.
+        network: The network to ask for the value of each action, None for none.
+        value: The best score that can still be reached, None while it is unknown or kept back.
+        optimum: The optimum of the map, where `value` is given.
     """
     x, y = episode.position
     last = episode.last_step
-    observation = episode.observation()
-    q_values = None if episode.ended else networks.q_values(episode.task, observation, pilot)
+    asked = None if network is None or episode.ended else network.q_values(observation)
     return Frame(
         step=episode.steps,
         action=None if last is None else last.action.name,
@@ -132,13 +160,7 @@ def frame_of(episode: Episode, networks: Networks, pilot: str) -> Frame:
         message=episode.message,
         done=episode.ended,
         outcome=cast(OutcomeName, episode.outcome.name.lower()),
-        q_values=q_values,
+        q_values=None if asked is None else dict(zip(DIRECTIONS, asked.tolist(), strict=True)),
+        value=value,
+        regret=None if value is None or optimum is None else optimum - value,
     )
-
-
-def frames_of(episode: Episode, actions: Iterable[int], networks: Networks, pilot: str) -> Iterator[Frame]:
-    """The frames of `actions`, flown from where an episode stands, its own first."""
-    yield frame_of(episode, networks, pilot)
-    for action in actions:
-        episode.step(action)
-        yield frame_of(episode, networks, pilot)

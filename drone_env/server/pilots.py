@@ -1,10 +1,11 @@
-"""Who can fly a mission on the page: the agents, and whoever sits before it."""
+"""Who can fly on the page: the agents, and whoever sits before it."""
 
 from typing import NamedTuple
 
 from drone_env.agents import make_agent
 from drone_env.agents.base import Agent
 from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.errors import UnknownNameError
 from drone_env.server.predict import NETWORK, TRAINED, Networks
 
 HUMAN = "human"
@@ -41,6 +42,8 @@ def agent_of(pilot: str, task: TaskConfig, networks: Networks) -> Agent | None:
         UnsupportedTaskError: if there is no network for the task.
         CheckpointError: if its file holds none that fits.
     """
+    if pilot not in PILOTS:
+        raise UnknownNameError("pilot", pilot, PILOTS)
     if pilot == HUMAN:
         return None
     return networks.agent(pilot, task) if pilot in NETWORKS else make_agent(pilot, task)

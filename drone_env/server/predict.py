@@ -4,16 +4,14 @@ import threading
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
-from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Observation
 from drone_env.core.observation import telemetry_of
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
-from drone_env.models import NAMES, Direction, DroneObservation
+from drone_env.models import DIRECTIONS, NAMES, DroneObservation
 from drone_env.server.problems import RequestError
 from drone_env.server.schemas import ModelInfo, Prediction, PredictRequest
 
@@ -56,20 +54,19 @@ class Networks:
         agent = self.agent(source, task)
         values = agent.q_values(observation)
         return Prediction(
-            action=Action(int(np.argmax(values))).name,
-            q_values=_by_action(values),
+            action=DIRECTIONS[int(np.argmax(values))],
+            q_values=dict(zip(DIRECTIONS, values.tolist(), strict=True)),
             model=ModelInfo(file=self._file(source, task).name, digest=str(agent.config["network"])),
         )
 
-    def q_values(self, task: TaskConfig, observation: Observation, pilot: str) -> dict[Direction, float] | None:
-        """What the network of a pilot values each action at; for others than networks the one that goes before.
+    def beside(self, pilot: str, task: TaskConfig) -> PathQNetAgent | None:
+        """The network whose values are shown beside a flight: the pilot's own, for others the one that goes before.
 
         None where there is none, or its file holds none that fits.
         """
         source = pilot if pilot in self._folders else self._first(task)
-        if source is None or not self.flies(source, task):
-            return None
-        return _by_action(self.agent(source, task).q_values(observation))
+        found = None if source is None else self._at(source, task)
+        return found if isinstance(found, PathQNetAgent) else None
 
     def flies(self, source: str, task: TaskConfig) -> bool:
         """Whether there is a network for a task that can be read; `source` is `NETWORK` or `TRAINED`."""
@@ -89,7 +86,7 @@ class Networks:
             raise CheckpointError(str(found))
         return found
 
-    def told(self) -> list[str]:
+    def described(self) -> list[str]:
         """Which network flies which task, in lines for whoever starts the server; files that are refused, by name."""
         lines: list[str] = []
         for task in TASKS.values():
@@ -132,10 +129,6 @@ class Networks:
                     found = CheckpointError(f"{file} cannot be read: {error}")
                 read = self._read[file] = (now, found)
             return read[1]
-
-
-def _by_action(values: npt.NDArray[np.float32]) -> dict[Direction, float]:
-    return {Action(i).name: value for i, value in enumerate(values.tolist())}
 
 
 def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfig, Observation]:

@@ -99,7 +99,7 @@ def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"model": Problem, "description": _MEANINGS[status]} for status in statuses}
 
 
-def status_of(error: DroneEnvError, method: str) -> tuple[int, str]:
+def status_of(error: Exception, method: str) -> tuple[int, str]:
     """HTTP status and code of an error; an unknown name is 404 in a path (GET) and 422 in a body."""
     if isinstance(error, RequestError):
         return error.status, error.code

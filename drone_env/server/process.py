@@ -69,7 +69,7 @@ def run(host: str | None, port: int | None, workers: int | None, data: Path | No
         print(
             f"drone-env {__version__}: {url}, docs at {url}/docs, data in {settings.data}", file=sys.stderr, flush=True
         )
-        for line in Networks(settings.weights, settings.data).told():
+        for line in Networks(settings.weights, settings.data).described():
             print(f"drone-env: {line}", file=sys.stderr, flush=True)
         config = uvicorn.Config(
             "drone_env.server.app:app",

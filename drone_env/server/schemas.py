@@ -10,8 +10,7 @@ from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig
-from drone_env.episodes.finished import check_agent
-from drone_env.episodes.rows import ListedEpisode
+from drone_env.episodes.finished import EpisodeRow, check_agent, utc
 from drone_env.episodes.statistics import Analysis
 from drone_env.models import (
     Count,
@@ -298,28 +297,15 @@ class EpisodeSummary(Message):
     regret: float | None = Field(ge=0, description="optimal_score - score.")
 
     @classmethod
-    def of(cls, listed: ListedEpisode) -> Self:
+    def of(cls, row: EpisodeRow) -> Self:
         """The summary of a finished episode."""
-        stored, optimum = listed.episode, listed.optimum
-        record = stored.record
-        return cls(
-            id=stored.id,
-            finished_at=stored.finished_at.isoformat(),
-            task=record.task,
-            task_version=record.task_version,
-            seed=record.seed,
-            agent=record.agent,
-            reward_profile=record.reward_profile,
-            steps=stored.steps,
-            deliveries=record.deliveries,
-            deliveries_total=stored.deliveries_total,
-            reward_total=stored.reward_total,
-            score=record.score,
-            success=record.success,
-            outcome=stored.outcome,
-            optimal_score=optimum,
-            regret=None if optimum is None else optimum - record.score,
-        )
+        known: dict[str, Any] = row._asdict() | {
+            "finished_at": utc(row.finished_at).isoformat(),
+            "success": row.outcome == "delivered",
+            "optimal_score": row.optimum,
+            "regret": None if row.optimum is None else row.optimum - row.score,
+        }
+        return cls(**{name: known[name] for name in cls.model_fields})
 
 
 class EpisodeSummaries(Message):

@@ -36,28 +36,11 @@ class _Live:
     def caught_up(self, row: SessionRow) -> Episode:
         """The episode with all actions of the row flown."""
         episode = self.episode
-        if episode is None or not _is_before(episode, row):
+        if episode is None or not row.follows(episode):
             episode = self.episode = row.fly()
         for action in row.actions[episode.steps :]:
             episode.step(action)
         return episode
-
-
-def _is_before(episode: Episode, row: SessionRow) -> bool:
-    flown = tuple(episode.actions)
-    mine = (episode.task.id, episode.task.version, episode.seed, episode.reward_profile.id)
-    return mine == (row.task, row.task_version, row.seed, row.reward_profile) and row.actions[: len(flown)] == flown
-
-
-def fly(row: SessionRow, episode: Episode, action: int) -> float:
-    """Fly one action in a session and note it; after the end nothing changes. Return its reward."""
-    over = episode.ended
-    reward = episode.step(action)
-    if not over:
-        row.append(action)
-        if episode.ended:
-            row.finish(episode)
-    return reward
 
 
 class Sessions:
@@ -163,7 +146,7 @@ class Sessions:
                 episode = live.caught_up(row)
                 flown = len(row.actions)
                 if after is None or after == flown:
-                    reward = fly(row, episode, action.action)
+                    reward = row.step(episode, action.action)
                 elif after == flown - 1 and row.actions[-1] == action.action:
                     # Flown anew: a step after the end may have been sent meanwhile, and the answer must not tell of it.
                     episode = row.fly()
@@ -174,19 +157,6 @@ class Sessions:
                         "tells where it stands"
                     )
             return show(episode, reward)
-
-    @contextmanager
-    def stepping(self, session: str, address: str | None = None) -> Generator[tuple[SessionRow, Episode], None, None]:
-        """The row and the episode of a session, to be flown by `fly` inside the block; kept when it ends.
-
-        Nobody else writes to the store meanwhile: keep the block short.
-
-        Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired.
-        """
-        with self._held(session) as live, self._changing(live, session, address) as row:
-            yield row, live.caught_up(row)
 
     @contextmanager
     def reading(self, session: str) -> Generator[tuple[SessionRow, Episode], None, None]:
@@ -232,11 +202,7 @@ class Sessions:
     def _changing(self, live: _Live, session: str, address: str | None) -> Generator[SessionRow, None, None]:
         """The row of a session that is held, to be changed; kept when the block ends."""
         try:
-            with self.store.session(session) as row:
-                if address is None:
-                    row.address = None  # who names it has it to himself
-                elif row.address != address:
-                    raise NoSessionError("somebody has named this session meanwhile")
+            with self.store.session(session, address) as row:
                 yield row
         except BaseException:
             # Nothing was kept, so what was flown inside is not so.

@@ -261,12 +261,12 @@ def test_an_open_page_keeps_its_paused_mission(tmp_path: Path, clock: Clock, eve
                 clock.now += 0.9
 
                 def is_kept() -> bool:
-                    used = app.state.shared.store.read_session(session).touched_at.timestamp()
+                    used = app.state.shared.store.read_session(session).touched_at
                     return used == pytest.approx(clock.now, abs=0.001)
 
                 eventually(is_kept)
             assert client.get("/state", headers=header).status_code == 200
-        eventually(lambda: not app.state.live.cockpits)
+        eventually(lambda: not app.state.live.pages)
         clock.now += 1
         eventually(lambda: client.get("/state", headers=header).status_code == 410)
 

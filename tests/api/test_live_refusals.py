@@ -12,9 +12,9 @@ from starlette.websockets import WebSocketDisconnect
 
 from drone_env.planning import exact
 from drone_env.server.app import create_app
-from drone_env.server.live.commands import MOST_MISSIONS
+from drone_env.server.live.commands import MOST_EPISODES
+from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.live.feeds import Feed
-from drone_env.server.live.missions import LiveMission
 from drone_env.server.live.values import UNSOLVED
 from drone_env.server.settings import Settings
 from tests.api.live_page import Page
@@ -28,7 +28,7 @@ from tests.api.live_page import Page
         ("NaN", "invalid_request"),
         ({"type": "land"}, "invalid_request"),
         ({"type": "start", "task": "easy", "pilots": []}, "invalid_request"),
-        ({"type": "start", "task": "easy", "pilots": ["greedy"] * (MOST_MISSIONS + 1)}, "invalid_request"),
+        ({"type": "start", "task": "easy", "pilots": ["greedy"] * (MOST_EPISODES + 1)}, "invalid_request"),
         ({"type": "start", "task": "easy", "pilots": ["greedy"], "seed": -1}, "invalid_request"),
         ({"type": "start", "task": "easy", "pilots": ["ghost"]}, "unknown_name"),
         ({"type": "start", "task": "nowhere", "pilots": ["greedy"]}, "unknown_name"),
@@ -124,7 +124,7 @@ def test_what_nobody_foresaw_ends_no_connection(
         page.start("greedy")
         page.until("values")
         with monkeypatch.context() as today:
-            today.setattr(LiveMission, "step", lambda _: {}["a fault"])
+            today.setattr(LiveEpisode, "step", lambda _: {}["a fault"])
             page.send("step")
             message = json.loads(socket.receive_text())
             assert (message["type"], message["code"]) == ("error", "internal")

@@ -7,8 +7,10 @@ import pytest
 
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes import optima
-from drone_env.episodes.statistics import FinishedRow, analyse
+from drone_env.episodes.finished import EpisodeRow
+from drone_env.episodes.statistics import analyse
 from drone_env.episodes.store import Store
+from drone_env.models import OutcomeName
 from drone_env.planning.optimal import Solution, solve
 from tests.unit.stores import eventually, flown
 
@@ -104,7 +106,7 @@ def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog:
     with store._database.writing() as connection:
         connection.execute("CREATE TRIGGER full BEFORE INSERT ON optima BEGIN SELECT RAISE(ABORT, 'disk is full'); END")
     (listed,) = store.listed(9, patience=240)
-    assert (listed.episode, listed.solved, listed.optimum) == (store.latest(1)[0], False, None)
+    assert (listed.id, listed.solved, listed.optimum) == (store.latest(1)[0].id, False, None)
     analysis = store.analysis("easy", patience=240)
     assert (analysis.episodes, analysis.regret_episodes, analysis.mean_regret) == (1, 0, None)
     assert caplog.text.count("optima of easy_delivery could not be solved or kept: store ") == 2
@@ -113,11 +115,17 @@ def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog:
     assert store.listed(9, patience=240)[0].optimum == solve("easy", 7).score
 
 
+def row(score: float, outcome: OutcomeName, actions: str, solved: bool, optimum: float | None) -> EpisodeRow:
+    done, steps = int(outcome == "delivered"), len(actions)
+    flight = ("easy_delivery", 1, 7, "tiered", "someone", actions, done, 1, steps, 1.0, score, outcome)
+    return EpisodeRow(1, "0123456789abcdef", 0.0, *flight, solved, optimum)
+
+
 def test_maps_too_large_to_be_solved_are_left_out_of_regret() -> None:
     rows = [
-        FinishedRow(1.0, 0.5, 10, 0, "battery_dead", "4" * 10, True, None, 1),
-        FinishedRow(3.0, 0.9, 5, 1, "delivered", "01234", True, 1.0 - 1 / 16, 2),
-        FinishedRow(3.0, 0.9, 5, 1, "delivered", "01234", False, None, 3),
+        row(0.5, "battery_dead", "4" * 10, True, None),
+        row(0.9, "delivered", "01234", True, 1.0 - 1 / 16),
+        row(0.9, "delivered", "01234", False, None),
     ]
     analysis = analyse("easy_delivery", 5, rows)
     assert (analysis.episodes_total, analysis.episodes, analysis.regret_episodes) == (5, 3, 1)
@@ -130,5 +138,5 @@ def test_maps_too_large_to_be_solved_are_left_out_of_regret() -> None:
 def test_means_of_the_highest_and_lowest_scores_are_no_error() -> None:
     for n in range(1, 300):
         for score in (0.01, 0.99):
-            row = FinishedRow(score, score, 1, 1, "delivered", "4", True, score, 1)
-            assert analyse("easy_delivery", n, [row] * n).average_score == pytest.approx(score)
+            rows = [row(score, "delivered", "4", True, score)] * n
+            assert analyse("easy_delivery", n, rows).average_score == pytest.approx(score)

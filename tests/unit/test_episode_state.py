@@ -1,7 +1,6 @@
 """An episode as an object: its start, its snapshots, and what it refuses."""
 
 import pickle
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from drone_env.core.episode import Episode, PathStep
 from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, UnknownNameError
 from drone_env.server.frames import frame_of
-from drone_env.server.predict import Networks
 from tests.toy import fly, toy_episode
 
 
@@ -166,9 +164,7 @@ class TestState:
         assert episode.reward_last == 0.95
         assert episode.reward_total == pytest.approx(1.68)
 
-    def test_the_last_step_is_told_without_all_the_others(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_the_last_step_is_told_without_all_the_others(self, monkeypatch: pytest.MonkeyPatch) -> None:
         made: list[PathStep] = []
 
         def make(*values: Any) -> PathStep:
@@ -181,7 +177,7 @@ class TestState:
         fly(episode, "URR")
         assert episode.last_step == (Action.RIGHT, 2, 0, Event.DELIVERY, 0.95, 5)
         assert len(made) == 1
-        assert frame_of(episode, Networks(tmp_path, tmp_path), "greedy").action == "RIGHT"
+        assert frame_of(episode, episode.observation()).action == "RIGHT"
         assert len(made) == 2
         assert episode.path[-1] == episode.last_step
 

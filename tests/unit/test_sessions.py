@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from drone_env.core.episode import Episode
-from drone_env.episodes.clock import steady_clock
 from drone_env.episodes.record import record_of
+from drone_env.episodes.sessions import steady_clock
 from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.errors import (
     CapacityError,
@@ -246,7 +246,7 @@ def test_sessions_are_idle_by_a_clock_that_nobody_sets(tmp_path: Path) -> None:
     wall, steady = 1_000_000.0, 50.0
     with Store(tmp_path, steady_clock(lambda: wall, lambda: steady)) as store:
         session_id = opened(store)
-        assert store.read_session(session_id).touched_at.timestamp() == wall
+        assert store.read_session(session_id).touched_at == wall
         for jump in (3600, -7200):
             wall += jump
             assert store.expire_sessions(60) == []

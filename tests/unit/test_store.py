@@ -13,8 +13,8 @@ import pytest
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
+from drone_env.episodes.database import APPLICATION_ID, MIGRATIONS, migrate
 from drone_env.episodes.record import EpisodeRecord, parse_record, record_of, replay
-from drone_env.episodes.schema import APPLICATION_ID, MIGRATIONS, migrate
 from drone_env.episodes.store import FILE_NAME, Store, data_folder
 from drone_env.errors import (
     EpisodeError,

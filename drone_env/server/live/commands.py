@@ -11,7 +11,7 @@ from drone_env.server.schemas import MAX_SEED, Seed
 from drone_env.server.state import LONGEST_ID
 from drone_env.server.strict_json import parse_json
 
-MOST_MISSIONS = 4
+MOST_EPISODES = 4
 
 
 def _say_the_range(value: Any, check: ValidatorFunctionWrapHandler) -> int:
@@ -24,26 +24,29 @@ def _say_the_range(value: Any, check: ValidatorFunctionWrapHandler) -> int:
 
 
 MapNumber = Annotated[Seed, WrapValidator(_say_the_range)]
-Number = Annotated[int | None, Field(ge=0, le=MAX_SEED, description="The answer names it, beside the missions.")]
+Number = Annotated[
+    int | None,
+    Field(ge=0, le=MAX_SEED, description="The answer repeats it."),
+]
 Topic = Literal["requests", "training", "episodes"]
 
 
 class Start(Message):
-    """Fly one map with one to four pilots; the missions before are given up."""
+    """Fly one map with one to four pilots; the flights before are given up."""
 
     type: Literal["start"]
     task: str = Field(max_length=100)
-    pilots: list[str] = Field(min_length=1, max_length=MOST_MISSIONS)
+    pilots: list[str] = Field(min_length=1, max_length=MOST_EPISODES)
     seed: MapNumber | None = None
     reward_profile: str | None = Field(default=None, max_length=100)
     number: Number = None
 
 
 class Attach(Message):
-    """Go on with missions, after the connection was lost."""
+    """Go on with flights after the connection was lost."""
 
     type: Literal["attach"]
-    sessions: list[Annotated[str, Field(max_length=LONGEST_ID)]] = Field(min_length=1, max_length=MOST_MISSIONS)
+    sessions: list[Annotated[str, Field(max_length=LONGEST_ID)]] = Field(min_length=1, max_length=MOST_EPISODES)
     number: Number = None
 
 
@@ -67,21 +70,21 @@ class Step(Message):
 
 
 class Fly(Message):
-    """One step of a mission that a person flies."""
+    """One step of a flight that a person flies."""
 
     type: Literal["fly"]
     direction: Direction
-    mission: int = Field(default=0, ge=0, lt=MOST_MISSIONS)
+    mission: int = Field(default=0, ge=0, lt=MOST_EPISODES)
 
 
 class End(Message):
-    """Give the missions up."""
+    """Give the flights up."""
 
     type: Literal["end"]
 
 
 class Subscribe(Message):
-    """What to be told beside the missions; replaces what was asked before."""
+    """Which news to send beside the flights; replaces the choice before."""
 
     type: Literal["subscribe"]
     topics: list[Topic] = Field(max_length=3)

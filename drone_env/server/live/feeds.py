@@ -1,4 +1,4 @@
-"""What goes on at the server beside the missions: requests, the training log, finished episodes."""
+"""The news of the server beside the episodes of a page: requests, the training log, finished episodes."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -17,7 +17,7 @@ class Feed:
 
     Args:
         shared: The parts of the server.
-        topics: What the page wants to be told.
+        topics: Which news the page wants.
     """
 
     def __init__(self, shared: Shared, topics: list[Topic]) -> None:
@@ -37,14 +37,11 @@ class Feed:
             entries = self._shared.requests.since(self._request or 0)
             if entries or self._request is None:
                 self._request = entries[-1].number if entries else 0
-                yield {"type": "requests", "requests": [entry.model_dump() for entry in entries]}
+                yield {"type": "requests", "requests": entries}
         if "training" in self.topics and self._log.has_changed():
             yield {"type": "training", "lines": self._log.tail(LINES)}
         if "episodes" in self.topics:
             found = self._shared.store.listed(EPISODES, after=self._episode)
             if found or self._episode is None:
                 self._episode = found[0].number if found else 0
-                yield {
-                    "type": "episodes",
-                    "episodes": [EpisodeSummary.of(listed).model_dump() for listed in found],
-                }
+                yield {"type": "episodes", "episodes": [EpisodeSummary.of(row) for row in found]}

@@ -1,6 +1,7 @@
-"""The WebSocket `/live`: commands of a page in, frames of its missions out.
+"""The WebSocket `/live`: commands of a page in, frames of its episodes out.
 
-The missions are HTTP sessions, so they outlive the connection and the process: a page that comes back attaches to them.
+The episodes are flown in HTTP sessions, so they outlive the connection and the process: a page that comes back attaches
+to them. On the wire they are missions.
 """
 
 import asyncio
@@ -17,24 +18,14 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from drone_env.core.tasks import get_task
-from drone_env.errors import DroneEnvError, UnknownNameError
-from drone_env.server.frames import Frame
-from drone_env.server.live.commands import (
-    Attach,
-    End,
-    Fly,
-    Pause,
-    Play,
-    Start,
-    Step,
-    Subscribe,
-    parse_command,
-)
+from drone_env.errors import UnknownNameError
+from drone_env.server.frames import Frame, ShownEpisode
+from drone_env.server.live.commands import Attach, End, Fly, Pause, Play, Start, Step, Subscribe, parse_command
+from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.live.feeds import Feed
-from drone_env.server.live.missions import LiveMission
 from drone_env.server.live.values import ExactValues
 from drone_env.server.map_choice import choose_map
-from drone_env.server.pilots import PILOTS, agent_of
+from drone_env.server.pilots import agent_of
 from drone_env.server.problems import FAILED, printable, status_of
 from drone_env.server.schemas import EpisodeSummary, ResetOptions
 from drone_env.server.state import Shared
@@ -46,6 +37,7 @@ PROTOCOL = "drone-env"
 TOO_BIG, TRY_LATER = 1009, 1013
 SPEED = 6.0
 FEED_SECONDS = 0.25
+Opened = list[tuple[LiveEpisode, ShownEpisode]]
 Moved = list[tuple[int, list[Frame]]]
 
 
@@ -59,7 +51,7 @@ class LiveSocket:
     def __init__(self, shared: Shared) -> None:
         self.shared = shared
         self.values = ExactValues()
-        self.cockpits: set[Cockpit] = set()
+        self.pages: set[Page] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one page until it goes."""
@@ -67,23 +59,23 @@ class LiveSocket:
         await socket.accept(PROTOCOL if PROTOCOL in scope.get("subprotocols", []) else None)
         # Where the other side has gone there is nobody left to tell.
         with suppress(WebSocketDisconnect, OSError):
-            if len(self.cockpits) >= self.shared.settings.capacity:
+            if len(self.pages) >= self.shared.settings.capacity:
                 await socket.close(TRY_LATER, "too many pages are open: try again later")
                 return
-            cockpit = Cockpit(socket, self.shared, self.values)
-            self.cockpits.add(cockpit)
+            page = Page(socket, self.shared, self.values)
+            self.pages.add(page)
             try:
-                await cockpit.run()
+                await page.run()
             finally:
-                self.cockpits.discard(cockpit)
+                self.pages.discard(page)
 
     def keep_sessions(self) -> None:
-        """Count the missions of all open pages as used: whoever looks at a flight may pause it for long.
+        """Count the sessions of all open pages as used: whoever looks at a flight may pause it for long.
 
         Raises:
             StoreError: if the store could not be written.
         """
-        sessions = [mission.session for cockpit in list(self.cockpits) for mission in cockpit.missions]
+        sessions = [live.session for page in list(self.pages) for live in page.episodes]
         if sessions:
             self.shared.store.touch_sessions(sessions)
 
@@ -92,17 +84,17 @@ class LiveSocket:
         self.values.close()
 
 
-class Cockpit:
-    """One open page: its missions, and whether they are flying."""
+class Page:
+    """One open page: its episodes, and whether they are flying."""
 
     def __init__(self, socket: WebSocket, shared: Shared, values: ExactValues) -> None:
-        self.missions: list[LiveMission] = []
+        self.episodes: list[LiveEpisode] = []
         self.playing = False
         self.speed = SPEED
         self._socket = socket
         self._shared = shared
         self._values = values
-        self._told_end: set[str] = set()
+        self._told_end: set[LiveEpisode] = set()
         self._flying = asyncio.Lock()
         self._changed = asyncio.Event()
         self._solving = anyio.CancelScope()
@@ -113,142 +105,119 @@ class Cockpit:
         """Serve the page until it goes."""
         async with anyio.create_task_group() as tasks:
             self._tasks = tasks
-            tasks.start_soon(self._play)
-            tasks.start_soon(self._tell_news)
-            await self._listen()
-            tasks.cancel_scope.cancel()
+            for work in (self._listen, self._play, self._tell_news):
+                tasks.start_soon(work)
 
     async def _listen(self) -> None:
         while True:
             message = await self._socket.receive()
             if message["type"] == "websocket.disconnect":
-                return
+                break
             text = message.get("text") or ""
             if len(text.encode("utf-8", "surrogatepass")) > self._shared.settings.max_bytes:
                 await self._socket.close(TOO_BIG, f"a frame may have {self._shared.settings.max_bytes} bytes")
-                return
+                break
             await self._answering(self._obey, text)
             # Where more has come already, nothing above needs to wait: others get their turn.
             await asyncio.sleep(0)
+        self._tasks.cancel_scope.cancel()
 
-    async def _answering(self, act: Callable[..., Any], *arguments: Any, told: bool = False) -> bool:
-        """Do something; what goes wrong is told to the page, unless that has been told. Whether it went well."""
+    async def _answering(self, act: Callable[..., Any], *arguments: Any, silent: bool = False) -> bool:
+        """Do something, and send the page what goes wrong, unless `silent`. Whether it went well."""
         try:
             await act(*arguments)
         except Exception as error:
-            if not told:
+            if not silent:
                 await self._send({"type": "error", **_problem(error)})
             return False
         return True
 
     async def _obey(self, text: str) -> None:
-        match parse_command(text):
-            case Subscribe(topics=topics):
-                self._feed = Feed(self._shared, topics)
-            case Pause():
-                await self._set_playing(False)
-            case Play(speed=speed):
-                self.speed = speed or self.speed
-                await self._set_playing(any(mission.automatic for mission in self.missions))
-            case command:
-                async with self._flying:
-                    await self._fly(command)
+        command = parse_command(text)
+        async with self._flying:
+            match command:
+                case Subscribe(topics=topics):
+                    self._feed = Feed(self._shared, topics) if topics else None
+                case Pause():
+                    await self._set_playing(False)
+                case Play(speed=speed):
+                    self.speed = speed or self.speed
+                    await self._set_playing(any(live.automatic for live in self.episodes))
+                case Step():
+                    await self._tell(await run_in_threadpool(self._step_all))
+                case Fly(mission=number, direction=direction):
+                    if number >= len(self.episodes):
+                        raise UnknownNameError("mission", str(number), [str(i) for i in range(len(self.episodes))])
+                    await self._tell([(number, await run_in_threadpool(self.episodes[number].fly, direction))])
+                case Start():
+                    await self._replace(await run_in_threadpool(self._start, command), command.number)
+                case Attach():
+                    await self._replace(await run_in_threadpool(self._attach, command.sessions), command.number)
+                case End():
+                    await self._replace([], None)
 
-    async def _fly(self, command: Start | Attach | End | Step | Fly) -> None:
-        match command:
-            case Start() | Attach():
-                await self._replace_missions(await run_in_threadpool(self._opened, command), command.number)
-            case End():
-                await self._replace_missions([], None)
-            case Step():
-                await self._tell(await run_in_threadpool(self._step_all))
-            case Fly(mission=number, direction=direction):
-                if number >= len(self.missions):
-                    raise UnknownNameError("mission", str(number), [str(i) for i in range(len(self.missions))])
-                await self._tell([(number, await run_in_threadpool(self.missions[number].fly, direction))])
-
-    async def _replace_missions(self, opened: list[LiveMission], number: int | None) -> None:
-        kept = {mission.session for mission in opened}
-        left = [mission for mission in self.missions if mission.session not in kept]
-        self.missions = opened
-        await self._set_playing(False)
-        await run_in_threadpool(_end_all, left)
-        await self._tell_missions(number)
-
-    def _opened(self, command: Start | Attach) -> list[LiveMission]:
-        if isinstance(command, Attach):
-            return [self._mission(session) for session in dict.fromkeys(command.sessions)]
+    def _start(self, command: Start) -> Opened:
         task = get_task(command.task)
         for pilot in command.pilots:
-            if pilot not in PILOTS:
-                raise UnknownNameError("pilot", pilot, PILOTS)
             agent_of(pilot, task, self._shared.networks)  # says why it cannot fly before anything is opened
-        last = self.missions[0].episode if self.missions and self.missions[0].episode.task == task else None
+        last = self.episodes[0].episode if self.episodes and self.episodes[0].episode.task == task else None
         options = ResetOptions(task_name=task.id, seed=command.seed, reward_profile=command.reward_profile)
         seed = choose_map(options, None if last is None else last.seed).seed
-        opened: list[LiveMission] = []
+        opened: Opened = []
         try:
             for pilot in command.pilots:
                 named = options.model_copy(update={"seed": seed, "agent": pilot})
-                opened.append(self._mission(self._shared.sessions.reset(None, named)[0]))
+                opened += self._attach([self._shared.sessions.reset(None, named)[0]])
         except BaseException:
-            _end_all(opened)
+            _end_all([live for live, _ in opened])
             raise
         return opened
 
-    def _mission(self, session: str) -> LiveMission:
-        return LiveMission(session, self._shared.sessions, self._shared.networks, self._values)
+    def _attach(self, sessions: Sequence[str]) -> Opened:
+        return [LiveEpisode.attach(session, self._shared, self._values) for session in dict.fromkeys(sessions)]
 
     def _step_all(self) -> Moved:
-        return [(i, mission.step()) for i, mission in enumerate(self.missions) if mission.automatic]
+        return [(number, live.step()) for number, live in enumerate(self.episodes) if live.automatic]
 
-    async def _tell_missions(self, asked: int | None) -> None:
-        missions = list(self.missions)
-        shown = await run_in_threadpool(
-            lambda: [
-                {"mission": m.opening.model_dump(), "frames": [f.model_dump() for f in m.frames()]} for m in missions
-            ]
-        )
-        told = {"missions": shown, "number": asked, "playing": self.playing, "speed": self.speed}
-        await self._send({"type": "missions", **told})
-        self._told_end = {mission.session for mission in missions if mission.episode.ended}
-        for number, mission in enumerate(missions):
-            if mission.episode.ended:
-                await self._tell_end(number, mission)
-        if missions:
-            self._tasks.start_soon(self._answering, self._tell_values, missions)
+    async def _replace(self, opened: Opened, asked: int | None) -> None:
+        """Show these episodes, and give up those before them that are not among them."""
+        kept = {live.session for live, _ in opened}
+        left = [live for live in self.episodes if live.session not in kept]
+        self.episodes = [live for live, _ in opened]
+        self._told_end.clear()
+        await self._set_playing(False)
+        await run_in_threadpool(_end_all, left)
+        told = {"missions": [shown for _, shown in opened], "number": asked}
+        await self._send({"type": "missions", **told, "playing": self.playing, "speed": self.speed})
+        await self._tell([])
+        self._tasks.start_soon(self._answering, self._tell_values, self.episodes)
 
     async def _tell(self, moved: Moved) -> None:
-        frames = [{"mission": i, "frame": frame.model_dump()} for i, new in moved for frame in new]
+        """Tell of new frames, and of episodes that have ended."""
+        frames = [{"mission": number, "frame": frame} for number, new in moved for frame in new]
         if frames:
             await self._send({"type": "frames", "frames": frames})
-        for number, mission in enumerate(self.missions):
-            if mission.episode.ended and mission.session not in self._told_end:
-                self._told_end.add(mission.session)
-                await self._tell_end(number, mission)
-                await self._send_values(number, mission)
+        for number, live in enumerate(self.episodes):
+            if live.episode.ended and live not in self._told_end:
+                self._told_end.add(live)
+                for row in await run_in_threadpool(self._shared.store.listed, 1, episode_id=live.episode_id):
+                    await self._send({"type": "ended", "mission": number, "episode": EpisodeSummary.of(row)})
+                await self._send_values(number, live)
 
-    async def _tell_end(self, number: int, mission: LiveMission) -> None:
-        found = await run_in_threadpool(lambda: self._shared.store.listed(1, episode_id=mission.episode_id))
-        for listed in found:
-            summary = EpisodeSummary.of(listed).model_dump()
-            await self._send({"type": "ended", "mission": number, "episode": summary})
-
-    async def _tell_values(self, missions: Sequence[LiveMission]) -> None:
+    async def _tell_values(self, episodes: Sequence[LiveEpisode]) -> None:
         """Once the map is solved: what could be reached at the frames that were sent without it."""
-        # Nobody looks at the missions before these any more.
+        # Nobody looks at the episodes before these any more.
         self._solving.cancel()
-        episode = missions[0].episode
         with anyio.CancelScope() as self._solving:
-            for task, seed in {(mission.episode.task, mission.episode.seed) for mission in missions}:
+            for task, seed in {(live.episode.task, live.episode.seed) for live in episodes}:
                 await self._values.solved(task, seed)
             async with self._flying:
-                if self.missions and self.missions[0].episode is episode:
-                    for number, mission in enumerate(self.missions):
-                        await self._send_values(number, mission)
+                if self.episodes is episodes:
+                    for number, live in enumerate(episodes):
+                        await self._send_values(number, live)
 
-    async def _send_values(self, number: int, mission: LiveMission) -> None:
-        values = await run_in_threadpool(mission.reachable)
+    async def _send_values(self, number: int, live: LiveEpisode) -> None:
+        values = await run_in_threadpool(live.reachable)
         if values is not None:
             regrets = [values[0] - value for value in values]
             await self._send({"type": "values", "mission": number, "values": values, "regrets": regrets})
@@ -259,7 +228,7 @@ class Cockpit:
         await self._send({"type": "playing", "playing": playing, "speed": self.speed})
 
     async def _play(self) -> None:
-        """Let the missions fly while they are to, for ever."""
+        """Let the episodes fly while they are to, for ever."""
         clock = asyncio.get_running_loop().time
         ticked = 0.0
         while True:
@@ -279,20 +248,19 @@ class Cockpit:
             if not self.playing:
                 return
             await self._tell(await run_in_threadpool(self._step_all))
-            if not any(mission.automatic for mission in self.missions):
+            if not any(live.automatic for live in self.episodes):
                 await self._set_playing(False)
 
     async def _tell_news(self) -> None:
         failing = False
         while True:
-            feed = self._feed
-            if feed is not None and feed.topics:
-                failing = not await self._answering(self._send_news, feed, told=failing)
+            failing = not await self._answering(self._send_news, silent=failing)
             await asyncio.sleep(FEED_SECONDS)
 
-    async def _send_news(self, feed: Feed) -> None:
-        for message in await run_in_threadpool(lambda: list(feed.news())):
-            await self._send(message)
+    async def _send_news(self) -> None:
+        if self._feed is not None:
+            for message in await run_in_threadpool(list, self._feed.news()):
+                await self._send(message)
 
     async def _send(self, message: dict[str, Any]) -> None:
         if self._socket.application_state is not WebSocketState.CONNECTED:
@@ -303,18 +271,14 @@ class Cockpit:
 
 
 def _problem(error: Exception) -> dict[str, str]:
-    """What a page is told of an error."""
-    status, code = 500, "internal"
-    if isinstance(error, DroneEnvError):
-        status, code = status_of(error, "")
-    elif isinstance(error, OSError):
-        status, code = 503, "unavailable"
+    """What a page receives of an error."""
+    status, code = (503, "unavailable") if isinstance(error, OSError) else status_of(error, "")
     if status == 500:
         # Unforeseen: a page that lost its connection for it would come back, and meet it again, for ever.
         log.error("/live failed", exc_info=error)
     return {"code": code, "detail": FAILED if status == 500 else printable(str(error))}
 
 
-def _end_all(missions: Sequence[LiveMission]) -> None:
-    for mission in missions:
-        mission.end()
+def _end_all(episodes: Sequence[LiveEpisode]) -> None:
+    for live in episodes:
+        live.end()

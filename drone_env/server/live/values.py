@@ -81,9 +81,12 @@ class ExactValues:
         self._thread.shutdown(cancel_futures=True)
 
     def _solve(self, key: Map) -> None:
+        # Loads Numba, which no server needs that only flies.
+        from drone_env.planning.exact import ExactSolver
+
         solver = None
         try:
-            solver = _solver_of(key)
+            solver = ExactSolver(Episode(key[0], seed=key[1]))
         except TooLargeError:
             pass
         except Exception as error:
@@ -101,10 +104,3 @@ class ExactValues:
             self._solvers[key] = solver
             while len(self._solvers) > 1 and sum(kept.nbytes for kept in self._solvers.values()) > MAX_BYTES:
                 self._solvers.popitem(last=False)
-
-
-def _solver_of(key: Map) -> "ExactSolver":
-    # Loads Numba, which no server needs that only flies.
-    from drone_env.planning.exact import ExactSolver
-
-    return ExactSolver(Episode(key[0], seed=key[1]))

@@ -5,10 +5,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Body, Request, Response
 from pydantic_core import to_json
 
-from drone_env.core.actions import Action
 from drone_env.core.tasks import get_task
 from drone_env.graders import GRADERS
-from drone_env.models import DroneState
+from drone_env.models import DIRECTIONS, DroneState
 from drone_env.server.observation_json import flat_json, openenv_json
 from drone_env.server.predict import arrays_of
 from drone_env.server.problems import RequestError, answers
@@ -125,7 +124,7 @@ def solution(shared: SharedParts, caller: CallerOf, answer: Response) -> Solutio
         regret=best.score - score,
         steps=best.steps,
         deliveries=best.deliveries,
-        actions=[Action(action).name for action in best.actions],
+        actions=[DIRECTIONS[action] for action in best.actions],
         path=path,
     )
 

@@ -49,7 +49,7 @@ def analyse(shared: SharedParts, task_name: str) -> AnalysisAnswer:
 @router.get("/memory_logs", responses=answers(503))
 def memory_logs(shared: SharedParts) -> EpisodeSummaries:
     """The last 5 finished episodes, newest first."""
-    return EpisodeSummaries(episodes=[EpisodeSummary.of(listed) for listed in shared.store.listed(SUMMARIES)])
+    return EpisodeSummaries(episodes=[EpisodeSummary.of(row) for row in shared.store.listed(SUMMARIES)])
 
 
 @router.get("/episodes", responses=answers(404, 422, 503))
@@ -64,7 +64,7 @@ def episodes(
     found = shared.store.listed(limit + 1, task, agent, before)
     page = found[:limit]
     return EpisodePage(
-        episodes=[EpisodeSummary.of(listed) for listed in page], next=page[-1].number if len(found) > limit else None
+        episodes=[EpisodeSummary.of(row) for row in page], next=page[-1].number if len(found) > limit else None
     )
 
 
@@ -78,10 +78,10 @@ def episode(shared: SharedParts, episode_id: str) -> EpisodeRecord:
 def history(shared: SharedParts, task_name: str, last: Annotated[int, Query(ge=1, le=1000)] = 200) -> History:
     """The last finished episodes of a task, for charts."""
     found = shared.store.listed(last, task_name)[::-1]
-    wins = [listed.episode.record.success for listed in found]
+    wins = [row.outcome == "delivered" for row in found]
     return History(
         task=get_task(task_name).id,
-        episodes=[EpisodeSummary.of(listed) for listed in found],
+        episodes=[EpisodeSummary.of(row) for row in found],
         rolling_success=[sum(wins[max(0, end - ROLLING) : end]) / min(ROLLING, end) for end in range(1, len(wins) + 1)],
     )
 
