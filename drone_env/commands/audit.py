@@ -77,10 +77,7 @@ def audit(
     audits = _audit_maps(config, profile, gamma, seeds, jobs or os.cpu_count() or 1)
     worst = max(audits, key=lambda of_map: (not of_map.aligned, of_map.optimum - of_map.score))
     if replay is not None:
-        flight = Episode(config, profile)
-        flight.reset(worst.seed)
-        for action in worst.actions:
-            flight.step(action)
+        flight = Episode(config, profile, worst.seed).fly(worst.actions)
         save_record(record_of(flight, f"maximiser of {profile.id}"), replay)
     report = _report(config, profile, gamma, audits, worst)
     if json:

@@ -62,9 +62,7 @@ class DroneEnvironment:
         """
         if task is None or seed is None:
             raise InvalidValueError("each row of the data set needs the columns task and seed, as of training_maps()")
-        episode = Episode(task, self._reward_profile)
-        episode.reset(seed)
-        self._episode = episode
+        self._episode = episode = Episode(task, self._reward_profile, seed)
         return first_messages(PROMPT, episode)[1]["content"]
 
     def fly(self, direction: Direction) -> str:
