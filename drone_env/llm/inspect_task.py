@@ -121,8 +121,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
             state.messages, state.output = [*asked, output.message], output
             return read_answer(_answer(output), chosen.plan)
 
-        flown = PilotedEpisode(0, state.epoch - 1, Episode(config, reward_profile))
-        flown.episode.reset(state.metadata["seed"])
+        flown = PilotedEpisode(0, state.epoch - 1, Episode(config, reward_profile, state.metadata["seed"]))
         await fly(flown, chosen, history, ask)
         state.store.set("flight", _stored(flown, str(state.model)))
         # Where a limit was reached, Inspect notes it and scores what was flown so far.

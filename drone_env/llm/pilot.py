@@ -57,9 +57,7 @@ async def fly_one(config: RunConfig, index: int, ask: Ask, server: str | None = 
         InvalidValueError: if the server shows something else.
     """
     seed, repeat = config.flight(index)
-    episode = Episode(config.task_config, config.reward_profile)
-    episode.reset(seed)
-    flown = PilotedEpisode(index, repeat, episode)
+    flown = PilotedEpisode(index, repeat, Episode(config.task_config, config.reward_profile, seed))
     with ExitStack() as stack:
         session = None if server is None else stack.enter_context(closing(ServerSession(server, config.model)))
         await fly(flown, config.load_prompt(), config.history, ask, session)

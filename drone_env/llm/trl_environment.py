@@ -62,8 +62,8 @@ class DroneEnvironment:
         """
         if task is None or seed is None:
             raise InvalidValueError("each row of the data set needs the columns task and seed, as of training_maps()")
-        self._episode = Episode(task, self._reward_profile, seed)
-        return first_messages(PROMPT, self._episode)[1]["content"]
+        self._episode = episode = Episode(task, self._reward_profile, seed)
+        return first_messages(PROMPT, episode)[1]["content"]
 
     def fly(self, direction: Direction) -> str:
         """Fly the drone one step, or wait for one.
