@@ -40,7 +40,7 @@ from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, listen, most_connections
 from drone_env.server.request_log import LogRequests
 from drone_env.server.routes import catalogue, flight, history, replay
-from drone_env.server.security import PAGE, protect
+from drone_env.server.security import ART, PAGE, protect
 from drone_env.server.settings import Settings, load_settings, misspelt_variables
 from drone_env.server.state import Shared
 
@@ -134,7 +134,7 @@ def _add_page(app: FastAPI, live: LiveSocket) -> None:
     async def docs() -> FileResponse:
         return FileResponse(PAGE / "docs.html", headers=REVALIDATED)
 
-    app.mount("/static", _Static(directory=PAGE))
+    app.mount("/static", _Static(directory=PAGE, packages=[("drone_env.envs", ART.name)]))
 
 
 def _add_description(app: FastAPI) -> None:
