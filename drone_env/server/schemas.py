@@ -164,6 +164,7 @@ class TaskInfo(Message):
     id: str
     name: str = Field(description="The id, as older clients call it.")
     short_name: str
+    family: str = Field(description="The heading under which it is listed; tasks of plugins name one of their own.")
     grader: str
     version: int
     width: int
@@ -259,6 +260,7 @@ class PilotList(Message):
     """All who fly on the page."""
 
     pilots: list[PilotInfo]
+    most: Count = Field(description="How many can race on a map.")
 
 
 class ModelInfo(Message):

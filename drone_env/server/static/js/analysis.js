@@ -11,7 +11,6 @@ export async function analyse({ api }, mission, root) {
       el("h3", { text: `${howMany(a.episodes)} of ${title(mission.short_name)} here` }),
       el(
         "dl.numbers",
-        {},
         ...[
           ["Success rate", percent(a.success_rate)],
           ["Success trend", a.success_trend === null ? "–" : `${signed(a.success_trend * 100, 0)} %`],
@@ -19,7 +18,7 @@ export async function analyse({ api }, mission, root) {
           ["Mean reward", fixed(a.average_reward, 2)],
           ["Mean steps", fixed(a.average_steps, 1)],
           ["Mean given away", points(a.mean_regret)],
-        ].map(([name, text]) => el("div", {}, el("dt", { text: name }), el("dd", { text }))),
+        ].map(([name, text]) => el("div", el("dt", { text: name }), el("dd", { text }))),
       ),
       actionBar(a.action_distribution),
     );
@@ -36,7 +35,6 @@ function actionBar(distribution) {
   const parts = Object.entries(distribution);
   return el(
     "div.actions-bar",
-    {},
     ...parts.map(([action, share]) =>
       el(
         "div.action-part",

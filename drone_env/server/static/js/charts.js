@@ -62,18 +62,12 @@ export class Chart {
     this.summary = el("p.note");
     this.frame = el("div.chart-frame");
     this.save = el("button.button.quiet.small", {
-      type: "button",
       text: "PNG",
       "aria-label": `Save the chart "${options.title}" as PNG`,
-      on: { click: () => this.download() },
+      press: () => this.download(),
     });
     root.append(
-      el(
-        "figure.chart",
-        {},
-        el("figcaption", {}, el("h3", { text: options.title }), this.save, this.summary),
-        this.frame,
-      ),
+      el("figure.chart", el("figcaption", el("h3", { text: options.title }), this.save, this.summary), this.frame),
     );
     new ResizeObserver(() => this.plot && this.frame.clientWidth && this.plot.setSize(this.size())).observe(this.frame);
     context.on("theme", () => this.plot?.redraw(false, true));

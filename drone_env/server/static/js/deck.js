@@ -29,9 +29,7 @@ export function mountDeck(root, context, fleet) {
     const field = el("div.map-field");
     const name = el("span.card-name");
     const state = el("span.card-state");
-    const head = race
-      ? el("button.card-head", { type: "button", "aria-pressed": "false", on: { click: () => choose(i) } }, name, state)
-      : null;
+    const head = race ? el("button.card-head", { "aria-pressed": "false", press: () => choose(i) }, name, state) : null;
     const node = el(
       "figure.card",
       { data: { pilot: player.mission.pilot }, style: { "--lane": `var(--lane-${i + 1})` } },
@@ -67,7 +65,7 @@ export function mountDeck(root, context, fleet) {
   }
 
   for (const player of context.players) {
-    player.addEventListener("change", () => deck.cards.filter((c) => c.player === player).forEach(update));
+    player.on("change", () => deck.cards.filter((c) => c.player === player).forEach(update));
   }
   context.on("missions", build);
   return {

@@ -33,16 +33,13 @@ export class EpisodeTable {
       { tabindex: "0", role: "region", "aria-label": "Table of episodes" },
       el(
         "table.table.episodes",
-        {},
         el("caption.visually-hidden", {
           text: "Finished episodes, newest first. Scores, optima and regrets are times 100.",
         }),
         el(
           "thead",
-          {},
           el(
             "tr",
-            {},
             ...COLUMNS.map(([name, , number]) => el(number ? "th.num" : "th", { scope: "col", text: name })),
             el("td"),
           ),
@@ -64,16 +61,15 @@ export class EpisodeTable {
 
   row(episode) {
     const replay = el("button.button.small", {
-      type: "button",
       text: "Replay",
       "aria-label": `Replay ${episode.task}, map ${episode.seed}, by ${episode.agent}`,
     });
     // The click on the button comes up to its row.
     return el(
       "tr",
-      { data: { episode: episode.id }, on: { click: () => this.context.emit("replay", episode.id) } },
-      ...COLUMNS.map(([, cell, number]) => el(number ? "td.num" : "td", {}, cell(episode))),
-      el("td", {}, replay),
+      { data: { episode: episode.id }, press: () => this.context.emit("replay", episode.id) },
+      ...COLUMNS.map(([, cell, number]) => el(number ? "td.num" : "td", cell(episode))),
+      el("td", replay),
     );
   }
 }

@@ -18,10 +18,10 @@ async function boot() {
   const episode = new URLSearchParams(location.search).get("episode");
   const api = createApi(askForToken);
   const figures = loadFigures();
-  const [{ tasks, reward_profiles }, { pilots }, { kinds }] = await firstAnswers(api);
+  const [{ tasks, reward_profiles }, { pilots, most }, { kinds }] = await firstAnswers(api);
   await figures;
   const live = new Live(api.protocols);
-  const context = createContext({ api, live, tasks, rewardProfiles: reward_profiles, pilots, kinds });
+  const context = createContext({ api, live, tasks, rewardProfiles: reward_profiles, pilots, most, kinds });
   const part = (id) => document.getElementById(id);
 
   mountTheme(context);

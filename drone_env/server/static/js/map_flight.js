@@ -11,7 +11,7 @@ const LARGE_DRONE = 56;
 /**
  * @param {CanvasRenderingContext2D} ctx @param {import("./player.js").Player} player
  * @param {import("./map_terrain.js").Layout} layout
- * @param {{showValues: boolean, ghost: number[][]|null, spin: number, breath: number, lift: number}} shown
+ * @param {{values: boolean, ghost: number[][]|null, spin: number, breath: number, lift: number}} shown
  */
 export function drawFlight(ctx, player, layout, shown, colours) {
   const { mission, frames, position } = player;
@@ -40,7 +40,7 @@ export function drawFlight(ctx, player, layout, shown, colours) {
     ctx.globalAlpha = 1;
   }
   const shownFrame = player.frame;
-  if (shown.showValues && shownFrame?.q_values) drawValues(ctx, shownFrame.q_values, x, y, cell, size, colours);
+  if (shown.values && shownFrame?.q_values) drawValues(ctx, shownFrame.q_values, x, y, cell, size, colours);
   if (player.annotation) drawBetterMoves(ctx, player, x, y, cell, size, colours);
   drawDrone(ctx, x, y, size, heading(frames, position), shown.spin, shown.lift, colours);
   if (player.annotation) drawMarkHere(ctx, player, x, y, size, layout, colours);

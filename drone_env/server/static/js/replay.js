@@ -54,11 +54,9 @@ class Replay {
     );
     this.empty = el(
       "div.replay-empty",
-      {},
       el("p", { text: "Nothing is replayed yet." }),
       el(
         "p.note",
-        {},
         "Choose an episode in the ",
         el("a", { href: "#history", text: "history" }),
         ", or drop a file of flights here: what ",
@@ -72,33 +70,27 @@ class Replay {
     this.transport = new Transport(this.player);
     this.summary = new ReplaySummary();
     this.ghost = el("input", { type: "checkbox", checked: true, on: { change: () => this.drawGhost() } });
-    const action = (text, press) => el("button.button.small", { type: "button", text, on: { click: press } });
+    const action = (text, press) => el("button.button.small", { text, press });
     this.link = action("Copy link", () => this.copyLink());
     this.body = el(
       "div.replay-body",
       { hidden: true },
-      el("div.replay-stage", {}, mapRoot, this.transport.root),
+      el("div.replay-stage", mapRoot, this.transport.root),
       el(
         "aside.replay-side",
         { "aria-label": "The flight" },
         this.summary.root,
-        el("label.switch", {}, this.ghost, "Show a best flight as a ghost"),
+        el("label.switch", this.ghost, "Show a best flight as a ghost"),
         moves,
         el(
           "div.replay-actions",
-          {},
           action("Download record", () => this.downloadRecord()),
           this.link,
         ),
       ),
     );
     root.append(
-      el(
-        "div.view-head",
-        {},
-        el("h2", { text: "Replay" }),
-        el("div.filters", {}, this.chooser, el("div", {}, input, choose)),
-      ),
+      el("div.view-head", el("h2", { text: "Replay" }), el("div.filters", this.chooser, el("div", input, choose))),
       this.problem,
       this.empty,
       this.body,
@@ -184,8 +176,7 @@ class Replay {
   }
 
   drawGhost() {
-    this.map.ghost = this.ghost.checked ? (this.player.annotation?.optimal_path ?? null) : null;
-    this.map.refresh();
+    this.map.show({ ghost: this.ghost.checked ? (this.player.annotation?.optimal_path ?? null) : null });
   }
 
   /** The address is a link to the episode that is shown, and to none where a file is. */

@@ -7,7 +7,7 @@ export class ReplaySummary {
     this.title = el("h3.replay-title");
     this.facts = el("dl.facts");
     this.verdict = el("div.verdict", { id: "replay-verdict" });
-    this.root = el("div.replay-summary", {}, this.title, this.facts, this.verdict);
+    this.root = el("div.replay-summary", this.title, this.facts, this.verdict);
   }
 
   /** @param {object} mission @param {object} last The last frame. */
@@ -36,4 +36,4 @@ export class ReplaySummary {
   }
 }
 
-const fact = (name, value) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }));
+const fact = (name, value) => el("div", el("dt", { text: name }), el("dd", { text: value }));

@@ -26,7 +26,7 @@ export function mountResults(context, fleet) {
       if (context.view === "watch" && index === 0 && player.episode === episode) open(player, episode);
     }, LANDING_MILLISECONDS);
   });
-  context.player.addEventListener("frames", () => {
+  context.player.on("frames", () => {
     const { player } = context;
     if (!dialog.open || !player.episode) return;
     const known = scoreRow(player, player.episode);
@@ -47,12 +47,11 @@ export function mountResults(context, fleet) {
 
   function open(player, episode) {
     const { mission, last } = player;
-    next = nextTask(context.tasks, fleet.task());
+    next = nextTask(context.families, fleet.task());
     nextButton = el("button.button.primary", {
-      type: "button",
       id: "next-level",
       text: `Next: ${title(next.short_name)}`,
-      on: { click: goOn },
+      press: goOn,
     });
     countdown = el("p.note.countdown", { id: "countdown" });
     const analysis = el(
@@ -84,18 +83,15 @@ export function mountResults(context, fleet) {
       scores,
       efficiencyBar(last),
       analysis,
-      el("label.switch", {}, cycle, el("span", { text: "Go on to the next level by itself" })),
+      el("label.switch", cycle, el("span", { text: "Go on to the next level by itself" })),
       el(
         "div.dialog-actions",
-        {},
         nextButton,
         el("button.button", {
-          type: "button",
           text: "Fly again",
-          on: { click: () => fleet.start({}, { play: true }) },
+          press: () => fleet.start({}, { play: true }),
         }),
         el("button.button", {
-          type: "button",
           text: "Look at the flight",
           on: {
             click: () => {
@@ -104,7 +100,7 @@ export function mountResults(context, fleet) {
             },
           },
         }),
-        el("button.button.quiet", { type: "button", text: "Close", on: { click: () => dialog.close() } }),
+        el("button.button.quiet", { text: "Close", press: () => dialog.close() }),
       ),
       countdown,
     );
@@ -134,9 +130,9 @@ export function mountResults(context, fleet) {
   }
 }
 
-/** Easy, Medium, Hard, Easy; Skyline goes round likewise. */
-function nextTask(tasks, task) {
-  const group = tasks.filter((other) => other.published === task.published);
+/** Easy, Medium, Hard, Easy; every family goes round. */
+function nextTask(families, task) {
+  const group = families.get(task.family);
   return group[(group.indexOf(task) + 1) % group.length];
 }
 
@@ -145,7 +141,6 @@ function scoreRow({ frames, last }, episode) {
   const number = (name, text, id, note) =>
     el(
       "div.result-number",
-      {},
       el("dt", { text: name }),
       el("dd", { id, text }),
       note ? el("dd.result-note", { text: note }) : null,
@@ -154,7 +149,6 @@ function scoreRow({ frames, last }, episode) {
   const regret = episode.regret ?? last.regret;
   return el(
     "dl.result-numbers",
-    {},
     number("Efficiency", fixed(last.efficiency, 1), "result-efficiency", "of 100"),
     number(
       "Score",

@@ -19,10 +19,8 @@ export function mountStandings(root, context, fleet) {
     el("caption.visually-hidden", { text: "Standings" }),
     el(
       "thead",
-      {},
       el(
         "tr",
-        {},
         ...["Pilot", "Steps", "Parcels", "Score", "Given away"].map((name, i) =>
           el(i ? "th.num" : "th", { scope: "col", text: name }),
         ),
@@ -33,7 +31,7 @@ export function mountStandings(root, context, fleet) {
   const note = el("p.note", { id: "race-note" });
   const moves = el("div.race-moves");
   const chart = el("figure.race-chart");
-  root.append(el("div.panel-head", {}, el("h2.eyebrow", { text: "Standings" })), table, note, chart, moves);
+  root.append(el("div.panel-head", el("h2.eyebrow", { text: "Standings" })), table, note, chart, moves);
   const canvas = mountRaceChart(chart, context, fleet);
   let lists = [];
   let rows = [];
@@ -54,7 +52,7 @@ export function mountStandings(root, context, fleet) {
       const cells = Array.from({ length: 4 }, () => el("td.num"));
       const name = el(
         "button.standing-name",
-        { type: "button", on: { click: () => context.emit("select", i) } },
+        { press: () => context.emit("select", i) },
         el("span", { text: fleet.pilot(player.mission.pilot).name }),
       );
       return {
@@ -107,7 +105,7 @@ export function mountStandings(root, context, fleet) {
     selected = i;
     draw();
   });
-  for (const player of context.players) player.addEventListener("change", () => nextFrame(draw));
+  for (const player of context.players) player.on("change", () => nextFrame(draw));
   return canvas;
 }
 
