@@ -11,7 +11,7 @@ const PAUSE = "!M7 5h3.500v14H7zM13.500 5H17v14h-3.500z";
 export function mountControls(root, context, fleet) {
   const start = el("button.button.primary", {
     id: "start",
-    press: () => (fleet.over ? fleet.start({}, { play: true }) : fleet.toggle()),
+    press: () => fleet.toggle(),
   });
   const step = el(
     "button.button",

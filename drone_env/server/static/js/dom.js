@@ -29,6 +29,30 @@ export function el(tag, ...contents) {
   return node;
 }
 
+/** A name with its value, for a `dl`. */
+export const fact = (name, text) => el("div", el("dt", { text: name }), el("dd", { text }));
+
+/**
+ * A table with a caption for screen readers.
+ *
+ * @param {[string, boolean?][]} columns Names, which may be empty, and whether a column has numbers. @param {...HTMLElement} bodies
+ */
+export function table(tag, props, caption, columns, ...bodies) {
+  const head = ([text, number]) => (text ? el(number ? "th.num" : "th", { scope: "col", text }) : el("td"));
+  return el(
+    tag,
+    props,
+    el("caption.visually-hidden", { text: caption }),
+    el("thead", el("tr", ...columns.map(head))),
+    ...bodies,
+  );
+}
+
+/** Closes a dialog by a click beside it. */
+export function closeBeside(dialog) {
+  dialog.addEventListener("click", (event) => event.target === dialog && dialog.close());
+}
+
 /** Sets the text of a node if it differs: unchanged nodes cost no layout. */
 export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;

@@ -110,8 +110,10 @@ export class Fleet extends Emitter {
     this.context.live.send({ type: "pause" });
   }
 
+  /** Starts or pauses; after the end, flies the same map again. */
   toggle() {
-    if (this.playing) this.pause();
+    if (this.over) this.start({}, { play: true });
+    else if (this.playing) this.pause();
     else this.play();
   }
 

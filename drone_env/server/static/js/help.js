@@ -1,5 +1,5 @@
 // The help dialog: what this is, and the keys.
-import { el } from "./dom.js";
+import { closeBeside, el } from "./dom.js";
 
 const ABOUT =
   "A drone delivers parcels on a city grid before its battery is empty. Buildings, trees and barriers cost reward; " +
@@ -37,9 +37,7 @@ export function mountHelp() {
     el("p.note", "For programs: ", el("a", { href: "docs", text: "the API and its documentation" }), "."),
     el("div.dialog-actions", close),
   );
-  dialog.addEventListener("click", (event) => {
-    if (event.target === dialog) dialog.close();
-  });
+  closeBeside(dialog);
   const open = () => dialog.showModal();
   document.getElementById("help-button").addEventListener("click", open);
   return open;

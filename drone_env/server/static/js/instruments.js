@@ -1,6 +1,6 @@
 // The instruments of one flight: score beside what is still possible, battery, steps, parcels, reward.
 import { el, setText } from "./dom.js";
-import { OUTCOMES, fixed, percent, points, signed, title } from "./format.js";
+import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
 import { nextFrame } from "./loop.js";
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context */
@@ -49,11 +49,11 @@ export function mountInstruments(root, context) {
     const { frame, mission } = player;
     if (!frame) return;
     setText(score, points(frame.score));
-    setText(scoreNote, frame.done ? (OUTCOMES[frame.outcome] ?? frame.outcome) : "provisional");
+    setText(scoreNote, frame.done ? outcome(frame) : "provisional");
     scoreNote.dataset.outcome = frame.outcome;
     setText(possible.value, points(frame.value));
     setText(lost.value, points(frame.regret));
-    lost.value.dataset.some = String(frame.regret > 0.0005);
+    lost.value.dataset.some = String(isLost(frame.regret));
     // Both are the server's: the share still reachable, and what has been lost of the optimum.
     reach.style.setProperty("--value", String(frame.value ?? 0));
     reach.style.setProperty("--lost", String(frame.regret ?? 0));

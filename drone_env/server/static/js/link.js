@@ -1,4 +1,5 @@
 // Links: `?task=hard&seed=7&pilot=pathqnet` is exactly one flight, `?pilots=pathqnet,greedy` a race on it.
+import { toast } from "./dom.js";
 
 /** @param {import("./context.js").Context} context @returns {import("./fleet.js").Setup} What the address of the page asks for; no pilots where it names none. */
 export function setupFromLink({ tasks }) {
@@ -31,4 +32,15 @@ export function showLink(setup) {
   const url = linkOf(setup);
   url.hash = location.hash;
   history.replaceState(null, "", url);
+}
+
+/** Copies an address. */
+export async function copyLink(url) {
+  try {
+    await navigator.clipboard.writeText(String(url));
+    toast("Link copied.");
+  } catch {
+    // Without leave to write the clipboard, as in a frame of another site, the visitor copies it by hand.
+    window.prompt("The link to this flight:", url);
+  }
 }

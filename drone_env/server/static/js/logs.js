@@ -1,7 +1,6 @@
 // Logs, live: the requests that the server answers, the training, and the flights that end.
 import { el } from "./dom.js";
-import { fixed, OUTCOMES, points, title } from "./format.js";
-import { moment } from "./episode_table.js";
+import { fixed, moment, outcome, points, title } from "./format.js";
 
 const KEPT = 200;
 const TOPICS = ["requests", "training", "episodes"];
@@ -57,7 +56,7 @@ function flightLine(e, context) {
     "li",
     el("time.dim", { datetime: e.finished_at, text: moment(e.finished_at) }),
     el("span", {
-      text: ` ${title(e.task)} ${e.seed}, ${e.agent}: ${OUTCOMES[e.outcome] ?? e.outcome}, ${e.steps} steps, score ${points(e.score)} `,
+      text: ` ${title(e.task)} ${e.seed}, ${e.agent}: ${outcome(e)}, ${e.steps} steps, score ${points(e.score)} `,
     }),
     el("button.link", {
       text: "Replay",

@@ -3,7 +3,6 @@
 const NAMES = [
   "ground",
   "panel",
-  "raised",
   "line",
   "line-strong",
   "ink",

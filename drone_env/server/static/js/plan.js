@@ -1,7 +1,7 @@
 // The flight plan on the left: which task, which map, who flies.
 import { el, icon, setText, toast } from "./dom.js";
 import { title } from "./format.js";
-import { linkOf } from "./link.js";
+import { copyLink, linkOf } from "./link.js";
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
 export function mountPlan(root, context, fleet) {
@@ -163,7 +163,7 @@ function mapForm(fleet) {
       id: "copy-link",
       "aria-label": "Copy link to this flight",
       title: "Copy link to this flight",
-      press: () => copyLink(fleet),
+      press: () => copyLink(linkOf(fleet.setup)),
     },
     icon(
       "M10 14a4 4 0 0 0 6 .4l2.6-2.6a4 4 0 0 0-5.7-5.7L11.500 7.500M14 10a4 4 0 0 0-6-.4l-2.600 2.600a4 4 0 0 0 5.700 5.700l1.400-1.400",
@@ -185,16 +185,4 @@ function mapForm(fleet) {
     el("div.row", fresh, copy),
   );
   return { form, seed };
-}
-
-/** Copies the address of exactly these flights. */
-export async function copyLink(fleet) {
-  const url = String(linkOf(fleet.setup));
-  try {
-    await navigator.clipboard.writeText(url);
-    toast("Link copied.");
-  } catch {
-    // Without leave to write the clipboard, as in a frame of another site, the visitor copies it by hand.
-    window.prompt("The link to this flight:", url);
-  }
 }

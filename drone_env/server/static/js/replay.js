@@ -1,11 +1,11 @@
 // Replay: a stored episode, or a file dropped on the page, flown again by the server and annotated move by move.
-import { announce, download, el, toast } from "./dom.js";
+import { announce, download, el, fact } from "./dom.js";
 import { readFlights } from "./flight_file.js";
-import { title } from "./format.js";
+import { fixed, outcome, points, title } from "./format.js";
+import { copyLink } from "./link.js";
 import { CityMap } from "./map.js";
 import { mountMoves } from "./moves.js";
 import { Player } from "./player.js";
-import { ReplaySummary } from "./replay_summary.js";
 import { Transport } from "./transport.js";
 
 /** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
@@ -71,7 +71,7 @@ class Replay {
     this.summary = new ReplaySummary();
     this.ghost = el("input", { type: "checkbox", checked: true, on: { change: () => this.drawGhost() } });
     const action = (text, press) => el("button.button.small", { text, press });
-    this.link = action("Copy link", () => this.copyLink());
+    this.link = action("Copy link", () => copyLink(location.href));
     this.body = el(
       "div.replay-body",
       { hidden: true },
@@ -188,20 +188,45 @@ class Replay {
     this.link.hidden = id === null;
   }
 
-  async copyLink() {
-    try {
-      await navigator.clipboard.writeText(location.href);
-      toast("The link is copied.");
-    } catch {
-      // Browsers refuse it in frames and without TLS: the address bar has the same.
-      toast("The browser does not let a page copy here. The link is the address of this page.");
-    }
-  }
-
   downloadRecord() {
     const { task, seed, agent } = this.record;
     const name = `${task}-${seed}-${agent}`.replace(/[^\w.-]+/g, "_").slice(0, 100);
     download(`${name}.json`, new Blob([`${JSON.stringify(this.record, null, 2)}\n`], { type: "application/json" }));
+  }
+}
+
+/** What a replayed flight came to, beside the optimum of its map. */
+class ReplaySummary {
+  constructor() {
+    this.title = el("h3.replay-title");
+    this.facts = el("dl.facts");
+    this.verdict = el("div.verdict", { id: "replay-verdict" });
+    this.root = el("div.replay-summary", this.title, this.facts, this.verdict);
+  }
+
+  /** @param {object} mission @param {object} last The last frame. */
+  show(mission, last) {
+    this.title.textContent = `${title(mission.task)}, map ${mission.seed}, flown by ${mission.pilot}`;
+    this.facts.replaceChildren(
+      fact("Outcome", outcome(last)),
+      fact("Parcels", `${last.deliveries_done} of ${mission.deliveries_total}`),
+      fact("Steps", `${last.step} of ${mission.max_steps}`),
+      fact("Score", points(last.score)),
+      fact("Efficiency", fixed(last.efficiency, 1)),
+    );
+    this.verdict.replaceChildren();
+  }
+
+  /** @param {object} annotation As `POST /annotate` tells it. */
+  annotated(annotation) {
+    this.facts.append(
+      fact("Optimum", `${points(annotation.optimal_score)} in ${annotation.optimal_steps} steps`),
+      fact("Regret", points(annotation.regret)),
+    );
+  }
+
+  unknown(why) {
+    this.verdict.replaceChildren(el("p.note", { text: why }));
   }
 }
 

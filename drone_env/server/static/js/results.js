@@ -1,7 +1,7 @@
 // Mission Results: how it ended, efficiency, score beside the optimum, the analysis, and what comes next.
-import { analyse } from "./analysis.js";
-import { announce, el, setText } from "./dom.js";
-import { OUTCOMES, fixed, percent, points, title } from "./format.js";
+import { ApiError } from "./api.js";
+import { announce, closeBeside, el, fact, setText } from "./dom.js";
+import { fixed, outcome, percent, points, signed, title } from "./format.js";
 import { recall, remember } from "./storage.js";
 
 const COUNTDOWN_SECONDS = 8;
@@ -37,9 +37,7 @@ export function mountResults(context, fleet) {
   context.on("view", close);
   dialog.addEventListener("close", stop);
   for (const type of ["pointerdown", "keydown"]) dialog.addEventListener(type, stop);
-  dialog.addEventListener("click", (event) => {
-    if (event.target === dialog) dialog.close();
-  });
+  closeBeside(dialog);
 
   function close() {
     if (dialog.open) dialog.close();
@@ -66,7 +64,6 @@ export function mountResults(context, fleet) {
       on: { change: () => remember(CYCLE, cycle.checked ? "on" : "off") },
     });
     const headline = episode.success ? "Mission accomplished" : "Mission failed";
-    const outcome = OUTCOMES[last.outcome] ?? last.outcome;
     scores = scoreRow(player, episode);
     dialog.replaceChildren(
       el(
@@ -77,7 +74,7 @@ export function mountResults(context, fleet) {
         }),
         el("h2", { id: "results-title", text: headline }),
         el("p.results-why", {
-          text: `${outcome}: ${last.deliveries_done} of ${mission.deliveries_total} parcels in ${last.step} steps.`,
+          text: `${outcome(last)}: ${last.deliveries_done} of ${mission.deliveries_total} parcels in ${last.step} steps.`,
         }),
       ),
       scores,
@@ -172,6 +169,50 @@ function efficiencyBar({ efficiency_parts: parts }) {
         el("div.efficiency-bar", { "aria-hidden": "true" }, el("i")),
         el("span.efficiency-name", { text: title(name) }),
         el("span.efficiency-share", { text: `${percent(share)} · weighs ${weight} %` }),
+      ),
+    ),
+  );
+}
+
+/** Fills `root` with what all finished flights of the flight's task come to. @param {HTMLElement} root */
+async function analyse({ api }, mission, root) {
+  try {
+    const a = await api.get(`analyse/${encodeURIComponent(mission.task)}`);
+    root.replaceChildren(
+      el("h3", { text: `${howMany(a.episodes)} of ${title(mission.short_name)} here` }),
+      el(
+        "dl.numbers",
+        ...[
+          ["Success rate", percent(a.success_rate)],
+          ["Success trend", a.success_trend === null ? "–" : `${signed(a.success_trend * 100, 0)} %`],
+          ["Mean score", points(a.average_score)],
+          ["Mean reward", fixed(a.average_reward, 2)],
+          ["Mean steps", fixed(a.average_steps, 1)],
+          ["Mean given away", points(a.mean_regret)],
+        ].map(([name, text]) => fact(name, text)),
+      ),
+      actionBar(a.action_distribution),
+    );
+  } catch (error) {
+    if (!(error instanceof ApiError)) throw error;
+    root.replaceChildren(el("p.note", { text: `The analysis is not to be had: ${error.message}` }));
+  }
+  root.removeAttribute("aria-busy");
+}
+
+const howMany = (flights) => (flights === 1 ? "The only flight" : `All ${flights} flights`);
+
+function actionBar(distribution) {
+  const parts = Object.entries(distribution);
+  return el(
+    "div.actions-bar",
+    ...parts.map(([action, share]) =>
+      el(
+        "div.action-part",
+        { style: { "--share": String(share) } },
+        el("i", { "aria-hidden": "true" }),
+        el("span", { text: `${action} ` }),
+        el("span", { text: percent(share) }),
       ),
     ),
   );

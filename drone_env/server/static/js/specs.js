@@ -1,5 +1,5 @@
 // Technical specifications: the numbers of all levels side by side, as /tasks tells them, and the legend of the map.
-import { el } from "./dom.js";
+import { el, table } from "./dom.js";
 import { fixed, title } from "./format.js";
 
 const NONE = "–";
@@ -42,7 +42,7 @@ const IDENTITY = [
 /** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
 export function mount(root, context) {
   const frame = el("div.scroller", { tabindex: "0", role: "region", "aria-label": "Table of specifications" });
-  const show = (family) => frame.replaceChildren(table(title(family), context.families.get(family)));
+  const show = (family) => frame.replaceChildren(specifications(title(family), context.families.get(family)));
   const families = [...context.families.keys()];
   const choices = families.map((family, i) =>
     el(
@@ -63,18 +63,13 @@ export function mount(root, context) {
   show(families[0]);
 }
 
-function table(family, tasks) {
-  return el(
+function specifications(family, tasks) {
+  const columns = [["Level"], ...tasks.map((task) => [title(task.short_name)])];
+  return table(
     "table.table.specs-table",
-    el("caption.visually-hidden", { text: `Technical specifications of the ${family} levels` }),
-    el(
-      "thead",
-      el(
-        "tr",
-        el("th", { scope: "col", text: "Level" }),
-        ...tasks.map((task) => el("th", { scope: "col", text: title(task.short_name) })),
-      ),
-    ),
+    {},
+    `Technical specifications of the ${family} levels`,
+    columns,
     group("World", WORLD, tasks),
     group("Rewards per step (tiered)", REWARDS, tasks),
     group("Identity", IDENTITY, tasks),
