@@ -18,7 +18,7 @@ from rich.table import Table
 
 from drone_env.commands.arguments import TaskName
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
+from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES, RewardProfile
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
@@ -32,7 +32,7 @@ SplitName = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
 
 def audit(
     task: TaskName = "easy",
-    reward: RewardName = "aligned",
+    reward: RewardName = DEFAULT_PROFILE,
     gamma: float = 1.0,
     maps: int = 20,
     split: SplitName = "test",

@@ -9,6 +9,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from drone_env.agents import AGENTS
 from drone_env.commands.arguments import ProfileName, TaskName
+from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
@@ -26,7 +27,7 @@ def dataset(
     offset: int = 0,
     agents: AgentNames = ("optimal", "greedy", "random"),
     epsilon: float = 0.1,
-    reward_profile: ProfileName = "aligned",
+    reward_profile: ProfileName = DEFAULT_PROFILE,
     formats: FormatNames = ("parquet", "minari"),
 ) -> None:
     """Write a data set of flights in which every step stands beside the exact values of its state.

@@ -1,6 +1,6 @@
-"""Tasks and reward profiles from outside the package.
+"""What is known by name: each task under its Gymnasium id, and tasks and reward profiles from outside the package.
 
-A module registers them when it is imported:
+A module registers its own when it is imported:
 
     courier = replace(get_task("easy"), id="courier", short_name="courier", grader="drone_env.graders:grade_courier")
     register_task(replace(courier, deliveries=2))
@@ -14,12 +14,36 @@ import os
 from importlib import import_module
 from types import ModuleType
 
+import gymnasium
+
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.tasks import PAST_TASKS, TASKS, TaskConfig
-from drone_env.envs.registration import register_envs
 from drone_env.errors import InvalidTaskError, InvalidValueError
 
 PLUGINS = "DRONE_ENV_PLUGINS"
+
+
+def register_envs() -> None:
+    """Register each task and version with Gymnasium that is not registered yet, such as `DroneDelivery-Easy-v1`."""
+    for task in (*TASKS.values(), *PAST_TASKS):
+        if task.gym_id not in gymnasium.registry:
+            gymnasium.register(
+                id=task.gym_id,
+                # A function, not `additional_wrappers`: those cannot stand beside a vector_entry_point.
+                entry_point="drone_env.envs.wrappers:make",
+                vector_entry_point="drone_env.envs.vector:DroneDeliveryVectorEnv",
+                kwargs={"task": task.id, "version": task.version, "gym_id": task.gym_id},
+            )
+
+
+def check_gym_id(gym_id: str | None, task: TaskConfig) -> None:
+    """See that an environment made under a Gymnasium id flies the task of that id.
+
+    Raises:
+        InvalidValueError: if it is another task's.
+    """
+    if gym_id not in (None, task.gym_id):
+        raise InvalidValueError(f"{gym_id} does not fly task {task.id!r}: make {task.gym_id}, or leave the task out")
 
 
 def register_task(task: TaskConfig) -> TaskConfig:
