@@ -28,7 +28,8 @@ def main() -> None:
     ]
     for reward in REWARDS:
         trainer = Trainer(dataclasses.replace(preset("fast", TASK), reward_profile=reward, episodes=EPISODES))
-        trainer.train(lambda progress: None, lambda: None)
+        for _ in trainer.train():
+            pass
         last = trainer.history[-1]
         histories[reward] = trainer.history
         rows.append(
