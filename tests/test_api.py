@@ -172,7 +172,17 @@ def test_get_tasks_and_graders(http: TestClient) -> None:
     assert list(tasks) == [task["name"] for task in tasks.values()]
     assert list(tasks) == list(drone_env.TASKS)
     for task_id, task in drone_env.TASKS.items():
-        for name in ("width", "height", "deliveries", "max_steps", "r_delivery", "r_wall", "version", "grader"):
+        for name in (
+            "width",
+            "height",
+            "deliveries",
+            "max_steps",
+            "r_delivery",
+            "r_wall",
+            "version",
+            "grader",
+            "family",
+        ):
             assert tasks[task_id][name] == getattr(task, name)
     published = [task_id for task_id, task in tasks.items() if task["published"]]
     assert published == ["easy_delivery", "medium_delivery", "hard_delivery"]

@@ -18,9 +18,15 @@ from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.grid_generator import generate_city_map
 from drone_env.core.tasks import TaskConfig
-from drone_env.envs.figures import PALETTE, Point, around, draw_figure, stroke
+from drone_env.envs.figures import Point, around, draw_figure, stroke
 from drone_env.errors import InvalidValueError
 
+_COLOURS = """
+backdrop #DCE6E6, shadow #33474E, card #FDFCF8, rail #E7EBE5, tint #F1F4EE, ink #24343B, muted #78878B, white #FFFFFF,
+good #55A27A, fair #E3A94B, low #DB6058, flight #6C83C6, trail #4C63B6, target #E0525F, lawn #CFDEBB, shrub #B4CB9E,
+kerb #DDD8C6, street #F7F4EA, marking #DCD5C2
+"""
+PALETTE = {pair.split()[0]: pair.split()[1] for pair in _COLOURS.split(",")}
 STATUS = {
     Outcome.FLYING: ("In flight", "flight"),
     Outcome.DELIVERED: ("All delivered", "good"),

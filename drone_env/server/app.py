@@ -37,7 +37,7 @@ from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.request_log import LogRequests
 from drone_env.server.routes import catalogue, flight, history, replay, step
-from drone_env.server.security import PAGE, protect
+from drone_env.server.security import ART, PAGE, protect
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import Shared
 
@@ -130,7 +130,7 @@ def _add_page(app: FastAPI, live: LiveSocket) -> None:
         with lock:
             return Response(described(), media_type="application/json")
 
-    app.mount("/static", StaticFiles(directory=PAGE))
+    app.mount("/static", StaticFiles(directory=PAGE, packages=[("drone_env.envs", ART.name)]))
 
 
 async def _sweep(shared: Shared, socket: OpenEnvSocket, live: LiveSocket) -> None:

@@ -241,6 +241,7 @@ class PilotList(Message):
     """All who fly on the page."""
 
     pilots: list[PilotInfo]
+    most: Count = Field(description="How many can race on a map.")
 
 
 class ModelInfo(Message):

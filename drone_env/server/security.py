@@ -21,7 +21,11 @@ from drone_env.server.settings import Settings
 from drone_env.server.strict_json import parse_json
 
 PAGE = Path(__file__).with_name("static")
-OPEN_PATHS = {"/health", "/"} | {f"/static/{path.relative_to(PAGE).as_posix()}" for path in PAGE.rglob("*.*")}
+ART = Path(__file__).parents[1] / "envs" / "art"
+"""What the pictures of Gymnasium and the page are both drawn from."""
+OPEN_PATHS = {"/health", "/"} | {
+    f"/static/{path.relative_to(folder).as_posix()}" for folder in (PAGE, ART) for path in folder.rglob("*.*")
+}
 """Answered without a token: whoever watches over the process has none, and the page asks for it."""
 POLICY_VIOLATION = 1008
 OFFER = "bearer."

@@ -131,7 +131,7 @@ def test_a_server_that_wants_a_token_is_killed_and_comes_back_and_the_mission_go
         page.get_by_role("button", name="Start", exact=True).click()
         expect(page.locator("#step-counter")).to_have_text(re.compile("Step ([2-9]|[1-9][0-9]) of 160"))
         server.kill()
-        banner = page.get_by_role("alert").filter(has_text="The server is away. Your mission is kept.")
+        banner = page.get_by_role("alert").filter(has_text="The server is away. Your flight is kept.")
         expect(banner).to_be_visible()
         expect(page.locator("#connection")).to_contain_text("away")
         assert 2 <= counter(page) < len(flight.actions)
@@ -200,6 +200,6 @@ def test_a_server_that_ends_each_connection_is_asked_five_times_and_then_when_th
         # One that lasts is a good one, and what was before it is forgotten.
         page.clock.run_for(10_000)
         connections[-1].close(code=1011)
-        expect(page.get_by_role("alert").filter(has_text="The server is away. Your mission is kept.")).to_be_visible()
+        expect(page.get_by_role("alert").filter(has_text="The server is away. Your flight is kept.")).to_be_visible()
         page.clock.run_for(1000)
         until(page, lambda: len(connections) == 8)

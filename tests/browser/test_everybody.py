@@ -78,7 +78,7 @@ def test_everything_goes_with_the_keyboard_alone(page: Page) -> None:
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
     focused = page.locator(":focus")
     page.keyboard.press("Tab")
-    expect(focused).to_have_text("Skip to the mission")
+    expect(focused).to_have_text("Skip to the flight")
     page.keyboard.press("Enter")
     names = []
     for _ in range(40):

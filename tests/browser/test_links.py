@@ -24,7 +24,7 @@ def test_a_link_opens_exactly_its_mission(page: Page, beside: Callable[[str], Pa
     page.get_by_role("combobox", name="Rewards").select_option("composite")
     expect(page).to_have_url(re.compile("profile=composite"))
     seed = page.get_by_role("spinbutton", name="Map").input_value()
-    page.get_by_role("button", name="Copy link to this mission").click()
+    page.get_by_role("button", name="Copy link to this flight").click()
     expect(page.locator("#toasts")).to_contain_text("Link copied.")
     link = page.evaluate("navigator.clipboard.readText()")
     assert link == f"{server.url}/?task=easy&seed={seed}&pilot=optimal&profile=composite"
@@ -69,7 +69,7 @@ def test_where_no_pilot_is_named_the_network_that_was_trained_here_flies(page: P
 @pytest.mark.parametrize("link", ["/?episode=#constructor", "/?pilots=,,#nothing"])
 def test_a_link_to_nothing_opens_watch(page: Page, link: str) -> None:
     page.goto(link)
-    expect(page).to_have_title("Watch a mission · Drone Delivery")
+    expect(page).to_have_title("Watch a flight · Drone Delivery")
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
 
 
@@ -85,7 +85,7 @@ def test_back_goes_back_though_the_link_has_changed(page: Page) -> None:
     view(page, "Race")
     expect(page.locator(".card")).to_have_count(4)
     page.go_back()
-    expect(page).to_have_title("Watch a mission · Drone Delivery")
+    expect(page).to_have_title("Watch a flight · Drone Delivery")
     expect(page.locator(".card")).to_have_count(1)
     page.go_forward()
     expect(page.locator(".card")).to_have_count(4)

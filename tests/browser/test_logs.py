@@ -1,4 +1,4 @@
-"""The logs: requests, training and missions, as they come."""
+"""The logs: requests, training and flights, as they come."""
 
 from pathlib import Path
 
@@ -33,9 +33,9 @@ def test_training_lines_appear_as_they_are_written(page: Page, data: Path) -> No
     assert MARKUP in log.inner_text()
 
 
-def test_missions_that_end_appear_and_can_be_replayed(page: Page, server: Server) -> None:
+def test_flights_that_end_appear_and_can_be_replayed(page: Page, server: Server) -> None:
     view(page, "Logs")
-    log = page.get_by_role("log", name="Missions")
+    log = page.get_by_role("log", name="Flights")
     expect(log.get_by_role("listitem").first).to_be_visible()
     with DroneEnvClient(server.url) as client:
         observation = client.reset("easy", seed=4242)

@@ -1,8 +1,10 @@
 """The technical specifications: what the page shows is what `/tasks` and `/kinds` say."""
 
+from collections.abc import Callable
+
 import httpx
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.api.serving import Server
 from tests.browser.stage import view
@@ -21,10 +23,10 @@ def table(page: Page, name: str) -> dict[str, list[str]]:
 def test_the_levels_stand_side_by_side_as_the_server_tells_them(page: Page, server: Server) -> None:
     tasks = httpx.get(f"{server.url}/tasks").json()["tasks"]
     view(page, "Specifications")
-    for family, published in (("Delivery", True), ("Skyline", False)):
+    for family in ("City", "Skyline"):
         page.get_by_role("radio", name=family).check()
         shown = table(page, f"Technical specifications of the {family} levels")
-        levels = [task for task in tasks if task["published"] == published]
+        levels = [task for task in tasks if task["family"] == family.lower()]
         assert len(levels) == 3
         assert shown["Id"] == [task["id"] for task in levels]
         assert shown["Grid"] == [f"{task['width']} × {task['height']}" for task in levels]
@@ -39,10 +41,29 @@ def test_the_levels_stand_side_by_side_as_the_server_tells_them(page: Page, serv
         for row, name in (("Delivery", "r_delivery"), ("Step", "r_step"), ("Battery empty", "r_battery_dead")):
             assert shown[row] == [f"{task[name]:.2f}" for task in levels]
         assert shown["Battery"] == [f"{task['battery_capacity']} units" for task in levels]
-        if published:
+        if family == "City":
             assert shown["Grid"] == ["10 × 10", "14 × 14", "18 × 18"]
             assert shown["Parcels"] == ["1", "3", "5"]
     assert "Charging pads" in shown
+
+
+def test_a_task_of_a_plugin_stands_under_its_own_family(beside: Callable[[str], Page]) -> None:
+    def tasks(route: Route) -> None:
+        answer = route.fetch()
+        known = answer.json()
+        known["tasks"].append(known["tasks"][0] | {"id": "hop", "short_name": "parcel_hop", "family": "parcel"})
+        route.fulfill(response=answer, json=known)
+
+    page = beside("")
+    page.route("**/tasks", tasks)
+    page.goto("/")
+    for family, levels in (("City", 3), ("Skyline", 3), ("Parcel", 1)):
+        row = page.get_by_role("group", name=family, exact=True)
+        expect(row.get_by_role("radio")).to_have_count(levels)
+    expect(page.get_by_role("radio", name="Parcel Hop")).to_be_attached()
+    view(page, "Specifications")
+    page.get_by_role("radio", name="Parcel", exact=True).check()
+    assert table(page, "Technical specifications of the Parcel levels")["Id"] == ["hop"]
 
 
 def test_all_calls_stand_at_docs_and_can_be_tried_without_the_internet(shared: Tabs, server: Server) -> None:

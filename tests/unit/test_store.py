@@ -15,13 +15,14 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.episodes.database import APPLICATION_ID, MIGRATIONS, migrate
 from drone_env.episodes.record import EpisodeRecord, parse_record, record_of, replay
-from drone_env.episodes.store import FILE_NAME, Store, data_folder
+from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.errors import (
     EpisodeError,
     InvalidValueError,
     StoreError,
     UnknownNameError,
 )
+from drone_env.files import data_folder
 from tests.unit.stores import flown, flying, mine, opened, unlike, view
 
 # Finished episodes

@@ -2,6 +2,7 @@
 //
 // uPlot is loaded with the first chart: most visits never come to one.
 import { download, el } from "./dom.js";
+import { palette } from "./palette.js";
 
 const FILES = new URL("../vendor/uplot/", import.meta.url);
 const HEIGHT = 208;
@@ -28,11 +29,6 @@ function loaded(element) {
     element.addEventListener("error", () => reject(new Error("The charts could not be loaded.")));
     document.head.append(element);
   });
-}
-
-/** A design token as it is now, such as `--accent`. */
-function token(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 }
 
 /**
@@ -62,18 +58,12 @@ export class Chart {
     this.summary = el("p.note");
     this.frame = el("div.chart-frame");
     this.save = el("button.button.quiet.small", {
-      type: "button",
       text: "PNG",
       "aria-label": `Save the chart "${options.title}" as PNG`,
-      on: { click: () => this.download() },
+      press: () => this.download(),
     });
     root.append(
-      el(
-        "figure.chart",
-        {},
-        el("figcaption", {}, el("h3", { text: options.title }), this.save, this.summary),
-        this.frame,
-      ),
+      el("figure.chart", el("figcaption", el("h3", { text: options.title }), this.save, this.summary), this.frame),
     );
     new ResizeObserver(() => this.plot && this.frame.clientWidth && this.plot.setSize(this.size())).observe(this.frame);
     context.on("theme", () => this.plot?.redraw(false, true));
@@ -114,12 +104,12 @@ export class Chart {
   settings(uPlot) {
     const { kind, format, range, least = 1, x, y } = this.options;
     const bars = kind === "bars";
-    const accent = () => token("--accent");
+    const accent = () => palette().accent;
     const axis = {
-      stroke: () => token("--ink-2"),
-      grid: { stroke: () => token("--line"), width: 1 },
+      stroke: () => palette().ink2,
+      grid: { stroke: () => palette().line, width: 1 },
       ticks: { show: false },
-      font: `12px ${token("--font")}`,
+      font: `12px ${palette().font}`,
     };
     return {
       ...this.size(),
@@ -172,7 +162,7 @@ export class Chart {
 
 function fillBehind(ctx) {
   ctx.save();
-  ctx.fillStyle = token("--panel");
+  ctx.fillStyle = palette().panel;
   ctx.fillRect(0, 0, ctx.canvas.width, ctx.canvas.height);
   ctx.restore();
 }

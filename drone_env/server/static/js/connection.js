@@ -27,7 +27,7 @@ export function mountConnection({ live }) {
       text,
       state === "refused"
         ? `The server refused the connection${why}.`
-        : `The server is away${why}. Your mission is kept.`,
+        : `The server is away${why}. Your flight is kept.`,
     );
     // Counted down for the eye alone: a screen reader would say every second of it.
     const say = () => {

@@ -10,24 +10,22 @@ const PAUSE = "!M7 5h3.500v14H7zM13.500 5H17v14h-3.500z";
 /** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
 export function mountControls(root, context, fleet) {
   const start = el("button.button.primary", {
-    type: "button",
     id: "start",
-    on: { click: () => (fleet.over ? fleet.start({}, { play: true }) : fleet.toggle()) },
+    press: () => fleet.toggle(),
   });
   const step = el(
     "button.button",
-    { type: "button", id: "step", title: "One step (.)", on: { click: () => fleet.step() } },
+    { id: "step", title: "One step (.)", press: () => fleet.step() },
     icon("!M5 5v14l9-7z", "M18 5v14"),
     el("span", { text: "Step" }),
   );
   const again = el(
     "button.icon-button",
     {
-      type: "button",
       id: "restart",
       title: "Same map again (R)",
       "aria-label": "Fly the same map again",
-      on: { click: () => fleet.start() },
+      press: () => fleet.start(),
     },
     icon("M5 12a7 7 0 1 0 2.200-5.100M5 4v4h4"),
   );
@@ -42,11 +40,10 @@ export function mountControls(root, context, fleet) {
   const speedText = el("output", { for: "speed" });
   const bar = el(
     "div.controls",
-    {},
     start,
     step,
     again,
-    el("div.speed", {}, el("label", { for: "speed", text: "Speed" }), speed, speedText),
+    el("div.speed", el("label", { for: "speed", text: "Speed" }), speed, speedText),
   );
   const strip = el("div");
   const counter = el("span.counter", { id: "step-counter" });
@@ -62,7 +59,7 @@ export function mountControls(root, context, fleet) {
     ghost,
     el("span", { text: "Best flight" }),
   );
-  root.append(strip, el("div.controls-row", {}, bar, el("div.where", {}, ghostSwitch, counter)));
+  root.append(strip, el("div.controls-row", bar, el("div.where", ghostSwitch, counter)));
   const timeline = mountTimeline(strip, context, {
     label: "Step of the flight that is shown",
     seek: (k) => fleet.active.forEach((player) => player.seek(k)),
@@ -98,10 +95,10 @@ export function mountControls(root, context, fleet) {
     words = state;
   }
 
-  for (const player of context.players) player.addEventListener("change", () => nextFrame(progress));
-  fleet.addEventListener("playing", update);
+  for (const player of context.players) player.on("change", () => nextFrame(progress));
+  fleet.on("playing", update);
   context.live.on("state", update);
-  fleet.addEventListener("setup", update);
+  fleet.on("setup", update);
   context.on("missions", (players) => {
     timeline.show(players);
     update();

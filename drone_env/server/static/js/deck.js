@@ -1,10 +1,7 @@
 // The maps in the middle: one in Watch, up to four side by side in Race.
 import { el, setText } from "./dom.js";
-import { OUTCOMES, points } from "./format.js";
+import { isLost, outcome, points } from "./format.js";
 import { CityMap } from "./map.js";
-
-/** What is less is not worth a word: it would be written as 0.0. */
-const LEAST_REGRET = 0.0005;
 
 /**
  * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
@@ -29,9 +26,7 @@ export function mountDeck(root, context, fleet) {
     const field = el("div.map-field");
     const name = el("span.card-name");
     const state = el("span.card-state");
-    const head = race
-      ? el("button.card-head", { type: "button", "aria-pressed": "false", on: { click: () => choose(i) } }, name, state)
-      : null;
+    const head = race ? el("button.card-head", { "aria-pressed": "false", press: () => choose(i) }, name, state) : null;
     const node = el(
       "figure.card",
       { data: { pilot: player.mission.pilot }, style: { "--lane": `var(--lane-${i + 1})` } },
@@ -48,11 +43,11 @@ export function mountDeck(root, context, fleet) {
     if (!head || player.empty) return;
     const { frame, mission } = player;
     setText(name, fleet.pilot(mission.pilot).name);
-    const lost = frame.regret > LEAST_REGRET ? ` · −${points(frame.regret)}` : "";
+    const lost = isLost(frame.regret) ? ` · −${points(frame.regret)}` : "";
     setText(
       state,
       frame.done
-        ? `${points(frame.score)} · ${OUTCOMES[frame.outcome] ?? frame.outcome}`
+        ? `${points(frame.score)} · ${outcome(frame)}`
         : `step ${frame.step} · ${frame.deliveries_done}/${mission.deliveries_total}${lost}`,
     );
   }
@@ -67,7 +62,7 @@ export function mountDeck(root, context, fleet) {
   }
 
   for (const player of context.players) {
-    player.addEventListener("change", () => deck.cards.filter((c) => c.player === player).forEach(update));
+    player.on("change", () => deck.cards.filter((c) => c.player === player).forEach(update));
   }
   context.on("missions", build);
   return {

@@ -2,13 +2,15 @@
 
 /**
  * @param {string} tag Element name, with optional classes: `div.gauge.wide`; `svg:path` for an SVG element.
- * @param {Object} [props] `text` sets textContent, `on` adds listeners, `style` sets custom properties and styles,
- *   `data` sets data attributes, null and undefined are left out, everything else is an attribute or a property.
- * @param {...(Node|string|null)} children
- * @returns {HTMLElement}
+ * @param {...(Object|Node|string|null)} contents Children; before them, what the element is given: `text` sets
+ *   textContent, `press` is called on a click, `on` adds listeners, `style` sets custom properties and styles, `data` sets
+ *   data attributes, null and undefined are left out, everything else is an attribute or a property.
+ * @returns {HTMLElement} A button submits nothing unless its `type` says so.
  */
-export function el(tag, props = {}, ...children) {
+export function el(tag, ...contents) {
+  const given = contents[0]?.constructor === Object ? contents.shift() : {};
   const [name, ...classes] = tag.split(".");
+  const props = name === "button" ? { type: "button", ...given } : given;
   const node = name.startsWith("svg:")
     ? document.createElementNS("http://www.w3.org/2000/svg", name.slice(4))
     : document.createElement(name);
@@ -16,14 +18,39 @@ export function el(tag, props = {}, ...children) {
   for (const [key, value] of Object.entries(props)) {
     if (value === null || value === undefined) continue;
     if (key === "text") node.textContent = value;
+    else if (key === "press") node.addEventListener("click", value);
     else if (key === "on") for (const [type, f] of Object.entries(value)) node.addEventListener(type, f);
     else if (key === "data") Object.assign(node.dataset, value);
     else if (key === "style") for (const [k, v] of Object.entries(value)) node.style.setProperty(k, v);
     else if (typeof value === "boolean" || key === "value") node[key] = value;
     else node.setAttribute(key, value);
   }
-  node.append(...children.filter((child) => child !== null && child !== undefined));
+  node.append(...contents.filter((child) => child !== null && child !== undefined));
   return node;
+}
+
+/** A name with its value, for a `dl`. */
+export const fact = (name, text) => el("div", el("dt", { text: name }), el("dd", { text }));
+
+/**
+ * A table with a caption for screen readers.
+ *
+ * @param {[string, boolean?][]} columns Names, which may be empty, and whether a column has numbers. @param {...HTMLElement} bodies
+ */
+export function table(tag, props, caption, columns, ...bodies) {
+  const head = ([text, number]) => (text ? el(number ? "th.num" : "th", { scope: "col", text }) : el("td"));
+  return el(
+    tag,
+    props,
+    el("caption.visually-hidden", { text: caption }),
+    el("thead", el("tr", ...columns.map(head))),
+    ...bodies,
+  );
+}
+
+/** Closes a dialog by a click beside it. */
+export function closeBeside(dialog) {
+  dialog.addEventListener("click", (event) => event.target === dialog && dialog.close());
 }
 
 /** Sets the text of a node if it differs: unchanged nodes cost no layout. */

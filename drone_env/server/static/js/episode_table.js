@@ -1,14 +1,15 @@
 // A table of finished episodes; each can be replayed.
-import { el } from "./dom.js";
-import { fixed, OUTCOMES, points, title } from "./format.js";
+import { el, table } from "./dom.js";
+import { fixed, moment, outcome, points, title } from "./format.js";
 
+const CAPTION = "Finished episodes, newest first. Scores, optima and regrets are times 100.";
 /** Name of the column, what stands in it, whether it is a number. */
 const COLUMNS = [
   ["Finished", (e) => el("time", { datetime: e.finished_at, text: moment(e.finished_at) })],
   ["Task", (e) => title(e.task)],
   ["Map", (e) => String(e.seed), true],
   ["Agent", (e) => e.agent],
-  ["Outcome", (e) => OUTCOMES[e.outcome] ?? e.outcome],
+  ["Outcome", (e) => outcome(e)],
   ["Parcels", (e) => `${e.deliveries} / ${e.deliveries_total}`, true],
   ["Steps", (e) => String(e.steps), true],
   ["Reward", (e) => fixed(e.reward_total), true],
@@ -16,11 +17,6 @@ const COLUMNS = [
   ["Optimum", (e) => points(e.optimal_score), true],
   ["Regret", (e) => points(e.regret), true],
 ];
-
-/** When it was, in the visitor's own time. */
-export function moment(iso) {
-  return new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "medium" });
-}
 
 export class EpisodeTable {
   /** @param {import("./context.js").Context} context Told by "replay" which episode was clicked. */
@@ -31,22 +27,11 @@ export class EpisodeTable {
     this.root = el(
       "div.scroller",
       { tabindex: "0", role: "region", "aria-label": "Table of episodes" },
-      el(
+      table(
         "table.table.episodes",
         {},
-        el("caption.visually-hidden", {
-          text: "Finished episodes, newest first. Scores, optima and regrets are times 100.",
-        }),
-        el(
-          "thead",
-          {},
-          el(
-            "tr",
-            {},
-            ...COLUMNS.map(([name, , number]) => el(number ? "th.num" : "th", { scope: "col", text: name })),
-            el("td"),
-          ),
-        ),
+        CAPTION,
+        [...COLUMNS.map(([name, , number]) => [name, number]), [""]],
         this.body,
       ),
     );
@@ -64,16 +49,15 @@ export class EpisodeTable {
 
   row(episode) {
     const replay = el("button.button.small", {
-      type: "button",
       text: "Replay",
       "aria-label": `Replay ${episode.task}, map ${episode.seed}, by ${episode.agent}`,
     });
     // The click on the button comes up to its row.
     return el(
       "tr",
-      { data: { episode: episode.id }, on: { click: () => this.context.emit("replay", episode.id) } },
-      ...COLUMNS.map(([, cell, number]) => el(number ? "td.num" : "td", {}, cell(episode))),
-      el("td", {}, replay),
+      { data: { episode: episode.id }, press: () => this.context.emit("replay", episode.id) },
+      ...COLUMNS.map(([, cell, number]) => el(number ? "td.num" : "td", cell(episode))),
+      el("td", replay),
     );
   }
 }

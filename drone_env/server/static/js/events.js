@@ -13,13 +13,12 @@ export function mountEvents(root, context) {
   const moves = el("div", { hidden: true });
   const heading = el("h2.eyebrow", { text: "Messages" });
   const explain = el("button.button.small", {
-    type: "button",
     id: "explain",
     text: "Annotate the moves",
     hidden: true,
-    on: { click: () => context.emit("explain", player) },
+    press: () => context.emit("explain", player),
   });
-  root.append(el("div.panel-head", {}, heading, explain), list, moves);
+  root.append(el("div.panel-head", heading, explain), list, moves);
   mountMoves(moves, player);
   let written = 0;
 
@@ -53,6 +52,6 @@ export function mountEvents(root, context) {
     if (!QUIET.has(last.event) || last.done) announce(last.message);
   }
 
-  player.addEventListener("load", reset);
-  player.addEventListener("frames", () => nextFrame(write));
+  player.on("load", reset);
+  player.on("frames", () => nextFrame(write));
 }

@@ -1,21 +1,21 @@
-// The live missions of this page: what is asked of the server, and what it tells.
+// The live flights of this page: what is asked of the server, and what it tells.
 import { toast } from "./dom.js";
+import { Emitter } from "./emitter.js";
 
 export const SPEEDS = [0.5, 1, 2, 4, 6, 10, 15, 30, 60];
 const DEFAULT_SPEED = 6;
 const HUMAN_SPEED = 8;
 const PATIENCE = 2500;
-export const FIRST_TASK = "easy";
-export const DEFAULT_PROFILE = "tiered";
 
 /**
  * @typedef {Object} Setup What is flown.
- * @property {string} task Short name. @property {number|null} seed null for any map. @property {string} profile
+ * @property {string} task Short name. @property {number|null} seed null for any map. @property {string|null} profile null for the
+ *   server's.
  * @property {string[]} pilots One to four ids.
  *
- * Events: "setup" other missions were chosen, "playing" started, paused or another speed, "refused" (detail: text).
+ * Events: "setup" other flights were chosen, "playing" started, paused or another speed, "refused" (text).
  */
-export class Fleet extends EventTarget {
+export class Fleet extends Emitter {
   /** @param {import("./context.js").Context} context @param {Setup} setup What to begin with. */
   constructor(context, setup) {
     super();
@@ -41,17 +41,17 @@ export class Fleet extends EventTarget {
     window.addEventListener("pagehide", ({ persisted }) => persisted || live.send({ type: "end" }));
   }
 
-  /** The players that have a mission. */
+  /** The players that have a flight. */
   get active() {
     return this.context.players.filter((player) => !player.empty);
   }
 
-  /** Whether all missions have ended. */
+  /** Whether all flights have ended. */
   get over() {
     return this.active.length > 0 && this.active.every((player) => player.last.done);
   }
 
-  /** The index of the mission that the visitor flies; -1 for none. */
+  /** The index of the flight that the visitor flies; -1 for none. */
   get human() {
     return this.setup.pilots.findIndex((id) => !this.pilot(id).automatic);
   }
@@ -77,11 +77,16 @@ export class Fleet extends EventTarget {
     return !task || this.pilot(id).tasks.includes(task.id);
   }
 
-  /** Starts other missions: what is named in `change` is new, the rest as it was. */
+  /** Ids of all who fly a task by themselves, as the server lists them. */
+  able(task = this.task()) {
+    return this.context.pilots.filter(({ id, automatic }) => automatic && this.flies(id, task)).map(({ id }) => id);
+  }
+
+  /** Starts other flights: what is named in `change` is new, the rest as it was. */
   start(change = {}, { play = false } = {}) {
     this.setup = { ...this.setup, ...change };
     this.playAfterStart = play;
-    this.tell("setup");
+    this.emit("setup");
     this.asked = "start";
     const { task, seed, profile, pilots } = this.setup;
     // Without a connection it is started as soon as there is one.
@@ -89,7 +94,7 @@ export class Fleet extends EventTarget {
     this.waiting = !this.context.live.send({ type: "start", number: ++this.number, ...what });
   }
 
-  /** Called when missions are to be seen for the first time: until then none is flown. */
+  /** Called when flights are to be seen for the first time: until then none is flown. */
   want() {
     if (this.wanted) return;
     this.wanted = true;
@@ -105,8 +110,10 @@ export class Fleet extends EventTarget {
     this.context.live.send({ type: "pause" });
   }
 
+  /** Starts or pauses; after the end, flies the same map again. */
   toggle() {
-    if (this.playing) this.pause();
+    if (this.over) this.start({}, { play: true });
+    else if (this.playing) this.pause();
     else this.play();
   }
 
@@ -118,7 +125,7 @@ export class Fleet extends EventTarget {
   setSpeed(speed) {
     this.speed = speed;
     if (this.playing) this.play(speed);
-    else this.tell("playing");
+    else this.emit("playing");
   }
 
   /** One move of the visitor. The others move along unless they fly by themselves. */
@@ -168,7 +175,7 @@ export class Fleet extends EventTarget {
     }
     this.speed = playing ? speed : this.speed;
     this.setPlaying(playing, this.speed);
-    this.tell("setup");
+    this.emit("setup");
     this.context.emit("missions", this.active);
     if (newest && this.playAfterStart && !playing) this.play();
     if (newest) this.playAfterStart = false;
@@ -190,7 +197,7 @@ export class Fleet extends EventTarget {
       player.speed = this.setup.pilots.length === 1 && !this.automatic ? HUMAN_SPEED : this.speed;
       player.tell("change");
     }
-    this.tell("playing");
+    this.emit("playing");
   }
 
   ended(mission, episode) {
@@ -206,14 +213,10 @@ export class Fleet extends EventTarget {
     const asked = this.asked;
     this.asked = null;
     if (asked !== "start" && code === "session_gone") {
-      toast("The server has ended that mission meanwhile: it starts anew.");
+      toast("The server has ended that flight meanwhile: it starts anew.");
       this.start({}, { play: this.playAfterStart || this.playing });
       return;
     }
-    this.dispatchEvent(new CustomEvent("refused", { detail }));
-  }
-
-  tell(type) {
-    this.dispatchEvent(new Event(type));
+    this.emit("refused", detail);
   }
 }

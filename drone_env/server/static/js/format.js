@@ -32,11 +32,22 @@ export function title(name) {
     .join(" ");
 }
 
-export const OUTCOMES = {
+const OUTCOMES = {
   flying: "In flight",
   delivered: "All parcels delivered",
   battery_dead: "Battery empty",
   out_of_steps: "Out of steps",
 };
+
+/** How a frame or an episode ended, in words. */
+export const outcome = ({ outcome }) => OUTCOMES[outcome] ?? outcome;
+
+/** What is less than half a tenth of a point is not worth a word: it would be written as 0.0. */
+export const isLost = (regret) => regret > 0.0005;
+
+/** When it was, in the visitor's own time. */
+export function moment(iso) {
+  return new Date(iso).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "medium" });
+}
 
 export const ARROWS = { UP: "↑", DOWN: "↓", LEFT: "←", RIGHT: "→", WAIT: "•" };

@@ -1,5 +1,5 @@
 // The help dialog: what this is, and the keys.
-import { el } from "./dom.js";
+import { closeBeside, el } from "./dom.js";
 
 const ABOUT =
   "A drone delivers parcels on a city grid before its battery is empty. Buildings, trees and barriers cost reward; " +
@@ -24,27 +24,20 @@ const KEYS = [
 export function mountHelp() {
   const dialog = document.getElementById("help");
   const close = el("button.button", {
-    type: "button",
     text: "Close",
     autofocus: "",
-    on: { click: () => dialog.close() },
+    press: () => dialog.close(),
   });
   dialog.append(
     el("h2", { id: "help-title", text: "Mission control" }),
     el("p", {
       text: ABOUT,
     }),
-    el(
-      "dl.keys",
-      {},
-      ...KEYS.flatMap(([key, what]) => [el("dt", {}, el("kbd", { text: key })), el("dd", { text: what })]),
-    ),
-    el("p.note", {}, "For programs: ", el("a", { href: "docs", text: "the API and its documentation" }), "."),
-    el("div.dialog-actions", {}, close),
+    el("dl.keys", ...KEYS.flatMap(([key, what]) => [el("dt", el("kbd", { text: key })), el("dd", { text: what })])),
+    el("p.note", "For programs: ", el("a", { href: "docs", text: "the API and its documentation" }), "."),
+    el("div.dialog-actions", close),
   );
-  dialog.addEventListener("click", (event) => {
-    if (event.target === dialog) dialog.close();
-  });
+  closeBeside(dialog);
   const open = () => dialog.showModal();
   document.getElementById("help-button").addEventListener("click", open);
   return open;

@@ -47,24 +47,22 @@ class History {
     this.agent = el("select", { id: "history-agent", on: { change: () => this.restart() } });
     this.charts = new HistoryCharts(el("div.charts"), context);
     this.table = new EpisodeTable(context);
-    this.newer = el("button.button.small", { type: "button", text: "Newer", on: { click: () => this.back() } });
-    this.older = el("button.button.small", { type: "button", text: "Older", on: { click: () => this.forth() } });
+    this.newer = el("button.button.small", { text: "Newer", press: () => this.back() });
+    this.older = el("button.button.small", { text: "Older", press: () => this.forth() });
     this.note = el("p.note", { role: "status" });
     root.append(
       el(
         "div.view-head",
-        {},
         el("h2", { text: "Episodes" }),
         el(
           "div.filters",
-          {},
           el("label", { for: "history-task" }, el("span", { text: "Task" }), this.task),
           el("label", { for: "history-agent" }, el("span", { text: "Agent" }), this.agent),
         ),
       ),
       this.charts.root,
       this.table.root,
-      el("div.pager", {}, this.newer, this.older, this.note),
+      el("div.pager", this.newer, this.older, this.note),
     );
     this.offerAgents();
   }

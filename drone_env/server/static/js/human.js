@@ -17,10 +17,9 @@ export function mountHuman(root, context, fleet) {
     el(
       "button.pad-button",
       {
-        type: "button",
         data: { direction },
         "aria-label": WORDS[direction],
-        on: { click: () => fleet.fly(direction) },
+        press: () => fleet.fly(direction),
       },
       icon(ARROW[direction]),
     ),
@@ -36,7 +35,7 @@ export function mountHuman(root, context, fleet) {
     document.body.classList.toggle("human-flies", !over && fleet.human >= 0);
   }
 
-  fleet.addEventListener("setup", update);
+  fleet.on("setup", update);
   context.on("missions", update);
   context.on("ended", update);
   listenToSwipes(document.getElementById("deck"), fleet);

@@ -1,6 +1,6 @@
 // The instruments of one flight: score beside what is still possible, battery, steps, parcels, reward.
 import { el, setText } from "./dom.js";
-import { OUTCOMES, fixed, percent, points, signed, title } from "./format.js";
+import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
 import { nextFrame } from "./loop.js";
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context */
@@ -13,9 +13,8 @@ export function mountInstruments(root, context) {
   const reach = el("div.reach", { "aria-hidden": "true" }, el("i.reach-value"), el("i.reach-lost"));
   const head = el(
     "div.score",
-    {},
-    el("div.score-main", {}, el("span.eyebrow", { text: "Score" }), score, scoreNote),
-    el("dl.score-side", {}, ...possible.nodes, ...lost.nodes),
+    el("div.score-main", el("span.eyebrow", { text: "Score" }), score, scoreNote),
+    el("dl.score-side", ...possible.nodes, ...lost.nodes),
     reach,
   );
 
@@ -30,27 +29,31 @@ export function mountInstruments(root, context) {
   );
   const reward = row("Reward", "reward");
   const total = row("Total", "reward-total", "The rewards so far");
-  const efficiency = row("Efficiency", "efficiency", "Parcels delivered, battery and steps left, weighed; not the score");
+  const efficiency = row(
+    "Efficiency",
+    "efficiency",
+    "Parcels delivered, battery and steps left, weighed; not the score",
+  );
   const target = row("Target", "target");
   const below = row("Below the drone", "below");
-  const ground = el("div.wide", {}, ...below.nodes);
+  const ground = el("div.wide", ...below.nodes);
   root.append(
     head,
     battery,
     steps,
     parcels,
-    el("dl.numbers", {}, ...[reward, total, efficiency, target].map(({ nodes }) => el("div", {}, ...nodes)), ground),
+    el("dl.numbers", ...[reward, total, efficiency, target].map(({ nodes }) => el("div", ...nodes)), ground),
   );
 
   function draw() {
     const { frame, mission } = player;
     if (!frame) return;
     setText(score, points(frame.score));
-    setText(scoreNote, frame.done ? (OUTCOMES[frame.outcome] ?? frame.outcome) : "provisional");
+    setText(scoreNote, frame.done ? outcome(frame) : "provisional");
     scoreNote.dataset.outcome = frame.outcome;
     setText(possible.value, points(frame.value));
     setText(lost.value, points(frame.regret));
-    lost.value.dataset.some = String(frame.regret > 0.0005);
+    lost.value.dataset.some = String(isLost(frame.regret));
     // Both are the server's: the share still reachable, and what has been lost of the optimum.
     reach.style.setProperty("--value", String(frame.value ?? 0));
     reach.style.setProperty("--lost", String(frame.regret ?? 0));
@@ -68,7 +71,7 @@ export function mountInstruments(root, context) {
   }
 
   const redraw = () => nextFrame(draw);
-  player.addEventListener("change", redraw);
+  player.on("change", redraw);
   redraw();
 }
 
@@ -82,7 +85,7 @@ function gauge(name, id) {
     "div.gauge",
     { id, role: "meter", "aria-label": name, "aria-valuemin": "0", "aria-valuemax": "1", "aria-valuenow": "0" },
     el("span.gauge-name", { text: name }),
-    el("div.gauge-bar", {}, el("i")),
+    el("div.gauge-bar", el("i")),
     el("span.gauge-text"),
   );
 }

@@ -28,7 +28,7 @@ export function mountKeys(context, fleet, { help }) {
     if (at >= 0 && at < SPEEDS.length) fleet.setSpeed(SPEEDS[at]);
   };
   const KEYS = {
-    " ": () => (fleet.over ? fleet.start({}, { play: true }) : fleet.toggle()),
+    " ": () => fleet.toggle(),
     ".": () => fleet.step(),
     n: () => fleet.start({ seed: null }),
     r: () => fleet.start(),

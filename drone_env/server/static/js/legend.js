@@ -1,9 +1,7 @@
-// What the signs on the map are: drawn by the painters of the map itself, named by the server.
+// What the figures on the map are, as the server names them.
 import { el } from "./dom.js";
+import { drawFigure } from "./figures.js";
 import { title } from "./format.js";
-import { drawDelivered, drawParcel } from "./map_sprites.js";
-import { drawKind } from "./map_terrain.js";
-import { palette } from "./palette.js";
 
 const SIDE = 24;
 const LEFT_OUT = new Set(["road", "unknown", "drone"]);
@@ -12,18 +10,11 @@ const LEFT_OUT = new Set(["road", "unknown", "drone"]);
 export function mountLegend(root, context) {
   const signs = context.kinds
     .filter((kind) => !LEFT_OUT.has(kind.name))
-    .map((kind) => {
-      const canvas = el("canvas", { "aria-hidden": "true" });
-      const entry = el("li", { title: kind.effect }, canvas, el("span", { text: title(kind.name) }));
-      return { kind, canvas, entry };
-    });
+    .map((kind) => ({
+      kind,
+      entry: el("li", { title: kind.effect }, drawSign(kind.name), el("span", { text: title(kind.name) })),
+    }));
   root.append(el("ul.legend", { "aria-label": "Legend" }, ...signs.map(({ entry }) => entry)));
-
-  function draw() {
-    for (const { kind, canvas } of signs) drawSign(canvas, kind.name);
-  }
-  context.on("theme", draw);
-  draw();
 
   /** Only what can be met on the map that is shown. */
   context.on("missions", ([player]) => {
@@ -33,14 +24,10 @@ export function mountLegend(root, context) {
   });
 }
 
-/** Draws the sign of a kind of cell on a canvas of 24 by 24. */
-export function drawSign(canvas, name) {
-  const scale = window.devicePixelRatio || 1;
-  const side = SIDE * scale;
-  canvas.width = canvas.height = side;
-  const ctx = canvas.getContext("2d");
-  const colours = palette();
-  if (name === "delivery") drawParcel(ctx, side / 2, side / 2, side, colours);
-  else if (name === "delivered") drawDelivered(ctx, side / 2, side / 2, side, colours);
-  else drawKind(ctx, name, 0, 0, side, [0.5, 0.1, 0.4], colours.map);
+/** The figure of a kind of cell on a canvas of 24 by 24. */
+function drawSign(kind) {
+  const side = SIDE * (window.devicePixelRatio || 1);
+  const canvas = el("canvas", { "aria-hidden": "true", width: side, height: side });
+  drawFigure(canvas.getContext("2d"), kind === "delivery" ? "parcel" : kind, side / 2, side / 2, side);
+  return canvas;
 }

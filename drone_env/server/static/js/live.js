@@ -1,5 +1,6 @@
 // The socket to the server: messages both ways, and a connection that comes back by itself.
 import { address } from "./api.js";
+import { Emitter } from "./emitter.js";
 
 const WAITS = [500, 1000, 2000, 4000, 8000];
 const NOT_ALLOWED = 1008;
@@ -15,11 +16,11 @@ const MOST_ENDED = 5;
  * Events: every message type of the server ("missions", "frames", ...) with the message, and "state" with
  * {state: LinkState, wait: milliseconds until the next try, reason}.
  */
-export class Live {
+export class Live extends Emitter {
   /** @param {() => string[]} protocols What the socket offers so that it is let in. */
   constructor(protocols) {
+    super();
     this.protocols = protocols;
-    this.listeners = new Map();
     this.topics = new Map();
     this.state = "connecting";
     this.failures = 0;
@@ -27,13 +28,6 @@ export class Live {
     this.timer = 0;
     this.steady = 0;
     this.socket = null;
-  }
-
-  /** Calls f with every message of this type; returns a function that ends that. */
-  on(type, f) {
-    if (!this.listeners.has(type)) this.listeners.set(type, new Set());
-    this.listeners.get(type).add(f);
-    return () => this.listeners.get(type).delete(f);
   }
 
   /** Connects, or connects anew at once. */
@@ -48,7 +42,10 @@ export class Live {
     const socket = new WebSocket(url, this.protocols());
     this.socket = socket;
     socket.onopen = () => this.opened();
-    socket.onmessage = (event) => this.received(JSON.parse(event.data));
+    socket.onmessage = (event) => {
+      const message = JSON.parse(event.data);
+      this.emit(message.type, message);
+    };
     socket.onclose = (event) => this.closed(event);
   }
 
@@ -86,10 +83,6 @@ export class Live {
     if (this.topics.size) this.sendTopics();
   }
 
-  received(message) {
-    for (const f of this.listeners.get(message.type) ?? []) f(message);
-  }
-
   closed(event) {
     if (event.code === NOT_ALLOWED) {
       this.change("refused", 0, event.reason);
@@ -110,6 +103,6 @@ export class Live {
 
   change(state, wait, reason) {
     this.state = state;
-    this.received({ type: "state", state, wait, reason });
+    this.emit("state", { state, wait, reason });
   }
 }

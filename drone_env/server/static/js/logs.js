@@ -1,7 +1,6 @@
-// Logs, live: the requests that the server answers, the training, and the missions that end.
+// Logs, live: the requests that the server answers, the training, and the flights that end.
 import { el } from "./dom.js";
-import { fixed, OUTCOMES, points, title } from "./format.js";
-import { moment } from "./episode_table.js";
+import { fixed, moment, outcome, points, title } from "./format.js";
 
 const KEPT = 200;
 const TOPICS = ["requests", "training", "episodes"];
@@ -10,10 +9,10 @@ const TOPICS = ["requests", "training", "episodes"];
 export function mount(root, context) {
   const requests = new Log("Requests", "log-requests", "No request yet.");
   const training = new Log("Training", "log-training", "No training has written here. It starts with: drone-env train");
-  const missions = new Log("Missions", "log-missions", "No mission has ended yet.");
+  const flights = new Log("Flights", "log-flights", "No flight has ended yet.");
   root.append(
-    el("div.view-head", {}, el("h2", { text: "Logs" })),
-    el("div.logs", {}, requests.root, training.root, missions.root),
+    el("div.view-head", el("h2", { text: "Logs" })),
+    el("div.logs", requests.root, training.root, flights.root),
   );
 
   const { live } = context;
@@ -22,7 +21,7 @@ export function mount(root, context) {
     training.clear();
     training.add(lines.map((line) => [null, el("li", { text: line })]));
   });
-  live.on("episodes", ({ episodes }) => missions.add(byTime(episodes).map((e) => [e.id, missionLine(e, context)])));
+  live.on("episodes", ({ episodes }) => flights.add(byTime(episodes).map((e) => [e.id, flightLine(e, context)])));
   // Another process may answer after that, which counts its requests from 1 again.
   live.on("state", ({ state }) => {
     if (state === "open") requests.clear();
@@ -52,19 +51,17 @@ function requestLine({ time, method, path, status, milliseconds }) {
   );
 }
 
-function missionLine(e, context) {
+function flightLine(e, context) {
   return el(
     "li",
-    {},
     el("time.dim", { datetime: e.finished_at, text: moment(e.finished_at) }),
     el("span", {
-      text: ` ${title(e.task)} ${e.seed}, ${e.agent}: ${OUTCOMES[e.outcome] ?? e.outcome}, ${e.steps} steps, score ${points(e.score)} `,
+      text: ` ${title(e.task)} ${e.seed}, ${e.agent}: ${outcome(e)}, ${e.steps} steps, score ${points(e.score)} `,
     }),
     el("button.link", {
-      type: "button",
       text: "Replay",
       "aria-label": `Replay ${e.task}, map ${e.seed}, by ${e.agent}`,
-      on: { click: () => context.emit("replay", e.id) },
+      press: () => context.emit("replay", e.id),
     }),
   );
 }

@@ -1,6 +1,7 @@
 // Boots the page: asks the server what there is, then mounts the parts.
 import { createApi } from "./api.js";
 import { createContext } from "./context.js";
+import { loadFigures } from "./figures.js";
 import { Live } from "./live.js";
 import { mountStage } from "./stage.js";
 import { askForToken } from "./token.js";
@@ -16,9 +17,11 @@ async function boot() {
   // Read before the views show their own links.
   const episode = new URLSearchParams(location.search).get("episode");
   const api = createApi(askForToken);
-  const [{ tasks, reward_profiles }, { pilots }, { kinds }] = await firstAnswers(api);
+  const figures = loadFigures();
+  const [{ tasks, reward_profiles }, { pilots, most }, { kinds }] = await firstAnswers(api);
+  await figures;
   const live = new Live(api.protocols);
-  const context = createContext({ api, live, tasks, rewardProfiles: reward_profiles, pilots, kinds });
+  const context = createContext({ api, live, tasks, rewardProfiles: reward_profiles, pilots, most, kinds });
   const part = (id) => document.getElementById(id);
 
   mountTheme(context);

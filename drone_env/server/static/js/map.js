@@ -26,10 +26,10 @@ export class CityMap {
     this.lane = lane;
     this.names = [];
     for (const kind of context.kinds) this.names[kind.id] = kind.name;
-    this._showValues = true;
-    this._ghost = null;
+    /** Whether the network's values of the actions are shown as arrows; [x, y] of a best flight, drawn as a ghost. */
+    this.shown = { values: true, ghost: null };
     this.terrain = el("canvas.map-terrain", { "aria-hidden": "true" });
-    this.flight = el("canvas.map-flight", { role: "img", "aria-label": "No mission" });
+    this.flight = el("canvas.map-flight", { role: "img", "aria-label": "No flight" });
     root.classList.add("map");
     root.replaceChildren(this.terrain, this.flight);
     this.layout = null;
@@ -37,44 +37,27 @@ export class CityMap {
     this.before = 0;
     this.spin = 0;
     this.draw = this.draw.bind(this);
-    const redraw = () => this.refresh();
-    const reload = () => this.reload();
-    player.addEventListener("load", reload);
-    player.addEventListener("change", redraw);
     // A canvas that has another size is empty: it is drawn at once, before the browser shows it.
     this.size = fit(root, [this.terrain, this.flight], () => {
       this.stale = true;
       this.draw(performance.now());
     });
-    const offTheme = context.on("theme", reload);
-    const fonts = () => this.reload();
-    document.fonts.ready.then(fonts);
-    this.destroy = () => {
-      player.removeEventListener("load", reload);
-      player.removeEventListener("change", redraw);
-      this.size.stop();
-      offTheme();
-      noFrame(this.draw);
-      root.replaceChildren();
-    };
-    this.reload();
+    const reload = () => this.reload();
+    const ends = [
+      player.on("load", reload),
+      player.on("change", () => this.refresh()),
+      context.on("theme", reload),
+      this.size.stop,
+      () => noFrame(this.draw),
+    ];
+    this.destroy = () => ends.forEach((end) => end());
+    document.fonts.ready.then(reload);
+    reload();
   }
 
-  /** Whether the network's values of the actions are shown as arrows. */
-  get showValues() {
-    return this._showValues;
-  }
-  set showValues(shown) {
-    this._showValues = shown;
-    this.refresh();
-  }
-
-  /** [x, y] of a best flight, drawn as a ghost; null for none. */
-  get ghost() {
-    return this._ghost;
-  }
-  set ghost(path) {
-    this._ghost = path;
+  /** Shows or hides what can be shown beside the flight: `{values: false}`, `{ghost: path}`. */
+  show(change) {
+    Object.assign(this.shown, change);
     this.refresh();
   }
 
@@ -83,11 +66,11 @@ export class CityMap {
     nextFrame(this.draw);
   }
 
-  /** Draws the city anew, too: another mission, size or theme. */
+  /** Draws the city anew, too: another flight, size or theme. */
   reload() {
     this.stale = true;
     const { mission } = this.player;
-    this.flight.setAttribute("aria-label", mission ? describe(mission) : "No mission");
+    this.flight.setAttribute("aria-label", mission ? describe(mission) : "No flight");
     this.refresh();
   }
 
@@ -105,8 +88,7 @@ export class CityMap {
     const moving = player.advance(still ? Infinity : passed) || player.playing || player.flying;
     if (moving && !still) this.spin += passed * SPIN;
     const shown = {
-      showValues: this._showValues,
-      ghost: this._ghost,
+      ...this.shown,
       spin: this.spin,
       breath: moving && !still ? 0.5 - 0.5 * Math.cos(now / 260) : 0,
       lift: player.frames[Math.round(player.position)].done ? 0.15 : 1,
@@ -135,11 +117,6 @@ export class CityMap {
     ctx.drawImage(this.terrain, 0, 0);
     ctx.drawImage(this.flight, 0, 0);
     return canvas;
-  }
-
-  /** The same as a PNG. @returns {Promise<Blob>} */
-  png() {
-    return new Promise((resolve) => this.image().toBlob(resolve, "image/png"));
   }
 }
 

@@ -1,6 +1,6 @@
 // What moves: trail, parcels, target, the network's values as arrows, ghost and drone. Drawn in every animation frame.
 import { labelColour } from "./palette.js";
-import { drawArrow, drawDelivered, drawDrone, drawGhost, drawMark, drawParcel, drawTarget } from "./map_sprites.js";
+import { drawArrow, drawDrone, drawFigure, drawMark, drawTarget } from "./figures.js";
 
 const STEP = { UP: [0, -1], DOWN: [0, 1], LEFT: [-1, 0], RIGHT: [1, 0] };
 const DOT = { inaccuracy: 0.09, mistake: 0.13, blunder: 0.16 };
@@ -11,7 +11,7 @@ const LARGE_DRONE = 56;
 /**
  * @param {CanvasRenderingContext2D} ctx @param {import("./player.js").Player} player
  * @param {import("./map_terrain.js").Layout} layout
- * @param {{showValues: boolean, ghost: number[][]|null, spin: number, breath: number, lift: number}} shown
+ * @param {{values: boolean, ghost: number[][]|null, spin: number, breath: number, lift: number}} shown
  */
 export function drawFlight(ctx, player, layout, shown, colours) {
   const { mission, frames, position } = player;
@@ -26,16 +26,21 @@ export function drawFlight(ctx, player, layout, shown, colours) {
   if (shown.ghost) drawGhostPath(ctx, shown.ghost, centre, cell, layout, colours);
   const delivered = new Set(frame.delivered.map(String));
   for (const parcel of mission.parcels) {
-    (delivered.has(String(parcel)) ? drawDelivered : drawParcel)(ctx, ...centre(parcel), cell, colours);
+    const done = delivered.has(String(parcel));
+    ctx.globalAlpha = done ? 0.75 : 1;
+    drawFigure(ctx, done ? "delivered" : "parcel", ...centre(parcel), cell);
   }
-  if (frame.target) drawTarget(ctx, ...centre(frame.target), cell, shown.breath, colours);
+  ctx.globalAlpha = 1;
+  if (frame.target) drawTarget(ctx, ...centre(frame.target), cell, shown.breath);
   if (player.annotation) drawMistakes(ctx, player, centre, cell, layout);
   if (shown.ghost) {
     const ghost = shown.ghost[Math.min(Math.round(position), shown.ghost.length - 1)];
-    if (ghost[0] !== frame.x || ghost[1] !== frame.y) drawGhost(ctx, ...centre(ghost), size * 0.9, colours);
+    ctx.globalAlpha = 0.5;
+    if (ghost[0] !== frame.x || ghost[1] !== frame.y) drawFigure(ctx, "drone", ...centre(ghost), size);
+    ctx.globalAlpha = 1;
   }
   const shownFrame = player.frame;
-  if (shown.showValues && shownFrame?.q_values) drawValues(ctx, shownFrame.q_values, x, y, cell, size, colours);
+  if (shown.values && shownFrame?.q_values) drawValues(ctx, shownFrame.q_values, x, y, cell, size, colours);
   if (player.annotation) drawBetterMoves(ctx, player, x, y, cell, size, colours);
   drawDrone(ctx, x, y, size, heading(frames, position), shown.spin, shown.lift, colours);
   if (player.annotation) drawMarkHere(ctx, player, x, y, size, layout, colours);

@@ -42,14 +42,12 @@ export function mountMoves(root, player) {
   function moveButton(move) {
     return el(
       "li",
-      {},
       el(
         "button.move",
         {
-          type: "button",
           data: { label: move.label },
           "aria-label": spoken(move),
-          on: { click: () => player.seek(move.step) },
+          press: () => player.seek(move.step),
         },
         el("span.move-step", { text: String(move.step) }),
         el("span.move-arrow", { text: ARROWS[move.action] ?? move.action }),
@@ -58,7 +56,7 @@ export function mountMoves(root, player) {
     );
   }
 
-  player.addEventListener("change", () => nextFrame(draw));
+  player.on("change", () => nextFrame(draw));
   draw();
   return draw;
 }
@@ -77,8 +75,8 @@ function counts(annotation) {
     });
   const accuracy = annotation.accuracy === null ? "–" : percent(annotation.accuracy);
   return [
-    el("p.accuracy-head", {}, el("strong", { text: accuracy }), el("span", { text: " accuracy" })),
-    el("div.move-counts", {}, ...chips),
+    el("p.accuracy-head", el("strong", { text: accuracy }), el("span", { text: " accuracy" })),
+    el("div.move-counts", ...chips),
   ];
 }
 

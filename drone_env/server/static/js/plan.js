@@ -1,20 +1,19 @@
 // The flight plan on the left: which task, which map, who flies.
 import { el, icon, setText, toast } from "./dom.js";
 import { title } from "./format.js";
-import { linkOf } from "./link.js";
-
-const LARGEST = Number.MAX_SAFE_INTEGER;
-export const RACERS = ["pathqnet", "greedy", "optimal", "random"];
-const MOST = 4;
+import { copyLink, linkOf } from "./link.js";
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
 export function mountPlan(root, context, fleet) {
-  const tasks = el("fieldset.choice", {}, el("legend", { text: "Task" }));
-  const pilots = el("fieldset.choice", {}, el("legend", { text: "Pilot" }));
+  const tasks = el("fieldset.choice", el("legend", { text: "Task" }));
+  const pilots = el("fieldset.choice", el("legend", { text: "Pilot" }));
   const problem = el("p.problem", { role: "alert", hidden: true });
   const { form, seed } = mapForm(fleet);
-  const profile = profileChoice(context, fleet);
-  root.append(tasks, pilots, form, profile);
+  const profile = el("select", { id: "profile", on: { change: () => fleet.start({ profile: profile.value }) } });
+  for (const { id, summary } of context.rewardProfiles)
+    profile.append(el("option", { value: id, text: title(id), title: summary }));
+  const rewards = el("div.field", el("label.eyebrow", { for: "profile", text: "Rewards" }), profile);
+  root.append(tasks, pilots, form, rewards);
   // Above the maps: on narrow screens the plan is far below.
   document.getElementById("deck").prepend(problem);
 
@@ -22,8 +21,8 @@ export function mountPlan(root, context, fleet) {
   drawPilots();
   update();
 
-  fleet.addEventListener("setup", update);
-  fleet.addEventListener("refused", ({ detail }) => {
+  fleet.on("setup", update);
+  fleet.on("refused", (detail) => {
     setText(problem, detail);
     problem.hidden = false;
   });
@@ -36,26 +35,22 @@ export function mountPlan(root, context, fleet) {
   });
 
   function drawTasks() {
-    const groups = [
-      ["City", context.tasks.filter((task) => task.published)],
-      ["Skyline", context.tasks.filter((task) => !task.published)],
-    ];
-    for (const [name, members] of groups) {
-      if (!members.length) continue;
+    for (const [family, members] of context.families) {
+      const name = title(family);
       tasks.append(
         el(
           "div.task-row",
           { role: "group", "aria-label": name },
           el("span.task-group", { text: name, "aria-hidden": "true" }),
-          ...members.map(taskOption),
+          ...members.map((task) => taskOption(task, name)),
         ),
       );
     }
     tasks.append(el("p.note.task-note", { id: "task-note" }));
   }
 
-  function taskOption(task) {
-    const label = title(task.short_name).replace(/^Skyline /, "");
+  function taskOption(task, family) {
+    const label = title(task.short_name).replace(`${family} `, "");
     const input = el("input", {
       type: "radio",
       name: "task",
@@ -64,16 +59,14 @@ export function mountPlan(root, context, fleet) {
       "aria-describedby": "task-note",
       on: { change: () => chooseTask(task) },
     });
-    return el("label.task-option", {}, input, el("span", { text: label }));
+    return el("label.task-option", input, el("span", { text: label }));
   }
 
   /** Pilots that cannot fly the task give way, and the page says so. */
   function chooseTask(task) {
     const able = fleet.setup.pilots.filter((id) => fleet.flies(id, task));
     const wanted = context.view === "race" ? 2 : 1;
-    for (const { id, automatic } of context.pilots) {
-      if (able.length < wanted && automatic && !able.includes(id) && fleet.flies(id, task)) able.push(id);
-    }
+    for (const id of fleet.able(task)) if (able.length < wanted && !able.includes(id)) able.push(id);
     const left = fleet.setup.pilots.filter((id) => !able.includes(id)).map((id) => fleet.pilot(id).name);
     if (left.length) toast(`${left.join(" and ")} cannot fly ${title(task.short_name)}.`);
     fleet.start({ task: task.short_name, seed: null, pilots: able });
@@ -82,7 +75,7 @@ export function mountPlan(root, context, fleet) {
   function drawPilots() {
     const race = context.view === "race";
     pilots.querySelectorAll(".pilot").forEach((node) => node.remove());
-    setText(pilots.querySelector("legend"), race ? "Pilots, up to four" : "Pilot");
+    setText(pilots.querySelector("legend"), race ? `Pilots, up to ${context.most}` : "Pilot");
     for (const pilot of context.pilots) {
       const input = el("input", {
         type: race ? "checkbox" : "radio",
@@ -95,7 +88,6 @@ export function mountPlan(root, context, fleet) {
       pilots.append(
         el(
           "label.pilot",
-          {},
           input,
           el("span.pilot-name", { text: pilot.name }),
           el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary }),
@@ -123,7 +115,7 @@ export function mountPlan(root, context, fleet) {
       input.checked = setup.pilots.includes(input.value);
       const able = fleet.flies(input.value);
       const last = context.view === "race" && input.checked && setup.pilots.length <= 2;
-      const full = context.view === "race" && !input.checked && setup.pilots.length >= MOST;
+      const full = context.view === "race" && !input.checked && setup.pilots.length >= context.most;
       input.disabled = !able || last || full;
       input.closest(".pilot").classList.toggle("unable", !able);
       setText(
@@ -132,7 +124,7 @@ export function mountPlan(root, context, fleet) {
       );
     }
     if (document.activeElement !== seed) seed.value = setup.seed ?? "";
-    profile.querySelector("select").value = setup.profile;
+    profile.value = setup.profile ?? context.player.mission?.reward_profile ?? profile.value;
   }
 }
 
@@ -148,7 +140,7 @@ function mapForm(fleet) {
     id: "seed",
     type: "number",
     min: "0",
-    max: String(LARGEST),
+    max: String(Number.MAX_SAFE_INTEGER),
     step: "1",
     inputmode: "numeric",
     autocomplete: "off",
@@ -160,20 +152,18 @@ function mapForm(fleet) {
   };
   seed.addEventListener("change", open);
   const fresh = el("button.button.small", {
-    type: "button",
     id: "new-map",
-    on: { click: () => fleet.start({ seed: null }) },
+    press: () => fleet.start({ seed: null }),
     title: "Another map (N)",
     text: "New map",
   });
   const copy = el(
     "button.button.small",
     {
-      type: "button",
       id: "copy-link",
-      "aria-label": "Copy link to this mission",
-      title: "Copy link to this mission",
-      on: { click: () => copyLink(fleet) },
+      "aria-label": "Copy link to this flight",
+      title: "Copy link to this flight",
+      press: () => copyLink(linkOf(fleet.setup)),
     },
     icon(
       "M10 14a4 4 0 0 0 6 .4l2.6-2.6a4 4 0 0 0-5.7-5.7L11.500 7.500M14 10a4 4 0 0 0-6-.4l-2.600 2.600a4 4 0 0 0 5.700 5.700l1.400-1.400",
@@ -192,26 +182,7 @@ function mapForm(fleet) {
     },
     el("label.eyebrow", { for: "seed", text: "Map" }),
     seed,
-    el("div.row", {}, fresh, copy),
+    el("div.row", fresh, copy),
   );
   return { form, seed };
-}
-
-/** Copies the address of exactly these missions. */
-export async function copyLink(fleet) {
-  const url = String(linkOf(fleet.setup));
-  try {
-    await navigator.clipboard.writeText(url);
-    toast("Link copied.");
-  } catch {
-    // Without leave to write the clipboard, as in a frame of another site, the visitor copies it by hand.
-    window.prompt("The link to this mission:", url);
-  }
-}
-
-function profileChoice(context, fleet) {
-  const select = el("select", { id: "profile", on: { change: () => fleet.start({ profile: select.value }) } });
-  for (const profile of context.rewardProfiles)
-    select.append(el("option", { value: profile.id, text: title(profile.id), title: profile.summary }));
-  return el("div.field", {}, el("label.eyebrow", { for: "profile", text: "Rewards" }), select);
 }

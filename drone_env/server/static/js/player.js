@@ -1,15 +1,16 @@
-// One flight on the page: its mission, its frames, and where in them we look.
+// One flight on the page: its map, its frames, and where in them we look.
+import { Emitter } from "./emitter.js";
 
 /**
  * `cursor` is the frame that is shown; `position` follows it smoothly and is what the map draws between two frames.
  * A live flight pushes frames and follows its end; a replay plays by itself.
  *
- * `playing` says that a replay runs, `flying` that a live mission does.
+ * `playing` says that a replay runs, `flying` that a live flight does.
  *
- * Events ("change" with the player): "load" a new mission, "frames" more frames or values, "cursor" another frame is
+ * Events, each followed by "change": "load" another flight, "frames" more frames or values, "cursor" another frame is
  * shown, "play" the replay was started or stopped.
  */
-export class Player extends EventTarget {
+export class Player extends Emitter {
   constructor() {
     super();
     this.mission = null;
@@ -131,7 +132,7 @@ export class Player extends EventTarget {
   }
 
   tell(type) {
-    this.dispatchEvent(new CustomEvent(type, { detail: this }));
-    if (type !== "change") this.dispatchEvent(new CustomEvent("change", { detail: this }));
+    this.emit(type);
+    if (type !== "change") this.emit("change");
   }
 }

@@ -17,7 +17,7 @@ export function mountRaceChart(root, context, fleet) {
     role: "img",
     "aria-label": "What each pilot has given away, by step. The standings have the numbers.",
   });
-  const field = el("div.race-chart-field", {}, canvas);
+  const field = el("div.race-chart-field", canvas);
   root.append(el("figcaption", { text: "Given away of the score, by step" }), field);
 
   function draw() {
@@ -41,7 +41,7 @@ export function mountRaceChart(root, context, fleet) {
   context.on("theme", redraw);
   context.on("missions", redraw);
   document.fonts.ready.then(redraw);
-  for (const player of context.players) player.addEventListener("frames", redraw);
+  for (const player of context.players) player.on("frames", redraw);
   return canvas;
 }
 

@@ -1,11 +1,11 @@
 // Replay: a stored episode, or a file dropped on the page, flown again by the server and annotated move by move.
-import { announce, download, el, toast } from "./dom.js";
+import { announce, download, el, fact } from "./dom.js";
 import { readFlights } from "./flight_file.js";
-import { title } from "./format.js";
+import { fixed, outcome, points, title } from "./format.js";
+import { copyLink } from "./link.js";
 import { CityMap } from "./map.js";
 import { mountMoves } from "./moves.js";
 import { Player } from "./player.js";
-import { ReplaySummary } from "./replay_summary.js";
 import { Transport } from "./transport.js";
 
 /** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
@@ -54,11 +54,9 @@ class Replay {
     );
     this.empty = el(
       "div.replay-empty",
-      {},
       el("p", { text: "Nothing is replayed yet." }),
       el(
         "p.note",
-        {},
         "Choose an episode in the ",
         el("a", { href: "#history", text: "history" }),
         ", or drop a file of flights here: what ",
@@ -72,33 +70,27 @@ class Replay {
     this.transport = new Transport(this.player);
     this.summary = new ReplaySummary();
     this.ghost = el("input", { type: "checkbox", checked: true, on: { change: () => this.drawGhost() } });
-    const action = (text, press) => el("button.button.small", { type: "button", text, on: { click: press } });
-    this.link = action("Copy link", () => this.copyLink());
+    const action = (text, press) => el("button.button.small", { text, press });
+    this.link = action("Copy link", () => copyLink(location.href));
     this.body = el(
       "div.replay-body",
       { hidden: true },
-      el("div.replay-stage", {}, mapRoot, this.transport.root),
+      el("div.replay-stage", mapRoot, this.transport.root),
       el(
         "aside.replay-side",
         { "aria-label": "The flight" },
         this.summary.root,
-        el("label.switch", {}, this.ghost, "Show a best flight as a ghost"),
+        el("label.switch", this.ghost, "Show a best flight as a ghost"),
         moves,
         el(
           "div.replay-actions",
-          {},
           action("Download record", () => this.downloadRecord()),
           this.link,
         ),
       ),
     );
     root.append(
-      el(
-        "div.view-head",
-        {},
-        el("h2", { text: "Replay" }),
-        el("div.filters", {}, this.chooser, el("div", {}, input, choose)),
-      ),
+      el("div.view-head", el("h2", { text: "Replay" }), el("div.filters", this.chooser, el("div", input, choose))),
       this.problem,
       this.empty,
       this.body,
@@ -184,8 +176,7 @@ class Replay {
   }
 
   drawGhost() {
-    this.map.ghost = this.ghost.checked ? (this.player.annotation?.optimal_path ?? null) : null;
-    this.map.refresh();
+    this.map.show({ ghost: this.ghost.checked ? (this.player.annotation?.optimal_path ?? null) : null });
   }
 
   /** The address is a link to the episode that is shown, and to none where a file is. */
@@ -197,20 +188,45 @@ class Replay {
     this.link.hidden = id === null;
   }
 
-  async copyLink() {
-    try {
-      await navigator.clipboard.writeText(location.href);
-      toast("The link is copied.");
-    } catch {
-      // Browsers refuse it in frames and without TLS: the address bar has the same.
-      toast("The browser does not let a page copy here. The link is the address of this page.");
-    }
-  }
-
   downloadRecord() {
     const { task, seed, agent } = this.record;
     const name = `${task}-${seed}-${agent}`.replace(/[^\w.-]+/g, "_").slice(0, 100);
     download(`${name}.json`, new Blob([`${JSON.stringify(this.record, null, 2)}\n`], { type: "application/json" }));
+  }
+}
+
+/** What a replayed flight came to, beside the optimum of its map. */
+class ReplaySummary {
+  constructor() {
+    this.title = el("h3.replay-title");
+    this.facts = el("dl.facts");
+    this.verdict = el("div.verdict", { id: "replay-verdict" });
+    this.root = el("div.replay-summary", this.title, this.facts, this.verdict);
+  }
+
+  /** @param {object} mission @param {object} last The last frame. */
+  show(mission, last) {
+    this.title.textContent = `${title(mission.task)}, map ${mission.seed}, flown by ${mission.pilot}`;
+    this.facts.replaceChildren(
+      fact("Outcome", outcome(last)),
+      fact("Parcels", `${last.deliveries_done} of ${mission.deliveries_total}`),
+      fact("Steps", `${last.step} of ${mission.max_steps}`),
+      fact("Score", points(last.score)),
+      fact("Efficiency", fixed(last.efficiency, 1)),
+    );
+    this.verdict.replaceChildren();
+  }
+
+  /** @param {object} annotation As `POST /annotate` tells it. */
+  annotated(annotation) {
+    this.facts.append(
+      fact("Optimum", `${points(annotation.optimal_score)} in ${annotation.optimal_steps} steps`),
+      fact("Regret", points(annotation.regret)),
+    );
+  }
+
+  unknown(why) {
+    this.verdict.replaceChildren(el("p.note", { text: why }));
   }
 }
 

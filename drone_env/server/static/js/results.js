@@ -1,7 +1,7 @@
 // Mission Results: how it ended, efficiency, score beside the optimum, the analysis, and what comes next.
-import { analyse } from "./analysis.js";
-import { announce, el, setText } from "./dom.js";
-import { OUTCOMES, fixed, percent, points, title } from "./format.js";
+import { ApiError } from "./api.js";
+import { announce, closeBeside, el, fact, setText } from "./dom.js";
+import { fixed, outcome, percent, points, signed, title } from "./format.js";
 import { recall, remember } from "./storage.js";
 
 const COUNTDOWN_SECONDS = 8;
@@ -26,7 +26,7 @@ export function mountResults(context, fleet) {
       if (context.view === "watch" && index === 0 && player.episode === episode) open(player, episode);
     }, LANDING_MILLISECONDS);
   });
-  context.player.addEventListener("frames", () => {
+  context.player.on("frames", () => {
     const { player } = context;
     if (!dialog.open || !player.episode) return;
     const known = scoreRow(player, player.episode);
@@ -37,9 +37,7 @@ export function mountResults(context, fleet) {
   context.on("view", close);
   dialog.addEventListener("close", stop);
   for (const type of ["pointerdown", "keydown"]) dialog.addEventListener(type, stop);
-  dialog.addEventListener("click", (event) => {
-    if (event.target === dialog) dialog.close();
-  });
+  closeBeside(dialog);
 
   function close() {
     if (dialog.open) dialog.close();
@@ -47,12 +45,11 @@ export function mountResults(context, fleet) {
 
   function open(player, episode) {
     const { mission, last } = player;
-    next = nextTask(context.tasks, fleet.task());
+    next = nextTask(context.families, fleet.task());
     nextButton = el("button.button.primary", {
-      type: "button",
       id: "next-level",
       text: `Next: ${title(next.short_name)}`,
-      on: { click: goOn },
+      press: goOn,
     });
     countdown = el("p.note.countdown", { id: "countdown" });
     const analysis = el(
@@ -67,7 +64,6 @@ export function mountResults(context, fleet) {
       on: { change: () => remember(CYCLE, cycle.checked ? "on" : "off") },
     });
     const headline = episode.success ? "Mission accomplished" : "Mission failed";
-    const outcome = OUTCOMES[last.outcome] ?? last.outcome;
     scores = scoreRow(player, episode);
     dialog.replaceChildren(
       el(
@@ -78,24 +74,21 @@ export function mountResults(context, fleet) {
         }),
         el("h2", { id: "results-title", text: headline }),
         el("p.results-why", {
-          text: `${outcome}: ${last.deliveries_done} of ${mission.deliveries_total} parcels in ${last.step} steps.`,
+          text: `${outcome(last)}: ${last.deliveries_done} of ${mission.deliveries_total} parcels in ${last.step} steps.`,
         }),
       ),
       scores,
       efficiencyBar(last),
       analysis,
-      el("label.switch", {}, cycle, el("span", { text: "Go on to the next level by itself" })),
+      el("label.switch", cycle, el("span", { text: "Go on to the next level by itself" })),
       el(
         "div.dialog-actions",
-        {},
         nextButton,
         el("button.button", {
-          type: "button",
           text: "Fly again",
-          on: { click: () => fleet.start({}, { play: true }) },
+          press: () => fleet.start({}, { play: true }),
         }),
         el("button.button", {
-          type: "button",
           text: "Look at the flight",
           on: {
             click: () => {
@@ -104,7 +97,7 @@ export function mountResults(context, fleet) {
             },
           },
         }),
-        el("button.button.quiet", { type: "button", text: "Close", on: { click: () => dialog.close() } }),
+        el("button.button.quiet", { text: "Close", press: () => dialog.close() }),
       ),
       countdown,
     );
@@ -134,9 +127,9 @@ export function mountResults(context, fleet) {
   }
 }
 
-/** Easy, Medium, Hard, Easy; Skyline goes round likewise. */
-function nextTask(tasks, task) {
-  const group = tasks.filter((other) => other.published === task.published);
+/** Easy, Medium, Hard, Easy; every family goes round. */
+function nextTask(families, task) {
+  const group = families.get(task.family);
   return group[(group.indexOf(task) + 1) % group.length];
 }
 
@@ -145,7 +138,6 @@ function scoreRow({ frames, last }, episode) {
   const number = (name, text, id, note) =>
     el(
       "div.result-number",
-      {},
       el("dt", { text: name }),
       el("dd", { id, text }),
       note ? el("dd.result-note", { text: note }) : null,
@@ -154,7 +146,6 @@ function scoreRow({ frames, last }, episode) {
   const regret = episode.regret ?? last.regret;
   return el(
     "dl.result-numbers",
-    {},
     number("Efficiency", fixed(last.efficiency, 1), "result-efficiency", "of 100"),
     number(
       "Score",
@@ -178,6 +169,50 @@ function efficiencyBar({ efficiency_parts: parts }) {
         el("div.efficiency-bar", { "aria-hidden": "true" }, el("i")),
         el("span.efficiency-name", { text: title(name) }),
         el("span.efficiency-share", { text: `${percent(share)} · weighs ${weight} %` }),
+      ),
+    ),
+  );
+}
+
+/** Fills `root` with what all finished flights of the flight's task come to. @param {HTMLElement} root */
+async function analyse({ api }, mission, root) {
+  try {
+    const a = await api.get(`analyse/${encodeURIComponent(mission.task)}`);
+    root.replaceChildren(
+      el("h3", { text: `${howMany(a.episodes)} of ${title(mission.short_name)} here` }),
+      el(
+        "dl.numbers",
+        ...[
+          ["Success rate", percent(a.success_rate)],
+          ["Success trend", a.success_trend === null ? "–" : `${signed(a.success_trend * 100, 0)} %`],
+          ["Mean score", points(a.average_score)],
+          ["Mean reward", fixed(a.average_reward, 2)],
+          ["Mean steps", fixed(a.average_steps, 1)],
+          ["Mean given away", points(a.mean_regret)],
+        ].map(([name, text]) => fact(name, text)),
+      ),
+      actionBar(a.action_distribution),
+    );
+  } catch (error) {
+    if (!(error instanceof ApiError)) throw error;
+    root.replaceChildren(el("p.note", { text: `The analysis is not to be had: ${error.message}` }));
+  }
+  root.removeAttribute("aria-busy");
+}
+
+const howMany = (flights) => (flights === 1 ? "The only flight" : `All ${flights} flights`);
+
+function actionBar(distribution) {
+  const parts = Object.entries(distribution);
+  return el(
+    "div.actions-bar",
+    ...parts.map(([action, share]) =>
+      el(
+        "div.action-part",
+        { style: { "--share": String(share) } },
+        el("i", { "aria-hidden": "true" }),
+        el("span", { text: `${action} ` }),
+        el("span", { text: percent(share) }),
       ),
     ),
   );

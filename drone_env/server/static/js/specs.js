@@ -1,5 +1,5 @@
 // Technical specifications: the numbers of all levels side by side, as /tasks tells them, and the legend of the map.
-import { el } from "./dom.js";
+import { el, table } from "./dom.js";
 import { fixed, title } from "./format.js";
 
 const NONE = "–";
@@ -41,48 +41,35 @@ const IDENTITY = [
 
 /** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
 export function mount(root, context) {
-  const families = {
-    Delivery: context.tasks.filter((task) => task.published),
-    Skyline: context.tasks.filter((task) => !task.published),
-  };
   const frame = el("div.scroller", { tabindex: "0", role: "region", "aria-label": "Table of specifications" });
-  const show = (family) => frame.replaceChildren(table(family, families[family]));
-  const choices = Object.keys(families).map((family, i) =>
+  const show = (family) => frame.replaceChildren(specifications(title(family), context.families.get(family)));
+  const families = [...context.families.keys()];
+  const choices = families.map((family, i) =>
     el(
       "label.segment",
-      {},
       el("input", { type: "radio", name: "specs-family", checked: i === 0, on: { change: () => show(family) } }),
-      el("span", { text: family }),
+      el("span", { text: title(family) }),
     ),
   );
   root.append(
     el(
       "div.view-head",
-      {},
       el("h2", { text: "Technical specifications" }),
-      el("fieldset.segments", {}, el("legend.visually-hidden", { text: "Levels" }), ...choices),
+      el("fieldset.segments", el("legend.visually-hidden", { text: "Levels" }), ...choices),
     ),
     frame,
     legend(context.kinds),
   );
-  show("Delivery");
+  show(families[0]);
 }
 
-function table(family, tasks) {
-  return el(
+function specifications(family, tasks) {
+  const columns = [["Level"], ...tasks.map((task) => [title(task.short_name)])];
+  return table(
     "table.table.specs-table",
     {},
-    el("caption.visually-hidden", { text: `Technical specifications of the ${family} levels` }),
-    el(
-      "thead",
-      {},
-      el(
-        "tr",
-        {},
-        el("th", { scope: "col", text: "Level" }),
-        ...tasks.map((task) => el("th", { scope: "col", text: title(task.short_name) })),
-      ),
-    ),
+    `Technical specifications of the ${family} levels`,
+    columns,
     group("World", WORLD, tasks),
     group("Rewards per step (tiered)", REWARDS, tasks),
     group("Identity", IDENTITY, tasks),
@@ -95,10 +82,9 @@ function group(name, rows, tasks) {
     .filter(([, values]) => values.some((value) => value !== NONE));
   return el(
     "tbody",
-    {},
-    el("tr.group", {}, el("th", { scope: "rowgroup", colspan: tasks.length + 1, text: name })),
+    el("tr.group", el("th", { scope: "rowgroup", colspan: tasks.length + 1, text: name })),
     ...filled.map(([label, values]) =>
-      el("tr", {}, el("th", { scope: "row", text: label }), ...values.map((value) => el("td", { text: value }))),
+      el("tr", el("th", { scope: "row", text: label }), ...values.map((value) => el("td", { text: value }))),
     ),
   );
 }
@@ -111,12 +97,10 @@ function legend(kinds) {
     el("h2", { id: "legend-title", text: "Legend" }),
     el(
       "dl",
-      {},
       ...kinds.map((kind) =>
         el(
           "div",
-          {},
-          el("dt", {}, el("span.emoji", { "aria-hidden": "true", text: kind.emoji }), kind.name),
+          el("dt", el("span.emoji", { "aria-hidden": "true", text: kind.emoji }), kind.name),
           el("dd", { text: kind.effect }),
         ),
       ),

@@ -1,5 +1,5 @@
 // Watch and Race: puts plan, maps, controls and instruments together.
-import { annotate } from "./annotate.js";
+import { ApiError } from "./api.js";
 import { mountControls } from "./controls.js";
 import { mountDeck } from "./deck.js";
 import { el, toast } from "./dom.js";
@@ -10,8 +10,8 @@ import { mountHuman } from "./human.js";
 import { mountInstruments } from "./instruments.js";
 import { mountKeys } from "./keys.js";
 import { mountLegend } from "./legend.js";
-import { firstPilot, setupFromLink, showLink } from "./link.js";
-import { mountPlan, RACERS } from "./plan.js";
+import { setupFromLink, showLink } from "./link.js";
+import { mountPlan } from "./plan.js";
 import { mountResults } from "./results.js";
 import { mountStandings } from "./standings.js";
 import { mountTelemetry } from "./telemetry.js";
@@ -20,8 +20,9 @@ import { mountThinking } from "./thinking.js";
 /** @param {import("./context.js").Context} context @returns {Fleet} */
 export function mountStage(context) {
   const part = (id) => document.getElementById(id);
-  const fleet = new Fleet(context, setupFromLink());
-  if (!fleet.setup.pilots.length) fleet.setup.pilots.push(firstPilot(fleet));
+  const fleet = new Fleet(context, setupFromLink(context));
+  // The visitor's own network comes first, if one was trained for the task.
+  if (!fleet.setup.pilots.length) fleet.setup.pilots.push(fleet.able()[0]);
   context.view = fleet.setup.pilots.length > 1 ? "race" : "watch";
   const side = part("side");
   const panel = (name, mount, ...more) => {
@@ -52,16 +53,9 @@ export function mountStage(context) {
 
   context.on("explain", (player) => explain(context, player));
   context.on("select", (i) => deck.select(i));
-  context.on("arrows", (shown) =>
-    deck.maps.forEach((map) => {
-      map.showValues = shown;
-    }),
-  );
-  context.on("maps", (maps) =>
-    maps.forEach((map) => {
-      map.showValues = part("show-arrows").checked;
-    }),
-  );
+  const arrows = () => deck.maps.forEach((map) => map.show({ values: part("show-arrows").checked }));
+  context.on("arrows", arrows);
+  context.on("maps", arrows);
   context.on("missions", () => {
     if (onStage(context.view)) showLink(fleet.setup);
   });
@@ -74,7 +68,7 @@ export function mountStage(context) {
 
 const onStage = (view) => view === "watch" || view === "race";
 
-/** Watch flies one pilot, Race at least two, on the same map; elsewhere the mission rests. */
+/** Watch flies one pilot, Race at least two, on the same map; elsewhere the flight rests. */
 function follow(context, fleet, view) {
   if (onStage(view)) {
     const { pilots } = fleet.setup;
@@ -82,16 +76,24 @@ function follow(context, fleet, view) {
     showLink(fleet.setup);
     if (view === "watch" && pilots.length > 1) fleet.start({ pilots: pilots.slice(0, 1) });
     if (view === "race" && pilots.length === 1) {
-      const able = RACERS.filter((id) => fleet.flies(id));
-      fleet.start({ pilots: [...new Set([...pilots, ...able])].slice(0, RACERS.length) });
+      fleet.start({ pilots: [...new Set([...pilots, ...fleet.able()])].slice(0, context.most) });
     }
   } else if (fleet.playing) fleet.pause();
 }
 
-/** Annotates a flight that has ended; says so where that cannot be. */
-async function explain(context, player) {
-  const why = await annotate(context, player);
-  if (why) toast(why);
+/** Annotates a flight that has ended: what each of its moves gave away. Says so where that cannot be. */
+async function explain({ api }, player) {
+  const { episode } = player;
+  if (!episode) return toast("The flight is not stored yet.");
+  if (player.annotation) return;
+  try {
+    const annotation = await api.post("annotate", await api.get(`episodes/${encodeURIComponent(episode.id)}`));
+    // Another flight may have begun meanwhile.
+    if (player.episode === episode) player.annotate(annotation);
+  } catch (error) {
+    if (!(error instanceof ApiError)) throw error;
+    toast(error.message);
+  }
 }
 
 /** The switch of the ghost on the best flight: there is one as soon as a flight is annotated. */
@@ -102,11 +104,9 @@ function mountGhost(context, deck) {
     const path = context.players.find((player) => player.annotation)?.annotation.optimal_path ?? null;
     label.hidden = path === null;
     document.body.classList.toggle("explained", path !== null);
-    deck.maps.forEach((map) => {
-      map.ghost = box.checked && map.player.annotation ? path : null;
-    });
+    for (const map of deck.maps) map.show({ ghost: box.checked && map.player.annotation ? path : null });
   };
   box.addEventListener("change", update);
-  for (const player of context.players) player.addEventListener("frames", update);
+  for (const player of context.players) player.on("frames", update);
   context.on("maps", update);
 }

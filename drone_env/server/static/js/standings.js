@@ -1,6 +1,6 @@
 // Race: who leads, live; after the end the flight that is selected, move by move, and the best flight as a ghost.
-import { el, setText } from "./dom.js";
-import { OUTCOMES, points } from "./format.js";
+import { el, setText, table } from "./dom.js";
+import { outcome, points } from "./format.js";
 import { nextFrame } from "./loop.js";
 import { mountMoves } from "./moves.js";
 import { mountRaceChart } from "./race_chart.js";
@@ -13,27 +13,12 @@ const NAMES = new Intl.ListFormat("en");
  */
 export function mountStandings(root, context, fleet) {
   const body = el("tbody");
-  const table = el(
-    "table.table.standings",
-    { id: "standings" },
-    el("caption.visually-hidden", { text: "Standings" }),
-    el(
-      "thead",
-      {},
-      el(
-        "tr",
-        {},
-        ...["Pilot", "Steps", "Parcels", "Score", "Given away"].map((name, i) =>
-          el(i ? "th.num" : "th", { scope: "col", text: name }),
-        ),
-      ),
-    ),
-    body,
-  );
+  const columns = [["Pilot"], ["Steps", true], ["Parcels", true], ["Score", true], ["Given away", true]];
+  const standings = table("table.table.standings", { id: "standings" }, "Standings", columns, body);
   const note = el("p.note", { id: "race-note" });
   const moves = el("div.race-moves");
   const chart = el("figure.race-chart");
-  root.append(el("div.panel-head", {}, el("h2.eyebrow", { text: "Standings" })), table, note, chart, moves);
+  root.append(el("div.panel-head", el("h2.eyebrow", { text: "Standings" })), standings, note, chart, moves);
   const canvas = mountRaceChart(chart, context, fleet);
   let lists = [];
   let rows = [];
@@ -54,7 +39,7 @@ export function mountStandings(root, context, fleet) {
       const cells = Array.from({ length: 4 }, () => el("td.num"));
       const name = el(
         "button.standing-name",
-        { type: "button", on: { click: () => context.emit("select", i) } },
+        { press: () => context.emit("select", i) },
         el("span", { text: fleet.pilot(player.mission.pilot).name }),
       );
       return {
@@ -90,16 +75,14 @@ export function mountStandings(root, context, fleet) {
 
   function words() {
     if (!fleet.active.length) return "";
-    const { optimum } = optimumOf(fleet.active);
-    const best = optimum === null ? "" : ` The optimum of this map is ${points(optimum)}.`;
+    const optimum = fleet.active.map((player) => player.frames[0]?.value ?? null).find((value) => value !== null);
+    const best = optimum === undefined ? "" : ` The optimum of this map is ${points(optimum)}.`;
     if (!fleet.over) return `Same map, same moment.${best}`;
-    const scores = fleet.active.map((player) => player.last.score);
-    const top = Math.max(...scores);
-    const winners = fleet.active
-      .filter((player) => player.last.score === top)
-      .map((player) => fleet.pilot(player.mission.pilot).name);
-    const outcome = OUTCOMES[fleet.active.find((player) => player.last.score === top).last.outcome];
-    return `${NAMES.format(winners)} ${winners.length > 1 ? "tie" : "wins"} with ${points(top)}: ${outcome.toLowerCase()}.${best}`;
+    const top = Math.max(...fleet.active.map((player) => player.last.score));
+    const winners = fleet.active.filter((player) => player.last.score === top);
+    const names = NAMES.format(winners.map((player) => fleet.pilot(player.mission.pilot).name));
+    const how = outcome(winners[0].last).toLowerCase();
+    return `${names} ${winners.length > 1 ? "tie" : "wins"} with ${points(top)}: ${how}.${best}`;
   }
 
   context.on("missions", build);
@@ -107,15 +90,6 @@ export function mountStandings(root, context, fleet) {
     selected = i;
     draw();
   });
-  for (const player of context.players) player.addEventListener("change", () => nextFrame(draw));
+  for (const player of context.players) player.on("change", () => nextFrame(draw));
   return canvas;
-}
-
-/** The value of the start is the optimum of the map; null while the server has not told it. */
-function optimumOf(players) {
-  for (const player of players) {
-    const value = player.frames[0]?.value;
-    if (value !== null && value !== undefined) return { optimum: value };
-  }
-  return { optimum: null };
 }

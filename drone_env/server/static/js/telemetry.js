@@ -32,7 +32,6 @@ export function mountTelemetry(root, context, fleet, { maps, charts }) {
   const raw = el("pre.raw", { id: "raw-frame", tabindex: "0", "aria-label": "Frame as the server sent it" });
   const details = el(
     "details.telemetry",
-    {},
     el("summary", { text: "Raw telemetry" }),
     el("p.note", { text: "What the network is given beside the grid:" }),
     vector,
@@ -40,9 +39,8 @@ export function mountTelemetry(root, context, fleet, { maps, charts }) {
   );
   const files = el(
     "div.files",
-    {},
-    el("button.button.quiet.small", { type: "button", id: "save-csv", text: "CSV", on: { click: saveCsv } }),
-    el("button.button.quiet.small", { type: "button", id: "save-png", text: "Map PNG", on: { click: savePng } }),
+    el("button.button.quiet.small", { id: "save-csv", text: "CSV", press: saveCsv }),
+    el("button.button.quiet.small", { id: "save-png", text: "Map PNG", press: savePng }),
   );
   root.append(details, files);
 
@@ -79,7 +77,7 @@ export function mountTelemetry(root, context, fleet, { maps, charts }) {
     );
 
   details.addEventListener("toggle", draw);
-  player.addEventListener("change", () => nextFrame(draw));
+  player.on("change", () => nextFrame(draw));
 }
 
 function cell(value) {

@@ -13,7 +13,7 @@ export function mountThinking(root, context) {
     const node = el(
       "li.q",
       { data: { action } },
-      el("span.q-action", {}, el("i", { "aria-hidden": "true", text: ARROWS[action] }), el("span", { text: action })),
+      el("span.q-action", el("i", { "aria-hidden": "true", text: ARROWS[action] }), el("span", { text: action })),
       el("div.q-bar", { "aria-hidden": "true" }, el("i")),
       value,
     );
@@ -21,10 +21,10 @@ export function mountThinking(root, context) {
   });
   const lead = el("span.confidence-text", { id: "confidence" });
   const meter = el("div.confidence-bar", { "aria-hidden": "true" }, el("i"));
-  const confidence = el("div.confidence", {}, el("span.gauge-name", { text: "Confidence" }), meter, lead);
+  const confidence = el("div.confidence", el("span.gauge-name", { text: "Confidence" }), meter, lead);
   const none = el("p.note", { text: "No network is shipped for this task.", hidden: true });
   const arrows = el("input", { type: "checkbox", id: "show-arrows", checked: true, "aria-label": "Arrows on the map" });
-  arrows.addEventListener("change", () => context.emit("arrows", arrows.checked));
+  arrows.addEventListener("change", () => context.emit("arrows"));
   const list = el(
     "ol.q-list",
     { id: "q-values", "aria-label": "Value of each action" },
@@ -33,9 +33,8 @@ export function mountThinking(root, context) {
   root.append(
     el(
       "div.panel-head",
-      {},
       el("h2.eyebrow", { text: "What PathQNet thinks" }),
-      el("label.switch", {}, arrows, el("span", { text: "Arrows" })),
+      el("label.switch", arrows, el("span", { text: "Arrows" })),
     ),
     list,
     confidence,
@@ -73,5 +72,5 @@ export function mountThinking(root, context) {
     setText(lead, `${best} leads ${second} by ${fixed(gap, 3)}`);
   }
 
-  player.addEventListener("change", () => nextFrame(draw));
+  player.on("change", () => nextFrame(draw));
 }

@@ -48,7 +48,7 @@ export function mountTimeline(root, context, { label, seek }) {
     slider.value = String(shown);
     slider.disabled = newest === 0;
     slider.setAttribute("aria-valuetext", `step ${shown} of ${newest} flown`);
-    // The slider reaches as far as has been flown; the strip is as long as the mission may be.
+    // The slider reaches as far as has been flown; the strip is as long as the flight may be.
     const most = Math.max(1, ...players.map((player) => player.mission?.max_steps ?? 1));
     slider.style.width = `${Math.max((newest / most) * 100, 0)}%`;
     nextFrame(draw);

@@ -30,7 +30,7 @@ function ask(wrong) {
     }),
     el("label.eyebrow", { for: "token-input", text: "Token" }),
     input,
-    el("button.button.primary", { text: "Enter" }),
+    el("button.button.primary", { type: "submit", text: "Enter" }),
   );
   dialog.replaceChildren(form);
   if (!dialog.open) dialog.showModal();

@@ -14,10 +14,9 @@ export class Transport {
       el(
         "button.icon-button",
         {
-          type: "button",
           "aria-label": label,
           title: `${label} (${key})`,
-          on: { click: press },
+          press,
         },
         drawing,
       );
@@ -52,11 +51,9 @@ export class Transport {
     this.where = el("p.replay-step", { id: "replay-step" });
     this.root = el(
       "div.transport",
-      {},
       this.slider,
       el(
         "div.transport-row",
-        {},
         el(
           "div.transport-buttons",
           { role: "group", "aria-label": "Playback" },
@@ -70,7 +67,7 @@ export class Transport {
         this.where,
       ),
     );
-    player.addEventListener("change", () => this.draw());
+    player.on("change", () => this.draw());
   }
 
   step(by) {

@@ -1,7 +1,7 @@
 // Which view is shown: the hash of the address says it, so that "back" works and a view can be linked.
 
 const TITLES = {
-  watch: "Watch a mission",
+  watch: "Watch a flight",
   race: "Race pilots",
   replay: "Replay a flight",
   history: "History of episodes",

@@ -1,0 +1,133 @@
+// What stands on maps: the sheet of figures from which the pictures of Gymnasium are drawn too, and the marks of the page.
+import { el } from "./dom.js";
+
+/** A figure's field on the sheet is so much wider than the cell in its middle. */
+const FIELD = 1.8;
+/** Figures that are kept in the sizes they were drawn in. */
+const KEPT = 400;
+const CORNERS = [
+  [-1, -1],
+  [1, -1],
+  [-1, 1],
+  [1, 1],
+];
+
+/** Where on the sheet the figures of a kind are, [x, y] of each: of a building there are several. */
+const places = new Map();
+const drawn = new Map();
+let sheet = null;
+let side = 0;
+
+/** Fetches the sheet: before, nothing can be drawn. */
+export async function loadFigures() {
+  const answer = await fetch(new URL("../figures.svg", import.meta.url));
+  const art = new DOMParser().parseFromString(await answer.text(), "image/svg+xml").documentElement;
+  for (const figure of art.querySelectorAll("svg")) {
+    const kind = figure.id.replace(/\d+$/, "");
+    const [x, y, width] = ["x", "y", "width"].map((name) => Number(figure.getAttribute(name)));
+    places.set(kind, [...(places.get(kind) ?? []), [x, y]]);
+    side = width;
+  }
+  // The drone turns, and its shadow would turn with it: that is drawn apart.
+  art.querySelector("#drone [filter]").remove();
+  sheet = new Image();
+  sheet.src = `data:image/svg+xml,${encodeURIComponent(new XMLSerializer().serializeToString(art))}`;
+  await sheet.decode();
+}
+
+/**
+ * One figure around its centre, in device pixels; nothing where a kind has none.
+ *
+ * @param {number} [variety] Which one, where a kind has several.
+ */
+export function drawFigure(ctx, kind, x, y, cell, variety = 0) {
+  const there = places.get(kind);
+  if (!there) return;
+  const size = 2 * Math.round((cell * FIELD) / 2);
+  ctx.drawImage(inSize(there[variety % there.length], size), Math.round(x) - size / 2, Math.round(y) - size / 2);
+}
+
+/** A figure is drawn from its shapes once for each size. */
+function inSize([x, y], size) {
+  const key = `${x} ${y} ${size}`;
+  if (!drawn.has(key)) {
+    if (drawn.size === KEPT) drawn.clear();
+    const canvas = el("canvas", { width: size, height: size });
+    canvas.getContext("2d").drawImage(sheet, x, y, side, side, 0, 0, size, size);
+    drawn.set(key, canvas);
+  }
+  return drawn.get(key);
+}
+
+/**
+ * The drone from above, with rotors that turn in the colour of who flies.
+ *
+ * @param {number} size Its width in device pixels. @param {number} heading Radians, 0 is up.
+ * @param {number} spin Angle of the rotors. @param {number} lift 0 on the ground, 1 in flight: how far its shadow lies.
+ */
+export function drawDrone(ctx, x, y, size, heading, spin, lift, colours) {
+  ctx.save();
+  ctx.translate(x, y);
+  ctx.rotate(heading);
+  ctx.shadowColor = colours.map.shade;
+  ctx.shadowOffsetX = ctx.shadowOffsetY = size * (0.06 + 0.12 * lift);
+  drawFigure(ctx, "drone", 0, 0, size);
+  ctx.shadowColor = "transparent";
+  ctx.strokeStyle = colours.accent;
+  ctx.lineWidth = Math.max(1.2, size * 0.05);
+  const rotor = size * 0.23;
+  ctx.beginPath();
+  for (const [sx, sy] of CORNERS) {
+    const [cx, cy] = [sx * 0.3 * size, sy * 0.3 * size];
+    const turn = spin * sx * sy;
+    const [dx, dy] = [Math.cos(turn) * rotor * 0.8, Math.sin(turn) * rotor * 0.8];
+    ctx.moveTo(cx + rotor, cy);
+    ctx.arc(cx, cy, rotor, 0, 2 * Math.PI);
+    ctx.moveTo(cx - dx, cy - dy);
+    ctx.lineTo(cx + dx, cy + dy);
+  }
+  ctx.stroke();
+  ctx.restore();
+}
+
+/** The mark around the current target. @param {number} breath In [0, 1], widens it a little. */
+export function drawTarget(ctx, x, y, cell, breath) {
+  ctx.save();
+  ctx.translate(x, y);
+  ctx.scale(1 + 0.1 * breath, 1 + 0.1 * breath);
+  drawFigure(ctx, "target", 0, 0, cell);
+  ctx.restore();
+}
+
+/** An arrow from one point to another, thick at its head. */
+export function drawArrow(ctx, x1, y1, x2, y2, width) {
+  const length = Math.hypot(x2 - x1, y2 - y1);
+  if (length < 1) return;
+  const head = Math.min(length, width * 2.2);
+  ctx.save();
+  ctx.translate(x1, y1);
+  ctx.rotate(Math.atan2(y2 - y1, x2 - x1));
+  ctx.beginPath();
+  for (const side of [-1, 1]) {
+    ctx.moveTo(0, 0);
+    ctx.lineTo(0, side * width * 0.35);
+    ctx.lineTo(length - head, side * width * 0.5);
+    ctx.lineTo(length - head, side * width * 1.25);
+    ctx.lineTo(length, 0);
+  }
+  ctx.fill();
+  ctx.restore();
+}
+
+/** A chess player's mark (`?!`, `?`, `??`, `!!`) in a disc. */
+export function drawMark(ctx, x, y, size, mark, colour, colours) {
+  ctx.fillStyle = colour;
+  ctx.beginPath();
+  ctx.arc(x, y, size * 0.5, 0, 2 * Math.PI);
+  ctx.fill();
+  ctx.fillStyle = colours.ground;
+  ctx.font = `600 ${size * 0.62}px ${colours.font}`;
+  ctx.textAlign = "center";
+  ctx.textBaseline = "middle";
+  ctx.fillText(mark, x, y + size * 0.04);
+}
