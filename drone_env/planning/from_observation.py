@@ -26,7 +26,7 @@ from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.planning.greedy import drone_position
 
 
-def episode_of(task: TaskConfig, observation: Observation) -> Episode:
+def episode_of(task: TaskConfig, observation: Observation, reward_profile: str = "score") -> Episode:
     """An episode that shows this observation. Parcels are numbered in reading order, its seed is 0."""
     tables = interpreted(task)
     grid = np.ravel(observation["grid"]).copy()
@@ -46,7 +46,7 @@ def episode_of(task: TaskConfig, observation: Observation) -> Episode:
     state[OUTCOME] = outcome(tables, view(state))
     grid[state[CELL]] = Cell.DRONE
     choose_target(tables, view(state))
-    profile = get_reward_profile("score")
+    profile = get_reward_profile(reward_profile)
     episode = Episode(task, profile)
     episode.set_state(EpisodeState(task, profile, 0, grid.tobytes(), state.tobytes(), 0.0, 0.0, ()))
     return episode
