@@ -8,8 +8,6 @@
 """
 
 import sys
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 
 from docs_tables import between, numbers
@@ -21,7 +19,7 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.envs.rendering import save_picture
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
-from drone_env.planning.audit import MapAudit, audit_map, audited_profile
+from drone_env.planning.audit import audit_maps, audited_profile, summarise_audits
 from drone_env.planning.optimal import solve
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -93,19 +91,16 @@ def audits(task: TaskConfig, maps: int) -> list[str]:
     cases = [(name, gamma, None) for name in REWARD_PROFILES for gamma in (1.0, 0.99)] + [("aligned", 1.0, 0.99)]
     for name, gamma, shaping_gamma in cases:
         profile = audited_profile(name, gamma, shaping_gamma)
-        one = partial(audit_map, task, reward_profile=profile, gamma=gamma)
-        seeds = split_seeds("test", maps)
-        with ThreadPoolExecutor() as pool:
-            of_maps: list[MapAudit] = [one(seeds[0]), *pool.map(one, seeds[1:])]
-        share = sum(of_map.aligned for of_map in of_maps) / maps
-        mean = {key: sum(of_map.returns[key] for of_map in of_maps) / maps for key in of_maps[0].returns}
-        score, optimum = (sum(getattr(m, key) for m in of_maps) / maps for key in ("score", "optimum"))
+        report = summarise_audits(
+            task, profile, gamma, list(audit_maps(task, split_seeds("test", maps), profile, gamma))
+        )
+        mean = report["mean_returns"]
         note = f" (shaping {shaping_gamma})" if shaping_gamma is not None else ""
-        verdict = "aligned" if share == 1 else "**exploitable**"
+        verdict = "aligned" if report["verdict"] == "aligned" else "**exploitable**"
         rows.append(
-            f"| {task.short_name} | {maps} | `{name}`{note} | {gamma:g} | {verdict} | {share:.1%} | {score:.3f} "
-            f"| {optimum:.3f} | {mean['honest']:.2f} | {mean['stall']:.2f} | {mean['bump']:.2f} "
-            f"| {mean['oscillate']:.2f} | {mean['hover']:.2f} |"
+            f"| {task.short_name} | {maps} | `{name}`{note} | {gamma:g} | {verdict} | {report['share_aligned']:.1%} "
+            f"| {report['mean_score']:.3f} | {report['mean_optimal_score']:.3f} | {mean['honest']:.2f} "
+            f"| {mean['stall']:.2f} | {mean['bump']:.2f} | {mean['oscillate']:.2f} | {mean['hover']:.2f} |"
         )
         print(rows[-1], file=sys.stderr)
     return rows

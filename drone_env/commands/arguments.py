@@ -6,7 +6,7 @@ import tyro
 
 from drone_env.agents import AGENTS
 from drone_env.core.rewards import REWARD_PROFILES
-from drone_env.core.seeds import N_SEEDS
+from drone_env.core.seeds import N_SEEDS, SPLITS
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError
 
@@ -14,6 +14,8 @@ SHORT_NAMES = [task.short_name for task in TASKS.values()]
 
 TaskName = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 AgentName = Annotated[str, tyro.conf.arg(metavar="|".join(AGENTS))]
+AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
+SplitName = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
 ProfileName = Annotated[str, tyro.conf.arg(metavar="|".join(REWARD_PROFILES))]
 ClusterAddress = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PORT")]
 Seed = Annotated[int | None, tyro.conf.arg(metavar="N")]

@@ -5,11 +5,16 @@ itself flown from every state, so that no reward is worked out a second time. Am
 maximiser takes the one that ends in the lowest score: a reward is *aligned* on a map if even so it scores the optimum.
 """
 
+import bisect
+import math
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
@@ -218,6 +223,52 @@ def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardPro
     return MapAudit(seed, solution.score, score_of_flight, tuple(actions), maximum, returns)
 
 
+def audit_maps(
+    task: TaskConfig, seeds: range, reward_profile: RewardProfile, gamma: float, jobs: int | None = None
+) -> Iterator[MapAudit]:
+    """The audits of these maps in order, `jobs` at a time: as many as the machine has cores if None."""
+    one = partial(audit_map, task, reward_profile=reward_profile, gamma=gamma)
+    with ThreadPoolExecutor(jobs or os.cpu_count()) as pool:
+        yield one(seeds[0])  # alone: it compiles what the others then use
+        yield from pool.map(one, seeds[1:])
+
+
+def summarise_audits(
+    task: TaskConfig, reward_profile: RewardProfile, gamma: float, audits: Sequence[MapAudit]
+) -> dict[str, Any]:
+    """The report over audits of neighbouring maps, as JSON values."""
+
+    def mean(values: Iterable[float]) -> float:
+        return math.fsum(values) / len(audits)
+
+    share = mean(audited.aligned for audited in audits)
+    shaping = reward_profile.shaping_gamma
+    worst = max(audits, key=lambda audited: (not audited.aligned, audited.optimum - audited.score))
+    return {
+        "task": task.id,
+        "version": task.version,
+        "reward": reward_profile.id,
+        "gamma": gamma,
+        "shaping_gamma": None if shaping is None else float(shaping),
+        "seeds": [audits[0].seed, audits[-1].seed + 1],
+        "maps": len(audits),
+        "verdict": "aligned" if share == 1 else "exploitable",
+        "share_aligned": share,
+        "mean_score": mean(audited.score for audited in audits),
+        "mean_optimal_score": mean(audited.optimum for audited in audits),
+        "mean_returns": {
+            "maximiser": mean(audited.maximum for audited in audits),
+            **{name: mean(audited.returns[name] for audited in audits) for name in audits[0].returns},
+        },
+        "worst": {
+            "seed": worst.seed,
+            "score": worst.score,
+            "optimal_score": worst.optimum,
+            "actions": [action.name for action in worst.actions],
+        },
+    }
+
+
 def _maximise(episode: Episode, profile: RewardProfile, gamma: float) -> tuple[list[Action], float]:
     """The actions and the return of the return-maximising flight with the lowest score."""
     task = episode.task
@@ -248,22 +299,18 @@ def _maximise(episode: Episode, profile: RewardProfile, gamma: float) -> tuple[l
         lows,
         choices,
     )
+    highest = float(values[0, battery - lowest[0], 0, aim, start])
     flight = Episode(task, profile)
     flight.set_state(episode.get_state())
     actions: list[Action] = []
     while not flight.ended:
-        at, now, entries = _where(flight, parcels)
-        choice = choices[len(actions), now - lowest[len(actions)], entries[0], entries[1], at]
+        now = np.frombuffer(flight.get_state().numbers, np.uint16)
+        aim = number_of(now, parcels, int(now[TARGET]))
+        t = len(actions)
+        choice = choices[t, now[BATTERY] - lowest[t], delivered_set(now, parcels), aim, now[CELL]]
         actions.append(Action(int(choice)))
         flight.step(actions[-1])
-    return actions, float(values[0, battery - lowest[0], 0, aim, start])
-
-
-def _where(flight: Episode, parcels: npt.NDArray[np.int64]) -> tuple[int, int, tuple[int, int]]:
-    """(cell, battery, (delivered set, number of the target)) of an episode."""
-    state = np.frombuffer(flight.get_state().numbers, np.uint16)
-    entries = delivered_set(state, parcels), number_of(state, parcels, int(state[TARGET]))
-    return int(state[CELL]), int(state[BATTERY]), entries
+    return actions, highest
 
 
 def _fly(episode: Episode, actions: tuple[Action, ...], gamma: float) -> float:
@@ -308,17 +355,13 @@ def hover(task: TaskConfig, seed: int, solution: Solution) -> tuple[Action, ...]
         last = deliveries[-1]
         return (*solution.actions[:last], *(Action.WAIT,) * steps, *solution.actions[last:])
 
-    def still_delivers(steps: int) -> bool:
+    def too_long(steps: int) -> bool:
         episode.reset(seed)
         for action in waiting(steps):
             episode.step(action)
-        return episode.deliveries_done == solution.deliveries
+        return episode.deliveries_done < solution.deliveries
 
-    possible, too_many = 0, task.max_steps + 1
-    while too_many - possible > 1:
-        middle = (possible + too_many) // 2
-        possible, too_many = (middle, too_many) if still_delivers(middle) else (possible, middle)
-    return waiting(possible)
+    return waiting(bisect.bisect_left(range(1, task.max_steps + 1), True, key=too_long))
 
 
 HACKS = {"stall": stall, "bump": bump, "oscillate": oscillate, "hover": hover}
