@@ -31,7 +31,6 @@ HOME = ROOT / ".venv" / "bench"
 PYTHON = HOME / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 READY = HOME / "ready.json"
 
-UNIT = "Gymnasium CartPole vector {}"
 OTHER = ", other checkout"
 WORKER = """
 import sys
@@ -152,6 +151,11 @@ def batches_of(checkout: Path | None, quick: bool) -> Generator[list[Elsewhere],
                 sys.exit(f"{checkout}: its simulator does not run")
             described.append(line)
         yield [Elsewhere(process, line) for line in described]
+
+
+def unit_of(num_envs: int) -> str:
+    """The CartPole that so many episodes are compared with."""
+    return "CartPole-v1 1" if num_envs == 1 else f"Gymnasium CartPole vector {num_envs}"
 
 
 def calls_per_slice(contender: "Contender | Elsewhere", seconds: float) -> int:
@@ -289,7 +293,7 @@ def measure(quick: bool, other: Path | None) -> dict[str, Any]:
             "per_cpu_second": median(name),
             "per_second": median(name, "wall"),
             "observation_bytes": entry.observation,
-            "ratio": median(name) / median(unit) if (unit := UNIT.format(entry.per_call)) in figures else None,
+            "ratio": median(name) / median(unit) if (unit := unit_of(entry.per_call)) in figures else None,
             "rounds": figures[name],
         }
         one = name.removesuffix(", 2 threads")
