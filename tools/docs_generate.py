@@ -1,16 +1,17 @@
 """Write the generated parts of the documentation: `make docs-data`, some minutes.
 
-    docs/tasks.md           every task: its numbers, a picture, and how the agents fly it
-    docs/images/<task>.png  a best flight over its first test map
-    docs/reward.md          the table of audits between its two markers
+    tasks   docs/tasks.md: the numbers of every task, a picture, and how the agents fly it; docs/images/<task>.png
+    audits  docs/reward.md: the table of audits
+    curves  docs/reward.md and docs/images/training/*.png: training on `tiered` beside `aligned`, all else equal
 
-`python tools/docs_generate.py --tasks` leaves the audits out.
+`python tools/docs_generate.py tasks curves` writes these alone; without a name, tasks and audits. Curves need PyTorch.
 """
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
-from docs_tables import between, numbers
+from docs_tables import between, numbers, put, table
 
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.episode import Episode
@@ -23,6 +24,7 @@ from drone_env.planning.audit import audit_maps, audited_profile, summarise_audi
 from drone_env.planning.optimal import solve
 
 DOCS = Path(__file__).parents[1] / "docs"
+REWARD = DOCS / "reward.md"
 AGENTS = ("random", "greedy", "pathqnet", "optimal")
 MAPS = 1000
 AUDITED = {
@@ -33,7 +35,8 @@ AUDITED = {
     "skyline_medium": 20,
 }
 """How many test maps the audits of a task run over."""
-BEGIN, END = "<!-- audits: written by generate.py -->", "<!-- end of audits -->"
+CURVES, CURVES_EPISODES = "easy", 1_500
+"""The task of the curves, and how many episodes are enough to see which way each goes."""
 
 
 def figures(task: TaskConfig) -> str:
@@ -80,8 +83,7 @@ def write_tasks() -> None:
     for task in TASKS.values():
         picture(task)
         shown = f"![A best flight on {task.id}](images/{task.id}.png)"
-        begin, end = between(task.id)
-        parts.append(f"## {task.id}\n\n{shown}\n\n{begin}\n\n{numbers(task)}\n\n{end}\n\n{figures(task)}")
+        parts.append(f"## {task.id}\n\n{shown}\n\n{between(task.id, numbers(task))}\n\n{figures(task)}")
     (DOCS / "tasks.md").write_text("\n".join(parts), encoding="utf-8")
 
 
@@ -107,7 +109,7 @@ def audits(task: TaskConfig, maps: int) -> list[str]:
 
 
 def write_audits() -> None:
-    """Write the table of docs/reward.md."""
+    """Write the table of audits in docs/reward.md."""
     lines = [
         "| task | maps | reward | gamma | verdict | maps on which it reaches the optimum | score of the maximiser "
         "| optimum | return: honest | stall | bump | oscillate | hover |",
@@ -115,13 +117,32 @@ def write_audits() -> None:
     ]
     for task_id, maps in AUDITED.items():
         lines += audits(TASKS[task_id], maps)
-    page = DOCS / "reward.md"
-    before, rest = page.read_text(encoding="utf-8").split(BEGIN)
-    after = rest.split(END)[1]
-    page.write_text(f"{before}{BEGIN}\n\n" + "\n".join(lines) + f"\n\n{END}{after}", encoding="utf-8")
+    REWARD.write_text(put(REWARD.read_text(encoding="utf-8"), "audits", "\n".join(lines)), encoding="utf-8")
+
+
+def write_curves() -> None:
+    """Train on two rewards, draw the curves, and write their table in docs/reward.md."""
+    from drone_env.rl.config import preset
+    from drone_env.rl.curves import draw_curves
+    from drone_env.rl.trainer import Progress, Trainer
+
+    histories: dict[str, list[Progress]] = {}
+    rows = [
+        ["trained on", "reward of the last episodes", "steps", "delivered", "its score on validation maps", "optimum"]
+    ]
+    for reward in ("tiered", "aligned"):
+        trainer = Trainer(replace(preset("fast", CURVES), reward_profile=reward, episodes=CURVES_EPISODES))
+        trainer.train(lambda progress: None, lambda: None)
+        last = trainer.history[-1]
+        histories[reward] = trainer.history
+        shares = [f"{last.success:.1%}", f"{last.validation:.4f}", f"{last.validation_optimum:.4f}"]
+        rows.append([f"`{reward}`", f"{last.reward:.2f}", f"{last.length:.1f}", *shares])
+        print(rows[-1], file=sys.stderr)
+    draw_curves(histories, CURVES, DOCS / "images" / "training")
+    REWARD.write_text(put(REWARD.read_text(encoding="utf-8"), "curves", table(rows)), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    write_tasks()
-    if "--tasks" not in sys.argv[1:]:
-        write_audits()
+    parts = {"tasks": write_tasks, "audits": write_audits, "curves": write_curves}
+    for name in sys.argv[1:] or ["tasks", "audits"]:
+        parts[name]()
