@@ -6,7 +6,7 @@ Importing the package registers its environments with Gymnasium. All else is imp
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from drone_env.envs.registration import register_envs
+from drone_env.envs.registry import register_envs
 
 if TYPE_CHECKING:
     from drone_env.agents import AGENTS, Agent, make_agent

@@ -102,7 +102,7 @@ def test_get_analyse(http: TestClient, tmp_path: Path) -> None:
     flights: list[Episode] = []
     with Store(tmp_path / "data") as store:
         for actions in (BEST, ["WAIT"], BEST, ["UP", "WAIT"], ["WAIT"]):
-            episode = Episode("easy")
+            episode = Episode("easy", "tiered")
             episode.reset(14)
             while not episode.ended:
                 episode.step(drone_env.Action[actions[episode.steps % len(actions)]])
@@ -137,7 +137,7 @@ def test_get_path_history(flying: TestClient) -> None:
 
 @pytest.mark.feature("H7")
 def test_get_memory_logs(flying: TestClient, tmp_path: Path) -> None:
-    episode = Episode("easy")
+    episode = Episode("easy", "tiered")
     episode.reset(7)
     while not episode.ended:
         episode.step(4)

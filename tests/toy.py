@@ -5,15 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from drone_env.core import rules
 from drone_env.core.cells import Cell
-from drone_env.core.episode import Episode, EpisodeState
-from drone_env.core.rewards import get_reward_profile
-from drone_env.core.tables import CELL, PARCELS, UNDER, interpreted, state_size
+from drone_env.core.episode import Episode
+from drone_env.core.standing import standing_episode
 from drone_env.core.tasks import TaskConfig
 
 DRONE = "@"
-KINDS = {".": Cell.ROAD, "B": Cell.BUILDING, "T": Cell.TREE, "O": Cell.OBSTACLE, "P": Cell.PAD, DRONE: Cell.DRONE}
+KINDS = {".": Cell.ROAD, "B": Cell.BUILDING, "T": Cell.TREE, "O": Cell.OBSTACLE, "P": Cell.PAD, DRONE: Cell.ROAD}
 """What the letters stand for. A digit is the parcel of that number."""
 
 TOY = TaskConfig(
@@ -65,32 +63,12 @@ def toy_episode(drawing: list[str], profile: str = "tiered", **changes: Any) -> 
         profile: Name of the reward profile.
         changes: Fields of the task that differ from `toy_task`, such as `max_steps=5`.
     """
-    task = toy_task(drawing, **changes)
-    tables = interpreted(task)
-    grid = np.zeros(tables.cells, np.uint8)
-    state = np.zeros(state_size(tables), np.uint16)
-    for cell, letter in enumerate("".join(drawing)):
-        grid[cell] = Cell.DELIVERY if letter.isdigit() else KINDS[letter]
-        if letter.isdigit():
-            state[PARCELS + int(letter)] = cell
-        if letter == DRONE:
-            state[CELL] = cell
-            state[UNDER] = Cell.ROAD
-    rules.begin(tables, memoryview(state))
-    episode = Episode(task, profile)
-    episode.set_state(
-        EpisodeState(
-            task=task,
-            reward_profile=get_reward_profile(profile),
-            seed=0,
-            grid=grid.tobytes(),
-            numbers=state.tobytes(),
-            reward_last=0.0,
-            reward_total=0.0,
-            path=(),
-        )
+    task, letters = toy_task(drawing, **changes), "".join(drawing)
+    ground = np.array([Cell.DELIVERY if letter.isdigit() else KINDS[letter] for letter in letters], np.uint8)
+    parcels = [(letters.index(str(i)), False) for i in range(task.deliveries)]
+    return standing_episode(
+        task, ground, letters.index(DRONE), task.battery_capacity, steps=0, parcels=parcels, reward_profile=profile
     )
-    return episode
 
 
 def fly(episode: Episode, actions: str) -> list[float]:

@@ -12,7 +12,7 @@ from drone_env.commands.arguments import SplitName, TaskName
 from drone_env.commands.printing import print_json, progress_bar, table_console
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
@@ -22,7 +22,7 @@ RewardName = Annotated[str, tyro.conf.arg(metavar=f"{'|'.join(REWARD_PROFILES)}|
 
 def audit(
     task: TaskName = "easy",
-    reward: RewardName = "aligned",
+    reward: RewardName = DEFAULT_PROFILE,
     gamma: float = 1.0,
     maps: int = 20,
     split: SplitName = "test",
@@ -71,10 +71,8 @@ def audit(
             advance()
     report = summarise_audits(config, profile, gamma, audits)
     if replay is not None:
-        flight = Episode(config, profile)
-        flight.reset(report["worst"]["seed"])
-        for action in report["worst"]["actions"]:
-            flight.step(Action[action])
+        worst = report["worst"]
+        flight = Episode(config, profile, worst["seed"]).fly(Action[action] for action in worst["actions"])
         save_record(record_of(flight, f"maximiser of {profile.id}"), replay)
     if json:
         print_json(report)

@@ -7,6 +7,7 @@ import tyro
 
 from drone_env.commands.arguments import AgentNames, ProfileName, SplitName, TaskName
 from drone_env.commands.printing import progress_bar
+from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
@@ -22,7 +23,7 @@ def dataset(
     offset: int = 0,
     agents: AgentNames = ("optimal", "greedy", "random"),
     epsilon: float = 0.1,
-    reward_profile: ProfileName = "aligned",
+    reward_profile: ProfileName = DEFAULT_PROFILE,
     formats: FormatNames = ("parquet", "minari"),
 ) -> None:
     """Write a data set of flights in which every step stands beside the exact values of its state.

@@ -7,6 +7,7 @@ from drone_env.agents import make_agent
 from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName
 from drone_env.commands.flights import choices, log_flight, prepare_file
 from drone_env.core.episode import Episode
+from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.errors import InvalidValueError
 
 
@@ -14,7 +15,7 @@ def fly(
     task: TaskName = "easy",
     agent: AgentName = "greedy",
     seed: Seed = None,
-    reward_profile: ProfileName = "tiered",
+    reward_profile: ProfileName = ORIGINAL_PROFILE,
     render: bool = False,
     picture: Path | None = None,
     record: Path | None = None,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileName, parse_seeds
+from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, needs
@@ -44,7 +45,7 @@ def infer(
     max_answer_tokens: int = 1024,
     sampling_seed: Whole = None,
     extra: str = "{}",
-    reward_profile: ProfileName = "tiered",
+    reward_profile: ProfileName = ORIGINAL_PROFILE,
     concurrency: int = 64,
     timeout: float = 120.0,
     tries: int = 6,

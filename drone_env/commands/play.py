@@ -12,6 +12,7 @@ from rich.console import Console
 from drone_env.commands.arguments import ProfileName, Seed, TaskName
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.envs.ansi import draw_text
 from drone_env.planning.optimal import best_of
 
@@ -37,7 +38,7 @@ KEY = re.compile(r"\x1b\[[0-9;]*[A-Za-z~]|\x1bO.|\x1b[^\[O]|[^\x1b]", re.DOTALL)
 """One key: an escape sequence as a whole, or a character."""
 
 
-def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName = "tiered") -> None:
+def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName = DEFAULT_PROFILE) -> None:
     """Fly a mission yourself, against the optimum.
 
     Arrow keys or w a s d fly, space or . waits, q gives up. Keys can also come from a pipe, one character each.

@@ -1,6 +1,10 @@
 """What the drone can do, what can happen to it, and how an episode can end."""
 
+import operator
 from enum import IntEnum
+from typing import Any
+
+from drone_env.errors import InvalidValueError
 
 
 class Action(IntEnum):
@@ -21,6 +25,27 @@ ACTION_OFFSETS: dict[Action, tuple[int, int]] = {
     Action.WAIT: (0, 0),
 }
 N_ACTIONS = len(Action)
+ALLOWED_ACTIONS = ", ".join(f"{int(action)} {action.name}" for action in Action)
+
+
+def integer(value: Any) -> int | None:
+    """Any integer as a plain one; None for what is none, True and False among it."""
+    try:
+        return None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        return None
+
+
+def check_action(action: object) -> int:
+    """An action as a plain integer.
+
+    Raises:
+        InvalidValueError: if it is not an integer from 0 to 4.
+    """
+    number = integer(action)
+    if number is None or not 0 <= number < N_ACTIONS:
+        raise InvalidValueError(f"action must be one of {ALLOWED_ACTIONS}; got {action!r}")
+    return number
 
 
 class Event(IntEnum):

@@ -1,9 +1,8 @@
-"""N episodes of one task at once: the functions of `dynamics`, compiled, in one loop over the episodes.
+"""N episodes of one task at once: the functions of `rules`, compiled, in one loop over the episodes.
 
 Every buffer of a `Batch` is overwritten by the next step; whoever keeps one copies it.
 """
 
-import operator
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, SupportsIndex
 
@@ -13,9 +12,8 @@ import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
-from drone_env.core.actions import N_ACTIONS, Event, Outcome
+from drone_env.core.actions import ALLOWED_ACTIONS, N_ACTIONS, Event, Outcome, integer
 from drone_env.core.compile_cache import compiled_once, tell_before_compiling
-from drone_env.core.episode import ALLOWED_ACTIONS
 from drone_env.core.fetching import fetch_early
 from drone_env.core.observation import (
     open_actions,
@@ -23,7 +21,7 @@ from drone_env.core.observation import (
     write_target_telemetry,
     write_telemetry,
 )
-from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, tabulate_rewards
+from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, Rewards, get_reward_profile, tabulate_rewards
 from drone_env.core.rules import reset as reset_episode
 from drone_env.core.rules import step as step_episode
 from drone_env.core.score import score
@@ -213,7 +211,7 @@ class Batch:
         self,
         task: str | TaskConfig,
         num_envs: SupportsIndex,
-        reward_profile: str | RewardProfile = "aligned",
+        reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         same_step: bool = False,
         num_threads: SupportsIndex = 1,
     ) -> None:
@@ -391,11 +389,8 @@ class Batch:
 
 
 def _count(name: str, value: SupportsIndex) -> int:
-    try:
-        number = 0 if isinstance(value, bool) else operator.index(value)
-    except TypeError:
-        number = 0
-    if number < 1:
+    number = integer(value)
+    if number is None or number < 1:
         raise InvalidValueError(f"{name} must be an integer of at least 1, got {value!r}")
     return number
 

@@ -1,7 +1,8 @@
 """One episode: holds the state, flies actions by the `rules`, and tells what there is to know."""
 
-import operator
+import copy
 import secrets
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, SupportsIndex
 
@@ -9,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core import rules
-from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome
+from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome, check_action
 from drone_env.core.observation import Observation, open_actions, write_telemetry
-from drone_env.core.rewards import RewardProfile, get_reward_profile, interpreted_rewards
+from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, get_reward_profile, interpreted_rewards
 from drone_env.core.score import efficiency, efficiency_shares, score
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tables import (
@@ -34,8 +35,6 @@ from drone_env.core.tables import (
 )
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import EpisodeError, InvalidValueError
-
-ALLOWED_ACTIONS = ", ".join(f"{int(action)} {action.name}" for action in Action)
 
 
 class PathStep(NamedTuple):
@@ -82,13 +81,18 @@ class Episode:
     Args:
         task: A task or its name.
         reward_profile: A reward profile or its name.
+        seed: The map to start on; without one, `reset` starts the first.
 
     Raises:
         UnknownNameError: if there is no such task or profile.
+        InvalidValueError: if the seed is not an integer in [0, 2^53).
     """
 
     def __init__(
-        self, task: str | TaskConfig = "easy_delivery", reward_profile: str | RewardProfile = "tiered"
+        self,
+        task: str | TaskConfig = "easy_delivery",
+        reward_profile: str | RewardProfile = DEFAULT_PROFILE,
+        seed: SupportsIndex | None = None,
     ) -> None:
         self.task = get_task(task)
         self.tables = interpreted(self.task)
@@ -102,6 +106,8 @@ class Episode:
         self._reward_total = 0.0
         self._refused = False
         self._path: list[tuple[int, int, int, float, int]] = []
+        if seed is not None:
+            self.reset(seed)
 
     def reset(self, seed: SupportsIndex | None = None, reward_profile: str | RewardProfile | None = None) -> int:
         """Start map `seed` and return the seed. On an error the running episode is left as it was.
@@ -139,12 +145,7 @@ class Episode:
             InvalidValueError: if the action is not an integer from 0 to 4; the state is left as it was.
             EpisodeError: before the first reset.
         """
-        try:
-            number = -1 if isinstance(action, bool) else operator.index(action)
-        except TypeError:
-            number = -1
-        if not 0 <= number < N_ACTIONS:
-            raise InvalidValueError(f"action must be one of {ALLOWED_ACTIONS}; got {action!r}")
+        number = check_action(action)
         state = self._state
         if state[OUTCOME]:
             self._refused = True
@@ -155,13 +156,23 @@ class Episode:
         self._path.append((number, state[CELL], state[EVENT], reward, state[BATTERY]))
         return reward
 
+    def fly(self, actions: Iterable[SupportsIndex]) -> "Episode":
+        """Fly actions one after another and return the episode. Each is asked for when the one before is flown."""
+        for action in actions:
+            self.step(action)
+        return self
+
+    def copy(self) -> "Episode":
+        """An episode of its own that stands where this one does."""
+        return copy.copy(self)
+
+    def waited_out(self) -> "Episode":
+        """A copy of it that has waited to its end."""
+        return self.copy().fly([Action.WAIT] * (self.task.max_steps - self.steps))
+
     @property
     def seed(self) -> int:
-        """The seed of the map.
-
-        Raises:
-            EpisodeError: before the first reset.
-        """
+        """The seed of the map."""
         if self._seed is None:
             raise EpisodeError(NOT_STARTED)
         return self._seed
@@ -210,6 +221,11 @@ class Episode:
     def deliveries_done(self) -> int:
         """Parcels delivered."""
         return self._state[DELIVERIES]
+
+    @property
+    def cell(self) -> int:
+        """Number of the drone's cell: y * width + x."""
+        return self._state[CELL]
 
     @property
     def position(self) -> tuple[int, int]:
@@ -295,10 +311,7 @@ class Episode:
 
     def counted_score(self) -> float:
         """The score to report: the final one, or of an unfinished episode what waiting to its end would earn."""
-        grid, state = view(np.ravel(self.grid())), view(np.array(self._state_array))
-        while not state[OUTCOME]:
-            rules.step(self.tables, self._rewards, grid, state, Action.WAIT)
-        return score(self.tables, state)
+        return self.waited_out().score
 
     def observation(self) -> Observation:
         """What an agent sees now, as arrays of its own."""
@@ -307,11 +320,7 @@ class Episode:
         return {"grid": self.grid(), "telemetry": telemetry}
 
     def grid(self) -> npt.NDArray[np.uint8]:
-        """The cell ids as the drone sees them: a copy, uint8[height, width].
-
-        Raises:
-            EpisodeError: before the first reset.
-        """
+        """The cell ids as the drone sees them: a copy, uint8[height, width]."""
         if not self.started:
             raise EpisodeError(NOT_STARTED)
         return np.array(np.reshape(self._grid_array, (self.tables.height, self.tables.width)))
@@ -322,11 +331,7 @@ class Episode:
         return np.array([mask >> 8 * action & 1 for action in range(N_ACTIONS)], np.int8)
 
     def get_state(self) -> EpisodeState:
-        """A snapshot for planners; `set_state` returns to it.
-
-        Raises:
-            EpisodeError: before the first reset.
-        """
+        """A snapshot; `set_state` returns to it."""
         return EpisodeState(
             task=self.task,
             reward_profile=self.reward_profile,

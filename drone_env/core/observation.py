@@ -17,7 +17,11 @@ from drone_env.core.tables import (
     Buffer,
     FloatBuffer,
     Tables,
+    interpreted,
+    state_size,
+    view,
 )
+from drone_env.core.tasks import TaskConfig
 
 
 class Observation(TypedDict):
@@ -27,6 +31,28 @@ class Observation(TypedDict):
     """uint8[height, width] of cell ids; the drone's id hides what lies below it."""
     telemetry: npt.NDArray[np.float32]
     """float32[5] (or 6, or 13): see `write_telemetry`."""
+
+
+def telemetry_of(
+    task: TaskConfig, cell: int, under: int, battery: int, steps: int, target: int | None
+) -> npt.NDArray[np.float32]:
+    """The telemetry of a drone that stands so; see `write_telemetry`.
+
+    Args:
+        task: The task.
+        cell: Where it is, y * width + x.
+        under: The kind of the cell below it.
+        battery: Units left.
+        steps: Steps taken.
+        target: The cell of the current target, None where nothing is left.
+    """
+    tables = interpreted(task)
+    state = np.zeros(state_size(tables), np.uint16)
+    state[[CELL, UNDER, BATTERY, STEPS]] = cell, under, battery, steps
+    state[TARGET] = NOWHERE if target is None else target
+    telemetry = np.zeros(task.telemetry_size, np.float32)
+    write_telemetry(tables, view(state), view(telemetry))
+    return telemetry
 
 
 def write_telemetry(tables: Tables, state: Buffer, telemetry: FloatBuffer) -> None:

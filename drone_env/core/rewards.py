@@ -23,6 +23,11 @@ from drone_env.core.tables import (
 from drone_env.core.tasks import MAX_SIDE, TaskConfig
 from drone_env.errors import InvalidTaskError, UnknownNameError
 
+DEFAULT_PROFILE = "aligned"
+"""What steps pay where nobody says it: in `Episode`, Gymnasium, training, data sets, `play`, `audit`, Inspect, TRL."""
+ORIGINAL_PROFILE = "tiered"
+"""The same where the project's first version set it: over HTTP and OpenEnv, in `fly`, `infer` and `inference.py`."""
+
 FLYING = int(Outcome.FLYING)
 STRIDE = 2 * MAX_SIDE
 """Entries of a potential's table per number of deliveries: a distance is below it."""

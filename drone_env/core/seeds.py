@@ -7,9 +7,9 @@ fits in a signed 64-bit integer, so that no compiler has to choose between signe
 """
 
 import hashlib
-import operator
 from typing import NamedTuple, SupportsIndex
 
+from drone_env.core.actions import integer
 from drone_env.errors import InvalidValueError, UnknownNameError
 
 MASK32 = (1 << 32) - 1
@@ -91,15 +91,9 @@ def check_seed(seed: SupportsIndex) -> int:
     Raises:
         InvalidValueError: if it is not an integer in [0, 2^53).
     """
-    message = f"seed must be an integer in [0, 2^53), got {seed!r}"
-    if isinstance(seed, bool):
-        raise InvalidValueError(message)
-    try:
-        value = operator.index(seed)
-    except TypeError:
-        raise InvalidValueError(message) from None
-    if not 0 <= value < N_SEEDS:
-        raise InvalidValueError(message)
+    value = integer(seed)
+    if value is None or not 0 <= value < N_SEEDS:
+        raise InvalidValueError(f"seed must be an integer in [0, 2^53), got {seed!r}")
     return value
 
 

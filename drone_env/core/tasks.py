@@ -3,8 +3,9 @@
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any
 
 from drone_env.core.cells import Cell
 from drone_env.errors import InvalidTaskError, UnknownNameError, WithdrawnError
@@ -44,6 +45,7 @@ class TaskConfig:
             most 16 and divides width and height. Buildings and trees then stand between the streets, everything else
             on them. 0 for no streets: everything anywhere.
         efficiency_needs_all: Whether battery and steps left count in the score only when everything is delivered.
+        family: Tasks of one family are listed together. It names no rule: results do not depend on it.
 
     Raises:
         InvalidTaskError: on construction, if the numbers are out of range or contradict each other.
@@ -76,13 +78,14 @@ class TaskConfig:
     charge_rate: int = 0
     street_spacing: int = 0
     efficiency_needs_all: bool = False
+    family: str = "other"
 
     def __post_init__(self) -> None:
         def require(holds: bool, message: str) -> None:
             if not holds:
                 raise InvalidTaskError(f"task {self.id!r}: {message}")
 
-        for name in ("id", "short_name"):
+        for name in ("id", "short_name", "family"):
             value = getattr(self, name)
             valid = isinstance(value, str) and re.fullmatch("[a-z][a-z0-9_]*", value)
             require(bool(valid), f"{name} must be lower-case letters, digits and _, got {value!r}")
@@ -151,6 +154,10 @@ class TaskConfig:
             and not (self.pads and self.charge_rate)
         )
 
+    def rules(self) -> dict[str, Any]:
+        """All that decides how the task is flown, by name: what hashes and data sets say of it."""
+        return {name: value for name, value in asdict(self).items() if name != "family"}
+
     @property
     def telemetry_size(self) -> int:
         """5; 6 where the battery does not tell the time and the share of steps left is appended; 13 with pads.
@@ -208,6 +215,7 @@ def _standard(
         r_tree=r_other,
         r_wait=r_other,
         r_step=r_other,
+        family="city",
     )
 
 
@@ -236,6 +244,7 @@ def _skyline(
         street_spacing=4,
         efficiency_needs_all=True,
         version=2,
+        family="skyline",
     )
 
 

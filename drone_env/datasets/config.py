@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from drone_env import __version__
 from drone_env.agents import make_agent
-from drone_env.core.rewards import get_reward_profile
+from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import EpisodesKey, episodes_key
@@ -61,7 +61,7 @@ class DatasetConfig:
         config: dict[str, Any] = {
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
-            "task": asdict(self.task),
+            "task": self.task.rules(),
             "split": self.split,
             "seeds": [self.seeds.start, self.seeds.stop],
             "agents": [
@@ -81,7 +81,7 @@ def dataset_config(
     split: str = "custom",
     agents: Sequence[str] = ("optimal", "greedy", "random"),
     epsilon: float = 0.1,
-    reward_profile: str = "aligned",
+    reward_profile: str = DEFAULT_PROFILE,
 ) -> DatasetConfig:
     """The configuration of a data set.
 

@@ -9,15 +9,14 @@ from gymnasium.error import ResetNeeded
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.episode import Episode, Observation
-from drone_env.core.rewards import RewardProfile
+from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.ansi import draw_text
-from drone_env.envs.registration import check_gym_id
+from drone_env.envs.registry import check_gym_id
 from drone_env.envs.rendering import draw_mission
 from drone_env.envs.spaces import observation_space
 from drone_env.envs.window import Window
 from drone_env.errors import InvalidValueError
-from drone_env.planning.optimal import best_of
 
 
 class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
@@ -30,8 +29,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
     of the task and so `terminated`; nothing here truncates.
 
     `info` holds `seed` (the number of the map), `score` (graded, provisional until the end), `action_mask` (int8[5],
-    advice) and `event`; at the end also `outcome`, and `optimal_score`, `optimal_steps` and `regret` (optimal minus own
-    score), which are None on a task that no planner solves exactly.
+    advice) and `event`; at the end also `outcome`. `gymnasium.make` adds the optimum (`wrappers.WithOptimum`).
 
     Args:
         task: A task or its name.
@@ -51,7 +49,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         self,
         task: str | TaskConfig = "easy_delivery",
         version: int | None = None,
-        reward_profile: str | RewardProfile = "aligned",
+        reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         render_mode: str | None = None,
         gym_id: str | None = None,
     ) -> None:
@@ -142,9 +140,5 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
             "event": episode.event.name.lower(),
         }
         if episode.ended:
-            optimum = best_of(self.task, episode.seed)
             info["outcome"] = episode.outcome.name.lower()
-            info["optimal_score"] = optimum and optimum.score
-            info["optimal_steps"] = optimum and optimum.steps
-            info["regret"] = optimum and optimum.score - episode.score
         return info

@@ -1,6 +1,6 @@
-"""Tasks, reward profiles and agents from outside the package.
+"""What is known by name: tasks under their Gymnasium ids, and tasks, profiles and agents from outside the package.
 
-A module registers them when it is imported:
+A module registers its own when it is imported:
 
     courier = replace(get_task("easy"), id="courier", short_name="courier", grader="drone_env.graders:grade_courier")
     register_task(replace(courier, deliveries=2))
@@ -15,14 +15,41 @@ import os
 from collections.abc import Callable
 from importlib import import_module
 from types import ModuleType
+from typing import TYPE_CHECKING
 
-from drone_env.agents import AGENTS, Agent
+import gymnasium
+
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.tasks import PAST_TASKS, TASKS, TaskConfig
-from drone_env.envs.registration import register_envs
 from drone_env.errors import InvalidTaskError, InvalidValueError
 
+if TYPE_CHECKING:
+    from drone_env.agents import Agent
+
 PLUGINS = "DRONE_ENV_PLUGINS"
+
+
+def register_envs() -> None:
+    """Register each task and version with Gymnasium that is not registered yet, such as `DroneDelivery-Easy-v1`."""
+    for task in (*TASKS.values(), *PAST_TASKS):
+        if task.gym_id not in gymnasium.registry:
+            gymnasium.register(
+                id=task.gym_id,
+                # A function, not `additional_wrappers`: those cannot stand beside a vector_entry_point.
+                entry_point="drone_env.envs.wrappers:make",
+                vector_entry_point="drone_env.envs.vector:DroneDeliveryVectorEnv",
+                kwargs={"task": task.id, "version": task.version, "gym_id": task.gym_id},
+            )
+
+
+def check_gym_id(gym_id: str | None, task: TaskConfig) -> None:
+    """See that an environment made under a Gymnasium id flies the task of that id.
+
+    Raises:
+        InvalidValueError: if it is another task's.
+    """
+    if gym_id not in (None, task.gym_id):
+        raise InvalidValueError(f"{gym_id} does not fly task {task.id!r}: make {task.gym_id}, or leave the task out")
 
 
 def register_task(task: TaskConfig) -> TaskConfig:
@@ -60,7 +87,7 @@ def register_reward_profile(profile: RewardProfile) -> RewardProfile:
     return profile
 
 
-def register_agent(name: str, make: Callable[[TaskConfig], Agent]) -> None:
+def register_agent(name: str, make: "Callable[[TaskConfig], Agent]") -> None:
     """Make an agent known by its name everywhere; `make`, such as its class, makes one for a task.
 
     Registering the same again changes nothing.
@@ -68,6 +95,8 @@ def register_agent(name: str, make: Callable[[TaskConfig], Agent]) -> None:
     Raises:
         InvalidValueError: if another agent has the name, or it has a colon, which begins the file of a network.
     """
+    from drone_env.agents import AGENTS  # loads all of them, which the package's face does without
+
     if ":" in name or AGENTS.get(name, make) != make:
         raise InvalidValueError(
             f"agent {name!r}: the name has a colon or is that of another agent: {', '.join(AGENTS)}"

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from drone_env.core.actions import N_ACTIONS
-from drone_env.core.rewards import RewardProfile
+from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.seeds import check_seed
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
@@ -63,7 +63,7 @@ class DroneDeliveryVecEnv(VecEnv):
         task: str | TaskConfig,
         num_envs: SupportsIndex,
         version: int | None = None,
-        reward_profile: str | RewardProfile = "aligned",
+        reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         num_threads: SupportsIndex = 1,
         observation: str = "dict",
     ) -> None:

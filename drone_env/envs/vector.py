@@ -11,10 +11,10 @@ from gymnasium.vector.utils import batch_space
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.batch import Batch
-from drone_env.core.rewards import RewardProfile
+from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.envs.registration import check_gym_id
+from drone_env.envs.registry import check_gym_id
 from drone_env.envs.spaces import observation_space
 from drone_env.errors import EpisodeError, InvalidValueError
 
@@ -54,7 +54,7 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         num_envs: SupportsIndex = 1,
         task: str | TaskConfig = "easy_delivery",
         version: int | None = None,
-        reward_profile: str | RewardProfile = "aligned",
+        reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         num_threads: SupportsIndex = 1,
         copy: bool = True,

@@ -1,7 +1,7 @@
-"""Other forms of the observation: planes for convolutions, one vector, text."""
+"""The optimum at the end of an episode, and other forms of the observation: planes, one vector, text."""
 
 import string
-from typing import Any, cast
+from typing import Any, SupportsFloat, cast
 
 import gymnasium
 import numpy as np
@@ -12,8 +12,39 @@ from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.episode import Observation
 from drone_env.envs.ansi import SYMBOLS, TARGET, draw_text
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
+from drone_env.planning.optimal import best_of
 
 Env = gymnasium.Env[Observation, int]
+
+
+class WithOptimum(gymnasium.Wrapper[Observation, int, Observation, int], gymnasium.utils.RecordConstructorArgs):
+    """Solves the map when its episode ends. `gymnasium.make` applies it to every environment of this package.
+
+    The last `info` then also holds `optimal_score`, `optimal_steps` and `regret` (optimal minus own score), which are
+    None on a task that no planner solves exactly.
+    """
+
+    def __init__(self, env: Env) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+
+    def step(self, action: int) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Fly one action, and solve the map if it ends the episode."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if terminated:
+            optimum = best_of(cast(DroneDeliveryEnv, self.unwrapped).task, info["seed"])
+            info["optimal_score"] = optimum and optimum.score
+            info["optimal_steps"] = optimum and optimum.steps
+            info["regret"] = optimum and optimum.score - info["score"]
+        return observation, reward, terminated, truncated, info
+
+
+def make(**options: Any) -> WithOptimum:
+    """What `gymnasium.make` makes of an id of this package; the options are those of `DroneDeliveryEnv`."""
+    return WithOptimum(DroneDeliveryEnv(**options))
+
+
+make.metadata = DroneDeliveryEnv.metadata  # type: ignore[attr-defined]  # by which Gymnasium knows the render modes
 
 
 def one_hot(grid: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

@@ -1,14 +1,12 @@
 """A session as it is kept: which map, which actions so far. Flying them again gives its episode."""
 
-import operator
 import re
 import secrets
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import SupportsIndex, cast
 
-from drone_env.core.actions import N_ACTIONS
-from drone_env.core.episode import ALLOWED_ACTIONS, Episode
+from drone_env.core.actions import check_action
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile
 from drone_env.core.seeds import check_seed
 from drone_env.core.tasks import get_task
@@ -60,13 +58,7 @@ class SessionRow:
         """
         if self.episode_id is not None:
             raise EpisodeError("the episode of this session has ended: reset to fly again")
-        try:
-            number = -1 if isinstance(action, bool) else operator.index(cast(SupportsIndex, action))
-        except TypeError:
-            number = -1
-        if not 0 <= number < N_ACTIONS:
-            raise InvalidValueError(f"action must be one of {ALLOWED_ACTIONS}; got {action!r}")
-        self.actions = (*self.actions, number)
+        self.actions = (*self.actions, check_action(action))
 
     def finish(self, episode: Episode) -> str:
         """Note that the episode has ended, and return the id under which the store will know it.
@@ -125,16 +117,11 @@ class SessionRow:
             task = get_task(self.task, self.task_version)
         except WithdrawnError as error:
             raise SessionGoneError(str(error)) from None
-        episode = Episode(task, self.reward_profile)
-        episode.reset(self.seed)
-        return episode
+        return Episode(task, self.reward_profile, self.seed)
 
     def fly(self) -> Episode:
         """The episode of this session, flown anew from its reset: some microseconds per action. Raises as `begin`."""
-        episode = self.begin()
-        for action in self.actions:
-            episode.step(action)
-        return episode
+        return self.begin().fly(self.actions)
 
 
 def known_task(task: str, task_version: int, seed: int, reward_profile: str) -> str:

@@ -5,19 +5,23 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents import Agent, BatchAgent, make_agent
+from drone_env.agents import BatchAgent, make_agent
 from drone_env.core.episode import Episode
+from drone_env.core.rollout import rollout
 from drone_env.core.seeds import SPLITS, check_seed, split_of
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
+
+if TYPE_CHECKING:
+    from drone_env.agents.together import Ends
 
 
 class EpisodesKey(NamedTuple):
@@ -87,7 +91,7 @@ def config_hash(task: TaskConfig, agent: str) -> str:
     Raises:
         InvalidValueError: if the agent does not say what decides how it flies.
     """
-    numbers = asdict(task) | {"impassable": sorted(task.impassable)}
+    numbers = task.rules() | {"impassable": sorted(task.impassable)}
     flies: Any = getattr(make_agent(agent, task), "config", None)
     try:
         text = json.dumps({"task": numbers, "agent": dict(flies)}, sort_keys=True)
@@ -122,8 +126,8 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
         seeds=seeds,
         scores=flights.scores,
         steps=flights.steps,
-        deliveries=flights.deliveries,
-        success=flights.deliveries == task.deliveries,
+        deliveries=flights.deliveries_done,
+        success=flights.deliveries_done == task.deliveries,
         optimal_scores=np.full(len(seeds), np.nan) if optimal is None else optimal.scores,
         optimal_steps=np.full(len(seeds), -1, np.int32) if optimal is None else optimal.steps,
     )
@@ -193,14 +197,8 @@ def _mean(values: npt.NDArray[Any]) -> float:
     return math.fsum(values) / len(values)
 
 
-class _Flights(NamedTuple):
-    scores: npt.NDArray[np.float64]
-    steps: npt.NDArray[np.int32]
-    deliveries: npt.NDArray[np.int32]
-
-
 @lru_cache(maxsize=256)
-def _fly_optimally(task: TaskConfig, start: int, stop: int) -> _Flights | None:
+def _fly_optimally(task: TaskConfig, start: int, stop: int) -> "Ends | None":
     """The optimum of each map, None where one is too large; kept, since every agent is compared with it."""
     try:
         return _fly(task, "optimal", np.arange(start, stop, dtype=np.int64))
@@ -208,49 +206,17 @@ def _fly_optimally(task: TaskConfig, start: int, stop: int) -> _Flights | None:
         return None
 
 
-def _fly(task: TaskConfig, agent_name: str, seeds: npt.NDArray[np.int64]) -> _Flights:
+def _fly(task: TaskConfig, agent_name: str, seeds: npt.NDArray[np.int64]) -> "Ends":
+    from drone_env.agents.together import Ends, fly_together  # compiles, which only who evaluates should wait for
+
     agent = make_agent(agent_name, task)
     if isinstance(agent, BatchAgent):
-        return _fly_together(task, agent, seeds)
-    return _fly_one_by_one(task, agent, seeds)
-
-
-def _fly_together(task: TaskConfig, agent: BatchAgent, seeds: npt.NDArray[np.int64]) -> _Flights:
-    from drone_env.core.batch import Batch  # compiles, which only those who evaluate should wait for
-
-    n = len(seeds)
-    flights = _Flights(np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32))
-    flying = np.ones(n, np.bool_)
-    batch = Batch(task, n)
-    batch.reset(seeds)
-    agent.reset_batch(seeds)
-    stateless = getattr(agent, "stateless", False)
-    actions = np.zeros(n, np.int64)
-    while flying.any():
-        if stateless:
-            actions[flying] = agent.act_batch(batch.grids[flying], batch.telemetry[flying])
-        else:
-            actions = agent.act_batch(batch.grids, batch.telemetry)
-        batch.step(actions)
-        # Episodes that ended earlier fly on, over other maps: only the first end counts.
-        first = flying[batch.ended]
-        ended = batch.ended[first]
-        finals = batch.finals()
-        flights.scores[ended] = finals["score"][first]
-        flights.steps[ended] = finals["steps"][first]
-        flights.deliveries[ended] = finals["deliveries"][first]
-        flying[ended] = False
-    return flights
-
-
-def _fly_one_by_one(task: TaskConfig, agent: Agent, seeds: npt.NDArray[np.int64]) -> _Flights:
+        agent.reset_batch(seeds)
+        return fly_together(task, seeds, agent.act_batch, getattr(agent, "stateless", False))
     ends: list[tuple[float, int, int]] = []
     for seed in seeds.tolist():
         agent.reset(seed)
-        episode = Episode(task)
-        episode.reset(seed)
-        while not episode.ended:
-            episode.step(agent.act(episode.observation()))
+        episode = rollout(Episode(task, seed=seed), lambda episode: agent.act(episode.observation()))
         ends.append((episode.score, episode.steps, episode.deliveries_done))
-    scores, steps, deliveries = zip(*ends, strict=True)
-    return _Flights(np.array(scores), np.array(steps, np.int32), np.array(deliveries, np.int32))
+    scores, steps, deliveries_done = zip(*ends, strict=True)
+    return Ends(np.array(scores), np.array(steps, np.int32), np.array(deliveries_done, np.int32))

@@ -12,6 +12,7 @@ import math
 from typing import Any
 
 from drone_env.core.episode import Episode
+from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.episodes.record import record_of
@@ -58,7 +59,7 @@ def drone_delivery(
     episodes: int = 100,
     split: str = "test",
     history: int = 0,
-    reward_profile: str = "tiered",
+    reward_profile: str = DEFAULT_PROFILE,
 ) -> Task:
     """Flights over the first maps of a split, one sample a map; Inspect's epochs are repeats.
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError
@@ -37,15 +38,15 @@ class DroneEnvironment:
     TRL takes every public method but `reset` and `get_reward` for a tool, so there is none but `fly`.
 
     Args:
-        reward_profile: What is paid: `score`, the graded score and nothing else, unless another is named.
+        reward_profile: What is paid, undiscounted: its shaping, if it has one, gets the discount 1.
 
     Raises:
         UnknownNameError: if there is no such profile.
     """
 
-    def __init__(self, reward_profile: str = "score") -> None:
-        self._reward_profile = reward_profile
-        self._episode = Episode("easy", reward_profile)
+    def __init__(self, reward_profile: str = DEFAULT_PROFILE) -> None:
+        self._reward_profile = profile_for_discount(get_reward_profile(reward_profile), 1)
+        self._episode = Episode("easy", self._reward_profile)
 
     def reset(self, task: str | None = None, seed: int | None = None, **columns: Any) -> str:
         """Start a map and tell what there is to see; TRL appends it to the last message of the prompt.

@@ -24,21 +24,11 @@ from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import distance
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, profile_for_discount, tabulate_rewards
+from drone_env.core.rollout import rollout
 from drone_env.core.rules import step
 from drone_env.core.score import score
-from drone_env.core.tables import (
-    BATTERY,
-    CELL,
-    DELIVERIES,
-    DISTANCE,
-    OUTCOME,
-    STEPS,
-    TARGET,
-    UNDER,
-    Tables,
-    tabulate,
-)
-from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.tables import BATTERY, CELL, DELIVERIES, DISTANCE, OUTCOME, TARGET, UNDER, Tables, tabulate
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
 from drone_env.planning.map_graph import (
     battery_ranges,
@@ -49,7 +39,7 @@ from drone_env.planning.map_graph import (
     require_memory,
     state_arrays,
 )
-from drone_env.planning.optimal import Solution, solve
+from drone_env.planning.optimal import Solution, solve_episode
 
 FLYING = int(Outcome.FLYING)
 DELIVERY = int(Cell.DELIVERY)
@@ -208,19 +198,13 @@ def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardPro
         InvalidValueError: if the seed is not in [0, 2^53).
         TooLargeError: if it would take more memory than `map_graph.MAX_BYTES`.
     """
-    task = get_task(task)
-    profile = get_reward_profile(reward_profile)
-    episode = Episode(task, profile)
-    episode.reset(seed)
-    solution = solve(task, seed)
-    actions, maximum = _maximise(episode, profile, gamma)
-    for action in actions:
-        episode.step(action)
-    score_of_flight = episode.score
-    returns = {"honest": _fly(episode, solution.actions, gamma)}
-    for name, hack in HACKS.items():
-        returns[name] = _fly(episode, hack(task, seed, solution), gamma)
-    return MapAudit(seed, solution.score, score_of_flight, tuple(actions), maximum, returns)
+    start = Episode(task, reward_profile, seed)
+    solution = solve_episode(start)
+    flight, maximum = _maximise(start, gamma)
+    flights = {"honest": solution.actions} | {name: hack(start, solution) for name, hack in HACKS.items()}
+    returns = {name: _return(start.copy().fly(actions), gamma) for name, actions in flights.items()}
+    actions = tuple(step.action for step in flight.path)
+    return MapAudit(start.seed, solution.score, flight.score, actions, maximum, returns)
 
 
 def audit_maps(
@@ -269,85 +253,63 @@ def summarise_audits(
     }
 
 
-def _maximise(episode: Episode, profile: RewardProfile, gamma: float) -> tuple[list[Action], float]:
-    """The actions and the return of the return-maximising flight with the lowest score."""
-    task = episode.task
-    tables = tabulate(task)
-    grid, state, parcels = state_arrays(episode)
-    first_step, battery = int(state[STEPS]), int(state[BATTERY])
-    lowest, sizes = battery_ranges(battery, *drain_range(task), task, task.max_steps - first_step)
+def _maximise(start: Episode, gamma: float) -> tuple[Episode, float]:
+    """The return-maximising flight with the lowest score, and its return."""
+    task = start.task
+    tables, rewards = tabulate(task), tabulate_rewards(task, start.reward_profile)
+    grid, state, parcels = state_arrays(start)
+    lowest, sizes = battery_ranges(start.battery_units, *drain_range(task), task, task.max_steps - start.steps)
     shape = (int(sizes.max()), 1 << len(parcels), len(parcels), tables.cells)
     size = int(np.prod(shape, dtype=object)) * (len(sizes) + 32)
     require_memory("the audit", task, size)
     values, lows = np.zeros((2, 2, *shape))
     choices = np.zeros((len(sizes), *shape), np.uint8)
-    start, aim = int(state[CELL]), number_of(state, parcels, int(state[TARGET]))
-    rewards = tabulate_rewards(task, profile)
-    largest = max(np.abs(rewards.events).max(), np.abs(rewards.potential).max())
-    audit_kernel(
-        tables,
-        rewards,
-        gamma,
-        NOISE * float(largest),
-        grid,
-        state,
-        parcels,
-        first_step,
-        lowest,
-        sizes,
-        values,
-        lows,
-        choices,
-    )
-    highest = float(values[0, battery - lowest[0], 0, aim, start])
-    flight = Episode(task, profile)
-    flight.set_state(episode.get_state())
-    actions: list[Action] = []
-    while not flight.ended:
-        now = np.frombuffer(flight.get_state().numbers, np.uint16)
-        aim = number_of(now, parcels, int(now[TARGET]))
-        t = len(actions)
-        choice = choices[t, now[BATTERY] - lowest[t], delivered_set(now, parcels), aim, now[CELL]]
-        actions.append(Action(int(choice)))
-        flight.step(actions[-1])
-    return actions, highest
+    noise = NOISE * float(max(np.abs(rewards.events).max(), np.abs(rewards.potential).max()))
+    audit_kernel(tables, rewards, gamma, noise, grid, state, parcels, start.steps, lowest, sizes, values, lows, choices)
+
+    def choose(flight: Episode) -> int:
+        t = flight.steps - start.steps
+        return int(choices[(t, flight.battery_units - lowest[t], *_aim(flight), flight.cell)])
+
+    flight = rollout(start.copy(), choose)
+    return flight, float(values[(0, start.battery_units - lowest[0], *_aim(start), start.cell)])
 
 
-def _fly(episode: Episode, actions: tuple[Action, ...], gamma: float) -> float:
-    """The discounted return of a flight on the map of an episode."""
-    episode.reset(episode.seed)
-    rewards = [episode.step(action) for action in actions]
-    return sum(reward * gamma**t for t, reward in enumerate(rewards))
+def _aim(flight: Episode) -> tuple[int, int]:
+    """(delivered set, number of the target) of an episode that began with all parcels waiting."""
+    delivered = sum(done << i for i, (_, _, done) in enumerate(flight.parcels))
+    return delivered, [(x, y) for x, y, _ in flight.parcels].index(flight.target or (-1, -1))
 
 
-def stall(task: TaskConfig, seed: int, solution: Solution) -> tuple[Action, ...]:
+def _return(flight: Episode, gamma: float) -> float:
+    """The discounted sum of what a flight was paid."""
+    return sum(reward * gamma**t for t, reward in enumerate(flight.rewards))
+
+
+def stall(start: Episode, solution: Solution) -> tuple[Action, ...]:
     """Wait at the start until the end."""
-    return (Action.WAIT,) * task.max_steps
+    return (Action.WAIT,) * start.task.max_steps
 
 
-def bump(task: TaskConfig, seed: int, solution: Solution) -> tuple[Action, ...]:
+def bump(start: Episode, solution: Solution) -> tuple[Action, ...]:
     """Fly up to the edge of the city and bump into it until the end."""
-    return (Action.UP,) * task.max_steps
+    return (Action.UP,) * start.task.max_steps
 
 
-def oscillate(task: TaskConfig, seed: int, solution: Solution) -> tuple[Action, ...]:
+def oscillate(start: Episode, solution: Solution) -> tuple[Action, ...]:
     """Fly to a neighbouring cell and back until the end."""
-    episode = Episode(task)
-    episode.reset(seed)
-    there = next((a for a in (Action.UP, Action.LEFT, Action.DOWN, Action.RIGHT) if episode.action_mask()[a]), None)
+    back = {Action.UP: Action.DOWN, Action.LEFT: Action.RIGHT, Action.DOWN: Action.UP, Action.RIGHT: Action.LEFT}
+    there = next((action for action in back if start.action_mask()[action]), None)
     if there is None:
-        return stall(task, seed, solution)
-    back = {Action.UP: Action.DOWN, Action.DOWN: Action.UP, Action.LEFT: Action.RIGHT, Action.RIGHT: Action.LEFT}
-    return (there, back[there]) * (task.max_steps // 2) + (there,) * (task.max_steps % 2)
+        return stall(start, solution)
+    steps = start.task.max_steps
+    return (there, back[there]) * (steps // 2) + (there,) * (steps % 2)
 
 
-def hover(task: TaskConfig, seed: int, solution: Solution) -> tuple[Action, ...]:
+def hover(start: Episode, solution: Solution) -> tuple[Action, ...]:
     """Fly the best flight, but wait before the last delivery for as long as it can still be made."""
-    episode = Episode(task)
-    episode.reset(seed)
-    for action in solution.actions:
-        episode.step(action)
-    deliveries = [t for t, point in enumerate(episode.path) if point.event is Event.DELIVERY]
+    best = start.copy().fly(solution.actions)
+    deliveries = [t for t, step in enumerate(best.path) if step.event is Event.DELIVERY]
     if not deliveries:
         return solution.actions
 
@@ -356,12 +318,9 @@ def hover(task: TaskConfig, seed: int, solution: Solution) -> tuple[Action, ...]
         return (*solution.actions[:last], *(Action.WAIT,) * steps, *solution.actions[last:])
 
     def too_long(steps: int) -> bool:
-        episode.reset(seed)
-        for action in waiting(steps):
-            episode.step(action)
-        return episode.deliveries_done < solution.deliveries
+        return start.copy().fly(waiting(steps)).deliveries_done < solution.deliveries
 
-    return waiting(bisect.bisect_left(range(1, task.max_steps + 1), True, key=too_long))
+    return waiting(bisect.bisect_left(range(1, start.task.max_steps + 1), True, key=too_long))
 
 
 HACKS = {"stall": stall, "bump": bump, "oscillate": oscillate, "hover": hover}

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from drone_env.core.actions import N_ACTIONS, Action, Event
 from drone_env.core.episode import Episode
 from drone_env.core.obstacles import collision
+from drone_env.core.rollout import rollout
 from drone_env.core.score import score_of
 from drone_env.core.tables import Buffer, Tables, interpreted, view
 from drone_env.planning.greedy import greedy_action
@@ -32,10 +33,7 @@ def bounds(episode: Episode) -> Bounds:
     (or, where nothing charges, had lost only the cheapest steps), with all the parcels that the steps left allow on
     the shortest tour.
     """
-    flight = Episode(episode.task, episode.reward_profile)
-    flight.set_state(episode.get_state())
-    while not flight.ended:
-        flight.step(greedy_action(flight.task, flight.observation()))
+    flight = rollout(episode.copy(), lambda flight: greedy_action(flight.task, flight.observation()))
     return Bounds(flight.score, max(_upper(episode), flight.score))
 
 
@@ -44,10 +42,9 @@ def _upper(episode: Episode) -> float:
     if episode.ended:
         return episode.score
     waiting = [y * task.width + x for x, y, delivered in episode.parcels if not delivered]
-    x, y = episode.position
     steps_left = task.max_steps - episode.steps
     grid = view(episode.grid().ravel())
-    first = _steps_to(tables, grid, y * task.width + x)
+    first = _steps_to(tables, grid, episode.cell)
     near = [cell for cell in waiting if first[cell] <= steps_left]
     reached, steps = len(near), max((first[cell] for cell in near), default=0)
     if 0 < len(near) <= MAX_TOURED:

@@ -14,24 +14,18 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core import compiled
-from drone_env.core.actions import N_ACTIONS, Action, Outcome
+from drone_env.core.actions import N_ACTIONS, Action, Outcome, check_action
+from drone_env.core.cells import Cell
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import units_left
-from drone_env.core.episode import ALLOWED_ACTIONS, Episode
+from drone_env.core.episode import Episode
+from drone_env.core.rollout import rollout
 from drone_env.core.rules import outcome_of
 from drone_env.core.score import score_of
-from drone_env.core.tables import BATTERY, CELL, DELIVERED_FLAG, PARCELS, STEPS, Tables, tabulate
+from drone_env.core.tables import Tables, tabulate
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import EpisodeError, InvalidValueError
-from drone_env.planning.map_graph import (
-    battery_ranges,
-    delivered_set,
-    done_counts,
-    drain_range,
-    map_graph,
-    require_memory,
-    state_arrays,
-)
+from drone_env.errors import EpisodeError
+from drone_env.planning.map_graph import battery_ranges, drain_range, map_graph, require_memory, waiting_parcels
 
 FLYING = int(Outcome.FLYING)
 ANOTHER = "this episode cannot have come from the one that was solved: make a solver of its own"
@@ -127,34 +121,19 @@ class ExactSolver:
         if episode.ended:
             raise EpisodeError("the episode has ended: there is nothing left to solve")
         task = episode.task
-        self._start = episode.get_state()
-        self._task = task
-        self._grid, state, self._parcels = state_arrays(episode)
-        self._first_step, battery = int(state[STEPS]), int(state[BATTERY])
-        self._places = len(self._grid) << len(self._parcels)
+        self._start, self._unflown = episode.copy(), _unflown(episode)
+        self._waiting = waiting_parcels(episode)
+        self._places = task.width * task.height << len(self._waiting)
         ends = (task.deliveries + 1) * (task.battery_capacity + 1) * (task.max_steps + 1)
         require_memory("the exact values", task, 12 * ends + 30 * self._places)
-        graph = map_graph(episode)
-        lowest, sizes = battery_ranges(battery, *drain_range(task), task, task.max_steps - self._first_step)
-        self._lowest = lowest
+        self._graph = map_graph(episode)
+        steps_left = task.max_steps - episode.steps
+        self._lowest, sizes = battery_ranges(episode.battery_units, *drain_range(task), task, steps_left)
         self._starts = np.concatenate([[0], np.cumsum(sizes)]) * self._places
-        self._scores, ranks = ranked_scores(task)
-        require_memory("the exact values", task, int(self._starts[-1]) * ranks.itemsize)
-        self._done = done_counts(task, self._parcels)
-        self._leads_to, self._drain, self._ranks = graph.leads_to, graph.drain, ranks
-        self._values = np.zeros(int(self._starts[-1]), ranks.dtype)
-        value_kernel(
-            graph.tables,
-            graph.leads_to,
-            graph.drain,
-            self._done,
-            ranks,
-            lowest,
-            self._starts,
-            self._first_step,
-            self._values,
-        )
-        self._tables = graph.tables
+        self._scores, self._ranks = ranked_scores(task)
+        require_memory("the exact values", task, int(self._starts[-1]) * self._ranks.itemsize)
+        self._values = np.zeros(int(self._starts[-1]), self._ranks.dtype)
+        value_kernel(*self._graph, self._ranks, self._lowest, self._starts, episode.steps, self._values)
 
     @property
     def nbytes(self) -> int:
@@ -167,14 +146,15 @@ class ExactSolver:
         Raises:
             EpisodeError: if the episode has ended, or cannot have come from the one that was solved.
         """
-        place, steps, battery = self._locate(episode)
-        t = steps - self._first_step
+        tables, leads_to, drain, done = self._graph
+        place, steps, battery = self._locate(episode), episode.steps, episode.battery_units
+        t = steps - self._start.steps
         ranks = np.zeros(N_ACTIONS, np.int64)
         for action in range(N_ACTIONS):
-            to = int(self._leads_to[place, action])
-            left = units_left(self._tables, battery, int(self._drain[place, action]))
-            deliveries = int(self._done[to // self._tables.cells])
-            if outcome_of(self._tables, deliveries, left, steps + 1) != FLYING:
+            to = int(leads_to[place, action])
+            left = units_left(tables, battery, int(drain[place, action]))
+            deliveries = int(done[to // tables.cells])
+            if outcome_of(tables, deliveries, left, steps + 1) != FLYING:
                 ranks[action] = self._ranks[deliveries, left, steps + 1]
             else:
                 index = int(self._starts[t + 1]) + (left - int(self._lowest[t + 1])) * self._places + to
@@ -201,48 +181,45 @@ class ExactSolver:
             InvalidValueError: if the action is not an integer from 0 to 4.
             EpisodeError: as `q_values`.
         """
-        if isinstance(action, bool) or action not in range(N_ACTIONS):
-            raise InvalidValueError(f"action must be one of {ALLOWED_ACTIONS}; got {action!r}")
+        number = check_action(action)
         values = self.q_values(episode)
-        return float(values.max() - values[action])
+        return float(values.max() - values[number])
 
     def best_actions(self) -> list[Action]:
         """One best sequence of actions, from where the solved episode stood to its end.
 
         Of equally good actions the lowest number, so it is the same in every run.
         """
-        flight = Episode(self._task, self._start.reward_profile)
-        flight.set_state(self._start)
-        actions: list[Action] = []
-        while not flight.ended:
-            actions.append(self.optimal_actions(flight)[0])
-            flight.step(actions[-1])
-        return actions
+        flight = rollout(self._start.copy(), lambda flight: self.optimal_actions(flight)[0])
+        return [step.action for step in flight.path[len(self._start.actions) :]]
 
-    def _locate(self, episode: Episode) -> tuple[int, int, int]:
-        """(place, steps, battery) of an episode."""
+    def _locate(self, episode: Episode) -> int:
+        """The place of an episode."""
         if episode.ended:
             raise EpisodeError("the episode has ended: there is no action left to value")
-        grid, state, _ = state_arrays(episode)
-        if not self._same_map(episode, grid, state):
+        if (episode.task, episode.seed) != (self._start.task, self._start.seed):
             raise EpisodeError(ANOTHER)
-        t, battery = int(state[STEPS]) - self._first_step, int(state[BATTERY])
-        place = delivered_set(state, self._parcels) * self._tables.cells + int(state[CELL])
+        waiting, t = waiting_parcels(episode), episode.steps - self._start.steps
+        delivered = sum(1 << k for k, parcel in enumerate(self._waiting) if parcel not in waiting)
+        place = delivered * self._graph.tables.cells + episode.cell
         possible = (
             t >= 0
-            and np.all(np.delete(state, self._parcels)[PARCELS:] >= DELIVERED_FLAG)
-            and int(self._leads_to[place, 0]) >= 0
-            and self._lowest[t] <= battery < self._lowest[t] + (self._starts[t + 1] - self._starts[t]) // self._places
+            and np.array_equal(_unflown(episode), self._unflown)
+            and set(waiting) <= set(self._waiting)
+            and int(self._graph.leads_to[place, 0]) >= 0
+            and 0 <= episode.battery_units - self._lowest[t] < (self._starts[t + 1] - self._starts[t]) // self._places
         )
         if not possible:
             raise EpisodeError(ANOTHER)
-        return place, int(state[STEPS]), battery
+        return place
 
-    def _same_map(self, episode: Episode, grid: npt.NDArray[np.uint8], state: npt.NDArray[np.uint16]) -> bool:
-        """Whether an episode, with this grid (which is overwritten) and state, is of the map that was solved."""
-        if (episode.task, episode.seed) != (self._task, self._start.seed):
-            return False
-        parcels = state[PARCELS:] % DELIVERED_FLAG
-        grid[parcels] = self._grid[parcels]  # whether delivered or not
-        start = np.frombuffer(self._start.numbers, np.uint16)
-        return np.array_equal(parcels, start[PARCELS:] % DELIVERED_FLAG) and np.array_equal(grid, self._grid)
+
+def _unflown(episode: Episode) -> npt.NDArray[np.int64]:
+    """What no flight changes: the map with neither drone nor deliveries, and where each parcel lies or lay."""
+    grid = episode.grid()
+    x, y = episode.position
+    grid[y, x] = episode.under
+    parcels = [(x, y) for x, y, _ in episode.parcels]
+    for x, y in parcels:
+        grid[y, x] = Cell.DELIVERY
+    return np.append(grid, parcels)

@@ -120,35 +120,32 @@ def explore(tables: Tables, rewards: Rewards, grid: Any, state: Any, parcels: An
 
 
 class MapGraph(NamedTuple):
-    """The places of one map, from a state of flight on.
+    """The places of one map, from a state of flight on with n parcels still to deliver.
 
     Attributes:
-        task: The task.
-        tables: Its tables, as arrays.
-        grid: uint8[cells], without the drone.
-        state: uint16[state size], the state that the planning starts from.
-        parcels: int64[n], the entries of `state` that hold the parcels still to deliver.
+        tables: The tables of the task, as arrays.
         leads_to: int32[2^n * cells, 5], the place that an action leads to; -1 from places where no drone can fly on.
         drain: int16[2^n * cells, 5], battery units that it costs, below zero where it charges.
+        done: int64[2^n], parcels delivered in all, for each delivered set.
     """
 
-    task: TaskConfig
     tables: Tables
-    grid: npt.NDArray[np.uint8]
-    state: npt.NDArray[np.uint16]
-    parcels: npt.NDArray[np.int64]
     leads_to: npt.NDArray[np.int32]
     drain: npt.NDArray[np.int16]
+    done: npt.NDArray[np.int64]
+
+
+def waiting_parcels(episode: Episode) -> list[int]:
+    """The numbers of the parcels still to deliver."""
+    return [i for i, (_, _, delivered) in enumerate(episode.parcels) if not delivered]
 
 
 def state_arrays(episode: Episode) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16], npt.NDArray[np.int64]]:
-    """The grid without the drone, the state, and which of its entries hold waiting parcels: copies."""
-    snapshot = episode.get_state()
-    grid = np.frombuffer(snapshot.grid, np.uint8).copy()
-    state = np.frombuffer(snapshot.numbers, np.uint16).copy()
-    grid[state[CELL]] = state[UNDER]
-    parcels = PARCELS + np.flatnonzero(state[PARCELS:] < DELIVERED_FLAG)
-    return grid, state, parcels.astype(np.int64)
+    """The grid without the drone, the state, and which of its entries hold waiting parcels: copies, for kernels."""
+    grid = episode.grid().ravel()
+    grid[episode.cell] = episode.under
+    state = np.frombuffer(episode.get_state().numbers, np.uint16).copy()
+    return grid, state, PARCELS + np.array(waiting_parcels(episode), np.int64)
 
 
 def map_graph(episode: Episode) -> MapGraph:
@@ -162,8 +159,9 @@ def map_graph(episode: Episode) -> MapGraph:
     places = tables.cells << len(parcels)
     leads_to = np.full((places, N_ACTIONS), -1, np.int32)
     drain = np.zeros((places, N_ACTIONS), np.int16)
-    explore(tables, tabulate_rewards(task, _UNPAID), grid.copy(), state.copy(), parcels, leads_to, drain)
-    return MapGraph(task, tables, grid, state, parcels, leads_to, drain)
+    explore(tables, tabulate_rewards(task, _UNPAID), grid, state, parcels, leads_to, drain)
+    done = [task.deliveries - len(parcels) + delivered.bit_count() for delivered in range(1 << len(parcels))]
+    return MapGraph(tables, leads_to, drain, np.array(done, np.int64))
 
 
 def require_memory(what: str, task: TaskConfig, size: int) -> None:
@@ -208,12 +206,6 @@ def battery_ranges(
         low, high = max(low - most_drain, 1), min(high - least_drain, task.battery_capacity)
     lowest.append(low)
     return np.array(lowest, np.int64), np.array(sizes, np.int64)
-
-
-def done_counts(task: TaskConfig, parcels: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """How many parcels are delivered in all, int64[2^n], for each set of the n that `MapGraph.parcels` names."""
-    counts = [task.deliveries - len(parcels) + delivered.bit_count() for delivered in range(1 << len(parcels))]
-    return np.array(counts, np.int64)
 
 
 _UNPAID = RewardProfile(id="none", summary="nothing")

@@ -16,9 +16,9 @@ from drone_env.core.drone import units_left
 from drone_env.core.episode import Episode
 from drone_env.core.rules import outcome_of
 from drone_env.core.score import score_of
-from drone_env.core.tables import BATTERY, CELL, STEPS, Tables
+from drone_env.core.tables import Tables
 from drone_env.errors import UnsupportedTaskError
-from drone_env.planning.map_graph import done_counts, map_graph, require_memory
+from drone_env.planning.map_graph import map_graph, require_memory, waiting_parcels
 
 FLYING = int(Outcome.FLYING)
 
@@ -84,19 +84,14 @@ def best_actions(episode: Episode) -> list[Action]:
     task = episode.task
     if not task.efficiency_needs_all:
         raise UnsupportedTaskError(f"task {task.id!r}: more battery may hurt where efficiency always counts")
-    waiting = sum(not delivered for _, _, delivered in episode.parcels)
-    places = task.width * task.height << waiting
-    size = places * (30 + 6 * (task.max_steps - episode.steps + 1))
-    require_memory("the optimum", task, size)
-    graph = map_graph(episode)
-    steps, start = int(graph.state[STEPS]), int(graph.state[CELL])
-    most = np.zeros((task.max_steps - steps + 1, places), np.uint16)
+    places = task.width * task.height << len(waiting_parcels(episode))
+    steps_left = task.max_steps - episode.steps
+    require_memory("the optimum", task, places * (30 + 6 * (steps_left + 1)))
+    most = np.zeros((steps_left + 1, places), np.uint16)
     came_from = np.zeros(most.shape, np.int32)
-    most[0, start] = graph.state[BATTERY]
+    most[0, episode.cell] = episode.battery_units
     best = np.zeros(2, np.int64)
-    forward_kernel(
-        graph.tables, graph.leads_to, graph.drain, done_counts(task, graph.parcels), start, steps, most, came_from, best
-    )
+    forward_kernel(*map_graph(episode), episode.cell, episode.steps, most, came_from, best)
     t, arrow = best.tolist()
     actions = [Action(arrow % N_ACTIONS)]
     while t > 0:

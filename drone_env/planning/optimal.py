@@ -14,7 +14,7 @@ from itertools import pairwise
 
 from drone_env.core.actions import Action, Event
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError
 from drone_env.planning.held_karp import UNREACHED, held_karp
 from drone_env.planning.paths import Position, distance, route
@@ -49,9 +49,7 @@ def solve(task: str | TaskConfig, seed: int) -> Solution:
         InvalidValueError: if the seed is not in [0, 2^53).
         TooLargeError: if the solution would take too much memory; `bounds` knows then what it lies between.
     """
-    episode = Episode(get_task(task))
-    episode.reset(seed)
-    return solve_episode(episode)
+    return solve_episode(Episode(task, seed=seed))
 
 
 def best_of(task: TaskConfig, seed: int) -> Solution | None:
@@ -68,14 +66,8 @@ def solve_episode(episode: Episode) -> Solution:
     Raises:
         TooLargeError: if the solution would take too much memory.
     """
-    flight = Episode(episode.task, episode.reward_profile)
-    flight.set_state(episode.get_state())
-    flown = len(episode.actions)
-    for action in best_actions(episode):
-        flight.step(action)
-    while not flight.ended:
-        flight.step(Action.WAIT)
-    path = flight.path[flown:]
+    flight = episode.copy().fly(best_actions(episode)).waited_out()
+    path = flight.path[len(episode.actions) :]
     order = tuple((point.x, point.y) for point in path if point.event is Event.DELIVERY)
     actions = tuple(point.action for point in path)
     return Solution(flight.score, flight.success, len(actions), flight.deliveries_done, order, actions)

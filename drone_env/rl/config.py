@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-from drone_env.core.rewards import get_reward_profile
+from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 
@@ -23,7 +23,7 @@ class TrainConfig:
     """Episodes to fly in all; a resumed run goes on up to this number."""
     seed: int = 0
     """Of the weights, the maps, the exploration and the replay: equal seeds, equal runs (on a CPU)."""
-    reward_profile: str = "aligned"
+    reward_profile: str = DEFAULT_PROFILE
     """What steps pay. Its shaping, if it has one, is set to `gamma`."""
     gpu: bool = False
     """Train on a CUDA device."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.batch import Batch
+from drone_env.agents.together import fly_together
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.optimal import solve
@@ -37,20 +37,10 @@ class Validator:
     def __init__(self, task: TaskConfig, maps: int) -> None:
         self._task = task
         self._seeds = np.array(split_seeds("validation", maps))
-        self._batch = Batch(task, maps, "score")
         self.optimum = float(np.mean([solve(task, seed).score for seed in self._seeds.tolist()]))
 
     def validate(self, values: Values) -> Validation:
         """Fly each map once, always by the action of the highest value."""
-        batch, n = self._batch, len(self._seeds)
-        scores, delivered = np.zeros(n), np.zeros(n, np.bool_)
-        flying = np.ones(n, np.bool_)
-        batch.reset(self._seeds)
-        while flying.any():
-            batch.step(values(batch.grids, batch.telemetry).argmax(axis=1))
-            first = flying[batch.ended]
-            ended, finals = batch.ended[first], batch.finals()
-            scores[ended] = finals["score"][first]
-            delivered[ended] = finals["deliveries"][first] == self._task.deliveries
-            flying[ended] = False
-        return Validation(float(scores.mean()), self.optimum, float(delivered.mean()))
+        ends = fly_together(self._task, self._seeds, lambda *shown: values(*shown).argmax(axis=1), stateless=True)
+        success = ends.deliveries_done == self._task.deliveries
+        return Validation(float(ends.scores.mean()), self.optimum, float(success.mean()))

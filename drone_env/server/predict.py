@@ -10,8 +10,7 @@ from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Observation
-from drone_env.core.observation import write_telemetry
-from drone_env.core.tables import BATTERY, CELL, NOWHERE, STEPS, TARGET, UNDER, interpreted, state_size, view
+from drone_env.core.observation import telemetry_of
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
 from drone_env.models import NAMES, Direction, DroneObservation
@@ -164,15 +163,14 @@ def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfi
             f"cell_below {'is missing' if below is None else f'cannot be {below}'}: in {task.id!r} one of "
             f"{', '.join(possible)} lies below the drone; /reset and /step answer it"
         )
-    tables = interpreted(task)
-    state = np.zeros(state_size(tables), np.uint16)
-    state[CELL] = observation.drone_y * task.width + observation.drone_x
-    state[BATTERY] = observation.battery_steps_remaining
-    state[STEPS] = observation.step_count
-    state[UNDER] = 0 if below is None else NAMES.index(below)
     target = observation.current_target
-    state[TARGET] = NOWHERE if target is None else target[1] * task.width + target[0]
-    telemetry = np.zeros(task.telemetry_size, np.float32)
-    write_telemetry(tables, view(state), view(telemetry))
+    telemetry = telemetry_of(
+        task,
+        cell=observation.drone_y * task.width + observation.drone_x,
+        under=0 if below is None else NAMES.index(below),
+        battery=observation.battery_steps_remaining,
+        steps=observation.step_count,
+        target=None if target is None else target[1] * task.width + target[0],
+    )
     grid = np.array([[NAMES.index(name) for name in line] for line in observation.cell_types], np.uint8)
     return task, {"grid": grid, "telemetry": telemetry}

@@ -6,7 +6,7 @@ from pydantic import AfterValidator, ConfigDict, Field, JsonValue, model_validat
 from typing_extensions import Self
 
 from drone_env.core.cells import CELL_KINDS
-from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.finished import check_agent
@@ -45,7 +45,9 @@ class ResetOptions(Message):
         description="Number of the map; without one, the next on a fixed walk; drawn at random in a new session.",
     )
     reward_profile: str | None = Field(
-        default=None, max_length=100, description=f"What steps pay: {', '.join(REWARD_PROFILES)}; `tiered` without one."
+        default=None,
+        max_length=100,
+        description=f"What steps pay: {', '.join(REWARD_PROFILES)}; `{ORIGINAL_PROFILE}` without one.",
     )
     agent: AgentName | None = Field(default=None, description="Who flies, for the records: one printable line.")
     episode_id: str | None = Field(default=None, max_length=255, description="Names the episode in OpenEnv's state.")

@@ -31,7 +31,7 @@ def test_interleaved_sockets_never_see_each_other(server: Server) -> None:
 
     async def fly(number: int, steps: int) -> int:
         moves = random.Random(number)
-        episode = Episode(tasks[number % 3])
+        episode = Episode(tasks[number % 3], "tiered")
         url = server.url.replace("http", "ws") + "/ws"
         async with websockets.connect(url, compression=None, open_timeout=300) as socket:
 

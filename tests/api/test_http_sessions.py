@@ -333,7 +333,7 @@ def test_a_session_of_a_task_that_a_newer_version_has_made_is_told(
 
 def test_a_store_of_a_version_that_is_withdrawn_is_listed_and_what_flies_it_is_told(tmp_path: Path) -> None:
     told = "version 1 of task 'skyline_easy' is withdrawn: "
-    episode = Episode("skyline_easy")
+    episode = Episode("skyline_easy", "tiered")
     episode.reset(7)
     while not episode.ended:
         episode.step(Action.WAIT)

@@ -53,7 +53,7 @@ class Pilot(threading.Thread):
             seed = self.random.randrange(2**40) * 100 + self.number
             self.expected, self.pending = None, []
             self.client.reset("easy", seed=seed, agent="pilot")
-            self.expected = Episode("easy")
+            self.expected = Episode("easy", "tiered")
             self.expected.reset(seed)
         best = solve("easy", self.expected.seed).actions
         flown = self.expected.steps

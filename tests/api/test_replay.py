@@ -24,7 +24,7 @@ JSON = {"Content-Type": "application/json"}
 
 
 def record(task: str = "hard", seed: int = 7, agent: str = "greedy", steps: int | None = None) -> EpisodeRecord:
-    episode = Episode(task)
+    episode = Episode(task, "tiered")
     episode.reset(seed)
     pilot = make_agent(agent, task)
     pilot.reset(seed)
@@ -78,7 +78,7 @@ def test_an_annotation_is_the_analysis_beside_a_best_flight(shared_client: TestC
     assert [move["mark"] for move in told["moves"]] == [move.mark for move in analysis.moves]
     assert told["counts"] == analysis.counts
     assert (told["score"], told["optimal_score"], told["regret"]) == (flown.score, analysis.optimum, analysis.regret)
-    best = Episode(task)
+    best = Episode(task, "tiered")
     best.reset(7)
     path = [list(best.position)]
     for action in told["optimal_actions"]:

@@ -228,7 +228,7 @@ def test_a_finished_episode_is_kept_before_it_is_answered(client: TestClient) ->
 def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_again(
     client: TestClient, settings: dict[str, Any]
 ) -> None:
-    episode = Episode("easy")
+    episode = Episode("easy", "tiered")
     episode.reset(7)
     *flight, last = [action.name for action in solve("easy", 7).actions]
     with client.websocket_connect("/ws") as socket, sqlite3.connect(settings["data"] / FILE_NAME) as disk:

@@ -67,7 +67,7 @@ def state_of(process: str) -> str:
 
 
 def steps_over_many_connections_follow_each_other(workers: Server) -> None:
-    expected = Episode("hard")
+    expected = Episode("hard", "tiered")
     expected.reset(7)
     opener = DroneEnvClient(workers.url)
     opener.reset("hard", seed=7)

@@ -16,7 +16,7 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.rendering import draw_mission
-from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, TextObservation
+from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, TextObservation, WithOptimum
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.planning.optimal import solve
 
@@ -144,11 +144,30 @@ def test_regret_of_a_flight_that_only_waits() -> None:
 
 def test_where_no_planner_knows_the_optimum_it_is_none() -> None:
     task = replace(TASKS["skyline_hard"], id="vast", width=64, height=64, deliveries=14, max_steps=1)
-    env = DroneDeliveryEnv(task)
+    env = WithOptimum(DroneDeliveryEnv(task))
     env.reset(seed=3)
     *_, info = env.step(4)
     assert (info["outcome"], info["score"]) == ("out_of_steps", 0.01)
     assert [info[name] for name in ("optimal_score", "optimal_steps", "regret")] == [None] * 3
+
+
+def test_the_environment_itself_solves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drone_env.planning.optimal.best_actions", lambda _: pytest.fail("it was solved"))
+    env = make(IDS[2]).unwrapped
+    env.reset(seed=31)
+    terminated = False
+    while not terminated:
+        *_, terminated, _, info = env.step(4)
+    assert set(info) == {"seed", "score", "action_mask", "event", "outcome"}
+
+
+def test_what_a_specification_says_is_made_again() -> None:
+    env = FlatObservation(make(IDS[2], reward_profile="score"))
+    twin = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert twin.spec == env.spec
+    assert str(twin) == str(env)
+    assert fly_optimally(twin, "hard", 3)[1]["regret"] == 0
+    assert twin.unwrapped.episode.reward_profile.id == "score"
 
 
 def test_gymnasium_trains_on_aligned_unless_told_otherwise() -> None:
@@ -242,6 +261,10 @@ def test_render_modes() -> None:
     picture.step(0)
     picture.step(1)
     assert not np.array_equal(before, picture.render())
+    every = make(render_mode="rgb_array_list")
+    every.reset(seed=1)
+    every.step(4)
+    assert len(every.render()) == 2
 
 
 def test_human_mode_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -300,7 +323,9 @@ def test_vectorised_by_gymnasium_flies_the_maps_of_its_seeds(mode: str) -> None:
     try:
         _, info = envs.reset(seed=[4, 5, 6])
         assert info["seed"].tolist() == [4, 5, 6]
-        envs.step(np.array([0, 1, 2]))
+        while "regret" not in info:
+            *_, info = envs.step(np.full(3, 4))
+        assert info["optimal_score"].tolist() == [solve("easy", seed).score for seed in (4, 5, 6)]
     finally:
         envs.close()
 

@@ -42,7 +42,7 @@ def best_actions(task: str, seed: int) -> list[DroneAction]:
 @pytest.mark.feature("E10")
 @pytest.mark.parametrize("task", STANDARD)
 def test_the_official_client_flies_synchronously(server: Server, task: str) -> None:
-    flight = Episode(task)
+    flight = Episode(task, "tiered")
     flight.reset(7)
     with official.DroneDeliveryClient(server.url).sync() as env:
         result = env.reset(seed=7, task_name=task, episode_id="mine")
@@ -175,7 +175,7 @@ class TestEnvironment:
         assert asyncio.run(fly()) == [observation.model_dump() for observation in expected]
 
     def test_without_a_seed_it_walks_on_from_the_last_map(self) -> None:
-        env, walk = official.DroneDeliveryEnvironment(), Episode()
+        env, walk = official.DroneDeliveryEnvironment(), Episode(reward_profile="tiered")
         env.reset(seed=5)
         walk.reset(5)
         env.reset()

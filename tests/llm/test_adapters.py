@@ -8,6 +8,7 @@ import pytest
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError, UnknownNameError
 from drone_env.installer import install_command
 from drone_env.llm.trl_environment import DroneEnvironment, training_maps
@@ -16,7 +17,7 @@ from drone_env.planning.optimal import solve
 
 def test_a_flight_by_tool_calls() -> None:
     # Map 14 of easy by hand, as in the tests of `fly`.
-    drone = DroneEnvironment()
+    drone = DroneEnvironment("score")
     told = drone.reset(prompt=[], task="easy", seed=14)
     episode = Episode("easy")
     episode.reset(14)
@@ -44,7 +45,8 @@ def test_where_there_are_pads_each_answer_tells_what_lies_below() -> None:
 
 def test_the_reward_is_what_the_profile_pays() -> None:
     for profile in ("score", "tiered", "aligned"):
-        drone, episode = DroneEnvironment(profile), Episode("hard", profile)
+        undiscounted = profile_for_discount(get_reward_profile(profile), 1)
+        drone, episode = DroneEnvironment(profile), Episode("hard", undiscounted)
         drone.reset(task="hard", seed=3)
         episode.reset(3)
         for action in solve("hard", 3).actions[:5]:
@@ -53,6 +55,19 @@ def test_the_reward_is_what_the_profile_pays() -> None:
         while not episode.ended:
             episode.step(Action.WAIT)
         assert drone.get_reward() == episode.reward_total
+
+
+def test_without_a_profile_a_flight_pays_its_score_less_what_its_map_is_worth_at_first() -> None:
+    """So flights of one map rank as their scores do."""
+    less: list[float] = []
+    for flown in (0, 5, len(solve("hard", 3).actions)):
+        drone, scored = DroneEnvironment(), DroneEnvironment("score")
+        for each in (drone, scored):
+            each.reset(task="hard", seed=3)
+            for action in solve("hard", 3).actions[:flown]:
+                each.fly(action.name)
+        less.append(scored.get_reward() - drone.get_reward())
+    assert less == [pytest.approx(less[0])] * 3
 
 
 def test_what_trl_takes_for_tools_is_fly_alone() -> None:

@@ -35,7 +35,7 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         (stored,) = httpx.get(f"{server.url}/memory_logs", timeout=30).json()["episodes"]
         assert (stored["seed"], stored["agent"], stored["score"]) == (14, "scripted", 0.99)
         # A server of other rules would show another flight than the one here.
-        episode, flight = Episode("easy"), ServerFlight(server.url)
+        episode, flight = Episode("easy", "tiered"), ServerFlight(server.url)
         episode.reset(14)
         asyncio.run(flight.reset(episode, "mine"))
         episode.step(Action.LEFT)

@@ -32,7 +32,7 @@ def test_fly_prints_log_lines_that_say_what_was_flown(
 ) -> None:
     assert main(["fly", "--task", task, "--agent", agent, "--seed", "7"]) == 0
     first, *steps, last = capsys.readouterr().out.splitlines()
-    episode = Episode(task)
+    episode = Episode(task, "tiered")
     episode.reset(7)
     assert first == f"[START] task={episode.task.grader} env=drone_env_v1 model={agent}"
     rewards = []

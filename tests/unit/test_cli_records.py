@@ -27,7 +27,7 @@ def flight(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
 @pytest.fixture
 def stopped(tmp_path: Path) -> Path:
     """A record of a flight that stops in the air."""
-    episode = Episode("easy")
+    episode = Episode("easy", "tiered")
     episode.reset(7)
     episode.step(4)
     save_record(record_of(episode, "someone"), tmp_path / "stopped.json")

@@ -172,6 +172,11 @@ def test_keys_differ_where_task_or_agent_differ() -> None:
     assert len(hashes) == 4
 
 
+@pytest.mark.parametrize(("task", "digest"), [("easy", "065303a98147f6d9"), ("skyline_hard", "a83c6680798ea57d")])
+def test_the_hash_of_a_configuration_stays(task: str, digest: str) -> None:
+    assert episodes_key(task, "greedy", range(1)).config_hash == digest
+
+
 @pytest.mark.parametrize("seeds", [range(0), range(0, 10, 2), range(-1, 3), range(2**53 - 1, 2**53 + 1)])
 def test_seeds_outside_what_is_allowed_are_refused(seeds: range) -> None:
     with pytest.raises(InvalidValueError):

@@ -114,6 +114,14 @@ class TestSkylineTasks:
     def test_id_and_grader_name_the_task(self, name: str) -> None:
         assert get_task(name) is get_task(f"drone_env.graders:grade_{name}") is TASKS[name]
 
+    def test_families(self) -> None:
+        families = [task.family for task in TASKS.values()]
+        assert families == ["city"] * 3 + ["skyline"] * 3
+
+    def test_the_family_is_no_rule(self) -> None:
+        assert "family" not in EASY.rules()
+        assert replace(EASY, family="courier").rules() == EASY.rules() != replace(EASY, trees=5).rules()
+
     def test_with_the_standard_tasks_these_are_all(self) -> None:
         names = ["easy", "medium", "hard"]
         assert list(TASKS) == [f"{name}_delivery" for name in names] + [f"skyline_{name}" for name in names]

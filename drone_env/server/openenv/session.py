@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from pydantic_core import to_json
 
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import RewardProfile, get_reward_profile
+from drone_env.core.rewards import ORIGINAL_PROFILE, RewardProfile, get_reward_profile
 from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
@@ -22,7 +22,6 @@ DESCRIPTION = (
     "exactly, so every score stands beside the optimum of its map."
 )
 DEFAULT_TASK = "easy_delivery"
-DEFAULT_PROFILE = "tiered"
 
 
 def _json(value: object) -> str:
@@ -59,7 +58,7 @@ def start_of(options: ResetOptions, last_seed: int | None, task: str = DEFAULT_T
         UnknownNameError: if there is no such task, profile or split.
         InvalidValueError: if the split has no such map.
     """
-    profile = get_reward_profile(options.reward_profile or DEFAULT_PROFILE)
+    profile = get_reward_profile(options.reward_profile or ORIGINAL_PROFILE)
     if options.split is not None and options.index is not None:
         try:
             return Start(*find_map(options.split, options.index), profile)
