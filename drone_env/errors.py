@@ -21,9 +21,9 @@ Each message says what was given and what is allowed.
 """
 
 import sys
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 from drone_env.installer import how_to_install
 
@@ -115,6 +115,40 @@ class ClusterError(DroneEnvError, RuntimeError):
 
 class EndpointError(DroneEnvError, RuntimeError):
     """An endpoint of language models refuses, so that no further call makes sense: a wrong token, no such model."""
+
+
+class Invalid(Protocol):
+    """What Pydantic raises for a value that does not fit a model, and FastAPI for a request."""
+
+    def errors(self) -> Sequence[Any]:
+        """What is wrong, part by part."""
+        ...
+
+
+class WrongPart(NamedTuple):
+    """What is wrong with a part, such as `body.direction`; its name is empty for the whole."""
+
+    where: str
+    why: str
+    kind: str
+
+
+def wrong_parts(error: Invalid) -> list[WrongPart]:
+    """What is wrong, part by part."""
+    return [
+        WrongPart(".".join(map(str, part["loc"])), part["msg"].removeprefix("Value error, "), part["type"])
+        for part in error.errors()
+    ]
+
+
+def text_of(error: Invalid, name: Callable[[str], str] = str) -> str:
+    """The first five parts that are wrong, for people: `where: why; where: why`.
+
+    Args:
+        error: What was raised.
+        name: What people call a part.
+    """
+    return "; ".join(f"{name(where)}: {why}" if where else why for where, why, _ in wrong_parts(error)[:5])
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileNam
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError, needs
+from drone_env.errors import InvalidValueError, needs, text_of
 
 if TYPE_CHECKING:
     from drone_env.llm import runner
@@ -181,7 +181,7 @@ def infer(
             ),
         )
     except ValidationError as error:
-        raise InvalidValueError(run_folder.first_problem(error)) from None
+        raise InvalidValueError(text_of(error)) from None
     except (json_format.JSONDecodeError, RecursionError) as error:
         raise InvalidValueError(f"--extra takes a JSON object: {error}") from None
     token = token_for(settings, config.base_url)

@@ -39,7 +39,7 @@ def sweep(
     address: str = "local",
     checkpoint_seconds: float = 30.0,
 ) -> int:
-    """Train a network under each of several settings with several seeds, side by side on Ray Tune.
+    """Train a network under each of several settings with several seeds, side by side on Ray.
 
     The same command goes on with a sweep that was interrupted or killed: what is finished is not trained again, the
     rest goes on from its checkpoints. The report stands in `OUT/report.md`. Exit status: 0 if every trial was finished
@@ -122,7 +122,7 @@ def _sweep(
     if not is_done(folder, config):
         try:
             with connect(*cluster):
-                drive(folder, config, checkpoint_seconds, concurrent or 0, show)
+                drive(folder, config, checkpoint_seconds, concurrent, show)
         except KeyboardInterrupt:
             print(f"interrupted; to go on, give the same options with --out {folder.path}", file=sys.stderr)
             raise

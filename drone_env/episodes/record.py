@@ -16,7 +16,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, text_of
 from drone_env.files import replacing
 from drone_env.models import Count, Direction, Message, Score
 
@@ -171,6 +171,4 @@ def parse_record(text: str | bytes, name: str) -> EpisodeRecord:
     try:
         return EpisodeRecord.model_validate_json(text)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = "".join(f"{part}: " for part in first["loc"])
-        raise InvalidValueError(f"{name} is not the record of a flight: {where}{first['msg']}") from None
+        raise InvalidValueError(f"{name} is not the record of a flight: {text_of(error)}") from None

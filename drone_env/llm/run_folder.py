@@ -8,7 +8,7 @@ from pydantic import Field, ValidationError
 from typing_extensions import Self
 
 from drone_env.episodes.record import record_of
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, text_of
 from drone_env.files import lock_file, replacing
 from drone_env.llm.answers import OUTCOMES, Outcome
 from drone_env.llm.config import RunConfig
@@ -117,7 +117,7 @@ def load_config(path: Path) -> RunConfig:
     except (FileNotFoundError, NotADirectoryError):
         raise InvalidValueError(f"{path}: this is not the folder of a run: there is no {CONFIG} in it") from None
     except ValidationError as error:
-        raise InvalidValueError(f"{path / CONFIG} is not the configuration of a run: {first_problem(error)}") from None
+        raise InvalidValueError(f"{path / CONFIG} is not the configuration of a run: {text_of(error)}") from None
 
 
 def load_results(path: Path) -> list[FlightResult]:
@@ -133,14 +133,8 @@ def load_results(path: Path) -> list[FlightResult]:
             results.append(FlightResult.model_validate_json(line))
         except ValidationError as error:
             where = f"line {number} of {path / RESULTS}"
-            raise InvalidValueError(f"{where} is not the result of a flight: {first_problem(error)}") from None
+            raise InvalidValueError(f"{where} is not the result of a flight: {text_of(error)}") from None
     return results
-
-
-def first_problem(error: ValidationError) -> str:
-    """The first thing that is wrong, with the field where it is."""
-    first = error.errors()[0]
-    return "".join(f"{part}: " for part in first["loc"]) + first["msg"].removeprefix("Value error, ")
 
 
 def _begun(path: Path) -> bool:

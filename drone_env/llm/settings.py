@@ -10,7 +10,7 @@ from dotenv import dotenv_values
 from pydantic import Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, text_of
 
 HUGGING_FACE = "https://router.huggingface.co/v1"
 OPENAI = "https://api.openai.com/v1"
@@ -80,8 +80,7 @@ def load_settings(api_base_url: str | None = None) -> InferenceSettings:
     except UnicodeDecodeError as error:
         raise InvalidValueError(f".env is not UTF-8 text: {error.reason} at byte {error.start}") from None
     except ValidationError as error:
-        wrong = "; ".join(f"{str(e['loc'][0]).upper()}: {e['msg']}" for e in error.errors())
-        raise InvalidValueError(wrong) from None
+        raise InvalidValueError(text_of(error, str.upper)) from None
 
 
 def ignored_variables() -> dict[str, str]:

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, text_of
 from drone_env.files import lock_file
 from drone_env.llm.answers import Answer
 from drone_env.llm.prompt import ChatMessage
@@ -149,9 +149,7 @@ def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
             try:
                 call = Call.model_validate_json(line)
             except ValidationError as error:
-                first = error.errors()[0]
-                where = "".join(f"{part}: " for part in first["loc"])
-                raise InvalidValueError(f"line {number} of {path} is no call: {where}{first['msg']}") from None
+                raise InvalidValueError(f"line {number} of {path} is no call: {text_of(error)}") from None
             if call.answer is not None:
                 if call.key in seen:
                     raise InvalidValueError(f"line {number} of {path}: call {call.key} has an answer already")

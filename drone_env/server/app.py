@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import ExitStack, asynccontextmanager, suppress
+from functools import cache
 from typing import Any
 
 from drone_env import __version__
@@ -25,14 +26,13 @@ with needs("server", __name__):
     from fastapi.staticfiles import StaticFiles
     from pydantic_core import to_json
     from starlette.concurrency import run_in_threadpool
-    from starlette.requests import Request
     from starlette.responses import Response
-    from starlette.routing import Route, WebSocketRoute
+    from starlette.routing import WebSocketRoute
 
 from drone_env.envs.registry import load_plugins
 from drone_env.server.live.socket import LiveSocket
+from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.openenv import routes as openenv
-from drone_env.server.openenv.session import DEFAULT_TASK
 from drone_env.server.openenv.socket import OpenEnvSocket
 from drone_env.server.plain_steps import PlainSteps
 from drone_env.server.predict import Networks
@@ -75,8 +75,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     shared = Shared(settings or load_settings(), clock)
     settings = shared.settings
     live = LiveSocket(shared)
-    limits = settings.capacity, settings.idle_seconds, settings.max_bytes
-    socket = OpenEnvSocket(lambda: shared.store, *limits, clock or time.monotonic)
+    socket = OpenEnvSocket(shared, clock or time.monotonic)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None, None]:
@@ -91,7 +90,6 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
             sweeper.cancel()
             with suppress(asyncio.CancelledError):
                 await sweeper
-            await run_in_threadpool(socket.close)
             await run_in_threadpool(live.close)
             await run_in_threadpool(shared.close)
 
@@ -105,6 +103,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         # FastAPI's own pages fetch their scripts from elsewhere.
         docs_url=None,
         redoc_url=None,
+        openapi_url=None,
     )
     app.state.shared = shared
     app.state.socket = socket
@@ -119,7 +118,6 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.router.routes.append(WebSocketRoute("/ws", socket))
     app.router.routes.append(WebSocketRoute("/live", live))
     _add_page(app, live)
-    _add_description(app)
     return app
 
 
@@ -134,21 +132,14 @@ def _add_page(app: FastAPI, live: LiveSocket) -> None:
     async def docs() -> FileResponse:
         return FileResponse(PAGE / "docs.html", headers=REVALIDATED)
 
+    description = cache(lambda: to_json(app.openapi()))
+
+    # FastAPI's own holds up the event loop, and writes it each time.
+    @app.get("/openapi.json", include_in_schema=False)
+    def openapi() -> Response:
+        return Response(description(), media_type="application/json")
+
     app.mount("/static", _Static(directory=PAGE))
-
-
-def _add_description(app: FastAPI) -> None:
-    """`/openapi.json`, made once, beside the event loop: FastAPI's own holds that up, and writes it each time."""
-    lock = asyncio.Lock()
-    made: list[bytes] = []
-
-    async def description(_: Request) -> Response:
-        async with lock:
-            if not made:
-                made.append(await run_in_threadpool(lambda: to_json(app.openapi())))
-        return Response(made[0], media_type="application/json")
-
-    app.router.routes.insert(0, Route("/openapi.json", description))
 
 
 class _Static(StaticFiles):

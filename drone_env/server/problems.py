@@ -1,6 +1,7 @@
 """What goes wrong, as it is told to callers: one JSON model, and the status of every exception."""
 
 import logging
+from collections.abc import Mapping
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -8,6 +9,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import Field
 from starlette.exceptions import HTTPException
+from starlette.types import Scope
 
 from drone_env.errors import (
     CapacityError,
@@ -22,6 +24,8 @@ from drone_env.errors import (
     UnknownNameError,
     UnsupportedTaskError,
     WithdrawnError,
+    text_of,
+    wrong_parts,
 )
 from drone_env.models import Message
 
@@ -53,11 +57,13 @@ class RequestError(DroneEnvError):
         status: The HTTP status.
         code: What went wrong, for programs.
         detail: What went wrong, for people.
+        headers: More headers of the answer.
     """
 
-    def __init__(self, status: int, code: str, detail: str) -> None:
+    def __init__(self, status: int, code: str, detail: str, headers: dict[str, str] | None = None) -> None:
         self.status = status
         self.code = code
+        self.headers = headers
         super().__init__(detail)
 
 
@@ -93,14 +99,6 @@ def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"model": Problem, "description": _MEANINGS[status]} for status in statuses}
 
 
-def problem(
-    status: int, code: str, detail: str, errors: list[FieldProblem] | None = None, headers: dict[str, str] | None = None
-) -> JSONResponse:
-    """The answer that tells a problem."""
-    told = Problem(code=code, detail=printable(detail), errors=errors or [])
-    return JSONResponse(told.model_dump(), status, headers)
-
-
 def status_of(error: DroneEnvError, method: str) -> tuple[int, str]:
     """HTTP status and code of an error; an unknown name is 404 in a path (GET) and 422 in a body."""
     if isinstance(error, RequestError):
@@ -111,53 +109,41 @@ def status_of(error: DroneEnvError, method: str) -> tuple[int, str]:
     return next(((status, code) for kind, status, code in STATUSES if isinstance(error, kind)), (500, "internal"))
 
 
-def where(location: tuple[int | str, ...]) -> str:
-    """A location in a message, such as `body.direction`."""
-    return ".".join(map(str, location))
-
-
 def printable(text: str) -> str:
     """The text with lone surrogates, which JSON can escape but nobody can send, escaped again."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-def told_problem(request: Request, error: DroneEnvError) -> JSONResponse:
-    """The answer that tells an exception of this package."""
-    status, code = status_of(error, request.method)
-    if status == 500:
-        log.error("%s %s", request.method, request.url.path, exc_info=error)
-        return problem(500, code, FAILED)
-    detail = f"{error}: {WHAT_TO_DO}" if status == 410 else str(error)
-    waiting_helps = status == 503 and code not in ("no_network", "not_started")
-    return problem(status, code, detail, headers={"Retry-After": "5"} if waiting_helps else None)
+def answer_to(error: Exception, scope: Scope) -> JSONResponse:
+    """The answer that tells what went wrong with a request."""
+    status, code, detail = 500, "internal", FAILED
+    headers: Mapping[str, str] | None = None
+    errors: list[FieldProblem] = []
+    if isinstance(error, RequestValidationError):
+        status, code, detail = 422, "invalid_request", text_of(error)
+        parts = wrong_parts(error)[:20]
+        errors = [FieldProblem(where=printable(part.where), message=printable(part.why)) for part in parts]
+    elif isinstance(error, HTTPException):
+        status, code, detail, headers = error.status_code, "http", str(error.detail), error.headers
+    elif isinstance(error, DroneEnvError):
+        status, code = status_of(error, scope["method"])
+        if status == 500:
+            log.error("%s %s", scope["method"], scope["path"], exc_info=error)
+        else:
+            detail = f"{error}: {WHAT_TO_DO}" if status == 410 else str(error)
+        if isinstance(error, RequestError):
+            headers = error.headers
+        if status == 503 and code not in ("no_network", "not_started"):  # where waiting helps
+            headers = {"Retry-After": "5"}
+    told = Problem(code=code, detail=printable(detail), errors=errors)
+    return JSONResponse(told.model_dump(), status, headers)
 
 
-async def _own(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, DroneEnvError)
-    return told_problem(request, error)
-
-
-async def _invalid(_: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, RequestValidationError)
-    errors = [FieldProblem(where=printable(where(e["loc"])), message=printable(e["msg"])) for e in error.errors()]
-    told = "; ".join(f"{e.where}: {e.message}" for e in errors[:5])
-    return problem(422, "invalid_request", told, errors[:20])
-
-
-async def _http(_: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, HTTPException)
-    headers = None if error.headers is None else dict(error.headers)
-    return problem(error.status_code, "http", str(error.detail), headers=headers)
-
-
-async def _unforeseen(request: Request, error: Exception) -> JSONResponse:
-    # The server logs the trace; callers do not see it.
-    return problem(500, "internal", FAILED)
+async def _answer(request: Request, error: Exception) -> JSONResponse:
+    return answer_to(error, request.scope)
 
 
 def install(app: FastAPI) -> None:
-    """Tell all problems of an application in this way."""
-    app.add_exception_handler(DroneEnvError, _own)
-    app.add_exception_handler(RequestValidationError, _invalid)
-    app.add_exception_handler(HTTPException, _http)
-    app.add_exception_handler(Exception, _unforeseen)
+    """Tell all problems of an application in this way. The trace of an unforeseen one is the server's to log."""
+    for kind in (DroneEnvError, RequestValidationError, HTTPException, Exception):
+        app.add_exception_handler(kind, _answer)

@@ -115,13 +115,6 @@ class ResetResult(StepResult):
     session_id: str = Field(description="Send it as the header X-Session-Id with what follows.")
 
 
-class WireObservation(DroneObservation):
-    """An observation with all that OpenEnv adds."""
-
-    reward: float | None = Field(default=None, description="What the step paid; null after a reset.")
-    metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Empty.")
-
-
 class AnalysisAnswer(Analysis):
     """What the finished episodes of a task come to."""
 

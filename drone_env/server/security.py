@@ -1,13 +1,13 @@
-"""Who may call, and with what: pure ASGI middlewares, one job each.
+"""Who may call, and with what: pure ASGI middlewares.
 
-From the outside in: `SecurityHeaders`, `AllowedHosts`, `AllowedOrigins`, `BearerToken`, `JsonBodies`. What a body says
-is then found in the scope, under `BODY`.
+From the outside in: `SecurityHeaders`, `AllowedCallers`, `JsonBodies`. What a body says is then found in the scope,
+under `BODY`.
 """
 
 import base64
 import binascii
 import hmac
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from pathlib import Path
 
 from fastapi import FastAPI
@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drone_env.errors import InvalidValueError
 from drone_env.server.local import host_name, is_local_name, listens_on_loopback
-from drone_env.server.problems import problem
+from drone_env.server.problems import RequestError, answer_to
 from drone_env.server.settings import Settings
 from drone_env.server.strict_json import parse_json
 
@@ -68,32 +68,53 @@ class SecurityHeaders:
         await self.app(scope, receive, send_with_headers)
 
 
-class AllowedHosts:
-    """Answers only what is addressed to these hosts.
+class AllowedCallers:
+    """Answers what is addressed to the server's hosts, comes from no page of another origin, and carries the token.
 
-    A server that listens on loopback also answers for the names of this machine, and where `hosts` is empty for them
-    alone: otherwise any web page whose name is made to lead there could call it.
+    A server that listens on loopback also answers for the names of this machine, and where `allowed_hosts` is empty for
+    them alone: otherwise any web page whose name is made to lead there could call it. Browsers name the origin of a
+    page in the `Origin` header; programs send none.
 
     Args:
         app: The application within.
-        hosts: Names without port; empty for all.
-        listens: Where the settings have the server listen.
+        settings: Which hosts and origins, and the token, if any.
     """
 
-    def __init__(self, app: ASGIApp, hosts: Collection[str], listens: str) -> None:
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app = app
-        self.hosts = {host.lower() for host in hosts}
-        self.listens = listens.lower()
+        self.hosts = {host.lower() for host in settings.allowed_hosts}
+        self.listens = settings.host.lower()
+        self.origins = {origin.lower().rstrip("/") for origin in settings.allowed_origins}
+        self.expected = None if settings.token is None else settings.token.get_secret_value().encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on what is addressed to us."""
-        if scope["type"] in ("http", "websocket"):
-            host = host_name(Headers(scope=scope).get("host", ""))
-            if not self._answers(host, scope):
-                detail = f"this server does not answer for host {host!r}; DRONE_ENV_ALLOWED_HOSTS lists those it does"
-                await refuse(scope, receive, send, 403, "host", detail)
-                return
+        """Pass on what is allowed; a WebSocket that is not is closed before it opens."""
+        try:
+            if scope["type"] in ("http", "websocket"):
+                self._check(scope, Headers(scope=scope))
+        except RequestError as error:
+            if scope["type"] == "websocket":
+                await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": str(error)[:120]})
+            else:
+                await answer_to(error, scope)(scope, receive, send)
+            return
         await self.app(scope, receive, send)
+
+    def _check(self, scope: Scope, headers: Headers) -> None:
+        named = headers.get("host", "")
+        host = host_name(named)
+        if not self._answers(host, scope):
+            detail = f"this server does not answer for host {host!r}; DRONE_ENV_ALLOWED_HOSTS lists those it does"
+            raise RequestError(403, "host", detail)
+        origin = headers.get("origin")
+        if origin is not None and not self._allowed(origin.lower(), named.lower()):
+            detail = f"pages of {origin!r} may not call this server; DRONE_ENV_ALLOWED_ORIGINS lists those that may"
+            raise RequestError(403, "origin", detail)
+        if self.expected is not None and scope["path"] not in OPEN_PATHS:
+            given = _sent_token(scope) or _offered_token(scope)
+            if not hmac.compare_digest(given, self.expected):
+                detail = "this server asks for a token: send Authorization: Bearer TOKEN"
+                raise RequestError(401, "token", detail, {"WWW-Authenticate": "Bearer"})
 
     def _answers(self, host: str, scope: Scope) -> bool:
         if host in self.hosts:
@@ -102,57 +123,10 @@ class AllowedHosts:
             return not self.hosts
         return is_local_name(host) or host == self.listens
 
-
-class AllowedOrigins:
-    """Refuses web pages of other origins, which browsers name in the `Origin` header. Programs send none.
-
-    Args:
-        app: The application within.
-        origins: Allowed beside the origin of the server itself, such as `https://example.org`.
-    """
-
-    def __init__(self, app: ASGIApp, origins: Collection[str]) -> None:
-        self.app = app
-        self.origins = {origin.lower().rstrip("/") for origin in origins}
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on what comes from an allowed origin, or from none."""
-        if scope["type"] in ("http", "websocket"):
-            headers = Headers(scope=scope)
-            origin = headers.get("origin")
-            if origin is not None and not self._allowed(origin.lower(), headers.get("host", "").lower()):
-                detail = f"pages of {origin!r} may not call this server; DRONE_ENV_ALLOWED_ORIGINS lists those that may"
-                await refuse(scope, receive, send, 403, "origin", detail)
-                return
-        await self.app(scope, receive, send)
-
     def _allowed(self, origin: str, host: str) -> bool:
         # Hosts are compared, not schemes: behind a proxy that ends TLS the server sees http.
         scheme, _, authority = origin.partition("://")
         return origin in self.origins or (scheme in ("http", "https") and authority == host != "")
-
-
-class BearerToken:
-    """Asks for a token.
-
-    Args:
-        app: The application within.
-        token: The token; None to ask for none.
-    """
-
-    def __init__(self, app: ASGIApp, token: str | None) -> None:
-        self.app = app
-        self.expected = None if token is None else token.encode()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on what carries the token."""
-        if self.expected is not None and scope["type"] in ("http", "websocket") and scope["path"] not in OPEN_PATHS:
-            given = _sent_token(scope) or _offered_token(scope)
-            if not hmac.compare_digest(given, self.expected):
-                detail = "this server asks for a token: send Authorization: Bearer TOKEN"
-                await refuse(scope, receive, send, 401, "token", detail, {"WWW-Authenticate": "Bearer"})
-                return
-        await self.app(scope, receive, send)
 
 
 def _sent_token(scope: Scope) -> bytes:
@@ -187,40 +161,42 @@ class JsonBodies:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Read the body, and pass it on if it is fit."""
-        if scope["type"] != "http":
-            await self.app(scope, receive, send)
-            return
-        headers = Headers(scope=scope)
+        headers = Headers(scope=scope) if scope["type"] == "http" else Headers()
         if headers.get("content-length") in (None, "0") and "transfer-encoding" not in headers:
             await self.app(scope, receive, send)
             return
         body = bytearray()
         more = True
-        while more:
-            message = await receive()
-            if message["type"] == "http.disconnect":
-                return
-            body += message.get("body", b"")
-            more = message.get("more_body", False)
-            if len(body) > self.max_bytes:
-                detail = f"a body may have {self.max_bytes} bytes"
-                await refuse(scope, receive, send, 413, "too_large", detail, {"Connection": "close"})
-                return
-        if body:
-            kind = headers.get("content-type", "").partition(";")[0].strip().lower()
-            if kind != "application/json":
-                detail = f"a body must be declared as Content-Type: application/json, got {kind!r}"
-                await refuse(scope, receive, send, 415, "content_type", detail)
-                return
-            try:
-                scope[BODY] = parse_json(body.decode("utf-8"))
-            except UnicodeDecodeError:
-                await refuse(scope, receive, send, 400, "not_json", "the body is not UTF-8")
-                return
-            except InvalidValueError as error:
-                await refuse(scope, receive, send, 400, "not_json", str(error))
-                return
+        try:
+            while more:
+                message = await receive()
+                if message["type"] == "http.disconnect":
+                    return
+                body += message.get("body", b"")
+                more = message.get("more_body", False)
+                if len(body) > self.max_bytes:
+                    detail = f"a body may have {self.max_bytes} bytes"
+                    raise RequestError(413, "too_large", detail, {"Connection": "close"})
+            if body:
+                scope[BODY] = _parsed(body, headers)
+        except RequestError as error:
+            await answer_to(error, scope)(scope, receive, send)
+            return
         await self.app(scope, _replayed(bytes(body), receive), send)
+
+
+def _parsed(body: bytearray, headers: Headers) -> object:
+    kind = headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind != "application/json":
+        raise RequestError(
+            415, "content_type", f"a body must be declared as Content-Type: application/json, got {kind!r}"
+        )
+    try:
+        return parse_json(body.decode("utf-8"))
+    except UnicodeDecodeError:
+        raise RequestError(400, "not_json", "the body is not UTF-8") from None
+    except InvalidValueError as error:
+        raise RequestError(400, "not_json", str(error)) from None
 
 
 def _replayed(body: bytes, receive: Receive) -> Receive:
@@ -235,31 +211,8 @@ def _replayed(body: bytes, receive: Receive) -> Receive:
     return replay
 
 
-async def refuse(
-    scope: Scope,
-    receive: Receive,
-    send: Send,
-    status: int,
-    code: str,
-    detail: str,
-    headers: dict[str, str] | None = None,
-) -> None:
-    """Answer with a problem; a WebSocket is closed before it opens."""
-    if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": detail[:120]})
-        return
-    await problem(status, code, detail, headers=headers)(scope, receive, send)
-
-
 def protect(app: FastAPI, settings: Settings) -> None:
     """Put the middlewares around an application."""
-    token = None if settings.token is None else settings.token.get_secret_value()
-    layers: list[tuple[Callable[..., ASGIApp], dict[str, object]]] = [
-        (JsonBodies, {"max_bytes": settings.max_bytes}),
-        (BearerToken, {"token": token}),
-        (AllowedOrigins, {"origins": settings.allowed_origins}),
-        (AllowedHosts, {"hosts": settings.allowed_hosts, "listens": settings.host}),
-        (SecurityHeaders, {"frame_ancestors": settings.frame_ancestors}),
-    ]
-    for layer, options in layers:
-        app.add_middleware(layer, **options)  # pyright: ignore[reportArgumentType]
+    app.add_middleware(JsonBodies, max_bytes=settings.max_bytes)
+    app.add_middleware(AllowedCallers, settings=settings)
+    app.add_middleware(SecurityHeaders, frame_ancestors=settings.frame_ancestors)

@@ -7,14 +7,15 @@ row's actions first.
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from drone_env.core.episode import Episode
 from drone_env.episodes.sessions import SessionRow
 from drone_env.episodes.store import Store
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import DroneAction
-from drone_env.server.openenv.session import flat_json, start_of
+from drone_env.server.map_choice import choose_map
+from drone_env.server.observation_json import flat_json
 from drone_env.server.schemas import ResetOptions
 
 ANONYMOUS = "anonymous"
@@ -95,34 +96,29 @@ class Sessions:
             InvalidValueError: if the split has no such map.
             CapacityError: if a new session is needed and there is no room.
         """
+        if address is not None:
+            session = self.store.unnamed_session(address)
         if session is not None:
-            try:
-                return session, self._reset_row(session, options, show)
-            except (NoSessionError, SessionGoneError):
-                pass  # the caller does what the error would tell: open a new one
-        shared = None if address is None else self.store.unnamed_session(address)
-        if shared is not None:
-            try:
-                return shared, self._reset_row(shared, options, show, address, flown=True)
-            except (NoSessionError, SessionGoneError):
-                pass
-        start = start_of(options, None)
-        wanted = (start.task.id, start.task.version, start.seed, start.reward_profile.id, options.agent or ANONYMOUS)
+            # Where it is gone the caller does what the error would tell: open a new one.
+            with suppress(NoSessionError, SessionGoneError):
+                return session, self._reset_row(session, options, show, address, flown=address is not None)
+        chosen = choose_map(options, None)
+        wanted = *chosen.names, options.agent or ANONYMOUS, self.capacity, address
         try:
-            session = self.store.open_session(*wanted, capacity=self.capacity, address=address)
+            opened = self.store.open_session(*wanted)
         except CapacityError:
-            if not self.expire():
-                if shared is None:
-                    raise
-                return shared, self._reset_row(shared, options, show, address)
-            session = self.store.open_session(*wanted, capacity=self.capacity, address=address)
-        episode = Episode(start.task, start.reward_profile)
-        episode.reset(start.seed)
+            if self.expire():
+                opened = self.store.open_session(*wanted)
+            elif session is not None and address is not None:
+                return session, self._reset_row(session, options, show, address)
+            else:
+                raise
+        episode = chosen.episode()
         first = show(episode, None)
-        live = self._entry(session)
+        live = self._entry(opened)
         with live.lock:
             live.episode = episode
-        return session, first
+        return opened, first
 
     def _reset_row(
         self, session: str, options: ResetOptions, show: Show, address: str | None = None, flown: bool = False
@@ -131,10 +127,9 @@ class Sessions:
             with self._changing(live, session, address) as row:
                 if flown and not row.actions:
                     raise NoSessionError("nobody has flown this session yet")
-                start = start_of(options, row.seed)
-                row.reset(start.task.id, start.task.version, start.seed, start.reward_profile.id, options.agent)
-                episode = live.episode = Episode(start.task, start.reward_profile)
-                episode.reset(start.seed)
+                chosen = choose_map(options, row.seed)
+                row.reset(*chosen.names, options.agent)
+                episode = live.episode = chosen.episode()
             return show(episode, None)
 
     def step(

@@ -9,7 +9,7 @@ from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from drone_env.agents.pathqnet import WEIGHTS
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, text_of
 
 Listed = Annotated[tuple[str, ...], NoDecode]
 """Comma-separated in the environment."""
@@ -81,8 +81,7 @@ def load_settings() -> Settings:
     try:
         return Settings()
     except ValidationError as error:
-        wrong = "; ".join(f"DRONE_ENV_{str(e['loc'][0]).upper()}: {e['msg']}" for e in error.errors())
-        raise InvalidValueError(wrong) from None
+        raise InvalidValueError(text_of(error, lambda where: f"DRONE_ENV_{where.upper()}")) from None
 
 
 def misspelt_variables() -> dict[str, str]:

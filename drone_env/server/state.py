@@ -7,7 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, NamedTuple, TypeVar
 
 import anyio.to_thread
-from fastapi import Cookie, Depends, Header, Request, Response
+from fastapi import Depends, Header, Request, Response
+from typing_extensions import Self
 
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.store import Store
@@ -108,7 +109,6 @@ class Shared:
             OSError: if it cannot be opened.
         """
         store = Store(self.settings.data, self._clock)
-        self.requests.open(self.settings.data)
         self.steps = ThreadPoolExecutor(1, "drone_env-steps")
         self._sessions = Sessions(store, self.settings.capacity, self.settings.idle_seconds)
 
@@ -121,7 +121,6 @@ class Shared:
             self._sessions.store.close()
             self._sessions = None
         self._studies = None
-        self.requests.close()
 
 
 async def shared_of(request: Request) -> Shared:
@@ -134,6 +133,15 @@ class Caller(NamedTuple):
 
     named: str | None
     address: str | None
+
+    @classmethod
+    def of(cls, request: Request) -> Self:
+        """Who sends a request; an empty header or cookie names no session."""
+        named = request.headers.get(HEADER) or request.cookies.get(COOKIE)
+        settings = request.app.state.shared.settings
+        if named or settings.token is not None:
+            return cls(None if named in ("", NEW) else named, None)
+        return cls(None, local_address(request.scope, settings.host))
 
     def session(self, shared: Shared, answer: Response) -> str:
         """The session that is meant; where it is shared, the answer says so.
@@ -158,21 +166,17 @@ class Caller(NamedTuple):
 
 async def caller_of(
     request: Request,
-    x_session_id: Annotated[
+    _: Annotated[
         str | None,
         Header(
+            alias=HEADER,
             max_length=LONGEST_ID,
             description="The session, as `/reset` gave it; goes before the cookie. With `new` a reset opens one.",
         ),
     ] = None,
-    drone_env_session: Annotated[str | None, Cookie(max_length=LONGEST_ID, include_in_schema=False)] = None,
 ) -> Caller:
-    """Who sends a request; an empty header or cookie names no session."""
-    named = x_session_id or drone_env_session or None
-    settings = request.app.state.shared.settings
-    if named is not None or settings.token is not None:
-        return Caller(None if named == NEW else named, None)
-    return Caller(None, local_address(request.scope, settings.host))
+    """Who sends a request."""
+    return Caller.of(request)
 
 
 async def known_steps(

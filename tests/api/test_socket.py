@@ -19,10 +19,11 @@ from drone_env.episodes.store import FILE_NAME
 from drone_env.models import observation_fields
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
-from drone_env.server.openenv.session import Flight
-from drone_env.server.openenv.socket import Connection, OpenEnvSocket
+from drone_env.server.openenv.session import Session
+from drone_env.server.openenv.socket import OpenEnvSocket
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.settings import Settings
+from drone_env.server.state import Shared
 from tests.api.conftest import Clock
 from tests.cluster.sessions import openenv_result
 
@@ -133,7 +134,7 @@ def test_a_place_is_free_when_its_socket_is_closed(tmp_path: Path, eventually: C
         for _ in range(5):
             with client.websocket_connect("/ws") as socket:
                 assert ask(socket, {"type": "reset"})["type"] == "observation"
-            eventually(lambda: not app.state.socket.connections)
+            eventually(lambda: not app.state.socket.touched)
 
 
 def test_an_idle_socket_is_closed_and_its_place_is_free(tmp_path: Path, clock: Clock) -> None:
@@ -151,7 +152,7 @@ def test_an_idle_socket_is_closed_and_its_place_is_free(tmp_path: Path, clock: C
                 with pytest.raises(WebSocketDisconnect) as closed:
                     socket.receive_text()
             assert closed.value.code == 1001
-            assert not app.state.socket.connections
+            assert not app.state.socket.touched
 
 
 def test_clients_that_do_not_say_goodbye_hold_up_no_other_place() -> None:
@@ -168,13 +169,13 @@ def test_clients_that_do_not_say_goodbye_hold_up_no_other_place() -> None:
                 await asyncio.sleep(0.01)
 
     async def sweep() -> None:
-        endpoint = OpenEnvSocket(lambda: pytest.fail("nothing is kept"), 2, idle_seconds=1, max_bytes=1024)
+        endpoint = OpenEnvSocket(Shared(Settings(idle_seconds=1)))
         for _ in range(2):
             socket = WebSocket({"type": "websocket"}, receive, send)
             await socket.accept()
-            endpoint.connections.add(Connection(socket, -math.inf))
+            endpoint.touched[socket] = -math.inf
         await asyncio.wait_for(endpoint.close_idle(), 10)
-        assert not endpoint.connections
+        assert not endpoint.touched
 
     asyncio.run(sweep())
 
@@ -257,11 +258,11 @@ def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_
 
 @pytest.mark.parametrize("task", TASKS)
 def test_the_fast_json_of_an_observation_is_that_of_its_fields(task: str) -> None:
-    flight = Flight(task)
+    session = Session(task)
     for seed in range(3):
-        flight.reset(ResetOptions(seed=seed))
+        session.reset(ResetOptions(seed=seed))
         for action in (0, 2, 4, 1, 3, 3, 0):
-            reward = flight.episode.step(action)
-            expected = openenv_result(observation_fields(flight.episode), reward)
-            assert flight.result(reward) == to_json(expected).decode()
-    assert json.loads(flight.result(None))["reward"] is None
+            reward = session.episode.step(action)
+            expected = openenv_result(observation_fields(session.episode), reward)
+            assert session.result(reward) == to_json(expected).decode()
+    assert json.loads(session.result(None))["reward"] is None

@@ -158,7 +158,6 @@ def make_store(folder: Path, told: list[dict[str, Any]]) -> dict[str, Any]:
             if time.monotonic() > deadline:
                 raise SystemExit("the optima of the stored maps are not known after 5 minutes")
             time.sleep(0.2)
-    (folder / "store" / "requests.log").unlink()
     return {"clock": CLOCK, "flights": flights, "sessions": sessions, "gone": session}
 
 

@@ -1,1 +1,1 @@
-"""Sweeps: the same training under several settings and seeds, on Ray Tune."""
+"""Sweeps: the same training under several settings and seeds, on Ray."""

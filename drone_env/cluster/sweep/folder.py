@@ -24,7 +24,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.core.tasks import withdrawal
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, text_of
 from drone_env.files import lock_file, replacing
 from drone_env.models import Count, Message
 
@@ -205,6 +205,4 @@ def _read(path: Path, kind: TypeAdapter[Any]) -> Any:
     try:
         return kind.validate_json(path.read_bytes())
     except ValidationError as error:
-        problem = error.errors()[0]
-        where = "".join(f"{part}: " for part in problem["loc"])
-        raise InvalidValueError(f"{path} is damaged: {where}{problem['msg']}") from None
+        raise InvalidValueError(f"{path} is damaged: {text_of(error)}") from None

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from drone_env.cluster.sweep.config import ELSEWHERE, Setting, Value
-from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.errors import InvalidValueError, UnknownNameError, text_of
 from drone_env.rl.config import TrainConfig
 
 ALIASES = {"lr": "learning_rate"}
@@ -87,7 +87,7 @@ def _value(name: str, text: str) -> Value:
     try:
         value: Value = TypeAdapter[Value](kind).validate_strings(text)
     except ValidationError as error:
-        raise InvalidValueError(f"{name} cannot be {text!r}: {error.errors()[0]['msg']}") from None
+        raise InvalidValueError(f"{name} cannot be {text!r}: {text_of(error)}") from None
     if isinstance(value, float) and not math.isfinite(value):
         raise InvalidValueError(f"{name} must be a finite number, got {text!r}")
     return value

@@ -6,14 +6,15 @@ A trial's own checkpoint is all that it goes on from, so it does not matter who 
 import hashlib
 import math
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, cast
+from queue import SimpleQueue
+from typing import Any
 
 import numpy as np
 
 from drone_env.agents.network import load_network
-from drone_env.cluster.nodes import check_node
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import MapScores, SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
@@ -25,25 +26,28 @@ from drone_env.rl.trainer import Progress
 Report = Callable[[dict[str, Any]], None]
 
 
-def run_trial(job: dict[str, Any]) -> None:
-    """Train the trial that a job of Ray Tune names; reports to Tune at every validation and at the end.
+def train_on_node(out: str, until: int, checkpoint_seconds: float, trial: Trial) -> Iterator[dict[str, Any]]:
+    """Train a trial in a thread of this worker; yields what it reports, at every validation and at the end.
 
     Args:
-        job: `out`, the sweep's folder; `trial`, [setting, seed]; `until`, episodes to train to; `checkpoint_seconds`;
-            `driver`, the `Driver` of the sweep.
+        out: The sweep's folder.
+        until: How many episodes to train to.
+        checkpoint_seconds: Seconds between two checkpoints.
+        trial: Which trial.
 
     Raises:
-        ClusterError: if this machine's package is not the driver's.
-        InvalidValueError: if this machine does not see the sweep's folder.
+        InvalidValueError: if this machine does not see the sweep's folder, or another process trains the trial.
     """
-    from ray import tune
-
-    check_node(job["driver"])
-    folder = SweepFolder(Path(job["out"]))
+    folder = SweepFolder(Path(out))
     if not folder.path.is_dir():
         raise InvalidValueError(f"this machine has no {folder.path}: a sweep's folder lies where all machines see it")
-    tune_report = cast(Any, tune.report)
-    train_trial(folder, Trial(*job["trial"]), job["until"], job["checkpoint_seconds"], tune_report)
+    reports: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
+    with ThreadPoolExecutor(1) as thread:
+        training = thread.submit(train_trial, folder, trial, until, checkpoint_seconds, reports.put)
+        training.add_done_callback(lambda _: reports.put(None))
+        while (report := reports.get()) is not None:
+            yield report
+        training.result()
 
 
 def train_trial(folder: SweepFolder, trial: Trial, until: int, checkpoint_seconds: float, report: Report) -> None:
@@ -72,8 +76,6 @@ def train_trial(folder: SweepFolder, trial: Trial, until: int, checkpoint_second
             if run.trainer.episodes >= run.config.episodes:
                 state = _judged(state, config, run)
         except Exception as error:
-            if type(error).__module__.startswith("ray."):
-                raise  # the cluster's trouble, not the trial's
             last = traceback.format_exception_only(type(error), error)[-1].strip()
             state = folder.state(trial).model_copy(update={"status": "failed", "error": last})
         folder.set_state(trial, state)

@@ -5,9 +5,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, TypeAdapter, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 from pydantic_core import PydanticCustomError
 
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, text_of
 from drone_env.models import Direction, Message
-from drone_env.server.problems import where
 from drone_env.server.schemas import MAX_SEED, Seed
 from drone_env.server.state import LONGEST_ID
 from drone_env.server.strict_json import parse_json
@@ -102,5 +101,4 @@ def parse_command(text: str) -> Command:
     try:
         return _COMMAND.validate_python(value)
     except ValidationError as error:
-        told = "; ".join(f"{where(e['loc']) or 'frame'}: {e['msg']}" for e in error.errors()[:5])
-        raise InvalidValueError(told) from None
+        raise InvalidValueError(text_of(error)) from None

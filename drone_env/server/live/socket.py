@@ -33,7 +33,7 @@ from drone_env.server.live.commands import (
 from drone_env.server.live.feeds import Feed
 from drone_env.server.live.missions import LiveMission
 from drone_env.server.live.values import ExactValues
-from drone_env.server.openenv.session import start_of
+from drone_env.server.map_choice import choose_map
 from drone_env.server.pilots import PILOTS, agent_of
 from drone_env.server.problems import FAILED, printable, status_of
 from drone_env.server.schemas import EpisodeSummary, ResetOptions
@@ -185,7 +185,7 @@ class Cockpit:
             agent_of(pilot, task, self._shared.networks)  # says why it cannot fly before anything is opened
         last = self.missions[0].episode if self.missions and self.missions[0].episode.task == task else None
         options = ResetOptions(task_name=task.id, seed=command.seed, reward_profile=command.reward_profile)
-        seed = start_of(options, None if last is None else last.seed).seed
+        seed = choose_map(options, None if last is None else last.seed).seed
         opened: list[LiveMission] = []
         try:
             for pilot in command.pilots:

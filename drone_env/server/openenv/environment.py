@@ -17,12 +17,12 @@ from openenv.core.rubrics import Rubric
 from pydantic import ConfigDict, ValidationError
 
 from drone_env import __version__
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, text_of
 from drone_env.models import DroneState, observation_fields
-from drone_env.server.openenv import task_api
-from drone_env.server.openenv.session import DEFAULT_TASK, DESCRIPTION, ENV_NAME, Flight
-from drone_env.server.problems import where
-from drone_env.server.schemas import ResetOptions, WireAction, WireObservation
+from drone_env.server.map_choice import DEFAULT_TASK
+from drone_env.server.openenv.session import DESCRIPTION, ENV_NAME, Session, WireObservation
+from drone_env.server.openenv.task_api import TaskApi
+from drone_env.server.schemas import ResetOptions, WireAction
 
 
 class DroneEnvAction(WireAction, Action):
@@ -51,7 +51,7 @@ class GradeRubric(Rubric):
         return observation.score
 
 
-class DroneDeliveryEnvironment(Environment[DroneEnvAction, DroneEnvObservation, DroneEnvState]):
+class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObservation, DroneEnvState]):
     """One drone on one map, by OpenEnv's rules. Rewards are those of the reward profile; `rubric` is the grader.
 
     Args:
@@ -65,7 +65,7 @@ class DroneDeliveryEnvironment(Environment[DroneEnvAction, DroneEnvObservation, 
 
     def __init__(self, task: str = DEFAULT_TASK) -> None:
         super().__init__(rubric=GradeRubric())
-        self._flight = Flight(task)
+        self._session = Session(task)
 
     def reset(self, seed: int | None = None, episode_id: str | None = None, **kwargs: Any) -> DroneEnvObservation:
         """Start an episode. On an error the running one is left as it was.
@@ -83,9 +83,8 @@ class DroneDeliveryEnvironment(Environment[DroneEnvAction, DroneEnvObservation, 
         try:
             options = ResetOptions(seed=seed, episode_id=episode_id, **kwargs)
         except ValidationError as error:
-            wrong = "; ".join(f"{where(e['loc']) or 'reset'}: {e['msg']}" for e in error.errors())
-            raise InvalidValueError(wrong) from None
-        self._flight.reset(options)
+            raise InvalidValueError(text_of(error)) from None
+        self._session.reset(options)
         self._reset_rubric()
         return self._observe(None)
 
@@ -100,7 +99,7 @@ class DroneDeliveryEnvironment(Environment[DroneEnvAction, DroneEnvObservation, 
         Raises:
             EpisodeError: before the first reset.
         """
-        observation = self._observe(self._flight.episode.step(action.action))
+        observation = self._observe(self._session.episode.step(action.action))
         self._apply_rubric(action, observation)
         return observation
 
@@ -123,35 +122,14 @@ class DroneDeliveryEnvironment(Environment[DroneEnvAction, DroneEnvObservation, 
         Raises:
             EpisodeError: before the first reset.
         """
-        flown = DroneState.of(self._flight.episode).model_copy(update={"episode_id": self._flight.episode_id})
-        return DroneEnvState(**dict(flown))
+        return DroneEnvState(**dict(self._session.state()))
 
     def get_metadata(self) -> EnvironmentMetadata:
         """What the environment is."""
         return EnvironmentMetadata(name=ENV_NAME, description=DESCRIPTION, version=__version__)
 
-    def list_splits(self) -> list[dict[str, str]]:
-        """All splits, named `task/split`; `reset(split=..., index=...)` flies one of their maps."""
-        return task_api.list_splits()
-
-    def list_tasks(self, split: str) -> list[dict[str, Any]]:
-        """The first 1,000 maps of a split; raises as `task_api.list_tasks`."""
-        return task_api.list_tasks(split)
-
-    def num_tasks(self, split: str) -> int:
-        """How many maps a split has; raises as `task_api.num_tasks`."""
-        return task_api.num_tasks(split)
-
-    def get_task(self, split: str, index: int) -> dict[str, Any]:
-        """One map of a split; raises as `task_api.describe`."""
-        return task_api.describe(split, index)
-
-    def get_task_range(self, split: str, start: int | None = None, stop: int | None = None) -> list[dict[str, Any]]:
-        """Maps of a split, at most 1,000; raises as `task_api.get_task_range`."""
-        return task_api.get_task_range(split, start, stop)
-
     def _observe(self, reward: float | None) -> DroneEnvObservation:
         # Made from the rules, so it needs no validation.
         return DroneEnvObservation.model_construct(
-            **observation_fields(self._flight.episode), reward=reward, metadata={}
+            **observation_fields(self._session.episode), reward=reward, metadata={}
         )

@@ -2,20 +2,29 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Path
+from fastapi import APIRouter, Body, Depends, Path
 from pydantic import Field
 
 from drone_env import __version__
 from drone_env.models import DroneState, Message
-from drone_env.server.openenv import task_api
-from drone_env.server.openenv.session import DESCRIPTION, ENV_NAME
+from drone_env.server.openenv.session import DESCRIPTION, ENV_NAME, WireObservation
 from drone_env.server.openenv.socket import mcp_answer
+from drone_env.server.openenv.task_api import SplitInfo, TaskApi, TaskSpec
 from drone_env.server.problems import RequestError, answers
-from drone_env.server.schemas import WireAction, WireObservation
+from drone_env.server.schemas import WireAction
+
+
+async def _check_name(
+    env_name: Annotated[str, Path(description="Name of the environment.", examples=[ENV_NAME])],
+) -> None:
+    if env_name.lower() != ENV_NAME:
+        raise RequestError(404, "unknown_name", f"unknown environment {env_name!r}; there is {ENV_NAME!r}")
+
 
 router = APIRouter(tags=["openenv"])
-EnvName = Annotated[str, Path(description="Name of the environment.", examples=[ENV_NAME])]
+named = APIRouter(prefix="/{env_name}", dependencies=[Depends(_check_name)])
 BODY_ERRORS = answers(400, 404, 413, 415, 422)
+api = TaskApi()
 
 
 class Metadata(Message):
@@ -36,23 +45,6 @@ class Schemas(Message):
     observation: dict[str, Any]
     reset_observation: dict[str, Any]
     state: dict[str, Any]
-
-
-class SplitInfo(Message):
-    """A split."""
-
-    name: str
-    type: str
-
-
-class TaskSpec(Message):
-    """One map of a split."""
-
-    id: str
-    index: int
-    split: str
-    task_name: str
-    seed: int
 
 
 class SplitRequest(Message):
@@ -128,48 +120,37 @@ async def list_environments() -> list[str]:
     return [ENV_NAME]
 
 
-@router.get("/{env_name}/splits", responses=answers(404, 422))
-async def splits(env_name: EnvName) -> list[SplitInfo]:
+@named.get("/splits", responses=answers(404, 422))
+async def splits() -> list[SplitInfo]:
     """All splits."""
-    _check(env_name)
-    return [SplitInfo.model_validate(split) for split in task_api.list_splits()]
+    return api.list_splits()
 
 
-@router.post("/{env_name}/tasks", responses=BODY_ERRORS)
-def split_tasks(env_name: EnvName, body: SplitRequest) -> NamedTaskSpecs:
+@named.post("/tasks", responses=BODY_ERRORS)
+def split_tasks(body: SplitRequest) -> NamedTaskSpecs:
     """The first 1,000 maps of a split."""
-    _check(env_name)
-    return NamedTaskSpecs(tasks=_specs(task_api.list_tasks(body.split)))
+    return NamedTaskSpecs(tasks=api.list_tasks(body.split))
 
 
-@router.post("/{env_name}/num_tasks", responses=BODY_ERRORS)
-async def num_tasks(env_name: EnvName, body: SplitRequest) -> TaskCount:
+@named.post("/num_tasks", responses=BODY_ERRORS)
+async def num_tasks(body: SplitRequest) -> TaskCount:
     """How many maps a split has."""
-    _check(env_name)
-    return TaskCount(num_tasks=task_api.num_tasks(body.split))
+    return TaskCount(num_tasks=api.num_tasks(body.split))
 
 
-@router.post("/{env_name}/task", responses=BODY_ERRORS)
-async def split_task(env_name: EnvName, body: TaskRequest) -> OneTask:
+@named.post("/task", responses=BODY_ERRORS)
+async def split_task(body: TaskRequest) -> OneTask:
     """One map of a split."""
-    _check(env_name)
     try:
-        return OneTask(task=TaskSpec.model_validate(task_api.describe(body.split, body.index)))
+        return OneTask(task=api.get_task(body.split, body.index))
     except IndexError as error:
         raise RequestError(400, "index", str(error)) from None
 
 
-@router.post("/{env_name}/task_range", responses=BODY_ERRORS)
-def task_range(env_name: EnvName, body: RangeRequest) -> TaskSpecs:
+@named.post("/task_range", responses=BODY_ERRORS)
+def task_range(body: RangeRequest) -> TaskSpecs:
     """Maps start to stop (exclusive) of a split, at most 1,000."""
-    _check(env_name)
-    return TaskSpecs(tasks=_specs(task_api.get_task_range(body.split, body.start, body.stop)))
+    return TaskSpecs(tasks=api.get_task_range(body.split, body.start, body.stop))
 
 
-def _check(env_name: str) -> None:
-    if env_name.lower() != ENV_NAME:
-        raise RequestError(404, "unknown_name", f"unknown environment {env_name!r}; there is {ENV_NAME!r}")
-
-
-def _specs(tasks: list[dict[str, Any]]) -> list[TaskSpec]:
-    return [TaskSpec.model_validate(task) for task in tasks]
+router.include_router(named)

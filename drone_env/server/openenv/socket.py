@@ -10,7 +10,6 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, cast
 
@@ -19,12 +18,12 @@ from pydantic_core import to_json
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from drone_env.episodes.store import Store
-from drone_env.errors import DroneEnvError, InvalidValueError
-from drone_env.server.openenv.session import Flight
-from drone_env.server.problems import printable, where
+from drone_env.errors import DroneEnvError, InvalidValueError, text_of, wrong_parts
+from drone_env.server.openenv.session import Session
+from drone_env.server.problems import printable
 from drone_env.server.schemas import ResetOptions, WireAction
 from drone_env.server.sessions import ANONYMOUS
+from drone_env.server.state import Shared
 from drone_env.server.strict_json import parse_json
 
 log = logging.getLogger(__name__)
@@ -39,55 +38,28 @@ class RefusedError(Exception):
     Args:
         code: OpenEnv's code.
         message: What is wrong, for people.
-        errors: The parts that are wrong.
+        more: What else the error says: `errors`, the parts that are wrong.
     """
 
-    def __init__(self, code: str, message: str, errors: list[dict[str, Any]] | None = None) -> None:
-        self.code = code
-        self.errors = errors
+    def __init__(self, code: str, message: str, **more: object) -> None:
         super().__init__(message)
-
-
-class Connection:
-    """One open socket and its session."""
-
-    def __init__(self, socket: WebSocket, now: float) -> None:
-        self.socket = socket
-        self.flight = Flight()
-        self.touched = now
+        data = {"message": printable(message), "code": code, **more}
+        self.frame = _frame("error", to_json(data).decode())
 
 
 class OpenEnvSocket:
-    """The WebSocket endpoint: an ASGI application.
+    """The WebSocket endpoint: an ASGI application. A socket on which nothing arrives for too long is closed.
 
     Args:
-        store: Gives the store where finished episodes go, once the server has started.
-        capacity: How many sockets may be open.
-        idle_seconds: A socket on which nothing arrives for so long is closed.
-        max_bytes: The largest frame.
+        shared: The parts of the server.
         clock: What tells the time in seconds, since whenever.
     """
 
-    def __init__(
-        self,
-        store: Callable[[], Store],
-        capacity: int,
-        idle_seconds: float,
-        max_bytes: int,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.store = store
-        self.capacity = capacity
-        self.idle_seconds = idle_seconds
-        self.max_bytes = max_bytes
+    def __init__(self, shared: Shared, clock: Callable[[], float] = time.monotonic) -> None:
+        self.shared = shared
         self._clock = clock
-        self.connections: set[Connection] = set()
-        # One thread: the store lets one writer in at a time anyway.
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix="episodes")
-
-    def close(self) -> None:
-        """Wait for what is being written."""
-        self._writer.shutdown()
+        self.touched: dict[WebSocket, float] = {}
+        """When each open socket was last used."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection to its end."""
@@ -95,54 +67,50 @@ class OpenEnvSocket:
         await socket.accept()
         # Where the other side has gone there is nobody left to tell.
         with suppress(WebSocketDisconnect, OSError):
-            await self._admit(socket)
-
-    async def _admit(self, socket: WebSocket) -> None:
-        if "session_id" in socket.query_params:
-            refusal = RefusedError("SESSION_ERROR", "every connection has a session of its own: leave out session_id")
-        elif len(self.connections) >= self.capacity:
-            refusal = RefusedError(
-                "CAPACITY_REACHED", f"{self.capacity} sessions are open, and no more are allowed: try again later"
-            )
-        else:
-            connection = Connection(socket, self._clock())
-            self.connections.add(connection)
+            capacity = self.shared.settings.capacity
             try:
-                await self._serve(connection)
+                if "session_id" in socket.query_params:
+                    told = "every connection has a session of its own: leave out session_id"
+                    raise RefusedError("SESSION_ERROR", told)
+                if len(self.touched) >= capacity:
+                    told = f"{capacity} sessions are open, and no more are allowed: try again later"
+                    raise RefusedError("CAPACITY_REACHED", told)
+                self.touched[socket] = self._clock()
+                await self._serve(socket)
+            except RefusedError as refusal:
+                await socket.send_text(refusal.frame)
+                await socket.close(TRY_LATER, str(refusal)[:120])
             finally:
-                self.connections.discard(connection)
-            return
-        await socket.send_text(_error(refusal))
-        await socket.close(TRY_LATER, str(refusal)[:120])
+                self.touched.pop(socket, None)
 
-    async def _serve(self, connection: Connection) -> None:
-        socket, clock = connection.socket, self._clock
+    async def _serve(self, socket: WebSocket) -> None:
+        session, max_bytes = Session(), self.shared.settings.max_bytes
         while True:
             message = await socket.receive()
-            if message["type"] == "websocket.disconnect":
-                return
-            connection.touched = clock()
+            if message["type"] == "websocket.disconnect" or socket not in self.touched:
+                return  # gone, or closed as idle
+            self.touched[socket] = self._clock()
             text = message.get("text")
-            if _is_longer(text or message.get("bytes") or "", self.max_bytes):
-                await socket.close(TOO_BIG, f"a frame may have {self.max_bytes} bytes")
+            if len(message.get("bytes") or (text or "").encode("utf-8", "surrogatepass")) > max_bytes:
+                await socket.close(TOO_BIG, f"a frame may have {max_bytes} bytes")
                 return
             try:
                 if text is None:
                     raise RefusedError("INVALID_JSON", "send text frames with JSON")
-                answer = await self._answer(connection.flight, text)
+                answer = await self._answer(session, text)
             except RefusedError as refusal:
-                answer = _error(refusal)
+                answer = refusal.frame
             if answer is None:
                 await socket.close(NORMAL)
                 return
-            if connection not in self.connections:
-                return  # closed as idle meanwhile
+            if socket not in self.touched:
+                return
             await socket.send_text(answer)
-            connection.touched = clock()
+            self.touched[socket] = self._clock()
             # Where more has come already, nothing above needs to wait: others get their turn.
             await asyncio.sleep(0)
 
-    async def _answer(self, flight: Flight, text: str) -> str | None:
+    async def _answer(self, session: Session, text: str) -> str | None:
         """The answer to a frame, None where it asks to close.
 
         Raises:
@@ -161,16 +129,16 @@ class OpenEnvSocket:
         data = cast(dict[str, Any], data)
         try:
             if kind == "step":
-                return await self._step(flight, data)
+                return await self._step(session, data)
             if kind == "reset":
-                flight.reset(ResetOptions.model_validate(data))
-                return _frame("observation", flight.result(None))
+                session.reset(ResetOptions.model_validate(data))
+                return _frame("observation", session.result(None))
             if kind == "state":
-                return _frame("state", flight.state())
+                return _frame("state", session.state().model_dump_json())
         except ValidationError as error:
-            errors = [{"loc": [printable(where(e["loc"]))], "msg": e["msg"], "type": e["type"]} for e in error.errors()]
-            told = "; ".join(f"{e['loc'][0] or 'data'}: {e['msg']}" for e in errors[:5])
-            raise RefusedError("VALIDATION_ERROR", f"Invalid message: {told}", errors[:20]) from None
+            parts = wrong_parts(error)[:20]
+            errors = [{"loc": [printable(part.where)], "msg": part.why, "type": part.kind} for part in parts]
+            raise RefusedError("VALIDATION_ERROR", f"Invalid message: {text_of(error)}", errors=errors) from None
         except LookupError as error:
             raise RefusedError("VALIDATION_ERROR", str(error)) from None
         except DroneEnvError as error:
@@ -181,30 +149,31 @@ class OpenEnvSocket:
             return _frame("mcp", to_json(mcp_answer(data)).decode())
         raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
 
-    async def _step(self, flight: Flight, data: dict[str, Any]) -> str:
+    async def _step(self, session: Session, data: dict[str, Any]) -> str:
         action = WireAction.model_validate(data).action
-        episode = flight.episode
+        episode = session.episode
         # Ended and not kept, it has answered an error: the same step again is answered as it would have been.
-        again = episode.ended and not flight.stored
+        again = episode.ended and not session.stored
         reward = episode.reward_last if again else episode.step(action)
-        if episode.ended and not flight.stored:
+        if episode.ended and not session.stored:
             # Answered when it is kept. A step after a failure tries again.
-            agent = flight.agent or ANONYMOUS
-            await asyncio.get_running_loop().run_in_executor(self._writer, self.store().add_episode, episode, agent)
-            flight.stored = True
-        return _frame("observation", flight.result(reward))
+            keep, agent = self.shared.store.add_episode, session.agent or ANONYMOUS
+            await asyncio.get_running_loop().run_in_executor(self.shared.steps, keep, episode, agent)
+            session.stored = True
+        return _frame("observation", session.result(reward))
 
     async def close_idle(self) -> None:
         """Close the sockets that were idle for too long."""
-        limit = self._clock() - self.idle_seconds
-        idle = {connection for connection in self.connections if connection.touched < limit}
-        self.connections -= idle
+        limit = self._clock() - self.shared.settings.idle_seconds
+        idle = [socket for socket, touched in self.touched.items() if touched < limit]
+        for socket in idle:
+            del self.touched[socket]
         # All at once: each waits for its client to say goodbye, which may take seconds.
-        await asyncio.gather(*[self._close_idle(connection.socket) for connection in idle])
+        await asyncio.gather(*map(self._close_idle, idle))
 
     async def _close_idle(self, socket: WebSocket) -> None:
         try:
-            await socket.close(GOING_AWAY, f"idle for {self.idle_seconds:g} s: connect again")
+            await socket.close(GOING_AWAY, f"idle for {self.shared.settings.idle_seconds:g} s: connect again")
         except (RuntimeError, WebSocketDisconnect, OSError):
             log.debug("an idle socket had been closed already")
 
@@ -224,20 +193,6 @@ def mcp_answer(request: Any) -> dict[str, Any]:
     return answer | {"error": {"code": -32601, "message": "Method not found: this environment has no MCP tools"}}
 
 
-def _is_longer(frame: str | bytes, most: int) -> bool:
-    """Whether a frame has more bytes; one of ASCII need not be encoded to be counted."""
-    if isinstance(frame, str) and not frame.isascii():
-        return len(frame) > most or len(frame.encode("utf-8", "surrogatepass")) > most
-    return len(frame) > most
-
-
 def _frame(kind: str, data: str) -> str:
     """A frame around the JSON of its data."""
     return f'{{"type":"{kind}","data":{data}}}'
-
-
-def _error(refusal: RefusedError) -> str:
-    data: dict[str, Any] = {"message": printable(str(refusal)), "code": refusal.code}
-    if refusal.errors is not None:
-        data["errors"] = refusal.errors
-    return _frame("error", to_json(data).decode())

@@ -9,7 +9,7 @@ from drone_env.core.actions import Action
 from drone_env.core.tasks import get_task
 from drone_env.graders import GRADERS
 from drone_env.models import DroneObservation, DroneState
-from drone_env.server.openenv.session import flat_json, openenv_json
+from drone_env.server.observation_json import flat_json, openenv_json
 from drone_env.server.predict import arrays_of
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.routes.replay import best_flight

@@ -1,0 +1,50 @@
+"""The JSON of an observation, written without the models: a third of a step's time.
+
+Put together from the JSON of the map's rows, of which a step changes one or two.
+"""
+
+from functools import lru_cache
+from typing import Any
+
+from pydantic_core import to_json
+
+from drone_env.core.episode import Episode
+from drone_env.models import LEGEND, map_lines, observation_numbers, shown
+
+
+def _json(value: object) -> str:
+    return to_json(value).decode()
+
+
+LEGEND_JSON = _json(LEGEND)
+
+
+def flat_json(episode: Episode, _: float | None = None) -> str:
+    """The JSON of `DroneObservation.of(episode)`."""
+    return _observation_json(episode, observation_numbers(episode)) + "}"
+
+
+def openenv_json(episode: Episode, reward: float | None) -> str:
+    """The same as OpenEnv sends it: reward and done beside the rest.
+
+    Args:
+        episode: The episode.
+        reward: What the last step paid, None after a reset.
+    """
+    numbers = observation_numbers(episode)
+    done = numbers.pop("done")
+    observation = _observation_json(episode, numbers)
+    return f'{{"observation":{observation},"metadata":{{}}}},"reward":{_json(reward)},"done":{_json(done)}}}'
+
+
+def _observation_json(episode: Episode, numbers: dict[str, Any]) -> str:
+    """The JSON of an observation, without the brace at its end."""
+    lines = [_line_json(line) for line in map_lines(episode)]
+    grid, cell_types = (",".join([line[i] for line in lines]) for i in (0, 1))
+    return f'{{"grid":[{grid}],"cell_types":[{cell_types}],{_json(numbers)[1:-1]},"legend":{LEGEND_JSON}'
+
+
+@lru_cache(maxsize=1 << 14)  # 256 hard maps have 4,608 lines
+def _line_json(line: bytes) -> tuple[str, str]:
+    emoji, names = shown(line)
+    return _json(emoji), _json(names)
