@@ -187,7 +187,7 @@ def time_all(entries: "list[Contender | Elsewhere]", rounds: int, seconds: float
 
 def in_subprocess(code: str, *arguments: Any, **environment: str) -> list[float]:
     """The numbers that a Python of its own prints."""
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
         check=True,
         stdout=subprocess.PIPE,
@@ -195,7 +195,7 @@ def in_subprocess(code: str, *arguments: Any, **environment: str) -> list[float]
         text=True,
         env=os.environ | environment,
     )
-    return [float(line) for line in told.stdout.split()]
+    return [float(line) for line in done.stdout.split()]
 
 
 def first_steps(times: int) -> dict[str, float]:

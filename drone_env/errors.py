@@ -57,9 +57,9 @@ class UnknownNameError(DroneEnvError, LookupError):
 class WithdrawnError(UnknownNameError):
     """A version of a task that there was and that is withdrawn; the message names the one that replaces it."""
 
-    def __init__(self, kind: str, given: object, allowed: Iterable[str], told: str) -> None:
+    def __init__(self, kind: str, given: object, allowed: Iterable[str], message: str) -> None:
         super().__init__(kind, given, allowed)
-        self.args = (told,)
+        self.args = (message,)
 
 
 class InvalidValueError(DroneEnvError, ValueError):

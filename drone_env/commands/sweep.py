@@ -53,7 +53,7 @@ def sweep(
         values: A value of training (`drone-env train --help` has them all) and what to try for it; may be given several
             times, for a grid. With --samples also `lr=loguniform(1e-5,1e-3)` or `gamma=uniform(0.9,0.99)`.
         seeds: Each setting is trained with the seeds from 0 up to this number.
-        samples: Draw so many settings at random instead of trying the whole grid.
+        samples: Draw this many settings at random instead of trying the whole grid.
         samples_seed: Of the drawing.
         early_stopping: Stop the worse half of the settings, each with all its seeds, at a quarter and at half of the
             episodes.
