@@ -114,10 +114,10 @@ def _sweep(
 
     def show(trial: Any, result: dict[str, Any]) -> None:
         if "failed" in result:
-            told = f"failed: {result['failed']}"
+            message = f"failed: {result['failed']}"
         else:
-            told = f"{result['episodes']} episodes, validation {result['validation']:.4f} of {result['optimum']:.4f}"
-        print(f"{trial.name} ({config.label(trial.setting)}): {told}", file=sys.stderr, flush=True)
+            message = f"{result['episodes']} episodes, validation {result['validation']:.4f} of {result['optimum']:.4f}"
+        print(f"{trial.name} ({config.label(trial.setting)}): {message}", file=sys.stderr, flush=True)
 
     if not is_done(folder, config):
         try:

@@ -81,6 +81,9 @@ async def health(shared: SharedParts) -> Health:
         shared.store.check()
     except StoreError:
         # Not the error itself: no stranger needs to know where the folder is.
-        told = "files of the data folder were deleted, moved or replaced while they were in use: nothing more is kept"
-        raise RequestError(503, "store", f"{told} until they are back, or the server is started again") from None
+        message = (
+            "files of the data folder were deleted, moved or replaced while they were in use: nothing more is kept "
+            "until they are back, or the server is started again"
+        )
+        raise RequestError(503, "store", message) from None
     return Health(version=__version__)
