@@ -216,12 +216,12 @@ class DroneEnvClient:
             answer = {} if response.status_code == NO_CONTENT else response.json()
         except ValueError:
             answer = None
-        body = cast(dict[str, Any], answer) if isinstance(answer, dict) else None
-        if response.is_success and body is not None:
-            return body
-        body = body or {}
-        detail = body.get("detail", response.text[:200])
-        code = body.get("code", "http")
+        fields = cast(dict[str, Any], answer) if isinstance(answer, dict) else None
+        if response.is_success and fields is not None:
+            return fields
+        fields = fields or {}
+        detail = fields.get("detail", response.text[:200])
+        code = fields.get("code", "http")
         raise ServerError(response.status_code, code, f"{method} {path}: {response.status_code}: {detail}")
 
 
