@@ -1,6 +1,8 @@
 """What `drone-env doctor` looks at, one function for each topic. Works where no extra is installed."""
 
+import base64
 import errno
+import hashlib
 import os
 import platform
 import shutil
@@ -139,15 +141,26 @@ def _extras() -> Iterator[Finding]:
 
 
 def _networks() -> Iterator[Finding]:
+    installed = _installed()
+    # Of a wheel; an editable installation records no networks.
+    recorded = {
+        Path(str(file.locate())): file.hash.value for file in (installed and installed.files) or [] if file.hash
+    }
     for name in SHIPPED:
+        path = shipped_network(TASKS[name])
         try:
             agent = PathQNetAgent(TASKS[name])
+            content = path.read_bytes()
         except (DroneEnvError, OSError) as error:
             yield Finding("networks", name, "broken", str(error))
+            continue
+        sha256 = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).rstrip(b"=").decode()
+        if recorded.get(path, sha256) != sha256:
+            yield Finding("networks", name, "broken", f"{path} is not the file that was installed")
         else:
             digest = agent.config["network"]
-            size = shipped_network(TASKS[name]).stat().st_size / MEGABYTE
-            yield Finding("networks", name, "ok", f"{size:.2f} MB, digest {digest}", {"digest": digest})
+            detail = f"{len(content) / MEGABYTE:.2f} MB, digest {digest}"
+            yield Finding("networks", name, "ok", detail, {"digest": digest})
 
 
 def _folders(data: Path) -> Iterator[Finding]:
