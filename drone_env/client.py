@@ -149,7 +149,7 @@ class DroneEnvClient:
         return self._call("GET", f"/grade/{task_name}")
 
     def analyse(self, task_name: str) -> dict[str, Any]:
-        """Figures of the finished episodes of a task."""
+        """What the finished episodes of a task come to."""
         return self._call("GET", f"/analyse/{task_name}")
 
     def path_history(self) -> dict[str, Any]:
@@ -216,12 +216,12 @@ class DroneEnvClient:
             answer = {} if response.status_code == NO_CONTENT else response.json()
         except ValueError:
             answer = None
-        fields = cast(dict[str, Any], answer) if isinstance(answer, dict) else None
-        if response.is_success and fields is not None:
-            return fields
-        fields = fields or {}
-        detail = fields.get("detail", response.text[:200])
-        code = fields.get("code", "http")
+        told = cast(dict[str, Any], answer) if isinstance(answer, dict) else None
+        if response.is_success and told is not None:
+            return told
+        told = told or {}
+        detail = told.get("detail", response.text[:200])
+        code = told.get("code", "http")
         raise ServerError(response.status_code, code, f"{method} {path}: {response.status_code}: {detail}")
 
 

@@ -53,7 +53,7 @@ def sweep(
         values: A value of training (`drone-env train --help` has them all) and what to try for it; may be given several
             times, for a grid. With --samples also `lr=loguniform(1e-5,1e-3)` or `gamma=uniform(0.9,0.99)`.
         seeds: Each setting is trained with the seeds from 0 up to this number.
-        samples: Draw this many settings at random instead of trying the whole grid.
+        samples: Draw so many settings at random instead of trying the whole grid.
         samples_seed: Of the drawing.
         early_stopping: Stop the worse half of the settings, each with all its seeds, at a quarter and at half of the
             episodes.
@@ -114,10 +114,10 @@ def _sweep(
 
     def show(trial: Any, result: dict[str, Any]) -> None:
         if "failed" in result:
-            message = f"failed: {result['failed']}"
+            told = f"failed: {result['failed']}"
         else:
-            message = f"{result['episodes']} episodes, validation {result['validation']:.4f} of {result['optimum']:.4f}"
-        print(f"{trial.name} ({config.label(trial.setting)}): {message}", file=sys.stderr, flush=True)
+            told = f"{result['episodes']} episodes, validation {result['validation']:.4f} of {result['optimum']:.4f}"
+        print(f"{trial.name} ({config.label(trial.setting)}): {told}", file=sys.stderr, flush=True)
 
     if not is_done(folder, config):
         try:
