@@ -140,10 +140,8 @@ def ours(task: str, seed: int, threads: int, validator: Validator, limit: float)
     trainer = Trainer(config)
     watch = Watch(validator, limit)
     with contextlib.suppress(ReachedError):
-        trainer.train(
-            lambda progress: None,
-            lambda: watch.look(trainer.values, trainer.steps),
-        )
+        for _ in trainer.train():
+            watch.look(trainer.values, trainer.steps)
     return watch
 
 

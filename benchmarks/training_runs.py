@@ -24,7 +24,7 @@ from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.files import replacing
 from drone_env.rl.config import preset
-from drone_env.rl.run import Run
+from drone_env.rl.run import TrainingRun
 
 ROOT = Path(__file__).resolve().parent.parent
 MAPS = 1000
@@ -45,7 +45,7 @@ def train(task: TaskConfig, seed: int, threads: int, folder: Path) -> dict[str, 
     if finished.exists():
         return json.loads(finished.read_text(encoding="utf-8"))
     config = dataclasses.replace(preset("fast", task.short_name), seed=seed, num_threads=threads)
-    run = Run(config, folder, folder)
+    run = TrainingRun(config, folder, folder)
 
     def show(progress: Any) -> None:
         if progress.episode % config.validation_every == 0:

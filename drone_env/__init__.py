@@ -26,38 +26,21 @@ if TYPE_CHECKING:
 __version__ = "0.5.0"
 
 _HOMES = {
-    "AGENTS": "agents",
-    "Action": "core.actions",
-    "Agent": "agents",
-    "Cell": "core.cells",
-    "CityMap": "core.grid_generator",
-    "DroneAction": "models",
-    "DroneObservation": "models",
-    "DroneState": "models",
-    "Episode": "core.episode",
-    "EpisodeState": "core.episode",
-    "Event": "core.actions",
-    "GRADERS": "graders",
-    "Outcome": "core.actions",
-    "REWARD_PROFILES": "core.rewards",
-    "RewardProfile": "core.rewards",
-    "SPLITS": "core.seeds",
-    "Solution": "planning.optimal",
-    "TASKS": "core.tasks",
-    "TaskConfig": "core.tasks",
-    "episodes_key": "evaluation.episodes",
-    "generate_city_map": "core.grid_generator",
-    "get_task": "core.tasks",
-    "make_agent": "agents",
-    "next_seed": "core.seeds",
-    "register_agent": "envs.registry",
-    "register_reward_profile": "envs.registry",
-    "register_task": "envs.registry",
-    "run_episodes": "evaluation.episodes",
-    "solve": "planning.optimal",
-    "split_seeds": "core.seeds",
-    "summarise": "evaluation.episodes",
+    "agents": ("AGENTS", "Agent", "make_agent"),
+    "core.actions": ("Action", "Event", "Outcome"),
+    "core.cells": ("Cell",),
+    "core.episode": ("Episode", "EpisodeState"),
+    "core.grid_generator": ("CityMap", "generate_city_map"),
+    "core.rewards": ("REWARD_PROFILES", "RewardProfile"),
+    "core.seeds": ("SPLITS", "next_seed", "split_seeds"),
+    "core.tasks": ("TASKS", "TaskConfig", "get_task"),
+    "envs.registry": ("register_agent", "register_reward_profile", "register_task"),
+    "evaluation.episodes": ("episodes_key", "run_episodes", "summarise"),
+    "graders": ("GRADERS",),
+    "models": ("DroneAction", "DroneObservation", "DroneState"),
+    "planning.optimal": ("Solution", "solve"),
 }
+"""Where the names below come from."""
 
 __all__ = [
     "AGENTS",
@@ -96,11 +79,11 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+    for home, names in _HOMES.items():
+        if name in names:
+            value = globals()[name] = getattr(import_module(f"{__name__}.{home}"), name)
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -3,7 +3,7 @@
 import io
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import tyro
 from tyro.extras import SubcommandApp
@@ -22,7 +22,7 @@ from drone_env.commands.replay import replay
 from drone_env.commands.serve import serve
 from drone_env.commands.solve import solve
 from drone_env.commands.sweep import sweep
-from drone_env.commands.train import one_by_one, train_command
+from drone_env.commands.train import train_commands
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import DroneEnvError
 
@@ -31,9 +31,8 @@ DESCRIPTION = (
 )
 
 
-def _app(arguments: Sequence[str]) -> SubcommandApp:
+def _app(train: Callable[..., int]) -> SubcommandApp:
     app = SubcommandApp()
-    train = train_command(arguments)
     commands = (fly, evaluate, solve, audit, train, sweep, infer, leaderboard, play, replay, analyse_flight, dataset)
     for command in (*commands, serve, doctor):
         app.command(command)
@@ -56,9 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if list(arguments[:1]) != ["doctor"]:  # which says what is wrong with them
             load_plugins()
         status = 0
-        for one in one_by_one(arguments):
-            status = status or _app(one).cli(
-                prog="drone-env", description=DESCRIPTION, args=one, config=[tyro.conf.DisallowNone]
+        for train in train_commands(arguments):  # one, whatever the command, unless all tasks are to be trained
+            status = status or _app(train).cli(
+                prog="drone-env", description=DESCRIPTION, args=arguments, config=[tyro.conf.DisallowNone]
             )
         sys.stdout.flush()
         return int(status or 0)

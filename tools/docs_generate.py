@@ -132,7 +132,8 @@ def write_curves() -> None:
     ]
     for reward in ("tiered", "aligned"):
         trainer = Trainer(replace(preset("fast", CURVES), reward_profile=reward, episodes=CURVES_EPISODES))
-        trainer.train(lambda progress: None, lambda: None)
+        for _ in trainer.train():
+            pass
         last = trainer.history[-1]
         histories[reward] = trainer.history
         shares = [f"{last.success:.1%}", f"{last.validation:.4f}", f"{last.validation_optimum:.4f}"]

@@ -32,23 +32,18 @@ MAP_FEATURES = 64
 SHAPES: dict[str, tuple[int, ...]] = {
     "encoder.embedding.weight": (N_CELL_KINDS, 8),
     "encoder.conv1.weight": (16, 8, 3, 3),
-    "encoder.conv1.bias": (16,),
     "encoder.conv2.weight": (32, 16, 3, 3),
-    "encoder.conv2.bias": (32,),
     "encoder.linear.weight": (MAP_FEATURES, 32 * POOLED * POOLED),
-    "encoder.linear.bias": (MAP_FEATURES,),
     "head.0.weight": (128, MAP_FEATURES),  # and a column for each value of the telemetry
-    "head.0.bias": (128,),
     "head.1.weight": (128,),
-    "head.1.bias": (128,),
     "head.3.weight": (128, 128),
-    "head.3.bias": (128,),
     "head.5.weight": (64, 128),
-    "head.5.bias": (64,),
     "head.7.weight": (N_ACTIONS, 64),
-    "head.7.bias": (N_ACTIONS,),
 }
-"""The parameters of a network."""
+SHAPES.update(
+    {name.replace("weight", "bias"): shape[:1] for name, shape in SHAPES.items() if name != "encoder.embedding.weight"}
+)
+"""The parameters of a network, here and in `rl.model`; a layer has a bias for each of its outputs."""
 MOST_BYTES = 1 << 20
 """More than three times what a network takes, packed or not. No more than that is ever read or unpacked."""
 LARGEST = 100.0

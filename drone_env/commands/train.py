@@ -1,8 +1,9 @@
 """`drone-env train`: train a network to fly a task."""
 
+import argparse
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -10,15 +11,17 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from drone_env.commands.arguments import SHORT_NAMES
 from drone_env.core.tasks import get_task
-from drone_env.errors import CheckpointError, InvalidValueError, MissingPackageError, UnknownNameError
+from drone_env.errors import CheckpointError, InvalidValueError, MissingPackageError
+from drone_env.rl.config import TrainConfig, preset
 
 if TYPE_CHECKING:
-    from drone_env.rl.config import TrainConfig
-    from drone_env.rl.run import Run
+    from drone_env.rl.run import TrainingRun
 
 ALL = ("easy", "medium", "hard")
 """What `--task all` stands for."""
+TaskOrAll = Annotated[str, tyro.conf.arg(metavar="|".join([*SHORT_NAMES, "all"]))]
 
 COLUMNS = (
     TextColumn("{task.description}"),
@@ -29,30 +32,32 @@ COLUMNS = (
 )
 
 
-def one_by_one(arguments: Sequence[str]) -> list[Sequence[str]]:
-    """The arguments of each training, one for each task where they say `train --task all`; else as they are."""
-    if "train" not in arguments[:1] or _value_of("--task", arguments) != "all":
-        return [arguments]
-    return [
-        [
-            f"--task={task}" if it == "--task=all" else task if before == "--task" else it
-            for before, it in zip(["", *arguments], arguments, strict=False)
-        ]
-        for task in ALL
-    ]
+@dataclass(frozen=True)
+class Settings(TrainConfig):
+    """How to train the task that the command names, or each of those."""
+
+    task: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "easy"
 
 
-def train_command(arguments: Sequence[str]) -> Callable[..., int]:
-    """The subcommand, its defaults being those of the preset, task, episodes and checkpoint that the arguments name."""
-    if "train" not in arguments[:1]:
-        # Others need not know the hyperparameters, nor wait for them to be loaded.
-        return _described
-    from drone_env.rl.config import PRESETS, TrainConfig
+def train_commands(arguments: Sequence[str]) -> Iterator[Callable[..., int]]:
+    """The subcommand for each task to train, its defaults being those of what the arguments name.
 
-    defaults = _defaults(arguments)
+    Args:
+        arguments: Of the command line; those of another subcommand name nothing.
 
+    Raises:
+        UnknownNameError: if there is no such task.
+        InvalidValueError: if there is no such preset, or no such number of episodes.
+    """
+    named = _named(arguments if arguments[:1] == ["train"] else [])
+    for task in ALL if named.task == "all" else [named.task or "easy"]:
+        yield _train_command(_defaults(task, named))
+
+
+def _train_command(defaults: Settings) -> Callable[..., int]:
     def train(
-        config: Annotated[TrainConfig, tyro.conf.arg(name="")] = defaults,
+        config: Annotated[Settings, tyro.conf.arg(name="")] = defaults,
+        task: TaskOrAll = "easy",
         preset: Literal["fast", "original"] = "fast",
         resume: bool = False,
         fresh: bool = False,
@@ -67,12 +72,12 @@ def train_command(arguments: Sequence[str]) -> Callable[..., int]:
 
         The defaults below are those of the preset for the task and the number of episodes. `original` has the
         hyperparameters of the first version of this project, `fast` those that were found to learn fastest.
-        `--task all` trains easy, medium and hard, one after the other.
 
         Example: drone-env train --task hard
 
         Args:
             config: How to train.
+            task: The task, by its short name, id or grader; `all` for easy, medium and hard, one after the other.
             preset: Which defaults to start from.
             resume: Insist that there is a checkpoint to go on from.
             fresh: Start anew; a checkpoint that is there is renamed to `TASK.pth.old`.
@@ -81,57 +86,47 @@ def train_command(arguments: Sequence[str]) -> Callable[..., int]:
         """
         if resume and fresh:
             raise InvalidValueError("--resume goes on and --fresh starts anew: give one of them")
-        run = _run(config, data, results, fresh)
+        try:
+            from drone_env.rl.run import TrainingRun
+        except ModuleNotFoundError as error:
+            if error.name != "torch":
+                raise
+            raise MissingPackageError("PyTorch", "train") from None
+        run = TrainingRun(config, data, results, fresh)
         if resume and not run.resumed:
             raise InvalidValueError(f"--resume: there is no checkpoint {run.checkpoint}")
         return _train(run)
 
-    assert set(PRESETS) == {"fast", "original"}
     return train
 
 
-def _defaults(arguments: Sequence[str]) -> "TrainConfig":
-    from drone_env.rl.config import preset
+def _named(arguments: Sequence[str]) -> argparse.Namespace:
+    """What the defaults depend on. Whatever is wrong with it, tyro says."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    for flag in ("--task", "--preset", "--episodes", "--data"):
+        parser.add_argument(flag, nargs="?")
+    parser.add_argument("--fresh", action=argparse.BooleanOptionalAction)
+    return parser.parse_known_args(arguments)[0]
 
-    chosen, task, episodes = (_value_of(flag, arguments) for flag in ("--preset", "--task", "--episodes"))
-    try:
-        number = int(episodes) if episodes and episodes.isdecimal() else None
-        defaults = preset(chosen or "fast", task or "easy", number)
-    except (InvalidValueError, UnknownNameError):
-        return preset("fast", "easy")  # tyro or TrainConfig says what is wrong with the arguments
-    checkpoint = Path(_value_of("--data", arguments) or "data") / f"{get_task(defaults.task).short_name}.pth"
-    if chosen or "--fresh" in arguments or not checkpoint.exists():
-        return defaults
+
+def _defaults(task: str, named: argparse.Namespace) -> Settings:
+    episodes = int(named.episodes) if named.episodes and named.episodes.isdecimal() else None
+    defaults = vars(preset(named.preset or "fast", task, episodes))
+    checkpoint = Path(named.data or "data") / f"{get_task(task).short_name}.pth"
+    if named.preset or named.fresh or not checkpoint.exists():
+        return Settings(**defaults)
     # How many fly side by side follows from how many were asked for at first, which is forgotten by now.
     try:
         from drone_env.rl.checkpoint import load_checkpoint
 
         kept = load_checkpoint(checkpoint)["config"]
-        names = [field.name for field in fields(defaults) if field.name != "task" and field.name in kept]
-        return replace(defaults, **{name: kept[name] for name in names})
+        names = [field.name for field in fields(TrainConfig) if field.name != "task" and field.name in kept]
+        return Settings(**defaults | {name: kept[name] for name in names})
     except (CheckpointError, OSError, ModuleNotFoundError, KeyError, TypeError, InvalidValueError):
-        return defaults  # `Run` says what is wrong with it, or what is missing
+        return Settings(**defaults)  # `TrainingRun` says what is wrong with it, or what is missing
 
 
-def _described() -> int:
-    """Train a network to fly a task, and judge it against the exact optimum while it learns."""
-    raise AssertionError("replaced by train_command where it is called")
-
-
-_described.__name__ = "train"
-
-
-def _run(config: Any, data: Path, results: Path, fresh: bool) -> "Run":
-    try:
-        from drone_env.rl.run import Run
-    except ModuleNotFoundError as error:
-        if error.name != "torch":
-            raise
-        raise MissingPackageError("PyTorch", "train") from None
-    return Run(config, data, results, fresh)
-
-
-def _train(run: "Run") -> int:
+def _train(run: "TrainingRun") -> int:
     from drone_env.rl.run import figure
 
     trainer, console = run.trainer, Console(stderr=True)
@@ -173,13 +168,3 @@ def _train(run: "Run") -> int:
         f"next: drone-env evaluate --task {trainer.task.short_name} --agents greedy pathqnet --checkpoint {run.network}"
     )
     return 0
-
-
-def _value_of(flag: str, arguments: Sequence[str]) -> str | None:
-    """What stands behind a flag, None where it is not given."""
-    for argument, following in zip(arguments, [*arguments[1:], ""], strict=True):
-        if argument == flag:
-            return following
-        if argument.startswith(f"{flag}="):
-            return argument.removeprefix(f"{flag}=")
-    return None

@@ -19,7 +19,6 @@ from drone_env.envs.spaces import observation_space
 from drone_env.errors import EpisodeError, InvalidValueError
 
 Observations = dict[str, npt.NDArray[Any]]
-PREPARED = ("_truncations", "_everyone", "_live", "_live_outcome", "_live_masks")
 
 
 class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]]):
@@ -91,12 +90,9 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         self._live_outcome = (_read_only(batch.rewards), _read_only(batch.terminated), self._truncations)
         self._live_masks = _read_only(batch.action_masks)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in PREPARED}
-
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._prepare()
+        self._prepare()  # a copy's views have to show its own batch
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

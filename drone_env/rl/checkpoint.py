@@ -1,19 +1,23 @@
-"""Checkpoints: everything that a training run needs to go on as if it had never stopped.
+"""The files of a training: checkpoints, and the exported network.
 
-A file holds tensors and plain values only, so it is read with `weights_only=True` and can run no code. It is written
-beside its place, synced and renamed: there is always a whole one.
+A checkpoint is all that a run needs to go on as if it had never stopped. It holds tensors and plain values only, so it
+is read with `weights_only=True` and can run no code. It is written beside its place, synced and renamed: there is
+always a whole one. An exported network is read by `agents.network`, without PyTorch.
 """
 
+import json
 import os
 import pickle
 import zipfile
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import torch
 
 from drone_env.errors import CheckpointError
 from drone_env.files import replacing
+from drone_env.rl.model import PathQNet
 
 FORMAT = "drone_env/checkpoint"
 VERSION = 2
@@ -54,3 +58,15 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
     if isinstance(batch, dict) and "rows" in batch:  # as earlier versions call the states
         batch["states"] = batch.pop("rows")
     return contents
+
+
+def export_network(network: PathQNet, path: Path, metadata: dict[str, Any]) -> None:
+    """Write a network without PyTorch's own format; folders are made. The file is whole or not there.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays: dict[str, Any] = {name: tensor.detach().cpu().numpy() for name, tensor in network.state_dict().items()}
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, metadata=np.array(json.dumps(metadata, sort_keys=True)), **arrays)

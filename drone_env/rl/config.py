@@ -91,8 +91,8 @@ class TrainConfig:
         get_reward_profile(self.reward_profile)
         positive = (
             "episodes", "num_threads", "num_envs", "n_step", "batch_size", "learning_rate", "replay_size",
-            "reward_scale", "steps_per_update", "target_every", "epsilon_steps", "validation_every", "validation_maps",
-            "log_every",
+            "reward_scale", "steps_per_update", "target_every", "epsilon_steps", "epsilon_factor", "validation_every",
+            "validation_maps", "log_every",
         )  # fmt: skip
         for name in positive:
             _require(getattr(self, name) > 0, f"{name} must be above 0, got {getattr(self, name)}")

@@ -16,7 +16,7 @@ CURVES = {
 }
 
 
-def draw_curves(runs: Mapping[str, Sequence[Progress]], title: str, folder: Path) -> list[Path]:
+def draw_curves(runs: Mapping[str, Sequence[Progress]], title: str, folder: Path) -> None:
     """Draw each curve of `CURVES` over the episodes, one line per run, into `folder/<name>.png`.
 
     Raises:
@@ -24,15 +24,12 @@ def draw_curves(runs: Mapping[str, Sequence[Progress]], title: str, folder: Path
         OSError: if a file cannot be written.
     """
     try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
         raise MissingPackageError("matplotlib", "train") from None
     folder.mkdir(parents=True, exist_ok=True)
-    paths: list[Path] = []
     for name, label in CURVES.items():
         figure: Any = Figure(figsize=(7, 4), layout="constrained")
-        FigureCanvasAgg(figure)
         axes: Any = figure.add_subplot()
         for run, history in runs.items():
             axes.plot([line.episode for line in history], [getattr(line, name) for line in history], label=run)
@@ -43,6 +40,4 @@ def draw_curves(runs: Mapping[str, Sequence[Progress]], title: str, folder: Path
         axes.set(xlabel="episodes", ylabel=label, title=title)
         axes.grid(alpha=0.3)
         axes.legend()
-        paths.append(folder / f"{name}.png")
-        figure.savefig(paths[-1], dpi=120)
-    return paths
+        figure.savefig(folder / f"{name}.png", dpi=120)

@@ -13,12 +13,19 @@ from functools import lru_cache
 import torch
 from torch import Tensor, nn
 
-from drone_env.core.actions import N_ACTIONS
-from drone_env.core.cells import N_CELL_KINDS
+from drone_env.agents.network import EPSILON, POOLED, SHAPES
 
-EMBEDDING = 8
-POOLED = 4
-MAP_FEATURES = 64
+
+def _linear(name: str, more: int = 0) -> nn.Linear:
+    """A linear layer as large as `agents.network` says, with so many inputs more."""
+    outputs, inputs = SHAPES[f"{name}.weight"]
+    return nn.Linear(inputs + more, outputs)
+
+
+def _convolution(name: str) -> nn.Conv2d:
+    """The same for a convolution of 3 x 3 cells, which leaves the map as large as it is."""
+    outputs, inputs, *_ = SHAPES[f"{name}.weight"]
+    return nn.Conv2d(inputs, outputs, kernel_size=3, padding=1)
 
 
 class MapEncoder(nn.Module):
@@ -26,10 +33,11 @@ class MapEncoder(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.embedding = nn.Embedding(N_CELL_KINDS, EMBEDDING)
-        self.conv1 = nn.Conv2d(EMBEDDING, 16, kernel_size=3, padding=1)
-        self.conv2 = nn.Conv2d(16, 32, kernel_size=3, padding=1)
-        self.linear = nn.Linear(32 * POOLED * POOLED, MAP_FEATURES)
+        kinds, width = SHAPES["encoder.embedding.weight"]
+        self.embedding = nn.Embedding(kinds, width)
+        self.conv1 = _convolution("encoder.conv1")
+        self.conv2 = _convolution("encoder.conv2")
+        self.linear = _linear("encoder.linear")
 
     def forward(self, grid: Tensor) -> Tensor:
         """The features of a batch of maps."""
@@ -58,14 +66,14 @@ class PathQNet(nn.Module):
         super().__init__()
         self.encoder = MapEncoder()
         self.head = nn.Sequential(
-            nn.Linear(MAP_FEATURES + telemetry_size, 128),
-            nn.LayerNorm(128),
+            _linear("head.0", telemetry_size),
+            nn.LayerNorm(list(SHAPES["head.1.weight"]), eps=EPSILON),
             nn.ReLU(),
-            nn.Linear(128, 128),
+            _linear("head.3"),
             nn.ReLU(),
-            nn.Linear(128, 64),
+            _linear("head.5"),
             nn.ReLU(),
-            nn.Linear(64, N_ACTIONS),
+            _linear("head.7"),
         )
 
     def forward(self, grid: Tensor, telemetry: Tensor) -> Tensor:

@@ -53,8 +53,10 @@ class ReplayBuffer:
         self.added = 0
         """Rows written so far."""
 
-    def __len__(self) -> int:
-        return min(self.added, len(self.grids)) * self.grids.shape[1]
+    @property
+    def held(self) -> int:
+        """Rows that it holds now."""
+        return min(self.added, len(self.grids))
 
     def add(
         self,
@@ -75,7 +77,7 @@ class ReplayBuffer:
 
     def can_sample(self, n_step: int) -> bool:
         """Whether there is a transition over so many steps."""
-        return min(self.added, len(self.grids)) > n_step
+        return self.held > n_step
 
     def sample(self, batch_size: int, n_step: int, gamma: float, rng: np.random.Generator) -> Transitions:
         """Transitions drawn uniformly, each over `n_step` steps or up to the end of its episode.
@@ -86,9 +88,7 @@ class ReplayBuffer:
         if not self.can_sample(n_step):
             raise InvalidValueError(f"{self.added} steps have been stored; {n_step + 1} are needed")
         rows = len(self.grids)
-        held = min(self.added, rows)
-        oldest = self.added - held
-        first = oldest + rng.integers(0, held - n_step, batch_size)
+        first = self.added - self.held + rng.integers(0, self.held - n_step, batch_size)
         env = rng.integers(0, self.grids.shape[1], batch_size)
         returns = np.zeros(batch_size, np.float32)
         discounts = np.ones(batch_size, np.float32)

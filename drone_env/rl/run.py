@@ -7,21 +7,33 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TextIO
 
 from drone_env.errors import CheckpointError, MissingPackageError
 from drone_env.files import replacing
-from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
+from drone_env.rl.checkpoint import export_network, load_checkpoint, save_checkpoint
 from drone_env.rl.config import TrainConfig
-from drone_env.rl.export import export_network
+from drone_env.rl.curves import draw_curves
 from drone_env.rl.trainer import Progress, Trainer
 
+DIGITS = {
+    "epsilon": 3,
+    "loss": 6,
+    "reward": 4,
+    "score": 4,
+    "success": 3,
+    "length": 1,
+    "validation": 4,
+    "validation_optimum": 4,
+}
+"""Decimal places of the figures of a line in the log."""
 
-class Run:
+
+class TrainingRun:
     """Trains, and keeps what comes of it.
 
         data/<task>.pth                    the last checkpoint, to go on from; it holds the best network too
@@ -67,12 +79,13 @@ class Run:
                 self.trainer.set_state(state)
                 self._seconds = state["seconds"]
             except (CheckpointError, KeyError) as error:
-                told = f"{self.checkpoint} lacks {error}" if isinstance(error, KeyError) else error
-                raise CheckpointError(f"{told}; --fresh starts anew and keeps it as {self.checkpoint}.old") from None
+                why = f"{self.checkpoint} lacks {error}" if isinstance(error, KeyError) else error
+                raise CheckpointError(f"{why}; --fresh starts anew and keeps it as {self.checkpoint}.old") from None
         self.stopped = False
+        """Whether the run is to end after the present step, or has."""
 
     def train(self, show: Callable[[Progress], None]) -> None:
-        """Train to the end, or until Ctrl-C, which ends the run cleanly after the present step.
+        """Train to the end, or until `stopped` is set, as Ctrl-C does: the run then saves and ends after that step.
 
         Args:
             show: Called with every line of the log.
@@ -82,33 +95,24 @@ class Run:
             folder.mkdir(parents=True, exist_ok=True)
         self._since = self._clock()
         saved_at, saved_episodes = self._since if self.resumed else None, trainer.episodes
-        with self._log_file() as write, self._tensorboard() as add, self._stopping_on_interrupt():
-
-            def save_if_due() -> None:
-                nonlocal saved_at, saved_episodes
+        with self._tensorboard() as board, self._log_file() as log, self._stopping_on_interrupt():
+            for lines in trainer.train():
                 late = saved_at is None or self._clock() - saved_at >= config.checkpoint_seconds
                 if late and trainer.episodes - saved_episodes >= config.checkpoint_episodes:
+                    # Saved before it is logged: who reads that so many have been flown finds them after a kill, too.
                     self.save()
                     saved_at, saved_episodes = self._clock(), trainer.episodes
-
-            def after_log(progress: Progress) -> None:
-                # Saved before it is told: whoever reads that so many have been flown finds them after a kill, too.
-                save_if_due()
-                write(progress)
-                add(progress)
-                show(progress)
-
-            def after_step() -> None:
-                if not self.stopped:
-                    save_if_due()
-                else:
-                    raise StopTraining
-
-            with suppress(StopTraining):
-                trainer.train(after_log, after_step)
+                for line in lines:
+                    log.write(f"{log_line(line)}\n")
+                    for name, value in asdict(line).items():
+                        if name != "episode" and not math.isnan(value):
+                            board.add_scalar(name, value, line.episode)
+                    show(line)
+                if self.stopped:
+                    break
         self.save()
         self._write_history()
-        self._draw_curves()
+        draw_curves({config.reward_profile: trainer.history}, trainer.task.short_name, self.results)
 
     @property
     def config(self) -> TrainConfig:
@@ -138,40 +142,23 @@ class Run:
         }
         export_network(self.trainer.best_network(), self.network, metadata)
 
-    @contextmanager
-    def _log_file(self) -> Generator[Callable[[Progress], None], None, None]:
+    def _log_file(self) -> TextIO:
         """The log, begun anew with the lines of the checkpoint: what was logged after it is flown again."""
         with replacing(self.log) as temporary:
             temporary.write_text("".join(f"{log_line(line)}\n" for line in self.trainer.history), encoding="utf-8")
-        with self.log.open("a", encoding="utf-8", buffering=1) as file:
+        return self.log.open("a", encoding="utf-8", buffering=1)
 
-            def write(progress: Progress) -> None:
-                file.write(f"{log_line(progress)}\n")
-
-            yield write
-
-    @contextmanager
-    def _tensorboard(self) -> Generator[Callable[[Progress], None], None, None]:
+    def _tensorboard(self) -> Any:
+        """TensorBoard's writer. What it was told after the checkpoint is flown again, and so taken back."""
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
             raise MissingPackageError("tensorboard", "train") from None
         folder = self.results / "tensorboard"
-        if not self.resumed and folder.is_dir():
+        if not self.resumed:
             for old in folder.glob("events.out.tfevents.*"):
                 old.unlink()
-        # Whatever came after the checkpoint is flown again, so what was written of it is taken back.
-        writer: Any = SummaryWriter(folder, purge_step=self.trainer.episodes + 1)
-
-        def add(progress: Progress) -> None:
-            for name, value in asdict(progress).items():
-                if name != "episode" and not math.isnan(value):
-                    writer.add_scalar(name, value, progress.episode)
-
-        try:
-            yield add
-        finally:
-            writer.close()
+        return SummaryWriter(folder, purge_step=self.trainer.episodes + 1)
 
     @contextmanager
     def _stopping_on_interrupt(self) -> Generator[None, None, None]:
@@ -199,30 +186,11 @@ class Run:
             table.writeheader()
             table.writerows(asdict(line) for line in self.trainer.history)
 
-    def _draw_curves(self) -> None:
-        from drone_env.rl.curves import draw_curves
-
-        draw_curves({self.config.reward_profile: self.trainer.history}, self.trainer.task.short_name, self.results)
-
-
-class StopTraining(Exception):  # noqa: N818 (it is no error)
-    """Ends a run that was asked to stop."""
-
 
 def log_line(progress: Progress) -> str:
     """A line of `data/train.log`; a figure that there is not yet is `-`."""
-    figures = {
-        "epsilon": (progress.epsilon, 3),
-        "loss": (progress.loss, 6),
-        "reward": (progress.reward, 4),
-        "score": (progress.score, 4),
-        "success": (progress.success, 3),
-        "length": (progress.length, 1),
-        "validation": (progress.validation, 4),
-        "optimum": (progress.validation_optimum, 4),
-    }
-    shown = " ".join(f"{name}={figure(value, digits)}" for name, (value, digits) in figures.items())
-    return f"episode={progress.episode} steps={progress.steps} updates={progress.updates} {shown}"
+    shown = (f"{name.removeprefix('validation_')}={figure(getattr(progress, name), n)}" for name, n in DIGITS.items())
+    return f"episode={progress.episode} steps={progress.steps} updates={progress.updates} {' '.join(shown)}"
 
 
 def figure(value: float, digits: int) -> str:

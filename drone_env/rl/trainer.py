@@ -8,7 +8,10 @@ into the replay, and after every `steps_per_update` steps the network is fitted 
 Every end is part of the task, so nothing is bootstrapped over an end, and nothing truncates an episode before it.
 """
 
-from collections.abc import Callable
+import ctypes
+import sys
+from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,9 +27,8 @@ from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import get_task, withdrawal
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl.config import TrainConfig
-from drone_env.rl.malloc import keep_freed_memory
 from drone_env.rl.model import PathQNet
-from drone_env.rl.policy import LinearSchedule, MultiplicativeSchedule, epsilon_greedy
+from drone_env.rl.policy import epsilon_greedy, linear, multiplicative
 from drone_env.rl.replay_buffer import ReplayBuffer
 from drone_env.rl.validation import Validation, Validator
 
@@ -39,9 +41,9 @@ Figures = tuple[float, float, bool, int]
 class Progress:
     """How a run stands: one line of its log.
 
-    The episodes that end first are the short ones. So means are not over those that ended last: they are over those
-    that have ended and before which, in the order of their starts, all have ended; over those of them that no line
-    has told yet, and at least over `log_every`, told before or not. NaN while there are none.
+    Of episodes that start together the short ones end first, and a mean over the last ends would favour them. So the
+    means go through the episodes in the order of their starts, up to the first that still flies: over all that no line
+    has counted yet, and over the last `log_every` at least. NaN while there are none.
 
     Attributes:
         episode: Episodes ended so far.
@@ -115,19 +117,20 @@ class Trainer:
         self.window: list[Figures] = []
         """The last episodes that all older ones ended before."""
         self.untold = 0
-        """How many of them no line has told."""
+        """How many of them no line has counted."""
         self.losses: list[float] = []
         self.history: list[Progress] = []
         self.validation = Validation(float("nan"), self.validator.optimum, float("nan"))
         self.best_score = -1.0
         self.best = {name: tensor.clone() for name, tensor in self.judged.state_dict().items()}
 
-    def train(self, after_log: Callable[[Progress], None], after_step: Callable[[], None]) -> None:
-        """Fly and learn until `config.episodes` episodes have ended.
+    def train(self) -> Iterator[list[Progress]]:
+        """Fly and learn until `config.episodes` episodes have ended; yields after each step of all episodes.
 
-        Args:
-            after_log: Called with every line of the log.
-            after_step: Called when a step of all episodes is over; may save, or stop the run by an exception.
+        The caller may save between two steps, or ask for no more of them.
+
+        Yields:
+            The lines that the step added to the log, most often none.
         """
         while self.episodes < self.config.episodes:
             if not self.ended:  # else the run before ended amid them
@@ -137,9 +140,7 @@ class Trainer:
                 while self.updates_due >= 1:
                     self.learn()
                     self.updates_due -= 1
-            for progress in self.finish_episodes():
-                after_log(progress)
-            after_step()
+            yield self.finish_episodes()
 
     def fly(self) -> None:
         """Fly one step in every episode and keep it."""
@@ -158,14 +159,13 @@ class Trainer:
         """Fit the network to one batch of the replay."""
         config = self.config
         sampled = self.replay.sample(config.batch_size, config.n_step, config.gamma, self.rng)
-        grids, telemetry = self.tensor(sampled.grids), self.tensor(sampled.telemetry)
-        actions = self.tensor(sampled.actions).unsqueeze(1)
-        next_grids, next_telemetry = self.tensor(sampled.next_grids), self.tensor(sampled.next_telemetry)
+        grids, telemetry, actions, returns, discounts, next_grids, next_telemetry = map(self.tensor, sampled)
+        actions = actions.unsqueeze(1)
         with torch.no_grad():
             next_values = self.target(next_grids, next_telemetry)
             chooser = self.online(next_grids, next_telemetry) if config.double else next_values
             next_value = next_values.gather(1, chooser.argmax(1, keepdim=True)).squeeze(1)
-            wanted = self.tensor(sampled.returns) + self.tensor(sampled.discounts) * next_value
+            wanted = returns + discounts * next_value
             if config.advantage_learning:
                 present = self.target(grids, telemetry)
                 wanted += config.advantage_learning * (present.gather(1, actions).squeeze(1) - present.amax(1))
@@ -256,14 +256,14 @@ class Trainer:
         """The present share of random actions."""
         config = self.config
         if config.exploration == "linear":
-            return LinearSchedule(config.epsilon_start, config.epsilon_end, config.epsilon_steps)(self.steps)
-        return MultiplicativeSchedule(config.epsilon_start, config.epsilon_end, config.epsilon_factor)(self.episodes)
+            return linear(config.epsilon_start, config.epsilon_end, config.epsilon_steps, self.steps)
+        return multiplicative(config.epsilon_start, config.epsilon_end, config.epsilon_factor, self.episodes)
 
     @property
     def learning_rate(self) -> float:
         """The present step size."""
         config = self.config
-        return LinearSchedule(config.learning_rate, config.final_learning_rate, config.episodes)(self.episodes)
+        return linear(config.learning_rate, config.final_learning_rate, config.episodes, self.episodes)
 
     def values(
         self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32], network: PathQNet | None = None
@@ -278,27 +278,19 @@ class Trainer:
 
     def get_state(self) -> dict[str, Any]:
         """Everything that the run needs to go on, as tensors and plain values."""
-        rows = min(self.replay.added, len(self.replay.grids))
         return {
             "config": self.config.identity(),
             "episodes_wanted": self.config.episodes,
-            "online": self.online.state_dict(),
-            "target": self.target.state_dict(),
-            "best": self.best,
-            "best_score": self.best_score,
-            "optimizer": self.optimizer.state_dict(),
-            "replay": {name: torch.from_numpy(getattr(self.replay, name)[:rows]) for name in REPLAY_ARRAYS},
+            **{name: getattr(self, name).state_dict() for name in LEARNED},
+            **{name: copy(getattr(self, name)) for name in PLAIN},
+            **{name: torch.from_numpy(getattr(self, name)) for name in PLACES},
+            "counters": [getattr(self, name) for name in COUNTERS],
+            "replay": {
+                name: torch.from_numpy(getattr(self.replay, name)[: self.replay.held]) for name in REPLAY_ARRAYS
+            },
             "replay_added": self.replay.added,
             "batch": {name: as_tensor(array) for name, array in self.batch.get_state().items()},
             "rng": self.rng.bit_generator.state,
-            "rewards": torch.from_numpy(self.rewards),
-            "counters": [self.steps, self.updates, self.episodes, self.updates_due, self.validated_updates],
-            "numbers": torch.from_numpy(self.numbers),
-            "ended": [list(entry) for entry in self.ended],
-            "early": {number: list(entry) for number, entry in self.early.items()},
-            "window": [list(entry) for entry in self.window],
-            "untold": self.untold,
-            "losses": self.losses,
             "history": [vars(progress) for progress in self.history],
             "validation": list(self.validation),
         }
@@ -319,25 +311,21 @@ class Trainer:
         ]
         if different:
             raise CheckpointError(f"the checkpoint is of a run with {', '.join(different)}")
-        self.online.load_state_dict(state["online"])
-        self.target.load_state_dict(state["target"])
-        self.best, self.best_score = state["best"], state["best_score"]
-        self.optimizer.load_state_dict(state["optimizer"])
+        for name in LEARNED:
+            getattr(self, name).load_state_dict(state[name])
+        for name in PLAIN:
+            setattr(self, name, copy(state[name]))
+        for name in PLACES:
+            getattr(self, name)[:] = state[name].cpu().numpy()
+        for name, value in zip(COUNTERS, state["counters"], strict=True):
+            setattr(self, name, value)
         for name in REPLAY_ARRAYS:
             stored = state["replay"][name].cpu().numpy()
             getattr(self.replay, name)[: len(stored)] = stored
         self.replay.added = state["replay_added"]
         own = self.batch.get_state()
-        self.batch.set_state({name: as_array(state["batch"][name], own[name]) for name in own})
+        self.batch.set_state({name: state["batch"][name].cpu().numpy().view(own[name].dtype) for name in own})
         self.rng.bit_generator.state = state["rng"]
-        self.rewards[:] = state["rewards"].cpu().numpy()
-        self.steps, self.updates, self.episodes, self.updates_due, self.validated_updates = state["counters"]
-        self.numbers[:] = state["numbers"].cpu().numpy()
-        self.ended = [(i, score, steps, deliveries) for i, score, steps, deliveries in state["ended"]]
-        self.early = {number: as_figures(entry) for number, entry in state["early"].items()}
-        self.window = [as_figures(entry) for entry in state["window"]]
-        self.untold = state["untold"]
-        self.losses = list(state["losses"])
         self.history = [Progress(**line) for line in state["history"]]
         self.validation = Validation(*state["validation"])
 
@@ -348,6 +336,11 @@ class Trainer:
         return network
 
 
+# What a checkpoint holds of a trainer, by how it is kept.
+LEARNED = ("online", "target", "optimizer")
+PLAIN = ("best", "best_score", "ended", "early", "window", "untold", "losses")
+PLACES = ("rewards", "numbers")
+COUNTERS = ("steps", "updates", "episodes", "updates_due", "validated_updates")
 REPLAY_ARRAYS = ("grids", "telemetry", "actions", "rewards", "terminated")
 
 
@@ -356,13 +349,14 @@ def as_tensor(array: npt.NDArray[Any]) -> Tensor:
     return torch.from_numpy(array.view(np.int16) if array.dtype == np.uint16 else array)
 
 
-def as_array(tensor: Tensor, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Back from `as_tensor`."""
-    array: npt.NDArray[Any] = tensor.cpu().numpy()
-    return array.view(np.uint16) if like.dtype == np.uint16 else array
+def keep_freed_memory() -> None:
+    """Have the C library keep what PyTorch frees, up to 1 GiB; where it is not glibc, do nothing.
 
-
-def as_figures(entry: list[Any]) -> Figures:
-    """Back from a checkpoint, which has lists."""
-    reward, score, success, steps = entry
-    return reward, score, success, steps
+    Each layer's output is some megabytes. Given back to the kernel and asked for anew at every update, its pages are
+    zeroed again one fault at a time, which took up to a third of the time of training on the CPU.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if mallopt is not None:
+        mallopt(-3, 32 << 20)  # M_MMAP_THRESHOLD, as glibc's malloc.h numbers it
+        mallopt(-1, 1 << 30)  # M_TRIM_THRESHOLD
+        mallopt(-2, 64 << 20)  # M_TOP_PAD

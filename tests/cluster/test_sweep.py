@@ -212,7 +212,7 @@ def test_the_command_of_a_trial_trains_by_its_settings(monkeypatch: pytest.Monke
         asked.append(config)
         raise InvalidValueError("seen")
 
-    monkeypatch.setattr("drone_env.commands.train._run", stop)
+    monkeypatch.setattr("drone_env.rl.run.TrainingRun", stop)
     changed = [{"episodes": 80}, {"episodes": 80, "num_envs": 4}, {"episodes": 5000}, {"tau": 0.5}]
     config = make_config("easy", "fast", changed, 1, 1, False, 20)
     for trial in config.trials():

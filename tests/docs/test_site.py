@@ -86,9 +86,7 @@ def test_the_reference_holds_what_the_package_offers(site: Path) -> None:
     import drone_env
 
     page = (site / "reference.html").read_text(encoding="utf-8")
-    missing = [
-        name
-        for name in drone_env.__all__
-        if name != "__version__" and f'id="drone_env.{drone_env._HOMES[name]}.{name}"' not in page
-    ]
+    promised = [(home, name) for home, names in drone_env._HOMES.items() for name in names]
+    assert {name for _, name in promised} | {"__version__"} == set(drone_env.__all__)
+    missing = [name for home, name in promised if f'id="drone_env.{home}.{name}"' not in page]
     assert missing == []

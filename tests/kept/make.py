@@ -171,7 +171,8 @@ def make_training(folder: Path, elsewhere: Path) -> dict[str, Any]:
     place = ("--data", str(folder / "training"), "--results", str(elsewhere / "curves"))
     program(*command, "--episodes", str(EPISODES), *place)
     trainer = Trainer(replace(preset("fast", "easy", EPISODES), **TRAINED))
-    trainer.train(lambda _: None, lambda: None)
+    for _ in trainer.train():
+        pass
     seeds = list(split_seeds("test", 12))
     best = trainer.best_network()
     networks = {"online": trainer.online, "target": trainer.target, "best": best}
@@ -201,7 +202,7 @@ def make_sweep(folder: Path, elsewhere: Path) -> dict[str, Any]:
     from drone_env.cluster.sweep.settings import settings_of
     from drone_env.cluster.sweep.trial import best_until, network_digest
     from drone_env.evaluation.episodes import episodes_key, run_episodes
-    from drone_env.rl.export import export_network
+    from drone_env.rl.checkpoint import export_network
     from drone_env.rl.trainer import Trainer
 
     made = elsewhere / "sweep"
@@ -219,7 +220,8 @@ def make_sweep(folder: Path, elsewhere: Path) -> dict[str, Any]:
     trials: list[dict[str, Any]] = []
     for number in range(2):
         trainer = Trainer(config.training(Trial(number, 0)))
-        trainer.train(lambda _: None, lambda: None)
+        for _ in trainer.train():
+            pass
         trials.append({str(rung): best_until(trainer.history, rung) for rung in rungs(config)})
         if number == 0:
             network = elsewhere / "first.npz"

@@ -155,13 +155,13 @@ def test_the_network_values_and_flies_as_it_did(kept: Kept) -> None:
 def test_training_goes_on_from_the_checkpoint(kept: Kept, tmp_path: Path) -> None:
     from drone_env.rl.checkpoint import load_checkpoint
     from drone_env.rl.config import TrainConfig
-    from drone_env.rl.run import Run
+    from drone_env.rl.run import TrainingRun
 
     told, folder = kept.told["training"], kept.copy("training")
     before: dict[str, Any] = load_checkpoint(folder / "easy.pth")["config"]
     names = {field.name for field in fields(TrainConfig)} & before.keys() - {"task"}
     config = TrainConfig(**{name: before[name] for name in names}, task="easy", episodes=told["episodes"])
-    run = Run(config, folder, tmp_path / "curves")
+    run = TrainingRun(config, folder, tmp_path / "curves")
     trainer = run.trainer
     assert run.resumed
     assert (trainer.episodes, trainer.steps, trainer.updates) == (told["episodes"], told["steps"], told["updates"])
@@ -175,8 +175,9 @@ def test_training_goes_on_from_the_checkpoint(kept: Kept, tmp_path: Path) -> Non
     for _ in told["next_losses"]:
         trainer.learn()
     assert trainer.losses[-3:] == pytest.approx(told["next_losses"], rel=1e-3)
-    longer = Run(replace(config, episodes=told["episodes"] + 4), folder, tmp_path / "curves").trainer
-    longer.train(lambda _: None, lambda: None)
+    longer = TrainingRun(replace(config, episodes=told["episodes"] + 4), folder, tmp_path / "curves").trainer
+    for _ in longer.train():
+        pass
     assert longer.episodes == told["episodes"] + 4
     assert longer.updates > told["updates"]
 

@@ -1,10 +1,14 @@
 """A training run that takes a moment, and what two runs are compared by."""
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import torch
 
 from drone_env.rl.config import TrainConfig
+from drone_env.rl.run import TrainingRun
+from drone_env.rl.trainer import Trainer
 
 SMALL = TrainConfig(
     task="easy",
@@ -25,6 +29,18 @@ SMALL = TrainConfig(
 
 def do_nothing(*_: object) -> None:
     """A callback."""
+
+
+def run_in(folder: Path, fresh: bool = False, **changes: Any) -> TrainingRun:
+    """Such a run with its files in a folder."""
+    return TrainingRun(replace(SMALL, **changes), folder, folder / "results", fresh)
+
+
+def finished(trainer: Trainer) -> Trainer:
+    """The trainer at the end of its run."""
+    for _ in trainer.train():
+        pass
+    return trainer
 
 
 def assert_same(a: Any, b: Any) -> None:

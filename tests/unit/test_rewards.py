@@ -4,8 +4,12 @@ from fractions import Fraction
 
 import pytest
 
+from drone_env.core.batch import Batch
 from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
+from drone_env.core.rewards import DEFAULT_PROFILE, ORIGINAL_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import TASKS
+from drone_env.rl.config import TrainConfig
 from tests.toy import fly, toy_episode
 
 LINE = ["@.BTO0.", "......."]
@@ -15,6 +19,11 @@ LINE = ["@.BTO0.", "......."]
 def rewards_of(task: str) -> dict[str, float]:
     """The `r_...` numbers of a standard task."""
     return {name: value for name, value in vars(TASKS[task]).items() if name.startswith("r_")}
+
+
+def test_where_nobody_says_it_an_episode_and_a_batch_pay_what_training_does() -> None:
+    assert Episode().reward_profile is Batch("easy", 1).reward_profile is REWARD_PROFILES[DEFAULT_PROFILE]
+    assert (TrainConfig().reward_profile, DEFAULT_PROFILE, ORIGINAL_PROFILE) == ("aligned", "aligned", "tiered")
 
 
 class TestTieredAndComposite:

@@ -10,7 +10,7 @@ import torch
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.rl.config import FAST, ORIGINAL, preset
-from drone_env.rl.policy import EpsilonGreedyPolicy, LinearSchedule, MultiplicativeSchedule, epsilon_greedy
+from drone_env.rl.policy import EpsilonGreedyPolicy, epsilon_greedy, linear, multiplicative
 from drone_env.rl.replay_buffer import ReplayBuffer
 from drone_env.rl.trainer import Trainer
 from tests.unit.small_training import SMALL
@@ -20,18 +20,15 @@ from tests.unit.small_training import SMALL
 
 @pytest.mark.feature("L3")
 def test_schedules() -> None:
-    line = LinearSchedule(1.0, 0.05, 5000)
-    assert [line(0), line(5000), line(10**9)] == [1.0, pytest.approx(0.05), pytest.approx(0.05)]
-    assert line(2500) == pytest.approx(0.525)
-    factor = MultiplicativeSchedule(1.0, 0.05, 0.995)
-    assert factor(0) == 1
-    assert factor(1) == 0.995
-    assert factor(2) == pytest.approx(0.995**2)
-    assert factor(10_000) == 0.05
-    with pytest.raises(InvalidValueError):
-        LinearSchedule(1, 0, 0)
-    with pytest.raises(InvalidValueError):
-        MultiplicativeSchedule(1, 0, 1.5)
+    line = [linear(1.0, 0.05, 5000, step) for step in (0, 2500, 5000, 10**9)]
+    assert line == [1.0, pytest.approx(0.525), pytest.approx(0.05), pytest.approx(0.05)]
+    factors = [multiplicative(1.0, 0.05, 0.995, episode) for episode in (0, 1, 2, 10_000)]
+    assert factors == [1, 0.995, pytest.approx(0.995**2), 0.05]
+    with pytest.raises(InvalidValueError, match="at least 1 step"):
+        EpsilonGreedyPolicy(decay_steps=0)
+    for wrong in ({"epsilon_steps": 0}, {"epsilon_factor": 1.5}, {"epsilon_factor": 0.0}):
+        with pytest.raises(InvalidValueError, match=next(iter(wrong))):
+            replace(SMALL, **wrong)
 
 
 @pytest.mark.feature("L3")
@@ -41,7 +38,7 @@ def test_epsilon_greedy_explores_as_often_as_it_says() -> None:
     actions = epsilon_greedy(q_values, 0.5, np.random.default_rng(0))
     assert np.bincount(actions, minlength=5) / len(actions) == pytest.approx([0.1, 0.1, 0.6, 0.1, 0.1], abs=0.01)
     policy = EpsilonGreedyPolicy()
-    assert policy.schedule == LinearSchedule(1.0, 0.05, 5000)
+    assert policy == EpsilonGreedyPolicy(eps_start=1.0, eps_end=0.05, decay_steps=5000)
     assert [policy.epsilon(step) for step in (0, 2500, 5000)] == pytest.approx([1.0, 0.525, 0.05])
     for step in (0, 2500, 5000):
         chosen = policy.act(q_values[:20_000], step, np.random.default_rng(0))
@@ -94,7 +91,7 @@ def test_the_replay_forgets_the_oldest_row_first() -> None:
             np.zeros(2),
             np.zeros(2, bool),
         )
-    assert len(replay) == 6
+    assert replay.held == 3
     sampled = replay.sample(200, 1, 0.9, np.random.default_rng(0))
     assert set(sampled.grids.ravel().tolist()) == {7, 8}
     assert (sampled.next_grids == sampled.grids + 1).all()

@@ -2,6 +2,7 @@
 
 import random
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,12 +17,11 @@ from drone_env.core.seeds import SPLITS, split_of, split_seeds
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
-from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
-from drone_env.rl.export import export_network
+from drone_env.rl.checkpoint import export_network, load_checkpoint, save_checkpoint
 from drone_env.rl.model import PathQNet
 from drone_env.rl.trainer import Trainer
 from drone_env.rl.validation import Validation, Validator
-from tests.unit.small_training import SMALL, assert_same, do_nothing
+from tests.unit.small_training import SMALL, assert_same, finished
 
 
 class Landed(NamedTuple):
@@ -54,24 +54,16 @@ class Flown(NamedTuple):
 def whole() -> Flown:
     trainer = Trainer(SMALL)
     flown = Flown(trainer, set(trainer.batch.seeds.tolist()), [], [])
-    paid, started, step = np.zeros(SMALL.num_envs), [0] * SMALL.num_envs, 0
-    fly = trainer.fly
-
-    def flying() -> None:
-        nonlocal step
-        fly()
-        batch, step = trainer.batch, step + 1
-        paid[:] += batch.rewards
+    batch, paid, started = trainer.batch, np.zeros(SMALL.num_envs), [0] * SMALL.num_envs
+    for step, lines in enumerate(trainer.train(), start=1):
+        paid += batch.rewards
         finals = batch.finals()
         for k, i in enumerate(batch.ended.tolist()):
             came = float(finals["score"][k]), int(finals["steps"][k]), int(finals["deliveries"][k])
             flown.landed.append(Landed((started[i], i), step, float(paid[i]), *came))
             paid[i], started[i] = 0, step
         flown.seeds.update(batch.seeds.tolist())
-
-    trainer.fly = flying  # type: ignore[method-assign]
-    trainer.train(lambda _: flown.told.append(step), do_nothing)
-    trainer.fly = fly  # type: ignore[method-assign]
+        flown.told.extend(step for _ in lines)
     return flown
 
 
@@ -213,10 +205,8 @@ def test_a_target_by_episodes_is_copied_every_so_many() -> None:
     trainer = Trainer(replace(SMALL, episodes=16, target_update="episodes", target_every=8))
     first, copies = parameters(trainer.target), {}
 
-    def after_step() -> None:
+    for _ in trainer.train():
         copies[trainer.episodes // 8] = all(map(torch.equal, parameters(trainer.target), first))
-
-    trainer.train(do_nothing, after_step)
     assert trainer.updates > 0
     assert copies == {0: True, 1: False, 2: False}
     assert_same(parameters(trainer.target), parameters(trainer.online))  # the last step ended with a copy
@@ -226,13 +216,7 @@ def test_it_learns_as_often_as_it_says() -> None:
     trainer = Trainer(SMALL)
     updates = []
     trainer.learn = lambda: updates.append(trainer.steps)  # type: ignore[method-assign]
-
-    def stop() -> None:
-        if trainer.steps == 400:
-            raise Stop
-
-    with pytest.raises(Stop):
-        trainer.train(do_nothing, stop)
+    next(step for step in trainer.train() if trainer.steps == 400)
     # From the first step beyond 50 on, every 32 steps of the 8 episodes together.
     assert updates == list(range(56 + 3 * 8, 401, 32))
 
@@ -248,7 +232,7 @@ def test_training_learns() -> None:
                          validation_maps=100)  # fmt: skip
         trainer = Trainer(config)
         untrained = trainer.validator.validate(trainer.values).score
-        trainer.train(do_nothing, do_nothing)
+        finished(trainer)
     finally:
         del TASKS[task.id]
     assert untrained < 0.6 * trainer.validator.optimum
@@ -265,7 +249,8 @@ def test_its_figures_are_those_of_its_flights(whole: Flown) -> None:
     for line, step in zip(history, whole.told, strict=True):
         # Of all that have ended when it is told (of those of the last step only up to this number) ...
         ended = [landed for landed in whole.landed if landed.ended <= step][: line.episode]
-        flying = {(s, i) for s, i in starts(whole, step)} - {landed.started for landed in ended}
+        started = {(landed.ended, landed.started[1]) for landed in whole.landed if landed.ended <= step}
+        flying = (started | {(0, i) for i in range(SMALL.num_envs)}) - {landed.started for landed in ended}
         # ... those that started before every one that still flies.
         of_age = sorted(landed for landed in ended if landed.started < min(flying))
         told = of_age[-max(len(of_age) - before, 5) :]
@@ -288,26 +273,17 @@ def test_its_figures_are_those_of_its_flights(whole: Flown) -> None:
     assert history[-1].validation == whole.trainer.validation.score
 
 
-def starts(whole: Flown, step: int) -> set[tuple[int, int]]:
-    """All episodes that had started when a step was over."""
-    return {(0, i) for i in range(SMALL.num_envs)} | {
-        (landed.ended, landed.started[1]) for landed in whole.landed if landed.ended <= step
-    }
-
-
 def test_short_flights_are_not_told_before_the_long_ones_of_their_age() -> None:
     """Those that end first went well: told as they end, a run seems to unlearn from its first line on."""
     config = replace(SMALL, num_envs=64, episodes=128, log_every=16, replay_size=4000, epsilon_end=1.0)
-    trainer = Trainer(replace(config, learning_starts=10**6))  # all by chance, from first to last
-    trainer.train(do_nothing, do_nothing)
+    trainer = finished(Trainer(replace(config, learning_starts=10**6)))  # all by chance, from first to last
     told = [line for line in trainer.history if not np.isnan(line.score)]
     assert len(told) > 3
     assert all(line.success < 0.7 and line.length > 35 for line in told), told
 
 
 def test_the_last_line_is_logged_and_judged_wherever_it_falls() -> None:
-    trainer = Trainer(replace(SMALL, episodes=12))
-    trainer.train(do_nothing, do_nothing)
+    trainer = finished(Trainer(replace(SMALL, episodes=12)))
     assert [line.episode for line in trainer.history] == [5, 10, 12]
     assert trainer.validated_updates == trainer.updates
     assert (trainer.losses, trainer.untold) == ([], 0)
@@ -368,36 +344,22 @@ def test_the_moving_average_is_what_is_judged(target_update: Any, judged: str) -
 # That it goes on
 
 
-class Stop(Exception):  # noqa: N818
-    """Ends a run."""
-
-
 @pytest.mark.parametrize("task", ["easy", "skyline_easy"])
 def test_a_resumed_run_is_the_uninterrupted_one_bit_for_bit(task: str, tmp_path: Path, whole: Flown) -> None:
     # A network that takes six values of telemetry is only shown to go on, as it takes longer.
     config = SMALL if task == "easy" else replace(SMALL, task=task, episodes=16, validation_maps=2)
-    uninterrupted = whole.trainer if task == "easy" else Trainer(config)
-    uninterrupted.train(do_nothing, do_nothing)
+    uninterrupted = whole.trainer if task == "easy" else finished(Trainer(config))
     rng = random.Random(0)
     resumed, stops = Trainer(config), 0
     while resumed.episodes < config.episodes:
-        left = rng.randint(1, 60 if task == "easy" else 8)
-
-        def after_step() -> None:
-            nonlocal left
-            left -= 1
-            if left == 0:
-                raise Stop
-
-        try:
-            resumed.train(do_nothing, after_step)
-        except Stop:
-            stops += 1
-            save_checkpoint(tmp_path / "run.pth", resumed.get_state())
-            # Another seed, for what the checkpoint fails to bring with it; its configuration is the same.
-            resumed = Trainer(replace(config, seed=config.seed + stops))
-            resumed.config = config
-            resumed.set_state(load_checkpoint(tmp_path / "run.pth"))
+        for _ in islice(resumed.train(), rng.randint(1, 60 if task == "easy" else 8)):
+            pass
+        stops += 1
+        save_checkpoint(tmp_path / "run.pth", resumed.get_state())
+        # Another seed, for what the checkpoint fails to bring with it; its configuration is the same.
+        resumed = Trainer(replace(config, seed=config.seed + stops))
+        resumed.config = config
+        resumed.set_state(load_checkpoint(tmp_path / "run.pth"))
     assert stops > 2
     assert_same(uninterrupted.get_state(), resumed.get_state())
 
@@ -407,13 +369,11 @@ def test_one_that_is_asked_for_more_later_is_the_same_from_then_on(whole: Flown)
     steps = [landed.ended for landed in whole.landed]
     part = next(n for n in range(1, SMALL.episodes) if steps[n - 1] == steps[n])
     config = replace(SMALL, final_learning_rate=SMALL.learning_rate, episodes=part + 12)
-    once, twice = Trainer(config), Trainer(replace(config, episodes=part))
-    once.train(do_nothing, do_nothing)
-    twice.train(do_nothing, do_nothing)
+    once, twice = finished(Trainer(config)), finished(Trainer(replace(config, episodes=part)))
     assert twice.episodes == part
     state, twice = twice.get_state(), Trainer(config)
     twice.set_state(state)
-    twice.train(do_nothing, do_nothing)
+    finished(twice)
     # But for the validation and the line of the log that end the first part.
     same = ("online", "optimizer", "replay", "batch", "rng", "rewards", "numbers", "ended", "early")
     for name in same:
@@ -423,9 +383,7 @@ def test_one_that_is_asked_for_more_later_is_the_same_from_then_on(whole: Flown)
 
 def test_equal_seeds_make_equal_runs_and_others_do_not(whole: Flown) -> None:
     short = replace(SMALL, episodes=16, final_learning_rate=SMALL.learning_rate)
-    runs = [Trainer(replace(short, seed=seed)) for seed in (0, 0, 1)]
-    for run in runs:
-        run.train(do_nothing, do_nothing)
+    runs = [finished(Trainer(replace(short, seed=seed))) for seed in (0, 0, 1)]
     assert_same(runs[0].get_state(), runs[1].get_state())
     assert runs[0].history != runs[2].history
 

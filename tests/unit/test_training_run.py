@@ -8,7 +8,6 @@ import random
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -22,13 +21,13 @@ from fastapi.testclient import TestClient
 from drone_env.agents.network import load_network
 from drone_env.cli import main
 from drone_env.errors import CheckpointError
-from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
+from drone_env.rl.checkpoint import load_checkpoint
 from drone_env.rl.config import ORIGINAL, TrainConfig, preset
-from drone_env.rl.run import Run, log_line
-from drone_env.rl.trainer import Progress, Trainer
+from drone_env.rl.run import TrainingRun, log_line
+from drone_env.rl.trainer import Progress
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
-from tests.unit.small_training import SMALL, assert_same, do_nothing
+from tests.unit.small_training import SMALL, assert_same, do_nothing, run_in
 
 ROOT = Path(__file__).parents[2]
 KILLS = 20 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 1
@@ -37,67 +36,27 @@ KILLS = 20 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 1
 @pytest.fixture
 def no_curves(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing them takes longer than the runs of most of these tests."""
-    monkeypatch.setattr("drone_env.rl.curves.draw_curves", do_nothing)
+    monkeypatch.setattr("drone_env.rl.run.draw_curves", do_nothing)
 
 
 # Checkpoints
 
 
-def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "easy.pth"
-    trainer = Trainer(SMALL)
-    save_checkpoint(path, trainer.get_state())
-    whole = path.read_bytes()
-    for content in (whole[: len(whole) // 2], whole[:100], b"", b"not a checkpoint"):
-        path.write_bytes(content)
-        # PyTorch's own words advise to load it with the right to run code.
-        with pytest.raises(CheckpointError, match=r"easy\.pth cannot be read: cut short, or no checkpoint \(\w+\)$"):
-            load_checkpoint(path)
-        with pytest.raises(CheckpointError, match="--fresh"):
-            Run(SMALL, tmp_path, tmp_path / "results")
-        assert path.read_bytes() == content
-    torch.save({"weights": torch.zeros(3)}, path)
-    with pytest.raises(CheckpointError, match="not a checkpoint of this project"):
-        load_checkpoint(path)
-    save_checkpoint(path, {"version": 99})
-    with pytest.raises(CheckpointError, match="version 99; this program reads version 2"):
-        load_checkpoint(path)
-    torch.save({"format": "drone_env/checkpoint"}, path)
-    with pytest.raises(CheckpointError, match="does not say its version"):
-        load_checkpoint(path)
-    save_checkpoint(path, {"config": SMALL.identity()})
-    with pytest.raises(CheckpointError, match=r"easy\.pth lacks 'online'; --fresh"):
-        Run(SMALL, tmp_path, tmp_path / "results")
-    assert [file.name for file in tmp_path.iterdir()] == ["easy.pth"]
-
-
-def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tmp_path: Path) -> None:
-    path = tmp_path / "easy.pth"
-    save_checkpoint(path, {"counters": [1]})
-    before = path.read_bytes()
-    with pytest.raises(TypeError, match="pickle"):
-        save_checkpoint(path, {"tensor": torch.zeros(1000), "not to be kept": threading.Lock()})
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_checkpoint_that_could_run_code_is_not_loaded(tmp_path: Path) -> None:
-    path = tmp_path / "evil.pth"
-    save_checkpoint(path, {"code": Path.home})
-    with pytest.raises(CheckpointError, match="no checkpoint \\(UnpicklingError"):
-        load_checkpoint(path)
-
-
-def test_a_checkpoint_of_another_run_names_the_difference(tmp_path: Path) -> None:
-    Run(SMALL, tmp_path, tmp_path / "results").save()
+@pytest.mark.feature("L5")
+def test_a_checkpoint_of_another_run_names_the_difference_and_without_one_it_starts_anew(tmp_path: Path) -> None:
+    run_in(tmp_path).save()
+    assert run_in(tmp_path).resumed
     with pytest.raises(CheckpointError, match=r"gamma 0.99 \(now 0.9\).*--fresh"):
-        Run(replace(SMALL, gamma=0.9), tmp_path, tmp_path / "results")
-    run = Run(replace(SMALL, gamma=0.9), tmp_path, tmp_path / "results", fresh=True)
+        run_in(tmp_path, gamma=0.9)
+    run = run_in(tmp_path, fresh=True, gamma=0.9)
     assert not run.resumed
-    assert (tmp_path / "easy.pth.old").exists()
+    (tmp_path / "easy.pth.old").rename(tmp_path / "easy.pth")
+    assert run_in(tmp_path).resumed
+    (tmp_path / "easy.pth").unlink()
+    assert not run_in(tmp_path).resumed
 
 
-def saved_at(run: Run) -> list[tuple[int, int]]:
+def saved_at(run: TrainingRun) -> list[tuple[int, int]]:
     """The (steps, episodes) at which a run saves, which it is then made to do."""
     kept: list[tuple[int, int]] = []
     run.save = lambda: kept.append((run.trainer.steps, run.trainer.episodes))  # type: ignore[method-assign]
@@ -113,8 +72,8 @@ def test_checkpoints_are_so_many_episodes_and_seconds_apart_but_for_the_first(tm
     def saved(episodes: int, seconds: float) -> list[tuple[int, int]]:
         place = tmp_path / f"{episodes} {seconds}"
         config_here = replace(config, checkpoint_episodes=episodes, checkpoint_seconds=seconds)
-        runs: list[Run] = []
-        runs.append(Run(config_here, place, place, clock=lambda: runs[0].trainer.steps if runs else 0))
+        runs: list[TrainingRun] = []
+        runs.append(TrainingRun(config_here, place, place, clock=lambda: runs[0].trainer.steps if runs else 0))
         return saved_at(runs[0])
 
     steps = sorted(set(saved(0, 0)))
@@ -143,8 +102,8 @@ def test_what_the_log_has_told_is_not_lost_by_a_kill(tmp_path: Path) -> None:
             raise Killed
 
     with pytest.raises(Killed):
-        Run(config, tmp_path, tmp_path / "results").train(kill)
-    assert Run(config, tmp_path, tmp_path / "results").trainer.episodes >= 50
+        TrainingRun(config, tmp_path, tmp_path / "results").train(kill)
+    assert TrainingRun(config, tmp_path, tmp_path / "results").trainer.episodes >= 50
 
 
 # The command
@@ -249,11 +208,10 @@ def test_the_command_refuses(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.MonkeyPatch.context():
-        try:
-            status = main(["train", *arguments])
-        except SystemExit as ended:
-            status = int(ended.code or 0)
+    try:
+        status = main(["train", *arguments])
+    except SystemExit as ended:
+        status = int(ended.code or 0)
     assert status == 2
     assert message in "".join(capsys.readouterr())
     assert list(tmp_path.iterdir()) == []
@@ -350,56 +308,36 @@ def test_the_first_training_of_the_manual_reads_as_one_that_learns(tmp_path: Pat
     assert validated[-1] > 0.9
 
 
-@pytest.mark.feature("L5")
-def test_where_the_checkpoint_was_deleted_it_starts_anew(tmp_path: Path) -> None:
-    Run(SMALL, tmp_path, tmp_path / "results").save()
-    assert Run(SMALL, tmp_path, tmp_path / "results").resumed
-    (tmp_path / "easy.pth").unlink()
-    assert not Run(SMALL, tmp_path, tmp_path / "results").resumed
-
-
-@contextmanager
-def interrupted_at(log: Path) -> Generator[None, None, None]:
-    """This process is sent SIGINT, as Ctrl-C does, once the log has a line."""
-    over = threading.Event()
-
-    def interrupt() -> None:
-        while not over.wait(0.005):
-            if log.exists() and log.stat().st_size:
-                os.kill(os.getpid(), signal.SIGINT)
-                return
-
-    thread = threading.Thread(target=interrupt)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
-
-
 @pytest.mark.usefixtures("no_curves")
 def test_interrupted_the_run_saves_and_ends_cleanly(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    before = signal.getsignal(signal.SIGINT)
-    # It ends by itself, too late, where the signal does not reach it.
-    with interrupted_at(tmp_path / "data/train.log"):
-        assert main([*TRAIN, "--episodes", "20000"]) == 130
+    before, told = signal.getsignal(signal.SIGINT), []
+
+    def interrupting(line: Progress) -> str:
+        told.append(line)
+        if len(told) == 1:
+            signal.raise_signal(signal.SIGINT)  # as Ctrl-C does
+        return log_line(line)
+
+    monkeypatch.setattr("drone_env.rl.run.log_line", interrupting)
+    assert main([*TRAIN, "--episodes", "20000"]) == 130
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "stopping after this step" in captured.err
     state = load_checkpoint(tmp_path / "data/easy.pth")
-    told = f"stopped after {state['counters'][2]} episodes; the same command goes on from data/easy.pth"
-    assert told in " ".join(captured.err.split())
-    assert 0 < state["counters"][2] < 20000
+    flown = state["counters"][2]
+    assert f"stopped after {flown} episodes; the same command goes on from data/easy.pth" in " ".join(
+        captured.err.split()
+    )
+    assert told[-1].episode <= flown < told[-1].episode + SMALL.num_envs
     assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_interrupted_twice_it_ends_at_once(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
-    run = Run(SMALL, tmp_path, tmp_path / "results")
+    run = run_in(tmp_path)
     asked = []
 
     def show(_: Progress) -> None:
@@ -417,13 +355,13 @@ def test_interrupted_twice_it_ends_at_once(tmp_path: Path) -> None:
 @pytest.mark.feature("L6")
 @pytest.mark.usefixtures("no_curves")
 def test_the_log_grows_and_begins_anew_with_what_the_checkpoint_holds(tmp_path: Path) -> None:
-    run = Run(replace(SMALL, episodes=10), tmp_path, tmp_path / "results")
+    run = run_in(tmp_path, episodes=10)
     lengths: list[int] = []
     run.train(lambda _: lengths.append((tmp_path / "train.log").read_text().count("\n")))
     assert lengths == [1, 2]  # each line is there for others when it is told
     first = [log_line(line) for line in run.trainer.history]
     (tmp_path / "train.log").write_text("flown after the checkpoint\n")
-    run = Run(replace(SMALL, episodes=15, final_learning_rate=1e-5), tmp_path, tmp_path / "results")
+    run = run_in(tmp_path, episodes=15, final_learning_rate=1e-5)
     run.train(lambda _: None)
     assert (tmp_path / "train.log").read_text().splitlines() == [*first, log_line(run.trainer.history[-1])]
     assert [asdict(line)["episode"] for line in run.trainer.history] == [5, 10, 15]

@@ -20,7 +20,7 @@ from drone_env.cluster.sweep.folder import MapScores, SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import episodes_key, run_episodes
-from drone_env.rl.run import Run, StopTraining
+from drone_env.rl.run import TrainingRun
 from drone_env.rl.trainer import Progress
 
 Report = Callable[[dict[str, Any]], None]
@@ -69,7 +69,7 @@ def train_trial(folder: SweepFolder, trial: Trial, until: int, checkpoint_second
             return
         config = folder.config()
         try:
-            run = Run(config.training(trial, checkpoint_seconds), place, place)
+            run = TrainingRun(config.training(trial, checkpoint_seconds), place, place)
             folder.note_part(trial, run.trainer.episodes)
             _train(run, until, report)
             state = _state(run, state, until)
@@ -102,7 +102,7 @@ def best_until(history: Sequence[Progress], episodes: int) -> float:
     return best
 
 
-def _train(run: Run, until: int, report: Report) -> None:
+def _train(run: TrainingRun, until: int, report: Report) -> None:
     """Train to the first line of the log at or after so many episodes; not at all where that is done."""
     history, every = run.trainer.history, run.config.validation_every
     if run.trainer.episodes >= run.config.episodes or (history and history[-1].episode >= until):
@@ -111,16 +111,18 @@ def _train(run: Run, until: int, report: Report) -> None:
 
     def show(line: Progress) -> None:
         nonlocal reported
+        if run.stopped:
+            return  # a line of the same step as the last that is wanted
         if line.episode // every > reported // every or line.episode >= until:
             reported = line.episode
             report({"episodes": line.episode, "validation": line.validation, "optimum": line.validation_optimum})
         if line.episode >= until:
-            raise StopTraining
+            run.stopped = True
 
     run.train(show)
 
 
-def _state(run: Run, before: TrialState, until: int) -> TrialState:
+def _state(run: TrainingRun, before: TrialState, until: int) -> TrialState:
     trainer, every = run.trainer, run.config.validation_every
     curve: list[tuple[int, float]] = []
     for line in trainer.history:
@@ -139,7 +141,7 @@ def _state(run: Run, before: TrialState, until: int) -> TrialState:
     )
 
 
-def _judged(state: TrialState, config: SweepConfig, run: Run) -> TrialState:
+def _judged(state: TrialState, config: SweepConfig, run: TrainingRun) -> TrialState:
     """The state with how the best network flies the test maps."""
     key = episodes_key(config.task, f"pathqnet:{run.network}", split_seeds("test", config.test_maps), "test")
     flown = run_episodes(key)

@@ -1,0 +1,57 @@
+"""Checkpoints: what cannot be read or written, and that they run no code."""
+
+import threading
+from pathlib import Path
+
+import pytest
+import torch
+
+from drone_env.errors import CheckpointError
+from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
+from drone_env.rl.trainer import Trainer
+from tests.unit.small_training import SMALL, run_in
+
+
+def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "easy.pth"
+    trainer = Trainer(SMALL)
+    save_checkpoint(path, trainer.get_state())
+    whole = path.read_bytes()
+    for content in (whole[: len(whole) // 2], whole[:100], b"", b"not a checkpoint"):
+        path.write_bytes(content)
+        # PyTorch's own words advise to load it with the right to run code.
+        with pytest.raises(CheckpointError, match=r"easy\.pth cannot be read: cut short, or no checkpoint \(\w+\)$"):
+            load_checkpoint(path)
+        with pytest.raises(CheckpointError, match="--fresh"):
+            run_in(tmp_path)
+        assert path.read_bytes() == content
+    torch.save({"weights": torch.zeros(3)}, path)
+    with pytest.raises(CheckpointError, match="not a checkpoint of this project"):
+        load_checkpoint(path)
+    save_checkpoint(path, {"version": 99})
+    with pytest.raises(CheckpointError, match="version 99; this program reads version 2"):
+        load_checkpoint(path)
+    torch.save({"format": "drone_env/checkpoint"}, path)
+    with pytest.raises(CheckpointError, match="does not say its version"):
+        load_checkpoint(path)
+    save_checkpoint(path, {"config": SMALL.identity()})
+    with pytest.raises(CheckpointError, match=r"easy\.pth lacks 'online'; --fresh"):
+        run_in(tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["easy.pth"]
+
+
+def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tmp_path: Path) -> None:
+    path = tmp_path / "easy.pth"
+    save_checkpoint(path, {"counters": [1]})
+    before = path.read_bytes()
+    with pytest.raises(TypeError, match="pickle"):
+        save_checkpoint(path, {"tensor": torch.zeros(1000), "not to be kept": threading.Lock()})
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_checkpoint_that_could_run_code_is_not_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "evil.pth"
+    save_checkpoint(path, {"code": Path.home})
+    with pytest.raises(CheckpointError, match="no checkpoint \\(UnpicklingError"):
+        load_checkpoint(path)
