@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return int(status or 0)
     except BrokenPipeError:
-        # Whoever read the output has closed it (`drone-env fly | head`); the interpreter must not flush it again.
+        # The reader of the output has closed it (`drone-env fly | head`); the interpreter must not flush it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 2
     except (DroneEnvError, OSError) as error:
