@@ -69,7 +69,7 @@ class DroneEnvClient:
         self._http = http or httpx.Client(base_url=base_url, timeout=timeout, headers=headers)
         self.session_id: str | None = None
         """The session; set it to go on with another client's."""
-        self._known: tuple[str, int] | None = None  # the session that was reset here, and its step_count
+        self._known: dict[str | None, int] = {}  # the session that was reset here, and its step_count
 
     def __enter__(self) -> Self:
         return self
@@ -115,8 +115,8 @@ class DroneEnvClient:
         """
         given = {"task_name": task_name, "seed": seed, "reward_profile": reward_profile, "agent": agent}
         answer = self._call("POST", "/reset", {name: value for name, value in given.items() if value is not None})
-        self.session_id = session = str(answer.pop("session_id"))
-        self._known = session, answer["step_count"]
+        self.session_id = str(answer.pop("session_id"))
+        self._known = {self.session_id: answer["step_count"]}
         return answer
 
     def step(self, direction: str) -> dict[str, Any]:
@@ -125,12 +125,9 @@ class DroneEnvClient:
         In a session that this client has reset, an action whose answer was lost may be sent again: it is flown once. If
         another client has stepped the session meanwhile, the step is refused; `state` brings this one up to date.
         """
-        known = self._known
-        if known is None or known[0] != self.session_id:
-            return self._call("POST", "/step", {"direction": direction})
-        answer = self._call("POST", "/step", {"direction": direction}, {"X-Step-Count": str(known[1])})
-        self._known = known[0], answer["step_count"]
-        return answer
+        count = self._known.get(self.session_id)
+        more = None if count is None else {"X-Step-Count": str(count)}
+        return self._noted(self._call("POST", "/step", {"direction": direction}, more))
 
     def end_session(self) -> None:
         """End the session, so that its place on the server is free. An episode that has not ended is dropped."""
@@ -139,10 +136,7 @@ class DroneEnvClient:
 
     def state(self) -> dict[str, Any]:
         """The full state of the episode."""
-        answer = self._call("GET", "/state")
-        if self._known is not None and self._known[0] == self.session_id:
-            self._known = self._known[0], answer["step_count"]
-        return answer
+        return self._noted(self._call("GET", "/state"))
 
     def grade(self, task_name: str) -> dict[str, Any]:
         """The graded score of the episode, which must be of this task."""
@@ -185,6 +179,11 @@ class DroneEnvClient:
                 )
         return {"task": task, "steps": observation["step_count"], **observation}
 
+    def _noted(self, answer: dict[str, Any]) -> dict[str, Any]:
+        if self.session_id in self._known:
+            self._known[self.session_id] = answer["step_count"]
+        return answer
+
     def _call(
         self, method: str, path: str, body: dict[str, Any] | None = None, more: dict[str, str] | None = None
     ) -> dict[str, Any]:
@@ -201,7 +200,6 @@ class DroneEnvClient:
         """
         # On its own machine a server has callers share a session who name none.
         headers = {"X-Session-Id": self.session_id or "new", **(more or {})}
-        answer: Any
         try:
             try:
                 response = self._http.request(method, path, json=body, headers=headers)
@@ -212,16 +210,15 @@ class DroneEnvClient:
                 response = self._http.request(method, path, json=body, headers=headers)
         except httpx.HTTPError as error:
             raise ServerError(0, "no_answer", f"{method} {path}: {error or type(error).__name__}") from error
-        try:
+        answer: Any = None
+        with suppress(ValueError):
             answer = {} if response.status_code == NO_CONTENT else response.json()
-        except ValueError:
-            answer = None
-        told = cast(dict[str, Any], answer) if isinstance(answer, dict) else None
-        if response.is_success and told is not None:
-            return told
-        told = told or {}
-        detail = told.get("detail", response.text[:200])
-        code = told.get("code", "http")
+        found = cast(dict[str, Any], answer) if isinstance(answer, dict) else None
+        if response.is_success and found is not None:
+            return found
+        code, detail = "http", response.text[:200]
+        if found is not None:
+            code, detail = found.get("code", code), found.get("detail", detail)
         raise ServerError(response.status_code, code, f"{method} {path}: {response.status_code}: {detail}")
 
 

@@ -54,8 +54,8 @@ def _require_inside(name: str, position: tuple[int, int] | None, width: int, hei
     _require(inside, f"{name} {position} is off the {width} x {height} grid")
 
 
-def _require_shape(name: str, lines: Sequence[Sequence[object]], width: int, height: int) -> None:
-    fits = len(lines) == height and all(len(line) == width for line in lines)
+def _require_shape(name: str, rows: Sequence[Sequence[object]], width: int, height: int) -> None:
+    fits = len(rows) == height and all(len(row) == width for row in rows)
     _require(fits, f"{name} is not {height} rows of {width}")
 
 
@@ -104,8 +104,8 @@ class DroneObservation(Message):
         width, height = self.grid_width, self.grid_height
         _require(len(self.grid) == height, f"grid has {len(self.grid)} rows, grid_height says {height}")
         _require_shape("cell_types", self.cell_types, width, height)
-        for y, line in enumerate(self.cell_types):
-            emoji = "".join([EMOJI_OF[name] for name in line])
+        for y, row in enumerate(self.cell_types):
+            emoji = "".join([EMOJI_OF[name] for name in row])
             _require(self.grid[y] == emoji, f"row {y} of grid is {self.grid[y]!r}; cell_types makes it {emoji!r}")
         _require_inside("drone_x, drone_y", (self.drone_x, self.drone_y), width, height)
         at_drone = self.cell_types[self.drone_y][self.drone_x]
@@ -113,9 +113,9 @@ class DroneObservation(Message):
         _require_inside("current_target", self.current_target, width, height)
         _require_at_most("deliveries_done", self.deliveries_done, "deliveries_total", self.deliveries_total)
         below = cast(str | None, self.cell_below)
-        seen = sum(line.count("delivered") for line in self.cell_types) + (below == "delivered")
-        told = f"cell_types and cell_below {below!r} show {seen} delivered, deliveries_done says {self.deliveries_done}"
-        _require(seen == self.deliveries_done or (below is None and seen + 1 == self.deliveries_done), told)
+        seen = sum(row.count("delivered") for row in self.cell_types) + (below == "delivered")
+        why = f"cell_types and cell_below {below!r} show {seen} delivered, deliveries_done says {self.deliveries_done}"
+        _require(seen == self.deliveries_done or (below is None and seen + 1 == self.deliveries_done), why)
         _require_at_most("step_count", self.step_count, "max_steps", self.max_steps)
         return self
 
@@ -135,17 +135,17 @@ def observation_fields(episode: Episode) -> dict[str, Any]:
     Raises:
         EpisodeError: before the first reset.
     """
-    lines = [shown(line) for line in map_lines(episode)]
+    rows = [shown(row) for row in map_rows(episode)]
     return {
-        "grid": [emoji for emoji, _ in lines],
-        "cell_types": [list(names) for _, names in lines],
+        "grid": [emoji for emoji, _ in rows],
+        "cell_types": [list(names) for _, names in rows],
         **observation_numbers(episode),
         "legend": LEGEND,
     }
 
 
-def map_lines(episode: Episode) -> list[bytes]:
-    """The map as the drone sees it: one line of cell ids after another, top first.
+def map_rows(episode: Episode) -> list[bytes]:
+    """The map as the drone sees it: one row of cell ids after another, top first.
 
     Raises:
         EpisodeError: before the first reset.
@@ -185,9 +185,9 @@ def observation_numbers(episode: Episode) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4096)
-def shown(line: bytes) -> tuple[str, tuple[str, ...]]:
-    """A line of cell ids as emoji and as names; a step changes one or two lines of a map."""
-    return "".join([EMOJI[cell] for cell in line]), tuple([NAMES[cell] for cell in line])
+def shown(row: bytes) -> tuple[str, tuple[str, ...]]:
+    """A row of cell ids as emoji and as names; a step changes one or two rows of a map."""
+    return "".join([EMOJI[cell] for cell in row]), tuple([NAMES[cell] for cell in row])
 
 
 class PathPoint(Message):
@@ -272,27 +272,15 @@ class DroneState(Message):
         Raises:
             EpisodeError: before the first reset.
         """
-        x, y = episode.position
         return cls(
+            **{name: value for name, value in observation_numbers(episode).items() if name in cls.model_fields},
             task_name=episode.task.id,
             task_version=episode.task.version,
             seed=episode.seed,
             reward_profile=episode.reward_profile.id,
             grid=episode.grid().tolist(),
-            drone_x=x,
-            drone_y=y,
-            battery=episode.battery,
-            battery_steps_remaining=episode.battery_units,
             battery_capacity=episode.task.battery_capacity,
-            deliveries_total=episode.task.deliveries,
-            deliveries_done=episode.deliveries_done,
             parcels=[ParcelState(x=px, y=py, delivered=delivered) for px, py, delivered in episode.parcels],
-            current_target=episode.target,
-            step_count=episode.steps,
-            max_steps=episode.task.max_steps,
-            reward_total=episode.reward_total,
-            score=episode.score,
-            done=episode.ended,
             outcome=cast(OutcomeName, episode.outcome.name.lower()),
             path_history=[
                 PathPoint(

@@ -1,5 +1,6 @@
 """What can be made of every state, by trying everything: it knows nothing but the dynamics and the score."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -81,8 +82,6 @@ class BruteForce:
         for states, grids in zip(self._states, self._grids, strict=True):
             if number < len(states):
                 state, grid = states[number].tobytes(), grids[number].tobytes()
-                return EpisodeState(
-                    self._start.task, self._start.reward_profile, self._start.seed, grid, state, 0.0, 0.0, ()
-                )
+                return replace(self._start, grid=grid, numbers=state, reward_total=0.0, path=())
             number -= len(states)
         raise IndexError(number)

@@ -1,4 +1,4 @@
-"""Agents: everything that can fly a mission by itself. A new agent is one more entry in `AGENTS`."""
+"""Agents: everything that can fly by itself. A new agent is one more entry in `AGENTS`."""
 
 from collections.abc import Callable
 from pathlib import Path

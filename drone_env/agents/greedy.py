@@ -13,6 +13,8 @@ from drone_env.planning.greedy import greedy_action, greedy_actions
 class GreedyAgent:
     """Chases the nearest target and looks no further; where terrain costs or blocks, by the cheapest way."""
 
+    stateless = True
+
     def __init__(self, task: TaskConfig) -> None:
         self.config: Mapping[str, object] = {"agent": "greedy", "version": 1}
         self._task = task

@@ -1,6 +1,6 @@
 """The agent that flies a best flight, from nothing but what it observes."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,6 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.planning.from_observation import episode_of
 from drone_env.planning.greedy import positions
 from drone_env.planning.optimal import best_actions
-from drone_env.planning.paths import towards_batch
 
 TARGET_TELEMETRY = (3, 4)
 """Where the target stands in the telemetry. Of equally near parcels it is the first by number, which nobody sees."""
@@ -30,9 +29,7 @@ class OptimalAgent:
         self._task = task
         self._plan: list[Action] = []
         self._expected: Episode | None = None
-        self._plans: npt.NDArray[np.int64] | None = None
-        self._tours: npt.NDArray[np.int64] | None = None
-        self._next = np.zeros(0, np.int64)
+        self._plans: Iterator[npt.NDArray[np.int64]] | None = None
 
     def reset(self, seed: int) -> None:
         """Forget the last flight."""
@@ -49,50 +46,34 @@ class OptimalAgent:
 
     def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
         """Forget the last flights."""
-        self._plans = self._tours = None
+        self._plans = None
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """The next actions of the plans, int64[N]. The first call makes them: no parcel may be delivered yet."""
-        if self._task.uniform:
-            return self._act_on_tours(grids, telemetry)
         if self._plans is None:
-            self._plans = np.full((len(grids), self._task.max_steps + 1), Action.WAIT, np.int64)
-            self._next = np.zeros(1, np.int64)
-            for i, plan in enumerate(self._plans):
-                actions = best_actions(episode_of(self._task, {"grid": grids[i], "telemetry": telemetry[i]}))
-                plan[: len(actions)] = actions
-        self._next += 1
-        return self._plans[:, self._next[0] - 1]
+            make = self._plan_tours if self._task.uniform else self._plan_each
+            self._plans = iter(make(grids, telemetry).T)
+        return next(self._plans, np.full(len(grids), Action.WAIT))
 
-    def _act_on_tours(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The same where a plan is a tour: all are planned together."""
-        drones, _ = positions(self._task, telemetry)
-        if self._tours is None:
-            self._tours = self._plan_tours(grids, telemetry, drones)
-            self._next = np.zeros(len(grids), np.int64)
-        episodes = np.arange(len(grids))
-        for _ in range(self._task.deliveries):
-            x, y = self._tours[episodes, self._next].T
-            self._next += (x >= 0) & (grids[episodes, y, x] != Cell.DELIVERY)
-        stops = self._tours[episodes, self._next]
-        return towards_batch(drones, np.where(stops >= 0, stops, drones))
+    def _plan_each(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The actions of a best flight over each map, int64[N, max_steps], WAIT behind its end."""
+        plans = np.full((len(grids), self._task.max_steps), Action.WAIT, np.int64)
+        for plan, grid, values in zip(plans, grids, telemetry, strict=True):
+            actions = best_actions(episode_of(self._task, {"grid": grid, "telemetry": values}))
+            plan[: len(actions)] = actions
+        return plans
 
-    def _plan_tours(
-        self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32], drones: npt.NDArray[np.int64]
-    ) -> npt.NDArray[np.int64]:
-        """(x, y) of the stops of each tour, int64[N, D + 1, 2], -1 behind its end."""
+    def _plan_tours(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The same where a best flight is a tour: all are planned together."""
         from drone_env.planning.tours import plan_tours  # compiles, which only batches are worth
 
-        n, deliveries = len(grids), self._task.deliveries
+        drones, _ = positions(self._task, telemetry)
         _, y, x = np.nonzero(grids == Cell.DELIVERY)
-        parcels = np.stack([x, y], axis=1).reshape(n, deliveries, 2)
+        parcels = np.stack([x, y], axis=1).reshape(len(grids), self._task.deliveries, 2)
         budgets = np.rint(telemetry[:, 2] * self._task.battery_capacity).astype(np.int64)
         if telemetry.shape[1] > 5:
             budgets = np.minimum(budgets, np.rint(telemetry[:, 5] * self._task.max_steps).astype(np.int64))
-        orders = plan_tours(drones, parcels, budgets)
-        stops = np.take_along_axis(parcels, np.maximum(orders, 0)[:, :, None], axis=1)
-        stops[orders < 0] = -1
-        return np.concatenate([stops, np.full((n, 1, 2), -1)], axis=1)
+        return plan_tours(drones, parcels, budgets)
 
 
 def _shows(episode: Episode, observation: Observation) -> bool:

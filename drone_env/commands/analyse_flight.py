@@ -9,8 +9,8 @@ from rich.text import Text
 
 from drone_env.agents import AGENTS, make_agent
 from drone_env.commands.arguments import SHORT_NAMES, Seed
-from drone_env.commands.flights import choices
 from drone_env.core.episode import Episode
+from drone_env.core.rollout import rollout
 from drone_env.errors import InvalidValueError
 
 if TYPE_CHECKING:
@@ -79,9 +79,7 @@ def analyse_flight(
 def _flown(task: str, agent: str, seed: int | None) -> Episode:
     episode, pilot = Episode(task), make_agent(agent, task)
     pilot.reset(episode.reset(seed))
-    for action in choices(pilot, episode):
-        episode.step(action)
-    return episode
+    return rollout(episode, pilot.act)
 
 
 def _show(analysis: "FlightAnalysis") -> None:

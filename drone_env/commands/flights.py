@@ -1,10 +1,10 @@
-"""Flying a mission and telling about it, as several subcommands do."""
+"""A flight as log lines, and where its files go: what several subcommands share."""
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
+from typing import SupportsIndex
 
-from drone_env.agents import Agent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.envs.ansi import draw_text
@@ -13,13 +13,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import best_of
 
 
-def choices(pilot: Agent, episode: Episode) -> Iterator[int]:
-    """What an agent does, one action at a time: each must be flown before the next is asked for."""
-    while not episode.ended:
-        yield pilot.act(episode.observation())
-
-
-def log_flight(episode: Episode, agent: str, actions: Iterable[int], render: bool) -> None:
+def log_flight(episode: Episode, agent: str, actions: Iterable[SupportsIndex], render: bool) -> None:
     """Fly actions from the start of an episode.
 
     Standard output receives the log lines and nothing else; the maps, where they are asked for, and the comparison with

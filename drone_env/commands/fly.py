@@ -1,13 +1,14 @@
-"""`drone-env fly`: one mission, as log lines."""
+"""`drone-env fly`: one flight, as log lines."""
 
 import sys
 from pathlib import Path
 
 from drone_env.agents import make_agent
 from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName
-from drone_env.commands.flights import choices, log_flight, prepare_file
+from drone_env.commands.flights import log_flight, prepare_file
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
+from drone_env.core.rollout import choices
 from drone_env.errors import InvalidValueError
 
 
@@ -20,7 +21,7 @@ def fly(
     picture: Path | None = None,
     record: Path | None = None,
 ) -> None:
-    """Fly one mission and print its log lines.
+    """Fly one map and print its log lines.
 
     Standard output holds one [START] line, one [STEP] line per step and one [END] line, and nothing else; maps,
     pictures' paths and the comparison with the optimum go to standard error.
@@ -46,7 +47,7 @@ def fly(
     if record is not None:
         prepare_file("--record", record)
     pilot.reset(episode.reset(seed))
-    log_flight(episode, agent, choices(pilot, episode), render)
+    log_flight(episode, agent, choices(episode, pilot.act), render)
     if picture is not None:
         from drone_env.envs.rendering import save_picture  # loads Pillow
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from drone_env.commands.flights import log_flight
-from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.envs.ansi import draw_text
@@ -57,21 +56,19 @@ def replay(source: Source, verify: bool = False, render: bool = False, reward: R
             print(f"{what}: {name}: {error}", flush=True)
             failed = True
             continue
-        episode = Episode(checked.task, checked.reward_profile)
-        episode.reset(record.seed)
-        actions = [Action[action] for action in record.actions]
+        episode = Episode(checked.task, checked.reward_profile, record.seed)
         if not verify:
-            log_flight(episode, record.agent, actions, render)
+            log_flight(episode, record.agent, checked.actions, render)
             continue
         if render:
-            _show(episode, actions)
+            _show(episode, checked.actions)
         rewards = "rewards not recorded" if record.rewards is None else f"{len(record.rewards)} rewards"
         ended = "" if record.ended else ", unfinished"
         print(f"verified: {name}: {record.task} map {record.seed}, {rewards}, score {record.score!r}{ended}")
     return int(failed)
 
 
-def _show(episode: Episode, actions: Iterable[Action]) -> None:
+def _show(episode: Episode, actions: Iterable[int]) -> None:
     print(draw_text(episode), file=sys.stderr)
     for action in actions:
         episode.step(action)

@@ -26,16 +26,9 @@ def serve(
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         raise MissingPackageError(" and ".join(missing), "server")
-    from drone_env.server.app import run
-    from drone_env.server.settings import load_settings
+    from drone_env.server.process import run
 
-    defaults = load_settings()
-    run(
-        defaults.host if host is None else host,
-        defaults.port if port is None else port,
-        defaults.workers if workers is None else workers,
-        str(defaults.data if data is None else data),
-    )
+    run(host, port, workers, data)
 
 
 def main() -> None:

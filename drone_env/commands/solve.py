@@ -28,10 +28,7 @@ def solve(task: TaskName = "easy", seed: Seed = None, json: bool = False) -> Non
 
         between = bounds(episode)
         raise TooLargeError(f"{error}; the optimum lies between {between.lower:.4f} and {between.upper:.4f}") from None
-    flight = Episode(task)
-    flight.reset(episode.seed)
-    for action in solution.actions:
-        flight.step(action)
+    path = [(step.x, step.y) for step in episode.copy().fly(solution.actions).path]
     if json:
         report = {
             "task": episode.task.id,
@@ -43,13 +40,13 @@ def solve(task: TaskName = "easy", seed: Seed = None, json: bool = False) -> Non
             "deliveries": solution.deliveries,
             "order": solution.order,
             "actions": [action.name for action in solution.actions],
-            "path": [episode.position, *((point.x, point.y) for point in flight.path)],
+            "path": [episode.position, *path],
         }
         print(json_format.dumps(report))
         return
     print(draw_text(episode))
     print()
-    print(draw_tour(episode, [(point.x, point.y) for point in flight.path], solution.order))
+    print(draw_tour(episode, path, solution.order))
     print(f"Best score: {solution.score:.4f} with {solution.deliveries} of {episode.task.deliveries} delivered")
     print(f"Steps: {solution.steps}")
     print(f"Order: {' -> '.join(str(stop) for stop in (episode.position, *solution.order))}")

@@ -15,18 +15,13 @@ from drone_env.core import compiled
 from drone_env.core.actions import ALLOWED_ACTIONS, N_ACTIONS, Event, Outcome, integer
 from drone_env.core.compile_cache import compiled_once, tell_before_compiling
 from drone_env.core.fetching import fetch_early
-from drone_env.core.observation import (
-    open_actions,
-    write_own_telemetry,
-    write_target_telemetry,
-    write_telemetry,
-)
+from drone_env.core.observation import open_actions, write_own_telemetry, write_target_telemetry, write_telemetry
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, Rewards, get_reward_profile, tabulate_rewards
 from drone_env.core.rules import reset as reset_episode
 from drone_env.core.rules import step as step_episode
 from drone_env.core.score import score
 from drone_env.core.seeds import N_SEEDS, next_seed
-from drone_env.core.tables import CELL, DELIVERIES, EVENT, OUTCOME, STEPS, Tables, state_size, tabulate
+from drone_env.core.tables import CELL, DELIVERIES_DONE, EVENT, OUTCOME, STEPS, Tables, state_size, tabulate
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.core.threads import require_threads
 from drone_env.errors import EpisodeError, InvalidValueError
@@ -90,7 +85,7 @@ def keep_final(tables: Tables, buffers: Buffers, i: int, k: int) -> None:
     state = buffers.states[i]
     buffers.final_scores[k] = score(tables, state)
     buffers.final_steps[k] = state[STEPS]
-    buffers.final_deliveries[k] = state[DELIVERIES]
+    buffers.final_deliveries[k] = state[DELIVERIES_DONE]
     buffers.final_seeds[k] = buffers.seeds[i]
 
 
@@ -315,10 +310,7 @@ class Batch:
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:
         """A snapshot of all episodes, as copies of arrays; `set_state` returns to it."""
-        return {name: np.array(getattr(self._buffers, name)) for name in self._buffers._fields} | {
-            "started": np.array(self._started),
-            "n_ended": np.array(self._n_ended),
-        }
+        return {name: np.array(buffer) for name, buffer in self._kept().items()}
 
     def set_state(self, state: Mapping[str, npt.NDArray[Any]]) -> None:
         """Return to a snapshot of a batch of the same task, size, mode and threads.
@@ -326,7 +318,7 @@ class Batch:
         Raises:
             InvalidValueError: if the snapshot is of another batch; nothing is changed.
         """
-        own = self._buffers._asdict() | {"started": self._started, "n_ended": self._n_ended}
+        own = self._kept()
         for name, buffer in own.items():
             given = state.get(name)
             if given is None or given.shape != buffer.shape or given.dtype != buffer.dtype:
@@ -334,6 +326,9 @@ class Batch:
         for name, buffer in own.items():
             buffer[...] = state[name]
         self.started = bool(self._started.all())
+
+    def _kept(self) -> dict[str, npt.NDArray[Any]]:
+        return self._buffers._asdict() | {"started": self._started, "n_ended": self._n_ended}
 
     def __getstate__(self) -> tuple[tuple[Any, ...], dict[str, npt.NDArray[Any]]]:
         arguments = (self.task, self.num_envs, self.reward_profile, self.same_step, self.num_threads)

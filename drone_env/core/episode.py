@@ -13,13 +13,13 @@ from drone_env.core import rules
 from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome, check_action
 from drone_env.core.observation import Observation, open_actions, write_telemetry
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, get_reward_profile, interpreted_rewards
-from drone_env.core.score import efficiency, efficiency_shares, score
+from drone_env.core.score import EFFICIENCY_WEIGHTS, score
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tables import (
     BATTERY,
     CELL,
     DELIVERED_FLAG,
-    DELIVERIES,
+    DELIVERIES_DONE,
     DISTANCE,
     EVENT,
     NOWHERE,
@@ -57,7 +57,6 @@ class EpisodeState:
     seed: int
     grid: bytes
     numbers: bytes
-    reward_last: float
     reward_total: float
     path: tuple[tuple[int, int, int, float, int], ...]
     refused: bool = field(default=False, compare=False)
@@ -102,7 +101,6 @@ class Episode:
         self._grid = view(self._grid_array)
         self._state: Buffer = _NO_EPISODE
         self._seed: int | None = None
-        self._reward_last = 0.0
         self._reward_total = 0.0
         self._refused = False
         self._path: list[tuple[int, int, int, float, int]] = []
@@ -132,7 +130,6 @@ class Episode:
         self._choose_rewards(profile)
         self._state = view(self._state_array)
         rules.reset(self.tables, self._grid, self._state, chosen)
-        self._reward_last = 0.0
         self._reward_total = 0.0
         self._refused = False
         self._path = []
@@ -151,7 +148,6 @@ class Episode:
             self._refused = True
             return 0.0
         reward = rules.step(self.tables, self._rewards, self._grid, state, number)
-        self._reward_last = reward
         self._reward_total += reward
         self._path.append((number, state[CELL], state[EVENT], reward, state[BATTERY]))
         return reward
@@ -220,7 +216,7 @@ class Episode:
     @property
     def deliveries_done(self) -> int:
         """Parcels delivered."""
-        return self._state[DELIVERIES]
+        return self._state[DELIVERIES_DONE]
 
     @property
     def cell(self) -> int:
@@ -261,17 +257,17 @@ class Episode:
     @property
     def efficiency(self) -> float:
         """How sparing the flight was, 0 to 100: for people to look at; not the score."""
-        return efficiency(self.tables, self._state)
+        return sum(w * share for w, share in zip(EFFICIENCY_WEIGHTS.values(), self.efficiency_shares, strict=True))
 
     @property
     def efficiency_shares(self) -> tuple[float, float, float]:
         """What each part of the efficiency comes to, 0 to 1, in the order of `score.EFFICIENCY_WEIGHTS`."""
-        return efficiency_shares(self.tables, self._state)
+        return self.deliveries_done / self.task.deliveries, self.battery, 1 - self.steps / self.task.max_steps
 
     @property
     def reward_last(self) -> float:
         """What the last step paid; 0 where it came after the end."""
-        return 0.0 if self._refused else self._reward_last
+        return self._path[-1][3] if self._path and not self._refused else 0.0
 
     @property
     def reward_total(self) -> float:
@@ -338,7 +334,6 @@ class Episode:
             seed=self.seed,
             grid=self._grid_array.tobytes(),
             numbers=self._state_array.tobytes(),
-            reward_last=self._reward_last,
             reward_total=self._reward_total,
             refused=self._refused,
             path=tuple(self._path),
@@ -364,7 +359,6 @@ class Episode:
         self._state = view(self._state_array)
         self._grid_array[:] = np.frombuffer(state.grid, np.uint8)
         self._state_array[:] = np.frombuffer(state.numbers, np.uint16)
-        self._reward_last = state.reward_last
         self._reward_total = state.reward_total
         self._refused = state.refused
         self._path = list(state.path)

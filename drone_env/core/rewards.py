@@ -11,7 +11,7 @@ import numpy as np
 from drone_env.core.actions import N_EVENTS, Event, Outcome
 from drone_env.core.score import score
 from drone_env.core.tables import (
-    DELIVERIES,
+    DELIVERIES_DONE,
     DISTANCE,
     OUTCOME,
     Buffer,
@@ -199,7 +199,7 @@ def interpreted_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
 
 def potential_of(table: FloatBuffer, state: Buffer) -> float:
     """What a table of a profile, `potential` or `discounted`, holds for the state."""
-    return table[state[DELIVERIES] * STRIDE + state[DISTANCE]]
+    return table[state[DELIVERIES_DONE] * STRIDE + state[DISTANCE]]
 
 
 def reward_of(

@@ -1,20 +1,21 @@
-"""An episode flown to its end by whoever chooses its actions."""
+"""An episode flown to its end by whoever acts on what it shows."""
 
 from collections.abc import Callable, Iterator
 from typing import SupportsIndex
 
 from drone_env.core.episode import Episode
+from drone_env.core.observation import Observation
 
-Choose = Callable[[Episode], SupportsIndex]
-"""Names the next action of an episode in flight."""
+Act = Callable[[Observation], SupportsIndex]
+"""Chooses an action, as `act` of an agent does."""
 
 
-def choices(episode: Episode, choose: Choose) -> Iterator[SupportsIndex]:
+def choices(episode: Episode, act: Act) -> Iterator[SupportsIndex]:
     """The actions to the end of an episode: the caller flies each before asking for the next."""
     while not episode.ended:
-        yield choose(episode)
+        yield act(episode.observation())
 
 
-def rollout(episode: Episode, choose: Choose) -> Episode:
+def rollout(episode: Episode, act: Act) -> Episode:
     """Fly an episode to its end and return it."""
-    return episode.fly(choices(episode, choose))
+    return episode.fly(choices(episode, act))

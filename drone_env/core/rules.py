@@ -14,7 +14,7 @@ from drone_env.core.tables import (
     BATTERY,
     CELL,
     DELIVERED_FLAG,
-    DELIVERIES,
+    DELIVERIES_DONE,
     DISTANCE,
     EVENT,
     NOWHERE,
@@ -53,7 +53,7 @@ def begin(tables: Tables, state: Buffer) -> None:
     """Full battery, no step taken, nothing delivered, on the map that stands in the state."""
     state[STEPS] = 0
     state[BATTERY] = tables.capacity
-    state[DELIVERIES] = 0
+    state[DELIVERIES_DONE] = 0
     state[EVENT] = NONE
     state[OUTCOME] = FLYING
     choose_target(tables, state)
@@ -94,7 +94,7 @@ def step(tables: Tables, rewards: Rewards, grid: Buffer, state: Buffer, action: 
 def deliver(tables: Tables, state: Buffer) -> None:
     """Deliver the parcel that waits for the drone on its cell."""
     state[UNDER] = DELIVERED_CELL
-    state[DELIVERIES] += 1
+    state[DELIVERIES_DONE] += 1
     for i in range(PARCELS, PARCELS + tables.deliveries):
         if state[i] == state[CELL]:
             state[i] += DELIVERED_FLAG
@@ -114,7 +114,7 @@ def choose_target(tables: Tables, state: Buffer) -> None:
 
 def outcome(tables: Tables, state: Buffer) -> int:
     """How the episode stands after a step."""
-    return outcome_of(tables, state[DELIVERIES], state[BATTERY], state[STEPS])
+    return outcome_of(tables, state[DELIVERIES_DONE], state[BATTERY], state[STEPS])
 
 
 def outcome_of(tables: Tables, deliveries: int, battery: int, steps: int) -> int:

@@ -14,7 +14,7 @@ from drone_env.core.tables import (
     BATTERY,
     CELL,
     DELIVERED_FLAG,
-    DELIVERIES,
+    DELIVERIES_DONE,
     EVENT,
     OUTCOME,
     PARCELS,
@@ -54,11 +54,11 @@ def standing_episode(
     state = np.zeros(state_size(tables), np.uint16)
     state[[CELL, UNDER, BATTERY, STEPS, EVENT]] = drone, grid[drone], battery, steps, Event.NONE
     state[PARCELS:] = [cell + delivered * DELIVERED_FLAG for cell, delivered in parcels]
-    state[DELIVERIES] = sum(delivered for _, delivered in parcels)
+    state[DELIVERIES_DONE] = sum(delivered for _, delivered in parcels)
     state[OUTCOME] = outcome(tables, view(state))
     choose_target(tables, view(state))
     grid[drone] = Cell.DRONE
     profile = get_reward_profile(reward_profile)
     episode = Episode(task, profile)
-    episode.set_state(EpisodeState(task, profile, 0, grid.tobytes(), state.tobytes(), 0.0, 0.0, ()))
+    episode.set_state(EpisodeState(task, profile, 0, grid.tobytes(), state.tobytes(), 0.0, ()))
     return episode

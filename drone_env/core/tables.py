@@ -44,7 +44,7 @@ STEPS = 2
 """Steps taken."""
 BATTERY = 3
 """Battery units left."""
-DELIVERIES = 4
+DELIVERIES_DONE = 4
 """Parcels delivered."""
 TARGET = 5
 """Cell of the current target, or `NOWHERE` when none is left."""

@@ -155,8 +155,9 @@ class TaskConfig:
         )
 
     def rules(self) -> dict[str, Any]:
-        """All that decides how the task is flown, by name: what hashes and data sets say of it."""
-        return {name: value for name, value in asdict(self).items() if name != "family"}
+        """All that decides how the task is flown, as JSON values by name: what hashes and data sets say of it."""
+        numbers = {name: value for name, value in asdict(self).items() if name != "family"}
+        return numbers | {"impassable": sorted(self.impassable)}
 
     @property
     def telemetry_size(self) -> int:

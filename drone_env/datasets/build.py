@@ -1,15 +1,15 @@
 """`build_dataset`: from a configuration to a folder."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from drone_env.datasets.card import card
 from drone_env.datasets.config import DatasetConfig
-from drone_env.datasets.flights import Flight, fly_map
 from drone_env.datasets.minari_writer import MinariWriter
 from drone_env.datasets.parquet_writer import ParquetWriter
+from drone_env.datasets.trajectories import Trajectory, fly_map
 from drone_env.errors import InvalidValueError, UnknownNameError
 
 WRITERS: dict[str, Callable[[Path, DatasetConfig], ParquetWriter | MinariWriter]] = {
@@ -73,28 +73,28 @@ def _write(
 ) -> int:
     rows = episodes = 0
     with ExitStack() as stack:
-        writers = [stack.enter_context(WRITERS[name](folder, config)) for name in dict.fromkeys(formats)]
+        writers = [stack.enter_context(closing(WRITERS[name](folder, config))) for name in dict.fromkeys(formats)]
         for batch in _batches(_fly_all(config, on_map), rows_per_group):
             for writer in writers:
                 writer.write(episodes, batch)
             episodes += len(batch)
-            rows += sum(flight.steps for flight in batch)
+            rows += sum(trajectory.steps for trajectory in batch)
     return rows
 
 
-def _fly_all(config: DatasetConfig, on_map: Callable[[], object]) -> Iterator[Flight]:
+def _fly_all(config: DatasetConfig, on_map: Callable[[], object]) -> Iterator[Trajectory]:
     for seed in config.seeds:
         yield from fly_map(config, seed)
         on_map()
 
 
-def _batches(flights: Iterable[Flight], rows: int) -> Iterator[list[Flight]]:
+def _batches(trajectories: Iterable[Trajectory], rows: int) -> Iterator[list[Trajectory]]:
     """Whole flights, of at least `rows` steps together; the last ones of what is left."""
-    batch: list[Flight] = []
+    batch: list[Trajectory] = []
     steps = 0
-    for flight in flights:
-        batch.append(flight)
-        steps += flight.steps
+    for trajectory in trajectories:
+        batch.append(trajectory)
+        steps += trajectory.steps
         if steps >= rows:
             yield batch
             batch, steps = [], 0

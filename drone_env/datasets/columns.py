@@ -9,7 +9,7 @@ import numpy as np
 from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.cells import Cell
 from drone_env.core.tasks import TERRAIN, TaskConfig
-from drone_env.datasets.flights import Flight
+from drone_env.datasets.trajectories import Trajectory
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Column:
     shape: tuple[int, ...]
     """Of one entry, () for a scalar; an entry is stored flat, row by row."""
     text: str
-    values: Callable[[Flight], Any]
+    values: Callable[[Trajectory], Any]
 
 
 def columns(task: TaskConfig) -> list[Column]:
@@ -50,7 +50,7 @@ def columns(task: TaskConfig) -> list[Column]:
         Column("action_mask", "int8", actions, "0 for each action that would bump", lambda f: f.action_masks[:-1]),
         Column("action", "int8", (), "what was flown: 0 up, 1 down, 2 left, 3 right, 4 wait", lambda f: f.actions),
         Column(
-            "agent_action", "int8", (), "what the agent chose, before chance had its say", lambda f: f.agent_actions
+            "agent_action", "int8", (), "what the agent chose; chance may have flown another", lambda f: f.agent_actions
         ),
         Column("reward", "float64", (), "what the step paid, by the reward profile", lambda f: f.rewards),
         Column(

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, cast
+from typing import Any
 
 from drone_env import __version__
 from drone_env.agents import make_agent
@@ -70,7 +70,7 @@ class DatasetConfig:
             "epsilon": self.epsilon,
             "reward_profile": asdict(get_reward_profile(self.reward_profile)),
         }
-        config = json.loads(json.dumps(config, default=_as_json_value))
+        config = json.loads(json.dumps(config, default=str))
         digest = hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16]
         return {**config, "config_hash": digest, "package_version": __version__}
 
@@ -98,7 +98,3 @@ def dataset_config(
     profile = get_reward_profile(reward_profile)
     keys = tuple(episodes_key(task, agent, seeds, split) for agent in agents)
     return DatasetConfig(task, keys, float(epsilon), profile.id)
-
-
-def _as_json_value(value: object) -> Any:
-    return sorted(cast(frozenset[int], value)) if isinstance(value, frozenset) else str(value)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import gymnasium
@@ -10,7 +9,7 @@ import numpy as np
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.datasets.config import DatasetConfig
-from drone_env.datasets.flights import Flight
+from drone_env.datasets.trajectories import Trajectory
 from drone_env.errors import MissingPackageError
 from drone_env.installer import DISTRIBUTION
 
@@ -73,45 +72,40 @@ class MinariWriter:
             }
         )
 
-    def write(self, first_episode: int, flights: Sequence[Flight]) -> None:
+    def write(self, first_episode: int, trajectories: Sequence[Trajectory]) -> None:
         """Append flights, numbered from `first_episode` on."""
-        numbers = range(first_episode, first_episode + len(flights))
-        self._storage.update_episodes(self._buffer_of(n, flight) for n, flight in zip(numbers, flights, strict=True))
-        self._storage.update_episode_metadata([_about(flight) for flight in flights], numbers)
+        numbers = range(first_episode, first_episode + len(trajectories))
+        self._storage.update_episodes(map(self._buffer_of, numbers, trajectories))
+        self._storage.update_episode_metadata([_about(trajectory) for trajectory in trajectories], numbers)
 
-    def __enter__(self) -> "MinariWriter":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         """Nothing is left open between two writes."""
 
-    def _buffer_of(self, number: int, flight: Flight) -> Any:
+    def _buffer_of(self, number: int, trajectory: Trajectory) -> Any:
         return self._buffer(
             id=number,
-            seed=flight.seed,
-            observations={"grid": flight.grids, "telemetry": flight.telemetry},
-            actions=flight.actions.astype(np.int64),
-            rewards=flight.rewards,
-            terminations=flight.terminated,
-            truncations=np.zeros(flight.steps, np.bool_),
+            seed=trajectory.seed,
+            observations={"grid": trajectory.grids, "telemetry": trajectory.telemetry},
+            actions=trajectory.actions.astype(np.int64),
+            rewards=trajectory.rewards,
+            terminations=trajectory.terminated,
+            truncations=np.zeros(trajectory.steps, np.bool_),
             infos={
-                "action_mask": flight.action_masks,
-                "score": flight.scores,
-                "event": flight.events,
-                "value": flight.values,
-                "q_values": np.concatenate([flight.q_values, np.full((1, N_ACTIONS), np.nan)]),
-                "regret": np.append(flight.regrets, np.nan),
-                "optimal_actions": np.concatenate([flight.optimal_actions, np.zeros((1, N_ACTIONS), np.bool_)]),
-                "agent_action": np.append(flight.agent_actions, np.int8(-1)),
+                "action_mask": trajectory.action_masks,
+                "score": trajectory.scores,
+                "event": trajectory.events,
+                "value": trajectory.values,
+                "q_values": np.concatenate([trajectory.q_values, np.full((1, N_ACTIONS), np.nan)]),
+                "regret": np.append(trajectory.regrets, np.nan),
+                "optimal_actions": np.concatenate([trajectory.optimal_actions, np.zeros((1, N_ACTIONS), np.bool_)]),
+                "agent_action": np.append(trajectory.agent_actions, np.int8(-1)),
             },
         )
 
 
-def _about(flight: Flight) -> dict[str, Any]:
+def _about(trajectory: Trajectory) -> dict[str, Any]:
     return {
-        "agent": flight.agent,
-        "final_score": float(flight.scores[-1]),
-        "optimal_score": float(flight.values[0]),
+        "agent": trajectory.agent,
+        "final_score": float(trajectory.scores[-1]),
+        "optimal_score": float(trajectory.values[0]),
     }

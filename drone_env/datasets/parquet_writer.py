@@ -6,7 +6,6 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy.typing as npt
 
 from drone_env.datasets.columns import Column, columns
 from drone_env.datasets.config import DatasetConfig
-from drone_env.datasets.flights import Flight
+from drone_env.datasets.trajectories import Trajectory
 from drone_env.errors import MissingPackageError
 
 if TYPE_CHECKING:
@@ -45,20 +44,16 @@ class ParquetWriter:
         self._schema = pyarrow.schema(fields, {"drone_env": json.dumps(config.as_json())})
         self._writer = pyarrow.parquet.ParquetWriter(folder / FILE, self._schema, compression="zstd")
 
-    def write(self, first_episode: int, flights: Sequence[Flight]) -> None:
+    def write(self, first_episode: int, trajectories: Sequence[Trajectory]) -> None:
         """Append flights, numbered from `first_episode` on."""
-        numbers = np.arange(first_episode, first_episode + len(flights))
-        arrays = [self._arrow.array(np.repeat(numbers, [flight.steps for flight in flights]))]
-        arrays += [self._array(column, flights) for column in self._columns]
+        numbers = np.arange(first_episode, first_episode + len(trajectories))
+        arrays = [self._arrow.array(np.repeat(numbers, [trajectory.steps for trajectory in trajectories]))]
+        arrays += [self._array(column, trajectories) for column in self._columns]
         table = self._arrow.Table.from_arrays(arrays, schema=self._schema)
         self._writer.write_table(table, row_group_size=len(table))
 
-    def __enter__(self) -> "ParquetWriter":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Complete the file."""
         self._writer.close()
 
     def _field(self, name: str, dtype: str, shape: tuple[int, ...], text: str) -> "pyarrow.Field[Any]":
@@ -69,12 +64,12 @@ class ParquetWriter:
         metadata = {"description": text, "shape": json.dumps(shape)}
         return self._arrow.field(name, kind, nullable=False, metadata=metadata)
 
-    def _array(self, column: Column, flights: Sequence[Flight]) -> "pyarrow.Array[Any]":
+    def _array(self, column: Column, trajectories: Sequence[Trajectory]) -> "pyarrow.Array[Any]":
         kind = self._schema.field(column.name).type
         parts: list[npt.NDArray[Any]] = []
-        for flight in flights:
-            part = column.values(flight)
-            parts.append(np.full(flight.steps, part) if np.ndim(part) == 0 else part)
+        for trajectory in trajectories:
+            part = column.values(trajectory)
+            parts.append(np.full(trajectory.steps, part) if np.ndim(part) == 0 else part)
         values = np.concatenate(parts)
         if not column.shape:
             return self._arrow.array(values, kind)

@@ -106,8 +106,7 @@ def replay(record: EpisodeRecord, reward_profile: str | RewardProfile | None = N
             something else than the record says.
     """
     task = get_task(record.task, record.task_version)
-    episode = Episode(task, record.reward_profile if reward_profile is None else reward_profile)
-    episode.reset(record.seed)
+    episode = Episode(task, record.reward_profile if reward_profile is None else reward_profile, record.seed)
     for number, action in enumerate(record.actions, 1):
         if episode.ended:
             raise InvalidValueError(

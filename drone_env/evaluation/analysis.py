@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.episode import Episode
@@ -25,7 +25,7 @@ Label = Literal["best", "good", "inaccuracy", "mistake", "blunder"]
 LABELS: tuple[Label, ...] = get_args(Label)
 
 
-class Annotation(NamedTuple):
+class Severity(NamedTuple):
     """From which regret on a move has a label, in parcels, and how it is marked."""
 
     label: Label
@@ -33,11 +33,11 @@ class Annotation(NamedTuple):
     mark: str
 
 
-ANNOTATIONS = (
-    Annotation("good", 0.0, ""),
-    Annotation("inaccuracy", 0.008, "?!"),
-    Annotation("mistake", 0.05, "?"),
-    Annotation("blunder", 0.5, "??"),
+SEVERITIES = (
+    Severity("good", 0.0, ""),
+    Severity("inaccuracy", 0.008, "?!"),
+    Severity("mistake", 0.05, "?"),
+    Severity("blunder", 0.5, "??"),
 )
 """What a regret above 0 is called; best is a regret of exactly 0.
 
@@ -51,7 +51,7 @@ The unit is what one parcel adds to the score, 0.8 / parcels of the map, so that
 - 0.008: one wrong turn, which costs the step there and the step back: 0.0083 parcels on easy, 0.0156 on hard. A single
   step lost is below it on easy, medium and hard (0.0042 to 0.0078).
 """
-MARKS = {annotation.label: annotation.mark for annotation in ANNOTATIONS} | {"best": ""}
+MARKS = {severity.label: severity.mark for severity in SEVERITIES} | {"best": ""}
 ONLY_MOVE = "!!"
 
 
@@ -61,11 +61,11 @@ def parcel_value(task: TaskConfig) -> float:
 
 
 def label_of(regret: float, task: TaskConfig) -> Label:
-    """What a move with this regret is called, see `ANNOTATIONS`."""
+    """What a move with this regret is called, see `SEVERITIES`."""
     if regret == 0:
         return "best"
     parcels = regret / parcel_value(task)
-    return next(annotation.label for annotation in reversed(ANNOTATIONS) if annotation.least <= parcels)
+    return next(severity.label for severity in reversed(SEVERITIES) if severity.least <= parcels)
 
 
 @dataclass(frozen=True)
@@ -200,28 +200,8 @@ class FlightAnalysis:
             "decisive": self.decisive,
             "counts": self.counts,
             "values": list(self.values),
-            "moves": [
-                {
-                    "step": move.step,
-                    "action": move.action.name,
-                    "position": list(move.position),
-                    "event": move.event.name.lower(),
-                    "value": move.value,
-                    "regret": move.regret,
-                    "label": move.label,
-                    "best_actions": [action.name for action in move.best_actions],
-                    "margin": move.margin,
-                    "mark": move.mark,
-                }
-                for move in self.moves
-            ],
-            "giving_up": giving_up
-            and {
-                "value": giving_up.value,
-                "regret": giving_up.regret,
-                "label": giving_up.label,
-                "best_actions": [action.name for action in giving_up.best_actions],
-            },
+            "moves": [_plain(vars(move)) for move in self.moves],
+            "giving_up": giving_up and _plain(vars(giving_up)),
         }
 
     def to_json(self) -> str:
@@ -230,37 +210,21 @@ class FlightAnalysis:
 
     def to_text(self) -> str:
         """All of it for a terminal or a file: a title, one line per move, the summary."""
-        lines = [self.title(), "", HEADING, *self.move_lines()]
-        if self.giving_up is not None:
-            lines.append(self.giving_up_line(self.giving_up))
-        return "\n".join([*lines, "", *self.summary_lines()])
-
-    def title(self) -> str:
-        """Which flight it is."""
-        return f"{self.task.id}, map {self.seed}, flown by {self.agent}"
-
-    def move_lines(self) -> list[str]:
-        """One line per move, below `HEADING`."""
-        return [
-            _line(str(move.step), move.action.name, move.mark, str(move.position), move.event.name.lower(), after, move)
-            for move, (_, after) in zip(self.moves, pairwise(self.values), strict=False)
-        ]
-
-    def giving_up_line(self, giving_up: GivingUp) -> str:
-        """The line of an unfinished flight that follows those of its moves."""
-        return _line("", "stop", MARKS[giving_up.label], "", "unfinished", self.score, giving_up)
+        losses = self.moves if self.giving_up is None else (*self.moves, self.giving_up)
+        lines = [_line(lost, after) for lost, (_, after) in zip(losses, pairwise(self.values), strict=True)]
+        title = f"{self.task.id}, map {self.seed}, flown by {self.agent}"
+        return "\n".join([title, "", HEADING, *lines, "", *self.summary_lines()])
 
     def summary_lines(self) -> list[str]:
         """The moves by label and what they lost together, the score beside the optimum, the accuracy."""
-        counts = self.counts
-        lines = [f"{'':<10} {'moves':>6}  {'lost':>7}"]
-        for label in LABELS:
+        rows: list[tuple[str, str, float, str]] = []
+        for label, count in self.counts.items():
             lost = math.fsum(move.regret for move in self.moves if move.label == label)
-            mark = MARKS[label] if counts[label] else ""
-            lines.append(f"{label:<10} {counts[label]:>6}  {lost:7.5f}  {mark}".rstrip())
+            rows.append((label, str(count), lost, MARKS[label] if count else ""))
         if self.giving_up is not None:
-            lost = self.giving_up.regret
-            lines.append(f"{'giving up':<10} {'':>6}  {lost:7.5f}  {MARKS[self.giving_up.label]}".rstrip())
+            rows.append(("giving up", "", self.giving_up.regret, MARKS[self.giving_up.label]))
+        lines = [f"{'':<10} {'moves':>6}  {'lost':>7}"]
+        lines += [f"{name:<10} {count:>6}  {lost:7.5f}  {mark}".rstrip() for name, count, lost, mark in rows]
         lines += ["", f"Score {self.score:.4f}, optimum {self.optimum:.4f}, regret {self.regret:.5f}"]
         if self.giving_up is not None:
             lines.append(f"Unfinished after {len(self.moves)} steps: counted as if it had waited to the end")
@@ -287,9 +251,7 @@ def analyse_flight(record: EpisodeRecord) -> FlightAnalysis:
         TooLargeError: if the exact values of the map would take too much memory.
     """
     flown = replay(record, "score")  # regret is in score, whatever the steps paid
-    start = Episode(flown.task, flown.reward_profile)
-    start.reset(flown.seed)
-    return analyse_actions(start, flown.actions, record.agent)
+    return analyse_actions(Episode(flown.task, flown.reward_profile, flown.seed), flown.actions, record.agent)
 
 
 def analyse_actions(start: Episode, actions: Iterable[int], agent: str) -> FlightAnalysis:
@@ -308,8 +270,7 @@ def analyse_actions(start: Episode, actions: Iterable[int], agent: str) -> Fligh
     from drone_env.planning.exact import ExactSolver  # loads Numba
 
     solver = ExactSolver(start)
-    flight = Episode(start.task, start.reward_profile)
-    flight.set_state(start.get_state())
+    flight = start.copy()
     moves: list[Move] = []
     for action in actions:
         values = solver.q_values(flight).tolist()
@@ -348,9 +309,26 @@ def _move(flight: Episode, values: list[float]) -> Move:
     )
 
 
-def _line(number: str, name: str, mark: str, to: str, event: str, after: float, lost: Move | GivingUp) -> str:
+def _line(lost: Move | GivingUp, after: float) -> str:
+    """One line below `HEADING`; `after` is what can still be reached."""
+    if isinstance(lost, Move):
+        move, mark, event = lost.action.name, lost.mark, lost.event.name.lower()
+        number, to = str(lost.step), str(lost.position)
+    else:
+        move, mark, event = "stop", MARKS[lost.label], "unfinished"
+        number, to = "", ""
     regret, better = "", ""
     if lost.regret > 0:
         regret, better = f"{lost.regret:.5f}", ", ".join(action.name for action in lost.best_actions)
-    move = f"{name:<5} {mark}"
-    return f"{number:>4}  {move:<8} {to:>8}  {event:<12}  {after:6.4f}  {regret:>7}  {better}".rstrip()
+    return f"{number:>4}  {f'{move:<5} {mark}':<8} {to:>8}  {event:<12}  {after:6.4f}  {regret:>7}  {better}".rstrip()
+
+
+def _plain(value: Any) -> Any:
+    """As a JSON value: actions and events by their names."""
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in cast(dict[str, Any], value).items()}
+    if isinstance(value, tuple):
+        return [_plain(item) for item in cast(tuple[Any, ...], value)]
+    if isinstance(value, Action):
+        return value.name
+    return value.name.lower() if isinstance(value, Event) else value

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -63,6 +63,10 @@ class EpisodeResults:
     optimal_steps: npt.NDArray[np.int32]
 
 
+COLUMNS = [field.name for field in fields(EpisodeResults) if field.name != "key"]
+"""What there is of each episode."""
+
+
 def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = "custom") -> EpisodesKey:
     """The key of flying consecutive seeds of a task with an agent.
 
@@ -91,10 +95,9 @@ def config_hash(task: TaskConfig, agent: str) -> str:
     Raises:
         InvalidValueError: if the agent does not say what decides how it flies.
     """
-    numbers = task.rules() | {"impassable": sorted(task.impassable)}
     flies: Any = getattr(make_agent(agent, task), "config", None)
     try:
-        text = json.dumps({"task": numbers, "agent": dict(flies)}, sort_keys=True)
+        text = json.dumps({"task": task.rules(), "agent": dict(flies)}, sort_keys=True)
     except (TypeError, ValueError):
         told = "a mapping of JSON values, of all that decides how it flies"
         raise InvalidValueError(f"agent {agent!r} must have `config`, {told}; got {flies!r}") from None
@@ -143,11 +146,6 @@ def pieces_of(key: EpisodesKey, size: int = PIECE) -> list[EpisodesKey]:
     return [key._replace(seeds=(first, min(first + size, stop))) for first in range(start, stop, size)]
 
 
-def run_in_chunks(key: EpisodesKey, chunk: int = PIECE) -> Iterator[EpisodeResults]:
-    """The episodes of a key in pieces of `chunk`, for progress bars; `concatenate` puts them together."""
-    return map(run_episodes, pieces_of(key, chunk))
-
-
 def concatenate(pieces: Sequence[EpisodeResults]) -> EpisodeResults:
     """One result from the results of neighbouring pieces.
 
@@ -160,10 +158,9 @@ def concatenate(pieces: Sequence[EpisodeResults]) -> EpisodeResults:
     for left, right in pairwise(keys):
         if left._replace(seeds=right.seeds) != right or left.seeds[1] != right.seeds[0]:
             raise InvalidValueError(f"these results are not neighbours: {left} and {right}")
-    columns = [field.name for field in fields(EpisodeResults) if field.name != "key"]
     return EpisodeResults(
         key=keys[0]._replace(seeds=(keys[0].seeds[0], keys[-1].seeds[1])),
-        **{name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in columns},
+        **{name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in COLUMNS},
     )
 
 
@@ -216,7 +213,7 @@ def _fly(task: TaskConfig, agent_name: str, seeds: npt.NDArray[np.int64]) -> "En
     ends: list[tuple[float, int, int]] = []
     for seed in seeds.tolist():
         agent.reset(seed)
-        episode = rollout(Episode(task, seed=seed), lambda episode: agent.act(episode.observation()))
+        episode = rollout(Episode(task, seed=seed), agent.act)
         ends.append((episode.score, episode.steps, episode.deliveries_done))
     scores, steps, deliveries_done = zip(*ends, strict=True)
     return Ends(np.array(scores), np.array(steps, np.int32), np.array(deliveries_done, np.int32))

@@ -4,7 +4,6 @@ import json
 import os
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from drone_env import __version__
 from drone_env.core.tasks import WITHDRAWN, withdrawal
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import (
+    COLUMNS,
     PIECE,
     EpisodeResults,
     EpisodesKey,
@@ -26,7 +26,6 @@ from drone_env.files import replacing
 Engine = Callable[[Sequence[EpisodesKey]], Iterator[EpisodeResults]]
 """Brings the results of all keys, in any order; bringing one twice does no harm."""
 CONFIG, PIECES = "evaluation.json", "pieces"
-COLUMNS = [field.name for field in fields(EpisodeResults) if field.name != "key"]
 
 
 def local_engine(keys: Sequence[EpisodesKey]) -> Iterator[EpisodeResults]:

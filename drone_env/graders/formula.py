@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any
 
 from drone_env.core.score import score_of
+from drone_env.core.tables import interpreted
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.models import DroneState
@@ -41,12 +42,4 @@ def grade(task_name: str, state: DroneState | Mapping[str, Any]) -> float:
         raise InvalidValueError(
             f"{task.id!r} has (deliveries_total, battery_capacity, max_steps) = {expected}; the state says {counts}"
         )
-    return score_of(
-        state.deliveries_done,
-        task.deliveries,
-        state.battery_steps_remaining,
-        task.battery_capacity,
-        state.step_count,
-        task.max_steps,
-        task.efficiency_needs_all,
-    )
+    return score_of(interpreted(task), state.deliveries_done, state.battery_steps_remaining, state.step_count)

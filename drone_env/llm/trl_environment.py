@@ -62,9 +62,7 @@ class DroneEnvironment:
         """
         if task is None or seed is None:
             raise InvalidValueError("each row of the data set needs the columns task and seed, as of training_maps()")
-        episode = Episode(task, self._reward_profile)
-        episode.reset(seed)
-        self._episode = episode
+        self._episode = episode = Episode(task, self._reward_profile, seed)
         return first_messages(PROMPT, episode.task, DroneObservation.of(episode), [], 0)[1]["content"]
 
     def fly(self, direction: Direction) -> str:
@@ -103,11 +101,7 @@ class DroneEnvironment:
         """
         if not self._episode.started:
             raise EpisodeError("no flight to pay for: call reset() first")
-        rest = Episode(self._episode.task, self._reward_profile)
-        rest.set_state(self._episode.get_state())
-        while not rest.ended:
-            rest.step(Action.WAIT)
-        return rest.reward_total
+        return self._episode.waited_out().reward_total
 
 
 def training_maps(task: str = "easy", maps: int = 1000, split: str = "train") -> "Dataset":

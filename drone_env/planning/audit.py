@@ -23,11 +23,12 @@ from drone_env.core.cells import Cell
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import distance
 from drone_env.core.episode import Episode
+from drone_env.core.observation import Observation
 from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, profile_for_discount, tabulate_rewards
 from drone_env.core.rollout import rollout
 from drone_env.core.rules import step
 from drone_env.core.score import score
-from drone_env.core.tables import BATTERY, CELL, DELIVERIES, DISTANCE, OUTCOME, TARGET, UNDER, Tables, tabulate
+from drone_env.core.tables import BATTERY, CELL, DELIVERIES_DONE, DISTANCE, OUTCOME, TARGET, UNDER, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
 from drone_env.planning.map_graph import (
@@ -114,9 +115,9 @@ def audit_kernel(
                             put_drone(tables, grid, state, cell, first_step + t, lowest[t] + units)
                             state[TARGET] = target_cell
                             state[DISTANCE] = distance(tables, cell, target_cell)
-                            before = state[DELIVERIES]
+                            before = state[DELIVERIES_DONE]
                             returns[action] = step(tables, rewards, grid, state, action)
-                            arrived = state[DELIVERIES] != before
+                            arrived = state[DELIVERIES_DONE] != before
                             if state[OUTCOME] != FLYING:
                                 scores[action] = score(tables, state)
                             else:
@@ -267,12 +268,13 @@ def _maximise(start: Episode, gamma: float) -> tuple[Episode, float]:
     noise = NOISE * float(max(np.abs(rewards.events).max(), np.abs(rewards.potential).max()))
     audit_kernel(tables, rewards, gamma, noise, grid, state, parcels, start.steps, lowest, sizes, values, lows, choices)
 
-    def choose(flight: Episode) -> int:
+    flight = start.copy()
+
+    def act(_: Observation) -> int:
         t = flight.steps - start.steps
         return int(choices[(t, flight.battery_units - lowest[t], *_aim(flight), flight.cell)])
 
-    flight = rollout(start.copy(), choose)
-    return flight, float(values[(0, start.battery_units - lowest[0], *_aim(start), start.cell)])
+    return rollout(flight, act), float(values[(0, start.battery_units - lowest[0], *_aim(start), start.cell)])
 
 
 def _aim(flight: Episode) -> tuple[int, int]:

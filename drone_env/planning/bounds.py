@@ -1,6 +1,7 @@
 """Proven bounds of the optimum, for maps that are too large to be solved exactly."""
 
 from collections import deque
+from functools import partial
 from typing import NamedTuple
 
 from drone_env.core.actions import N_ACTIONS, Action, Event
@@ -33,7 +34,7 @@ def bounds(episode: Episode) -> Bounds:
     (or, where nothing charges, had lost only the cheapest steps), with all the parcels that the steps left allow on
     the shortest tour.
     """
-    flight = rollout(episode.copy(), lambda flight: greedy_action(flight.task, flight.observation()))
+    flight = rollout(episode.copy(), partial(greedy_action, episode.task))
     return Bounds(flight.score, max(_upper(episode), flight.score))
 
 
@@ -58,10 +59,7 @@ def _upper(episode: Episode) -> float:
 
     def score(deliveries: int, after: int) -> float:
         battery = tables.capacity if charges else max(episode.battery_units - least_drain * after, 0)
-        at = episode.steps + after
-        return score_of(
-            deliveries, task.deliveries, battery, tables.capacity, at, task.max_steps, task.efficiency_needs_all
-        )
+        return score_of(tables, deliveries, battery, episode.steps + after)
 
     done = episode.deliveries_done
     if done + reached == task.deliveries:

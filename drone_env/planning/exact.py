@@ -8,10 +8,11 @@ A value is kept as the rank of a score among all scores that the task knows, whi
 """
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Action, Outcome, check_action
@@ -25,7 +26,14 @@ from drone_env.core.score import score_of
 from drone_env.core.tables import Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError
-from drone_env.planning.map_graph import battery_ranges, drain_range, map_graph, require_memory, waiting_parcels
+from drone_env.planning.map_graph import (
+    MapGraph,
+    battery_ranges,
+    drain_range,
+    map_graph,
+    require_memory,
+    waiting_parcels,
+)
 
 FLYING = int(Outcome.FLYING)
 ANOTHER = "this episode cannot have come from the one that was solved: make a solver of its own"
@@ -37,45 +45,45 @@ def score_kernel(tables: Tables, scores: Any) -> None:
     for deliveries in range(scores.shape[0]):
         for battery in range(scores.shape[1]):
             for steps in range(scores.shape[2]):
-                scores[deliveries, battery, steps] = score_of(
-                    deliveries,
-                    tables.deliveries,
-                    battery,
-                    tables.capacity,
-                    steps,
-                    tables.max_steps,
-                    tables.efficiency_needs_all,
-                )
+                scores[deliveries, battery, steps] = score_of(tables, deliveries, battery, steps)
+
+
+class Values(NamedTuple):
+    """The values of all states that can come of one with T steps left, as the kernel sees them."""
+
+    graph: MapGraph
+    ends: Any
+    """[deliveries + 1, capacity + 1, max_steps + 1], the rank of the score of each end."""
+    lowest: Any
+    """int64[T + 1], the lowest battery that can be left after each step from `first_step` on, at least 1."""
+    starts: Any
+    """int64[T + 1], where the ranks of each step start."""
+    first_step: int
+    """Steps taken when the planning starts."""
+    ranks: Any
+    """[starts[-1]], the rank of each value: place by place, after battery, after step."""
+
+
+def rank_after(values: Values, t: int, battery: int, place: int, action: int) -> Any:
+    """The rank of the highest score that can be reached after an action, `t` steps after `first_step`."""
+    tables, leads_to, drain, done = values.graph
+    to, steps = int(leads_to[place, action]), values.first_step + t + 1
+    left = units_left(tables, battery, int(drain[place, action]))
+    deliveries_done = int(done[to // tables.cells])
+    if outcome_of(tables, deliveries_done, left, steps) != FLYING:
+        return np.int64(values.ends[deliveries_done, left, steps])
+    return np.int64(values.ranks[values.starts[t + 1] + (left - values.lowest[t + 1]) * len(leads_to) + to])
+
+
+register_jitable(forceinline=True, **compiled.OPTIONS)(rank_after)
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
-def value_kernel(
-    tables: Tables,
-    leads_to: Any,
-    drain: Any,
-    done: Any,
-    ranks: Any,
-    lowest: Any,
-    starts: Any,
-    first_step: int,
-    values: Any,
-) -> None:
-    """Fill `values` from the last step backwards.
-
-    Args:
-        tables: The task's tables.
-        leads_to: int32[places, 5], see `MapGraph`.
-        drain: int16[places, 5], see `MapGraph`.
-        done: int64[2^n], parcels delivered in all for each delivered set.
-        ranks: [deliveries + 1, capacity + 1, max_steps + 1], the rank of the score of each end.
-        lowest: int64[T + 1], the lowest battery that can be left after each step from `first_step` on, at least 1.
-        starts: int64[T + 1], where the values of each step start.
-        first_step: Steps taken when the planning starts.
-        values: [starts[-1]], receives the ranks; place by place, after battery, after step.
-    """
+def value_kernel(values: Values) -> None:
+    """Fill in the ranks from the last step backwards."""
+    leads_to, lowest, starts = values.graph.leads_to, values.lowest, values.starts
     places = len(leads_to)
     for t in range(len(starts) - 2, -1, -1):
-        steps = first_step + t + 1
         size = (starts[t + 1] - starts[t]) // places
         for j in range(size):
             for place in range(places):
@@ -83,15 +91,8 @@ def value_kernel(
                     continue
                 best = 0
                 for action in range(N_ACTIONS):
-                    to = leads_to[place, action]
-                    battery = units_left(tables, lowest[t] + j, drain[place, action])
-                    deliveries = done[to // tables.cells]
-                    if outcome_of(tables, deliveries, battery, steps) != FLYING:
-                        rank = np.int64(ranks[deliveries, battery, steps])
-                    else:
-                        rank = np.int64(values[starts[t + 1] + (battery - lowest[t + 1]) * places + to])
-                    best = max(best, rank)
-                values[starts[t] + j * places + place] = best
+                    best = max(best, rank_after(values, t, lowest[t] + j, place, action))
+                values.ranks[starts[t] + j * places + place] = best
 
 
 @lru_cache(maxsize=16)
@@ -123,22 +124,23 @@ class ExactSolver:
         task = episode.task
         self._start, self._unflown = episode.copy(), _unflown(episode)
         self._waiting = waiting_parcels(episode)
-        self._places = task.width * task.height << len(self._waiting)
+        places = task.width * task.height << len(self._waiting)
         ends = (task.deliveries + 1) * (task.battery_capacity + 1) * (task.max_steps + 1)
-        require_memory("the exact values", task, 12 * ends + 30 * self._places)
-        self._graph = map_graph(episode)
+        require_memory("the exact values", task, 12 * ends + 30 * places)
+        graph = map_graph(episode)
         steps_left = task.max_steps - episode.steps
-        self._lowest, sizes = battery_ranges(episode.battery_units, *drain_range(task), task, steps_left)
-        self._starts = np.concatenate([[0], np.cumsum(sizes)]) * self._places
-        self._scores, self._ranks = ranked_scores(task)
-        require_memory("the exact values", task, int(self._starts[-1]) * self._ranks.itemsize)
-        self._values = np.zeros(int(self._starts[-1]), self._ranks.dtype)
-        value_kernel(*self._graph, self._ranks, self._lowest, self._starts, episode.steps, self._values)
+        lowest, sizes = battery_ranges(episode.battery_units, *drain_range(task), task, steps_left)
+        starts = np.concatenate([[0], np.cumsum(sizes)]) * places
+        self._scores, ranked = ranked_scores(task)
+        require_memory("the exact values", task, int(starts[-1]) * ranked.itemsize)
+        ranks = np.zeros(int(starts[-1]), ranked.dtype)
+        self._values = Values(graph, ranked, lowest, starts, episode.steps, ranks)
+        value_kernel(self._values)
 
     @property
     def nbytes(self) -> int:
         """Memory that the values take."""
-        return self._values.nbytes
+        return self._values.ranks.nbytes
 
     def q_values(self, episode: Episode) -> npt.NDArray[np.float64]:
         """Q*, float64[5]: the highest score that can still be reached after each action.
@@ -146,20 +148,9 @@ class ExactSolver:
         Raises:
             EpisodeError: if the episode has ended, or cannot have come from the one that was solved.
         """
-        tables, leads_to, drain, done = self._graph
-        place, steps, battery = self._locate(episode), episode.steps, episode.battery_units
-        t = steps - self._start.steps
-        ranks = np.zeros(N_ACTIONS, np.int64)
-        for action in range(N_ACTIONS):
-            to = int(leads_to[place, action])
-            left = units_left(tables, battery, int(drain[place, action]))
-            deliveries = int(done[to // tables.cells])
-            if outcome_of(tables, deliveries, left, steps + 1) != FLYING:
-                ranks[action] = self._ranks[deliveries, left, steps + 1]
-            else:
-                index = int(self._starts[t + 1]) + (left - int(self._lowest[t + 1])) * self._places + to
-                ranks[action] = self._values[index]
-        return self._scores[ranks]
+        place, t = self._locate(episode), episode.steps - self._values.first_step
+        after = [rank_after(self._values, t, episode.battery_units, place, action) for action in range(N_ACTIONS)]
+        return self._scores[after]
 
     def value(self, episode: Episode) -> float:
         """V*: the highest score that can still be reached; after the end, the score.
@@ -190,7 +181,8 @@ class ExactSolver:
 
         Of equally good actions the lowest number, so it is the same in every run.
         """
-        flight = rollout(self._start.copy(), lambda flight: self.optimal_actions(flight)[0])
+        flight = self._start.copy()
+        rollout(flight, lambda _: self.optimal_actions(flight)[0])
         return [step.action for step in flight.path[len(self._start.actions) :]]
 
     def _locate(self, episode: Episode) -> int:
@@ -199,15 +191,16 @@ class ExactSolver:
             raise EpisodeError("the episode has ended: there is no action left to value")
         if (episode.task, episode.seed) != (self._start.task, self._start.seed):
             raise EpisodeError(ANOTHER)
-        waiting, t = waiting_parcels(episode), episode.steps - self._start.steps
+        graph, _, lowest, starts, first_step, _ = self._values
+        waiting, t = waiting_parcels(episode), episode.steps - first_step
         delivered = sum(1 << k for k, parcel in enumerate(self._waiting) if parcel not in waiting)
-        place = delivered * self._graph.tables.cells + episode.cell
+        place = delivered * graph.tables.cells + episode.cell
         possible = (
             t >= 0
             and np.array_equal(_unflown(episode), self._unflown)
             and set(waiting) <= set(self._waiting)
-            and int(self._graph.leads_to[place, 0]) >= 0
-            and 0 <= episode.battery_units - self._lowest[t] < (self._starts[t + 1] - self._starts[t]) // self._places
+            and graph.leads_to[place, 0] >= 0
+            and 0 <= episode.battery_units - lowest[t] < (starts[t + 1] - starts[t]) // len(graph.leads_to)
         )
         if not possible:
             raise EpisodeError(ANOTHER)

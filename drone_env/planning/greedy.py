@@ -10,23 +10,11 @@ import numpy.typing as npt
 from drone_env.core.actions import Action
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.paths import Position, towards, towards_batch
-
-
-def drone_position(task: TaskConfig, observation: Observation) -> Position:
-    """(x, y) of the drone, from the telemetry."""
-    return _position(task, observation, 0)
-
-
-def target_position(task: TaskConfig, observation: Observation) -> Position:
-    """(x, y) of the current target, from the telemetry; the drone's own when nothing is left."""
-    return _position(task, observation, 3)
+from drone_env.planning.paths import towards
 
 
 def greedy_action(task: TaskConfig, observation: Observation) -> Action:
     """The next action towards the nearest target; WAIT when nothing is left."""
-    if task.uniform:
-        return towards(drone_position(task, observation), target_position(task, observation))
     return Action(int(greedy_actions(task, observation["grid"][None], observation["telemetry"][None])[0]))
 
 
@@ -36,7 +24,7 @@ def greedy_actions(
     """The same for N episodes: int64[N] from grids uint8[N, H, W] and telemetry float32[N, telemetry_size]."""
     drones, targets = positions(task, telemetry)
     if task.uniform:
-        return towards_batch(drones, targets)
+        return towards(drones, targets)
     from drone_env.planning.cheapest_path import cheapest_actions  # compiles, which only these tasks are worth
 
     return cheapest_actions(task, grids, drones)
@@ -49,8 +37,3 @@ def positions(
     sides = np.array([task.width, task.height])
     drones, targets = (np.rint(telemetry[:, i : i + 2] * sides).astype(np.int64) for i in (0, 3))
     return drones, targets
-
-
-def _position(task: TaskConfig, observation: Observation, index: int) -> Position:
-    x, y = observation["telemetry"][index : index + 2].tolist()
-    return round(x * task.width), round(y * task.height)

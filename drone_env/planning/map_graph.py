@@ -1,4 +1,4 @@
-"""One map as a graph: where each action leads from each place, found by flying it with the dynamics.
+"""One map as a graph: where each action leads from each place, found by flying it by the rules.
 
 A *place* is a cell together with the set of parcels delivered; its number is `delivered * cells + cell`, where bit i
 of `delivered` stands for the i-th parcel that was waiting at the start of the planning. Where an action leads, what it
@@ -22,7 +22,7 @@ from drone_env.core.tables import (
     BATTERY,
     CELL,
     DELIVERED_FLAG,
-    DELIVERIES,
+    DELIVERIES_DONE,
     OUTCOME,
     PARCELS,
     STEPS,
@@ -52,12 +52,12 @@ def put_parcels(tables: Tables, grid: Any, state: Any, parcels: Any, delivered: 
         parcels: int64[n], the entries of `state` that hold the parcels that were waiting at the start.
         delivered: Bit i for parcel i of these.
     """
-    state[DELIVERIES] = tables.deliveries - len(parcels)
+    state[DELIVERIES_DONE] = tables.deliveries - len(parcels)
     for i in range(len(parcels)):
         cell = state[parcels[i]] & (DELIVERED_FLAG - 1)
         if delivered >> i & 1:
             state[parcels[i]] = cell + DELIVERED_FLAG
-            state[DELIVERIES] += 1
+            state[DELIVERIES_DONE] += 1
             grid[cell] = DELIVERED
         else:
             state[parcels[i]] = cell

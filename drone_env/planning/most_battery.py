@@ -1,6 +1,6 @@
 """The exact optimum where more battery never hurts: forwards, the most battery with which each place can be reached.
 
-With `efficiency_needs_all`, the score of an unfinished mission is its parcels alone, so of two ways to a place that
+With `efficiency_needs_all`, the score of an unfinished flight is its parcels alone, so of two ways to a place that
 take the same steps the one that leaves more battery is at least as good: whatever can be flown after the other can be
 flown after it, with as much battery left or more. One number for each (steps, place) then stands for all ways there.
 """
@@ -41,10 +41,9 @@ def forward_kernel(
         best: int64[2], receives (steps flown, place * 5 + action) of the step that leads to the best end.
     """
     highest = -1.0
-    total, full = tables.deliveries, tables.capacity
     for t in range(len(most) - 1):
         soonest = steps + t + 1
-        if highest >= score_of(total, total, full, full, soonest, tables.max_steps, tables.efficiency_needs_all):
+        if highest >= score_of(tables, tables.deliveries, tables.capacity, soonest):
             break
         for place in range(leads_to.shape[0]):
             if most[t, place] == 0:
@@ -53,20 +52,12 @@ def forward_kernel(
                 to = leads_to[place, action]
                 battery = units_left(tables, most[t, place], drain[place, action])
                 deliveries = done[to // tables.cells]
-                if outcome_of(tables, deliveries, battery, steps + t + 1) == FLYING:
+                if outcome_of(tables, deliveries, battery, soonest) == FLYING:
                     if battery > most[t + 1, to]:
                         most[t + 1, to] = battery
                         came_from[t + 1, to] = place * N_ACTIONS + action
                     continue
-                score = score_of(
-                    deliveries,
-                    tables.deliveries,
-                    battery,
-                    tables.capacity,
-                    steps + t + 1,
-                    tables.max_steps,
-                    tables.efficiency_needs_all,
-                )
+                score = score_of(tables, deliveries, battery, soonest)
                 if score > highest:
                     highest = score
                     best[0] = t

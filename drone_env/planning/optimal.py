@@ -22,7 +22,7 @@ from drone_env.planning.paths import Position, distance, route
 
 @dataclass(frozen=True)
 class Solution:
-    """The best that can be made of an episode, flown to its end with the dynamics.
+    """The best that can be made of an episode, flown to its end by the rules.
 
     Attributes:
         score: The highest score that can be reached.

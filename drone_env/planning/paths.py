@@ -4,23 +4,18 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import Action
-from drone_env.core.tasks import TaskConfig
-from drone_env.errors import UnsupportedTaskError
 
 Position = tuple[int, int]
 
-
-def require_uniform(task: TaskConfig) -> None:
-    """Refuse tasks whose distances are not Manhattan distances.
-
-    Raises:
-        UnsupportedTaskError: if something blocks the way, drains more than one unit a step, or charges.
-    """
-    if not task.uniform:
-        raise UnsupportedTaskError(
-            f"task {task.id!r} has impassable cells, a drain other than 1 or charging pads; "
-            "this planner covers tasks on which every step costs one battery unit and leads anywhere"
-        )
+TOWARDS = np.array(
+    [
+        [Action.LEFT, Action.LEFT, Action.LEFT],
+        [Action.UP, Action.WAIT, Action.DOWN],
+        [Action.RIGHT, Action.RIGHT, Action.RIGHT],
+    ],
+    np.int64,
+)
+"""The action towards a target, by the signs of its distance along x and y, each plus 1: along the row first."""
 
 
 def distance(a: Position, b: Position) -> int:
@@ -28,27 +23,13 @@ def distance(a: Position, b: Position) -> int:
     return abs(a[0] - b[0]) + abs(a[1] - b[1])
 
 
-TOWARDS = (
-    (Action.LEFT, Action.LEFT, Action.LEFT),
-    (Action.UP, Action.WAIT, Action.DOWN),
-    (Action.RIGHT, Action.RIGHT, Action.RIGHT),
-)
-"""The action towards a target, by the signs of its distance along x and y, each plus 1: along the row first."""
-TOWARDS_ARRAY = np.array(TOWARDS, np.int64)
-
-
-def towards(a: Position, b: Position) -> Action:
-    """The first action of a shortest way from `a` to `b`: along the row first; WAIT if there is nowhere to go."""
-    return TOWARDS[(b[0] > a[0]) - (b[0] < a[0]) + 1][(b[1] > a[1]) - (b[1] < a[1]) + 1]
-
-
-def towards_batch(a: npt.NDArray[np.int64], b: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """The same for positions int64[N, 2]: actions, int64[N]."""
+def towards(a: npt.NDArray[np.int64], b: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """The first actions, int64[N], of shortest ways between positions int64[N, 2]; WAIT at the goal."""
     signs = np.sign(b - a) + 1
-    return TOWARDS_ARRAY[signs[:, 0], signs[:, 1]]
+    return TOWARDS[signs[:, 0], signs[:, 1]]
 
 
 def route(a: Position, b: Position) -> list[Action]:
-    """All actions of that way."""
-    sideways = [towards(a, (b[0], a[1]))] * abs(b[0] - a[0])
-    return sideways + [towards((b[0], a[1]), b)] * abs(b[1] - a[1])
+    """All actions of a shortest way: along the row first."""
+    sideways = [Action.RIGHT if b[0] > a[0] else Action.LEFT] * abs(b[0] - a[0])
+    return sideways + [Action.DOWN if b[1] > a[1] else Action.UP] * abs(b[1] - a[1])

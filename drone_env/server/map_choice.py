@@ -27,9 +27,7 @@ class MapChoice(NamedTuple):
 
     def episode(self) -> Episode:
         """An episode on the map, reset."""
-        episode = Episode(self.task, self.reward_profile)
-        episode.reset(self.seed)
-        return episode
+        return Episode(self.task, self.reward_profile, self.seed)
 
 
 def choose_map(options: ResetOptions, last_seed: int | None, task: str = DEFAULT_TASK) -> MapChoice:

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic_core import to_json
 
 from drone_env.core.episode import Episode
-from drone_env.models import LEGEND, map_lines, observation_numbers, shown
+from drone_env.models import LEGEND, map_rows, observation_numbers, shown
 
 
 def _json(value: object) -> str:
@@ -39,12 +39,12 @@ def openenv_json(episode: Episode, reward: float | None) -> str:
 
 def _observation_json(episode: Episode, numbers: dict[str, Any]) -> str:
     """The JSON of an observation, without the brace at its end."""
-    lines = [_line_json(line) for line in map_lines(episode)]
-    grid, cell_types = (",".join([line[i] for line in lines]) for i in (0, 1))
+    rows = [_row_json(row) for row in map_rows(episode)]
+    grid, cell_types = (",".join([row[i] for row in rows]) for i in (0, 1))
     return f'{{"grid":[{grid}],"cell_types":[{cell_types}],{_json(numbers)[1:-1]},"legend":{LEGEND_JSON}'
 
 
-@lru_cache(maxsize=1 << 14)  # 256 hard maps have 4,608 lines
-def _line_json(line: bytes) -> tuple[str, str]:
-    emoji, names = shown(line)
+@lru_cache(maxsize=1 << 14)  # 256 hard maps have 4,608 rows
+def _row_json(row: bytes) -> tuple[str, str]:
+    emoji, names = shown(row)
     return _json(emoji), _json(names)

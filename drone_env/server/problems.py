@@ -1,4 +1,4 @@
-"""What goes wrong, as it is told to callers: one JSON model, and the status of every exception."""
+"""What goes wrong, as callers read it: one JSON model, and the status of every exception."""
 
 import logging
 from collections.abc import Mapping
@@ -135,8 +135,8 @@ def answer_to(error: Exception, scope: Scope) -> JSONResponse:
             headers = error.headers
         if status == 503 and code not in ("no_network", "not_started"):  # where waiting helps
             headers = {"Retry-After": "5"}
-    told = Problem(code=code, detail=printable(detail), errors=errors)
-    return JSONResponse(told.model_dump(), status, headers)
+    problem = Problem(code=code, detail=printable(detail), errors=errors)
+    return JSONResponse(problem.model_dump(), status, headers)
 
 
 async def _answer(request: Request, error: Exception) -> JSONResponse:

@@ -1,4 +1,4 @@
-"""The process of a server: where it listens, how many connections it may have, and with whom it ends."""
+"""The process of a server: its start, where it listens, how many connections it may have, and with whom it ends."""
 
 import errno
 import multiprocessing
@@ -7,10 +7,15 @@ import signal
 import socket
 import sys
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from pathlib import Path
 from typing import Any
 
-from drone_env.errors import InvalidValueError
+from drone_env import __version__
+from drone_env.episodes.store import Store
+from drone_env.errors import InvalidValueError, StoreError
+from drone_env.server.predict import Networks
+from drone_env.server.settings import load_settings, misspelt_variables
 
 if sys.platform != "win32":
     import resource
@@ -21,8 +26,78 @@ up all others; what is to go would be megabytes for each caller that does not re
 """
 UNREAD_SECONDS = 75
 """Linux ends a connection whose other side has taken nothing for so long of what it is sent."""
+CONNECTIONS = 1000
+"""Connections of a process, beside one for each session that it may have."""
+STARTUP_FAILED = 3
+"""Exit status where the application could not start, as uvicorn has it."""
 OTHER_FILES = 128
 """Files of a process that are no connections: the store, logs, what a request opens."""
+
+
+def run(host: str | None, port: int | None, workers: int | None, data: Path | None) -> None:
+    """Serve until told to stop; what is None comes from the environment.
+
+    Args:
+        host: Address to listen on.
+        port: Port to listen on.
+        workers: Processes that serve.
+        data: Folder of what is kept.
+
+    Raises:
+        InvalidValueError: if one of them is not allowed, or the address is taken.
+        StoreError: if the data folder cannot be used.
+    """
+    # The workers are processes of their own, which read the environment.
+    chosen = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA": data}
+    os.environ.update({f"DRONE_ENV_{name}": str(value) for name, value in chosen.items() if value is not None})
+    settings = load_settings()
+    import uvicorn
+    from uvicorn.supervisors import Multiprocess
+
+    with ExitStack() as opened:
+        sockets = [opened.enter_context(sock) for sock in listen(settings.host, settings.port)]
+        try:
+            # Said here in a line: a worker that cannot open it prints a long trace, and so does each of the others.
+            Store(settings.data).close()
+        except StoreError:
+            raise
+        except OSError as error:
+            raise StoreError(f"the data folder {settings.data} cannot be used: {error}") from None
+        for name, meant in misspelt_variables().items():
+            print(f"drone-env: {name} is not a setting and is ignored; is {meant} meant?", file=sys.stderr)
+        url = f"http://{settings.host}:{sockets[0].getsockname()[1]}"
+        print(
+            f"drone-env {__version__}: {url}, docs at {url}/docs, data in {settings.data}", file=sys.stderr, flush=True
+        )
+        for line in Networks(settings.weights, settings.data).told():
+            print(f"drone-env: {line}", file=sys.stderr, flush=True)
+        config = uvicorn.Config(
+            "drone_env.server.app:app",
+            http="drone_env.server.protocols:Http",
+            ws="drone_env.server.protocols:WebSockets",
+            workers=settings.workers,
+            access_log=False,
+            # Below that uvicorn writes two lines for every WebSocket; `requests.log` has one, and is bounded.
+            log_level="warning",
+            server_header=False,
+            ws_max_size=settings.max_bytes,
+            ws_per_message_deflate=False,
+            limit_concurrency=most_connections(CONNECTIONS + settings.capacity),
+            timeout_graceful_shutdown=5,
+            # A caller that thinks for longer than the usual 5 s would find its connection closed under what it sends.
+            timeout_keep_alive=75,
+            # After 5 s uvicorn would kill a worker that is merely slow, with its sockets, and without a word.
+            timeout_worker_healthcheck=60,
+        )
+        # As `uvicorn.run` does, which would bind by itself.
+        with suppress(KeyboardInterrupt):
+            if settings.workers > 1:
+                Multiprocess(config, sockets).run()
+            else:
+                server = uvicorn.Server(config)
+                server.run(sockets)
+                if not server.started:
+                    sys.exit(STARTUP_FAILED)
 
 
 def listen(host: str, port: int) -> list[socket.socket]:
@@ -36,44 +111,36 @@ def listen(host: str, port: int) -> list[socket.socket]:
         InvalidValueError: if one cannot listen there.
     """
     sockets: list[socket.socket] = []
-    lacking: OSError | None = None
+    refused: OSError | None = None
     with ExitStack() as opened:
         try:
-            for *kind, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE):
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+            for family, _, _, _, address in found:
                 chosen = sockets[0].getsockname()[1] if sockets else port
                 try:
-                    sockets.append(opened.enter_context(_listening(kind, (address[0], chosen, *address[2:]))))
+                    sockets.append(opened.enter_context(_listening(family, (address[0], chosen, *address[2:]))))
                 except OSError as error:
+                    # Python has put the address after what the system says.
+                    refused = OSError(error.errno, os.strerror(error.errno or 0))
                     # A name may stand for several addresses, some of which this machine lacks.
                     if error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
-                        raise
-                    lacking = error
-            if lacking is not None and not sockets:
-                raise lacking
+                        raise refused from None
+            if refused is not None and not sockets:
+                raise refused
         except OSError as error:
-            told = f"cannot listen on {host}, port {port}: {error.strerror or error}"
-            raise InvalidValueError(f"{told}; --host and --port choose another address") from None
+            message = f"cannot listen on {host}, port {port}: {error.strerror or error}"
+            raise InvalidValueError(f"{message}; --host and --port choose another address") from None
         opened.pop_all()
     return sockets
 
 
-def _listening(kind: list[Any], address: tuple[Any, ...]) -> socket.socket:
-    sock = socket.socket(*kind)
-    try:
-        if os.name == "posix":  # elsewhere that lets two servers share a port
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if sock.family == socket.AF_INET6:
-            sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        # Linux has connections inherit these.
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVED)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SENT)
-        if sys.platform == "linux":
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNREAD_SECONDS * 1000)
-        sock.bind(address)
-        sock.listen()
-    except BaseException:
-        sock.close()
-        raise
+def _listening(family: int, address: tuple[Any, ...]) -> socket.socket:
+    sock = socket.create_server(address, family=family)
+    # Linux has connections inherit these.
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVED)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SENT)
+    if sys.platform == "linux":
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNREAD_SECONDS * 1000)
     return sock
 
 

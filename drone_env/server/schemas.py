@@ -1,8 +1,9 @@
 """What travels beside actions, observations and states: requests and answers of the server."""
 
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, JsonValue, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, JsonValue, create_model, model_validator
 from typing_extensions import Self
 
 from drone_env.core.cells import CELL_KINDS
@@ -27,6 +28,13 @@ from drone_env.models import (
 MAX_SEED = N_SEEDS - 1
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
 STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
+
+
+def examples(values: list[JsonValue]) -> Any:
+    """Examples of a body, as its documentation shows them."""
+    return {str(value): {"value": value} for value in values}
+
+
 Seed = Annotated[int, Field(ge=0, le=MAX_SEED)]
 
 
@@ -118,7 +126,7 @@ class ResetResult(StepResult):
 class AnalysisAnswer(Analysis):
     """What the finished episodes of a task come to."""
 
-    status: Literal["Success", "No data"] = Field(description="Whether there are any, as older clients are told.")
+    status: Literal["Success", "No data"] = Field(description="Whether there are any, in the words of older clients.")
 
 
 class Grade(Message):
@@ -153,32 +161,13 @@ class SolutionAnswer(Message):
     path: list[Position] = Field(description="[x, y] of the drone, from its start on.")
 
 
-class TaskInfo(Message):
-    """One task: every number of it."""
+_PLAIN: dict[str, Any] = {n.name: (n.type, ...) for n in fields(TaskConfig) if n.name not in ("drain", "impassable")}
 
-    id: str
+
+class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
+    """One task: every number of its `TaskConfig`."""
+
     name: str = Field(description="The id, as older clients call it.")
-    short_name: str
-    grader: str
-    version: int
-    width: int
-    height: int
-    deliveries: int
-    buildings: int
-    trees: int
-    obstacles: int
-    pads: int
-    max_steps: int
-    battery_capacity: int
-    r_delivery: float
-    r_battery_dead: float
-    r_wall: float
-    r_blocked: float
-    r_obstacle: float
-    r_building: float
-    r_tree: float
-    r_wait: float
-    r_step: float
     drain: dict[str, int] = Field(description="Battery units per step above a kind of cell; 1 where not named.")
     impassable: list[str] = Field(description="Kinds of cells that the drone cannot enter.")
     charge_rate: int = Field(description="Battery units that waiting on a pad adds.")
@@ -187,9 +176,8 @@ class TaskInfo(Message):
     @classmethod
     def of(cls, task: TaskConfig, published: bool) -> Self:
         """The numbers of a task."""
-        own = {"name", "drain", "impassable", "published"}
         return cls(
-            **{name: getattr(task, name) for name in cls.model_fields if name not in own},
+            **{name: getattr(task, name) for name in _PLAIN},
             name=task.id,
             drain={CELL_KINDS[cell].name: units for cell, units in task.drain},
             impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),

@@ -57,12 +57,15 @@ class SecurityHeaders:
             await self.app(scope, receive, send)
             return
 
+        # Browsers ask whether a file of the page has changed, so that an update of the package is seen at once.
+        is_page = scope["path"] in ("/", "/docs") or scope["path"].startswith("/static/")
+
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                told = [*message.get("headers", ()), *self.headers]
-                if not any(name.lower() == b"cache-control" for name, _ in told):
-                    told.append((b"cache-control", b"no-store"))
-                message["headers"] = told
+                headers = [*message.get("headers", ()), *self.headers]
+                if not any(name.lower() == b"cache-control" for name, _ in headers):
+                    headers.append((b"cache-control", b"no-cache" if is_page else b"no-store"))
+                message["headers"] = headers
             await send(message)
 
         await self.app(scope, receive, send_with_headers)

@@ -15,7 +15,7 @@ from drone_env.episodes.store import Store
 from drone_env.planning.optimal import best_of
 from drone_env.server.local import local_address
 from drone_env.server.predict import Networks
-from drone_env.server.problems import WHAT_TO_DO, RequestError
+from drone_env.server.problems import WHAT_TO_DO, RequestError, answers
 from drone_env.server.request_log import RequestLog
 from drone_env.server.sessions import Sessions
 from drone_env.server.settings import Settings
@@ -23,10 +23,10 @@ from drone_env.server.settings import Settings
 COOKIE = "drone_env_session"
 HEADER = "X-Session-Id"
 SHARED_HEADER = "X-Session-Shared"
-STEP_HEADER = "X-Step-Count"
 NEW = "new"
 """Named as a session it stands for none: a caller that sends it with a reset shares with nobody."""
 LONGEST_ID = 200
+SESSION_ERRORS = answers(409, 410, 422, 503)
 STUDIES = max(1, (os.cpu_count() or 1) // 2)
 """Studies at once: the other cores are for those who fly."""
 WAITING_STUDIES = 16
@@ -89,8 +89,8 @@ class Shared:
             RequestError: if the server has not started, or has ended.
         """
         if self._sessions is None:
-            told = "the server is not running: a test client starts it in a block, `with TestClient(app) as client:`"
-            raise RequestError(503, "not_started", told)
+            message = "the server is not running: a test client starts it in a block, `with TestClient(app) as client:`"
+            raise RequestError(503, "not_started", message)
         return self._sessions
 
     @property
@@ -179,19 +179,5 @@ async def caller_of(
     return Caller.of(request)
 
 
-async def known_steps(
-    x_step_count: Annotated[
-        int | None,
-        Header(
-            ge=0,
-            description="The `step_count` that this action follows: it is then flown once, however often it is sent.",
-        ),
-    ] = None,
-) -> int | None:
-    """How many steps of the episode the sender of an action knows of; None where it does not say."""
-    return x_step_count
-
-
 SharedParts = Annotated[Shared, Depends(shared_of)]
 CallerOf = Annotated[Caller, Depends(caller_of)]
-KnownSteps = Annotated[int | None, Depends(known_steps)]

@@ -33,23 +33,16 @@ def parse_json(text: str) -> Any:
     """
     try:
         value = _DECODER.decode(text)
+        if _depth(value) <= MAX_DEPTH:
+            return value
     except ValueError as error:
         raise InvalidValueError(f"not JSON: {error}") from None
     except RecursionError:
-        raise InvalidValueError(TOO_DEEP) from None
-    _check_depth(value)
-    return value
+        pass
+    raise InvalidValueError(f"JSON may be nested {MAX_DEPTH} deep")
 
 
-TOO_DEEP = f"JSON may be nested {MAX_DEPTH} deep"
-
-
-def _check_depth(value: Any) -> None:
-    layer: list[Any] = [value]
-    depth = 0
-    while layer:
-        depth += 1
-        nested = [cast(dict[str, Any] | list[Any], node) for node in layer if isinstance(node, dict | list)]
-        if nested and depth > MAX_DEPTH:
-            raise InvalidValueError(TOO_DEEP)
-        layer = [child for node in nested for child in (node.values() if isinstance(node, dict) else node)]
+def _depth(value: Any) -> int:
+    if isinstance(value, dict):
+        value = list(cast(dict[str, Any], value).values())
+    return 1 + max(map(_depth, cast(list[Any], value)), default=0) if isinstance(value, list) else 0

@@ -13,6 +13,7 @@ from pydantic_core import from_json, to_json
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.models import DroneState, observation_fields
 
 TASK = "hard"
@@ -35,7 +36,7 @@ class Reference:
     """The episode that a session flies, here."""
 
     def __init__(self, seed: int) -> None:
-        self.episode = Episode(TASK)
+        self.episode = Episode(TASK, ORIGINAL_PROFILE)
         self.episode.reset(seed)
         self.moves = random.Random(seed)
 

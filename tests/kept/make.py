@@ -253,7 +253,7 @@ def make_data_set(folder: Path) -> dict[str, Any]:
     """A data set as Parquet, and the flights that it is made of. (Minari's takes 50 KB a flight.)"""
     from drone_env.datasets.columns import columns
     from drone_env.datasets.config import dataset_config
-    from drone_env.datasets.flights import fly_map
+    from drone_env.datasets.trajectories import fly_map
 
     task, agents = get_task(str(DATA_SET["task"])), DATA_SET["agents"]
     maps, epsilon = int(DATA_SET["maps"]), float(DATA_SET["epsilon"])

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from drone_env.core.actions import Action
 from drone_env.planning.optimal import shortest_tour, tour_actions
-from drone_env.planning.paths import towards
+from drone_env.planning.paths import route
 
 POINT = re.compile(r"\((\d+), (\d+)\)")
 
@@ -44,7 +44,7 @@ def reply(pilot: str, prompt: str) -> str:
     if pilot == "plan":
         return json.dumps({"actions": [a.name for a in tour(prompt, number(prompt, r"Steps left: (\d+)"))]})
     if pilot == "greedy":
-        return Action(towards(points(prompt, "Position:")[0], points(prompt, "Target:")[0])).name
+        return next(iter(route(points(prompt, "Position:")[0], points(prompt, "Target:")[0])), Action.WAIT).name
     return pilot
 
 

@@ -16,7 +16,7 @@ from drone_env.core.observation import open_actions, write_telemetry
 from drone_env.core.rewards import REWARD_PROFILES, get_reward_profile, interpreted_rewards
 from drone_env.core.score import score
 from drone_env.core.seeds import SPLITS, next_seed
-from drone_env.core.tables import DELIVERIES, OUTCOME, interpreted, state_size
+from drone_env.core.tables import DELIVERIES_DONE, OUTCOME, interpreted, state_size
 from drone_env.core.tables import STEPS as STEPS_TAKEN
 from drone_env.core.tasks import MAX_UNITS, TASKS, TaskConfig
 
@@ -97,7 +97,7 @@ class Reference:
                         "episode": i,
                         "score": score(self.tables, state),
                         "steps": state[STEPS_TAKEN],
-                        "deliveries": state[DELIVERIES],
+                        "deliveries": state[DELIVERIES_DONE],
                         "seed": self.seeds[i],
                         "grid": self.grids[i].tobytes(),
                         "telemetry": self.telemetry[i].tobytes(),

@@ -19,7 +19,7 @@ from drone_env.core.tasks import TASKS, get_task
 from drone_env.datasets import build
 from drone_env.datasets.build import build_dataset
 from drone_env.datasets.config import FORMAT, DatasetConfig, dataset_config
-from drone_env.datasets.flights import chance, fly_map
+from drone_env.datasets.trajectories import chance, fly_map
 from drone_env.errors import InvalidValueError, MissingPackageError, TooLargeError, UnknownNameError
 from drone_env.installer import install_command
 from drone_env.planning import map_graph

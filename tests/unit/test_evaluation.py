@@ -17,8 +17,8 @@ from drone_env.evaluation.episodes import (
     EpisodeResults,
     concatenate,
     episodes_key,
+    pieces_of,
     run_episodes,
-    run_in_chunks,
     summarise,
 )
 from drone_env.evaluation.folder import ResultsFolder
@@ -26,7 +26,7 @@ from drone_env.evaluation.folder import ResultsFolder
 
 def test_results_are_the_same_whole_or_in_pieces() -> None:
     key = episodes_key("medium", "greedy", split_seeds("test", 23), "test")
-    whole, pieces = run_episodes(key), list(run_in_chunks(key, chunk=5))
+    whole, pieces = run_episodes(key), list(map(run_episodes, pieces_of(key, 5)))
     assert [len(piece.seeds) for piece in pieces] == [5, 5, 5, 5, 3]
     together = concatenate(pieces)
     assert together.key == key

@@ -107,6 +107,4 @@ def _solver_of(key: Map) -> "ExactSolver":
     # Loads Numba, which no server needs that only flies.
     from drone_env.planning.exact import ExactSolver
 
-    episode = Episode(key[0], "score")
-    episode.reset(key[1])
-    return ExactSolver(episode)
+    return ExactSolver(Episode(key[0], seed=key[1]))

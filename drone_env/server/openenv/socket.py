@@ -70,11 +70,11 @@ class OpenEnvSocket:
             capacity = self.shared.settings.capacity
             try:
                 if "session_id" in socket.query_params:
-                    told = "every connection has a session of its own: leave out session_id"
-                    raise RefusedError("SESSION_ERROR", told)
+                    message = "every connection has a session of its own: leave out session_id"
+                    raise RefusedError("SESSION_ERROR", message)
                 if len(self.touched) >= capacity:
-                    told = f"{capacity} sessions are open, and no more are allowed: try again later"
-                    raise RefusedError("CAPACITY_REACHED", told)
+                    message = f"{capacity} sessions are open, and no more are allowed: try again later"
+                    raise RefusedError("CAPACITY_REACHED", message)
                 self.touched[socket] = self._clock()
                 await self._serve(socket)
             except RefusedError as refusal:

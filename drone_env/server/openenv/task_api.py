@@ -52,8 +52,8 @@ class TaskApi:
         first = 0 if start is None else start
         last = min(first + PREVIEW, size) if stop is None else stop
         if not (0 <= first <= last <= size and last - first <= PREVIEW):
-            told = f"{split!r} has {size} maps, {PREVIEW} of them at a time; asked for {first} to {last}"
-            raise InvalidValueError(told)
+            message = f"{split!r} has {size} maps, {PREVIEW} of them at a time; asked for {first} to {last}"
+            raise InvalidValueError(message)
         return [self.get_task(split, index) for index in range(first, last)]
 
     def get_task(self, split: str, index: int) -> TaskSpec:

@@ -48,11 +48,7 @@ async def graders() -> GraderList:
 @router.get("/kinds")
 async def kinds() -> KindList:
     """What can stand in a cell of a map."""
-    return KindList(
-        kinds=[
-            KindInfo(id=cell, name=kind.name, emoji=kind.emoji, effect=kind.effect) for cell, kind in CELL_KINDS.items()
-        ]
-    )
+    return KindList(kinds=[KindInfo(id=cell, **kind._asdict()) for cell, kind in CELL_KINDS.items()])
 
 
 @router.get("/pilots")
@@ -81,9 +77,6 @@ async def health(shared: SharedParts) -> Health:
         shared.store.check()
     except StoreError:
         # Not the error itself: no stranger needs to know where the folder is.
-        message = (
-            "files of the data folder were deleted, moved or replaced while they were in use: nothing more is kept "
-            "until they are back, or the server is started again"
-        )
-        raise RequestError(503, "store", message) from None
+        why = "files of the data folder were deleted, moved or replaced while they were in use: nothing more is kept"
+        raise RequestError(503, "store", f"{why} until they are back, or the server is started again") from None
     return Health(version=__version__)

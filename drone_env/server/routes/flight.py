@@ -8,14 +8,13 @@ from pydantic_core import to_json
 from drone_env.core.actions import Action
 from drone_env.core.tasks import get_task
 from drone_env.graders import GRADERS
-from drone_env.models import DroneObservation, DroneState
+from drone_env.models import DroneState
 from drone_env.server.observation_json import flat_json, openenv_json
 from drone_env.server.predict import arrays_of
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.routes.replay import best_flight
 from drone_env.server.schemas import (
     RESETS,
-    STEPS,
     FlatReset,
     Grade,
     PathHistory,
@@ -24,14 +23,11 @@ from drone_env.server.schemas import (
     ResetOptions,
     ResetResult,
     SolutionAnswer,
-    StepRequest,
-    StepResult,
+    examples,
 )
-from drone_env.server.sessions import Show
-from drone_env.server.state import COOKIE, HEADER, SHARED_HEADER, CallerOf, KnownSteps, SharedParts
+from drone_env.server.state import COOKIE, HEADER, SESSION_ERRORS, SHARED_HEADER, CallerOf, SharedParts
 
 router = APIRouter(tags=["flight"])
-SESSION_ERRORS = answers(409, 410, 422, 503)
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
 OPENED: dict[str, Any] = {
     "headers": {
@@ -48,10 +44,6 @@ OPENED: dict[str, Any] = {
 }
 
 
-def _examples(values: list[Any]) -> Any:
-    return {str(value): {"value": value} for value in values}
-
-
 @router.post(
     "/reset", response_model=FlatReset | ResetResult, responses={200: OPENED, **answers(400, 413, 415, 422, 503)}
 )
@@ -59,7 +51,7 @@ def reset(
     request: Request,
     shared: SharedParts,
     caller: CallerOf,
-    options: Annotated[ResetOptions | None, Body(openapi_examples=_examples(RESETS))] = None,
+    options: Annotated[ResetOptions | None, Body(openapi_examples=examples(RESETS))] = None,
 ) -> Response:
     """Start an episode: in the session that the request names, or in a new one.
 
@@ -81,30 +73,6 @@ def reset(
     # A frame of another site needs SameSite=None, which browsers take over https alone.
     response.set_cookie(COOKIE, session, httponly=True, secure=secure, samesite="none" if secure else "lax")
     return response
-
-
-@router.post("/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | answers(400, 413, 415))
-def step(
-    shared: SharedParts,
-    caller: CallerOf,
-    answer: Response,
-    after: KnownSteps,
-    body: Annotated[StepRequest, Body(openapi_examples=_examples(STEPS))],
-) -> Response:
-    """Fly one action.
-
-    `{"direction": "UP"}` is answered with a `DroneObservation`; OpenEnv's `{"action": {"direction": "UP"}}` with
-    `{"observation", "reward", "done"}`. After the end of the episode nothing changes, and `message` says so.
-
-    With `X-Step-Count` an action is not flown twice: sent again after a lost answer, it is answered as it was.
-    """
-    stepped = shared.sessions.step(caller.session(shared, answer), body.chosen, after, caller.address, shown(body))
-    return Response(stepped, headers=dict(answer.headers), media_type="application/json")
-
-
-def shown(body: StepRequest) -> Show:
-    """How a step is answered: as it was asked for."""
-    return flat_json if body.action is None else openenv_json
 
 
 @router.delete("/session", status_code=204, responses=SESSION_ERRORS)

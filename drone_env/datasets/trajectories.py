@@ -1,4 +1,4 @@
-"""Flights with the exact values of every state that they come to."""
+"""Trajectories: flights with the exact values of every state that they come to."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,15 +7,16 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents import Agent, make_agent
-from drone_env.core.actions import N_ACTIONS, Event
-from drone_env.core.episode import Episode, Observation
+from drone_env.core.actions import N_ACTIONS
+from drone_env.core.episode import Episode
+from drone_env.core.rollout import choices
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.datasets.config import DatasetConfig
 from drone_env.planning.exact import ExactSolver
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class Trajectory:
     """One flight to its end: T steps, T + 1 states.
 
     Attributes:
@@ -72,18 +73,16 @@ class Flight:
         return np.cumsum(self.rewards[::-1])[::-1]
 
 
-def fly_map(config: DatasetConfig, seed: int) -> Iterator[Flight]:
+def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
     """The flights of all agents over one map, which is solved once.
 
     Raises:
         TooLargeError: if the exact values of the map would take too much memory.
     """
-    episode = Episode(config.task, config.reward_profile)
-    episode.reset(seed)
-    solver = ExactSolver(episode)
+    start = Episode(config.task, config.reward_profile, seed)
+    solver = ExactSolver(start)
     for name in config.agents:
-        episode.reset(seed)
-        yield _fly(episode, solver, make_agent(name, config.task), name, config.epsilon)
+        yield _fly(start.copy(), solver, make_agent(name, config.task), name, config.epsilon)
 
 
 def chance(agent: str, seed: int) -> Iterator[tuple[float, int]]:
@@ -99,41 +98,33 @@ def chance(agent: str, seed: int) -> Iterator[tuple[float, int]]:
         yield share, uniform_below(key, N_ACTIONS)
 
 
-def _fly(episode: Episode, solver: ExactSolver, agent: Agent, name: str, epsilon: float) -> Flight:
+def _fly(episode: Episode, solver: ExactSolver, agent: Agent, name: str, epsilon: float) -> Trajectory:
     agent.reset(episode.seed)
-    observations: list[Observation] = []
-    masks: list[npt.NDArray[np.int8]] = []
-    scores: list[float] = []
-    events: list[Event] = []
-    chosen: list[int] = []
-    values: list[npt.NDArray[np.float64]] = []
-    lots = chance(name, episode.seed)
-
-    def look() -> None:
-        observations.append(episode.observation())
-        masks.append(episode.action_mask())
-        scores.append(episode.score)
-        events.append(episode.event)
-
-    look()
-    while not episode.ended:
+    states, values, chosen = [_state(episode)], list[npt.NDArray[np.float64]](), list[int]()
+    for wish, (share, action) in zip(choices(episode, agent.act), chance(name, episode.seed), strict=False):
         values.append(solver.q_values(episode))
-        chosen.append(agent.act(episode.observation()))
-        share, action = next(lots)
-        episode.step(action if share < epsilon else chosen[-1])
-        look()
+        chosen.append(int(wish))
+        episode.step(action if share < epsilon else wish)
+        states.append(_state(episode))
+    grids, telemetry, action_masks, scores, events = map(np.array, zip(*states, strict=True))
     q_values = np.array(values)
-    return Flight(
+    return Trajectory(
         seed=episode.seed,
         agent=name,
-        grids=np.array([observation["grid"] for observation in observations]),
-        telemetry=np.array([observation["telemetry"] for observation in observations]),
-        action_masks=np.array(masks),
-        scores=np.array(scores),
-        events=np.array(events, np.int8),
+        grids=grids,
+        telemetry=telemetry,
+        action_masks=action_masks,
+        scores=scores,
+        events=events.astype(np.int8),
         actions=np.array(episode.actions, np.int8),
         agent_actions=np.array(chosen, np.int8),
-        rewards=np.array([step.reward for step in episode.path]),
+        rewards=np.array(episode.rewards),
         values=np.append(q_values.max(axis=1), episode.score),
         q_values=q_values,
     )
+
+
+def _state(episode: Episode) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32], npt.NDArray[np.int8], float, int]:
+    """What is kept of an episode after each step: grid, telemetry, action mask, score and event."""
+    seen = episode.observation()
+    return seen["grid"], seen["telemetry"], episode.action_mask(), episode.score, episode.event
