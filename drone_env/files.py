@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from drone_env.errors import InvalidValueError
+
 if TYPE_CHECKING:
     from filelock import FileLock
 
@@ -25,18 +27,23 @@ def replacing(path: Path) -> Generator[Path, None, None]:
         temporary.unlink(missing_ok=True)
 
 
-def lock_file(path: Path) -> "FileLock":
+def lock_file(path: Path, busy: str, seconds: float = 0.0) -> "FileLock":
     """A lock that this file stands for, which is made; until it is released, or this process dies, no other gets one.
 
+    Args:
+        path: The file.
+        busy: What to say if another process has the lock.
+        seconds: How long to wait for that process.
+
     Raises:
-        BlockingIOError: if another has one.
+        InvalidValueError: if another process still has it.
         OSError: if the file cannot be made.
     """
     from filelock import FileLock, Timeout  # slow to load, and most who import this module lock nothing
 
     lock = FileLock(path, mode=0o600, thread_local=False)
     try:
-        lock.acquire(blocking=False)
+        lock.acquire(timeout=seconds, poll_interval=0.2)
     except Timeout:
-        raise BlockingIOError(f"{path} is locked by another process") from None
+        raise InvalidValueError(busy) from None
     return lock

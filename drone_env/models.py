@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
+from drone_env.errors import InvalidValueError, text_of
 
 Direction = Literal["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
 Count = Annotated[int, Field(ge=0)]
@@ -38,6 +39,22 @@ class Message(BaseModel):
     """Base of all that travels: immutable, strict, no unknown fields, no NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    @classmethod
+    def read(cls, text: str | bytes, wrong: str) -> Self:
+        """The message that is written as this JSON.
+
+        Args:
+            text: The JSON.
+            wrong: What to say where it is none, such as `line 3 is no call`; why follows.
+
+        Raises:
+            InvalidValueError: if it is none.
+        """
+        try:
+            return cls.model_validate_json(text)
+        except ValidationError as error:
+            raise InvalidValueError(f"{wrong}: {text_of(error)}") from None
 
 
 def _require(holds: bool, message: str) -> None:

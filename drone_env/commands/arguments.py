@@ -6,7 +6,7 @@ import tyro
 
 from drone_env.agents import AGENTS
 from drone_env.core.rewards import REWARD_PROFILES
-from drone_env.core.seeds import N_SEEDS, SPLITS
+from drone_env.core.seeds import N_SEEDS, SPLITS, split_seeds
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError
 
@@ -15,9 +15,11 @@ SHORT_NAMES = [task.short_name for task in TASKS.values()]
 TaskName = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 AgentName = Annotated[str, tyro.conf.arg(metavar="|".join(AGENTS))]
 AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
-SplitName = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
+Split = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
 ProfileName = Annotated[str, tyro.conf.arg(metavar="|".join(REWARD_PROFILES))]
 ClusterAddress = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PORT")]
+SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
+SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 Seed = Annotated[int | None, tyro.conf.arg(metavar="N")]
 
 
@@ -32,3 +34,24 @@ def parse_seeds(text: str) -> range:
     if not (colon and len(numbers) == 2 and int(start) < int(stop) <= N_SEEDS):
         raise InvalidValueError(f"--seeds takes A:B with integers 0 <= A < B <= 2^53, such as 0:100; got {text!r}")
     return range(int(start), int(stop))
+
+
+def chosen_maps(seeds: str | None, split: str | None, episodes: int | None, default: int) -> tuple[str, range]:
+    """The split and the seeds that `--seeds`, `--split` and `--episodes` name; the split of `--seeds` is `custom`.
+
+    Args:
+        seeds: `A:B`.
+        split: A split; None for test.
+        episodes: How many of its first maps.
+        default: The same, where nothing is said.
+
+    Raises:
+        InvalidValueError: if they contradict each other, or one is out of range.
+    """
+    if seeds is None:
+        if episodes is not None and episodes < 1:
+            raise InvalidValueError(f"--episodes must be at least 1, got {episodes}")
+        return split or "test", split_seeds(split or "test", episodes or default)
+    if split is not None or episodes is not None:
+        raise InvalidValueError("--seeds names the maps itself: give it without --split and --episodes")
+    return "custom", parse_seeds(seeds)

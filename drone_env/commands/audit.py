@@ -8,7 +8,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from drone_env.commands.arguments import SplitName, TaskName
+from drone_env.commands.arguments import Split, TaskName
 from drone_env.commands.printing import print_json, progress_bar, table_console
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
@@ -25,7 +25,7 @@ def audit(
     reward: RewardName = DEFAULT_PROFILE,
     gamma: float = 1.0,
     maps: int = 20,
-    split: SplitName = "test",
+    split: Split = "test",
     shaping_gamma: float | None = None,
     replay: Path | None = None,
     json: bool = False,

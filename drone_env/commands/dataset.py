@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from drone_env.commands.arguments import AgentNames, ProfileName, SplitName, TaskName
+from drone_env.commands.arguments import AgentNames, ProfileName, Split, TaskName
 from drone_env.commands.printing import progress_bar
 from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
@@ -19,7 +19,7 @@ def dataset(
     out: Path,
     task: TaskName = "easy",
     maps: int = 100,
-    split: SplitName = "train",
+    split: Split = "train",
     offset: int = 0,
     agents: AgentNames = ("optimal", "greedy", "random"),
     epsilon: float = 0.1,

@@ -15,8 +15,7 @@ from rich.table import Table
 
 from drone_env import __version__
 from drone_env.agents import AGENTS
-from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, parse_seeds
-from drone_env.core.seeds import SPLITS, split_seeds
+from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, SeedRange, SplitName, chosen_maps
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, summarise
@@ -25,8 +24,6 @@ from drone_env.files import replacing
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
 AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
-SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
-SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
 
 
@@ -64,10 +61,7 @@ def evaluate(
         address: The cluster: local starts one on this machine (if nothing is said), auto joins the one that runs here,
             HOST:PORT joins that one.
     """
-    if seeds is not None and (split is not None or episodes is not None):
-        raise InvalidValueError("--seeds names the maps itself: give it without --split and --episodes")
-    if episodes is not None and episodes < 1:
-        raise InvalidValueError(f"--episodes must be at least 1, got {episodes}")
+    chosen_split, maps = chosen_maps(seeds, split, episodes, 1000)
     if not task or not agents:
         raise InvalidValueError("--task and --agents take one name or more")
     if checkpoint is not None:
@@ -77,8 +71,6 @@ def evaluate(
     target = None if json in (None, "-") else Path(json)
     if target is not None and (not target.name or target.is_dir() or not target.parent.is_dir()):
         raise InvalidValueError(f"--json takes - or a file in a folder that exists, got {json!r}")
-    chosen_split = "custom" if seeds is not None else split or "test"
-    maps = split_seeds(chosen_split, episodes or 1000) if seeds is None else parse_seeds(seeds)
     named = [t for name in task for t in (TASKS.values() if name == "all" else [get_task(name)])]
     keys = {t: {agent: episodes_key(t, agent, maps, chosen_split) for agent in agents} for t in dict.fromkeys(named)}
 

@@ -10,21 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileName, parse_seeds
+from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileName, SeedRange, SplitName, chosen_maps
 from drone_env.core.rewards import ORIGINAL_PROFILE
-from drone_env.core.seeds import SPLITS, split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError, needs, text_of
+from drone_env.errors import InvalidValueError, StoreError, needs, text_of
+from drone_env.llm.options import Number, Options, Whole
 
 if TYPE_CHECKING:
-    from drone_env.llm import runner
+    from drone_env.llm.runner import Engine
 
 ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
-SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
-SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 PromptName = Annotated[str, tyro.conf.arg(metavar="minimal|grid|coordinates|plan")]
-Number = Annotated[float | None, tyro.conf.arg(metavar="X")]
-Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
+DEFAULTS = Options()
 
 
 def infer(
@@ -46,27 +43,13 @@ def infer(
     sampling_seed: Whole = None,
     extra: str = "{}",
     reward_profile: ProfileName = ORIGINAL_PROFILE,
-    concurrency: int = 64,
-    timeout: float = 120.0,
-    tries: int = 6,
-    backoff: float = 1.0,
-    longest_wait: float = 120.0,
-    requests_per_minute: Number = None,
-    tokens_per_minute: Number = None,
-    max_calls: Whole = None,
-    max_tokens: Whole = None,
-    max_seconds: Number = None,
-    max_cost: Number = None,
-    price_prompt: Number = None,
-    price_completion: Number = None,
-    cache: Path | None = None,
+    options: Annotated[Options, tyro.conf.arg(name="")] = DEFAULTS,
     data: Path | None = None,
     out: Path | None = None,
     resume: bool = False,
     report: bool = True,
     moves: bool = True,
     use_image: bool = False,
-    server: str | None = None,
     engine: Literal["local", "ray"] = "local",
     address: ClusterAddress = None,
 ) -> int:
@@ -99,21 +82,7 @@ def infer(
         sampling_seed: The endpoint's sampling seed; not sent if nothing is said.
         extra: More of the request's body, as a JSON object, such as '{"reasoning_effort": "low"}'.
         reward_profile: What steps pay.
-        concurrency: The most requests at once; fewer when the endpoint is overloaded.
-        timeout: Seconds that an answer may take.
-        tries: How often a call is tried that meets 408, 409, 429, 5xx or a network failure.
-        backoff: Seconds below which the first wait is drawn; the bound doubles each time, up to 30 s.
-        longest_wait: A call whose endpoint asks for a longer wait in seconds (Retry-After) has failed.
-        requests_per_minute: The most requests a minute, retries counted in, evenly spaced.
-        tokens_per_minute: The most tokens a minute. What an answer takes is known when it is there; until then it
-            counts as the average so far.
-        max_calls: Stop after so many requests, retries counted in.
-        max_tokens: Stop when so many tokens have been used.
-        max_seconds: Stop after so many seconds.
-        max_cost: Stop when so many US dollars have been spent.
-        price_prompt: US dollars per million prompt tokens.
-        price_completion: US dollars per million completion tokens.
-        cache: Folder of answers that equal requests of other runs share.
+        options: How the run is made.
         data: Folder of the store that keeps the flights, where a server finds them; DRONE_ENV_DATA if nothing is said,
             else data. A server that flies along keeps them itself.
         out: The run folder; llm/ in the folder of the store and a name of its own if nothing is said.
@@ -122,7 +91,6 @@ def infer(
         moves: Say in the report how many moves were blunders, beside the exact value of every state.
         use_image: Start the Docker image LOCAL_IMAGE_NAME and fly in its server. Each of its observations must be the
             one that the rules here give.
-        server: Fly in the server at this address, in the same way.
         engine: Fly in this process, or on the nodes of a Ray cluster (extra `cluster`), which share one budget and one
             run folder.
         address: The cluster: local starts one on this machine (if nothing is said), auto joins the one that runs here,
@@ -135,26 +103,19 @@ def infer(
     with needs("llm"):
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import RunConfig, Sampling
+        from drone_env.llm.gate import Gate
         from drone_env.llm.image import running_image
-        from drone_env.llm.keeper import Keeper
-        from drone_env.llm.limits import Limits, Prices
+        from drone_env.llm.pilot import PilotedEpisode
         from drone_env.llm.progress import ConsoleObserver
         from drone_env.llm.prompt import get_prompt
         from drone_env.llm.settings import check_url, load_settings, token_for
     from pydantic import ValidationError
 
-    if seeds is not None and (split is not None or episodes is not None):
-        raise InvalidValueError("--seeds names the maps itself: give it without --split and --episodes")
-    if episodes is not None and episodes < 1:
-        raise InvalidValueError(f"--episodes must be at least 1, got {episodes}")
+    chosen_split, maps = chosen_maps(seeds, split, episodes, 1)
     if resume and out is None:
         raise InvalidValueError("--resume needs --out, the folder of the run to go on with")
-    if (price_prompt is None) != (price_completion is None):
-        raise InvalidValueError("--price-prompt and --price-completion belong together")
     settings = load_settings(base_url)
     config_task = get_task(settings.drone_task if task is None else task)
-    chosen_split = "custom" if seeds is not None else split or "test"
-    maps = split_seeds(chosen_split, episodes or 1) if seeds is None else parse_seeds(seeds)
     chosen_prompt = get_prompt(prompt)
     try:
         more = json_format.loads(extra)
@@ -185,52 +146,51 @@ def infer(
     except (json_format.JSONDecodeError, RecursionError) as error:
         raise InvalidValueError(f"--extra takes a JSON object: {error}") from None
     token = token_for(settings, config.base_url)
-    prices = None if price_prompt is None or price_completion is None else Prices(price_prompt, price_completion)
-    if use_image and server is not None:
+    if use_image and options.server is not None:
         raise InvalidValueError("--use-image starts a server itself: give it without --server")
     if use_image and engine == "ray":
         raise InvalidValueError("--use-image starts a server on this machine alone: give --server with --engine ray")
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
-    options = runner.Options(
-        concurrency=concurrency,
-        timeout=timeout,
-        limits=Limits(max_calls, max_tokens, max_seconds, max_cost),
-        prices=prices,
-        retries=runner.RetryPolicy(tries, backoff, longest_wait),
-        cache=cache,
-        server=server,
-        requests_per_minute=requests_per_minute,
-        tokens_per_minute=tokens_per_minute,
-    )
     data = data_folder() if data is None else data
+    problems: list[str] = []
     with contextlib.ExitStack() as opened:
-        store = None if use_image or server is not None else opened.enter_context(Store(data))
+        store = None if use_image or options.server is not None else opened.enter_context(Store(data))
         folder = run_folder.RunFolder(out or _new_folder(data, config.model, config_task.short_name), config, resume)
         opened.callback(folder.close)
-        keeper = None if store is None else Keeper(store, folder.path / run_folder.TRANSCRIPT, config.model)
         go_on = f"give the same options with --out {folder.path} --resume"
+
+        def keep(flown: PilotedEpisode) -> None:
+            try:
+                if store is not None:
+                    folder.keep(flown, store, config.model)
+            except StoreError as error:
+                # The flight has been paid: the run goes on without the store.
+                problems.append(str(error))
+
         try:
             with contextlib.ExitStack() as stack:
                 if use_image:
                     url = stack.enter_context(running_image(settings.local_image_name))
                     options = dataclasses.replace(options, server=url)
                 run = runner.run if engine == "local" else _on_cluster(stack, address)
-                observer = stack.enter_context(ConsoleObserver(None if keeper is None else keeper.keep))
-                result = asyncio.run(run(config, folder, token, options, observer))
+                gate = Gate(options)
+                observer = ConsoleObserver(config, gate, keep)
+                stack.enter_context(observer.progress)
+                result = asyncio.run(run(config, folder, token, gate, observer))
             if report:
                 from drone_env.llm.report import report as figures_of
                 from drone_env.llm.report import write_report
                 from drone_env.llm.verify import verified_run
 
                 checked = verified_run(folder.path)
-                write_report(checked, figures_of(checked, prices, moves))
+                write_report(checked, figures_of(checked, options.prices, moves))
         except KeyboardInterrupt:
             print(f"interrupted; to go on, {go_on}", file=sys.stderr)
             raise
         finally:
-            if keeper is not None and keeper.problems:
-                lost = f"{len(keeper.problems)} flights are not in the store: {keeper.problems[0]}"
+            if problems:
+                lost = f"{len(problems)} flights are not in the store: {problems[0]}"
                 print(f"{lost}; to add them, {go_on}", file=sys.stderr)
     for line in runner.summary_lines(result):
         print(line, file=sys.stderr)
@@ -238,7 +198,7 @@ def infer(
     return runner.EXIT_STATUS[result.verdict]
 
 
-def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "runner.Run":
+def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "Engine":
     from drone_env.cluster.connect import LOCAL, connect
 
     stack.enter_context(connect(LOCAL if address is None else address))

@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError, WithJsonSchema, field_validator, model_validator
+from pydantic import Field, WithJsonSchema, field_validator, model_validator
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError, text_of
+from drone_env.errors import InvalidValueError
 from drone_env.files import replacing
 from drone_env.models import Count, Direction, Message, Score
 
@@ -167,7 +167,4 @@ def parse_record(text: str | bytes, name: str) -> EpisodeRecord:
     Raises:
         InvalidValueError: if it is not a record; the message says what is wrong with it.
     """
-    try:
-        return EpisodeRecord.model_validate_json(text)
-    except ValidationError as error:
-        raise InvalidValueError(f"{name} is not the record of a flight: {text_of(error)}") from None
+    return EpisodeRecord.read(text, f"{name} is not the record of a flight")

@@ -7,33 +7,24 @@ with one key `action`, `direction`, `actions` or `directions`.
 
 import json
 import re
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 from pydantic import field_validator
 
 from drone_env.core.actions import Action
 from drone_env.models import Count, Message
 
-AnswerClass = Literal["ok", "parse_error", "illegal", "refusal", "truncated"]
-Outcome = Literal["ok", "repaired", "parse_error", "illegal", "refusal", "truncated", "api_error", "budget_stop"]
-OUTCOMES: tuple[Outcome, ...] = (
-    "ok",
-    "repaired",
-    "parse_error",
-    "illegal",
-    "refusal",
-    "truncated",
-    "api_error",
-    "budget_stop",
-)
+AnswerKind = Literal["ok", "parse_error", "illegal", "refusal", "truncated"]
+TurnKind = Literal["ok", "repaired", "parse_error", "illegal", "refusal", "truncated", "api_error", "budget_stop"]
+TURN_KINDS: tuple[TurnKind, ...] = get_args(TurnKind)
+"""How a request for actions came out, its repair counted in."""
 
 KEYS = {"action", "direction", "actions", "directions"}
 FENCE = "```"
 LANGUAGE = re.compile(r"[a-zA-Z]+(?=[\s\[{])")
-THOUGHT = re.compile(r"\A\s*<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
-OPEN_THOUGHT = re.compile(r"\A\s*<think(?:ing)?>", re.IGNORECASE)
 # Some servers' chat templates open the block in the prompt, so that only its end is in the answer.
-HEADLESS_THOUGHT = re.compile(r"\A.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
+THOUGHT = re.compile(r"\A.*?</think(?:ing)?>", re.DOTALL | re.IGNORECASE)
+OPEN_THOUGHT = re.compile(r"\A\s*<think(?:ing)?>", re.IGNORECASE)
 REFUSAL = re.compile(
     r"\A\W*(?:i['’]?m sorry|i am sorry|sorry,|i can(?:no|['’])t|i can not|i am (?:not able|unable)"
     r"|i['’]m (?:not able|unable)|i won['’]t|i will not|as an ai\b)",
@@ -65,10 +56,12 @@ class Answer(Message):
 class Reading(NamedTuple):
     """An answer as it was understood: `actions` is empty unless `kind` is ok."""
 
-    kind: AnswerClass
+    kind: AnswerKind
     actions: tuple[Action, ...]
     reason: str
     """Why it is not ok, in words; empty where it is."""
+    text: str
+    """What was read: the arguments of the tool call, where there is one."""
 
 
 def read_answer(answer: Answer, plan: bool) -> Reading:
@@ -78,34 +71,35 @@ def read_answer(answer: Answer, plan: bool) -> Reading:
         answer: What was sent.
         plan: Whether a whole route was asked for; else exactly one action.
     """
+    said = answer.text if answer.tool_arguments is None else answer.tool_arguments
+
+    def unusable(kind: AnswerKind, reason: str) -> Reading:
+        return Reading(kind, (), reason, said)
+
     if answer.refusal or answer.finish_reason == "content_filter":
-        return Reading("refusal", (), "the model refused")
+        return unusable("refusal", "the model refused")
     # Also where the piece that arrived looks whole: nobody knows what would have followed.
     if answer.finish_reason == "length":
-        return Reading("truncated", (), "the answer was cut at the limit of tokens")
-    text = answer.text if answer.tool_arguments is None else answer.tool_arguments
-    text = _without_thoughts(text)
+        return unusable("truncated", "the answer was cut at the limit of tokens")
+    text = _without_thoughts(said)
     if text is None:
-        return Reading("truncated", (), "the answer ends inside its <think> block")
+        return unusable("truncated", "the answer ends inside its <think> block")
     words = _words(text, plan)
     if words is None and REFUSAL.match(text):
-        return Reading("refusal", (), "the model refused")
+        return unusable("refusal", "the model refused")
     if words is None:
         asked = "a list of actions" if plan else "one action"
-        return Reading("parse_error", (), "the answer is empty" if not text.strip() else f"the answer is not {asked}")
+        return unusable("parse_error", f"the answer is not {asked}" if text.strip() else "the answer is empty")
     unknown = [word for word in words if word.upper() not in Action.__members__]
     if unknown:
-        return Reading("illegal", (), f"{unknown[0][:40]!r} is not an action")
-    return Reading("ok", tuple(Action[word.upper()] for word in words), "")
+        return unusable("illegal", f"{unknown[0][:40]!r} is not an action")
+    return Reading("ok", tuple(Action[word.upper()] for word in words), "", said)
 
 
 def _without_thoughts(text: str) -> str | None:
     """The text behind its thoughts; None where they do not end."""
-    if THOUGHT.match(text):
-        return THOUGHT.sub("", text, count=1)
-    if OPEN_THOUGHT.match(text):
-        return None
-    return HEADLESS_THOUGHT.sub("", text, count=1)
+    rest = THOUGHT.sub("", text, count=1)
+    return None if rest == text and OPEN_THOUGHT.match(text) else rest
 
 
 def _words(text: str, plan: bool) -> list[str] | None:

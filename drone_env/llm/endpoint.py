@@ -1,31 +1,29 @@
 """One request to an OpenAI-compatible endpoint: what goes out, what comes back, which failures are worth a retry."""
 
 import asyncio
+import contextlib
 import itertools
+import json
+import re
 from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from time import time
-from typing import Any, NoReturn, cast
+from typing import Any
 from urllib.parse import urlsplit
 
-import httpx2
-import openai
-from openai import AsyncOpenAI, AsyncStream
-from openai.types.chat import ChatCompletion, ChatCompletionChunk
+import httpx
 
+from drone_env import __version__
 from drone_env.core.actions import Action
 from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer
-from drone_env.llm.config import AnswerForm, RunConfig
+from drone_env.llm.config import RunConfig
 from drone_env.llm.prompt import ChatMessage
 from drone_env.llm.redaction import without_secret
 from drone_env.llm.settings import LOOPBACK
 
 RETRIED = {408, 409, 429}
-SENT_HEADERS = {
-    *("host", "content-type", "content-length", "transfer-encoding", "accept", "accept-encoding", "connection"),
-    *("user-agent", "authorization", "x-client-request-id"),
-}
 REASON_CHARACTERS = 300
 MOST_TOKENS = 10**12
 """A count of tokens from here on is none."""
@@ -35,6 +33,9 @@ PACKED = 64
 """How many times less a compressed answer may have. None is asked for, and one may grow a thousandfold."""
 POOLS = 8
 """Pools of connections. A pool looks at all of its own for each request, which hundreds in one would make slow."""
+SILENCE_SECONDS = 1.0
+"""How long the end of a response is waited for behind the end of its stream."""
+STREAM_END = re.compile(rb"^data: ?\[DONE\]", re.MULTILINE)
 DIRECTIONS = [action.name for action in Action]
 HINTS = {
     401: "the token is missing or wrong: check HF_TOKEN (Hugging Face) or OPENAI_API_KEY (elsewhere)",
@@ -43,53 +44,26 @@ HINTS = {
 }
 
 
+@dataclass(eq=False)
 class TryFailedError(DroneEnvError):
     """A try that brought no answer.
 
     Attributes:
         status: The HTTP status, 0 where there was none.
+        reason: What went wrong, in words.
         retried: Whether another try may bring one.
         retry_after: Seconds that the endpoint asks to wait; None where it does not say.
         fatal: Whether every other call would be refused as well.
     """
 
-    def __init__(
-        self, status: int, reason: str, retried: bool, retry_after: float | None = None, fatal: bool = False
-    ) -> None:
-        self.status = status
-        self.reason = reason
-        self.retried = retried
-        self.retry_after = retry_after
-        self.fatal = fatal
-        super().__init__(f"{status or 'no answer'}: {reason}")
+    status: int
+    reason: str
+    retried: bool
+    retry_after: float | None = None
+    fatal: bool = False
 
-
-class _TooLongError(ValueError):
-    """An answer that takes more than is read."""
-
-
-class _Bounded(httpx2.AsyncByteStream):
-    """What comes in, up to a limit."""
-
-    def __init__(self, stream: httpx2.AsyncByteStream, most: int) -> None:
-        self._stream = stream
-        self._left = most
-        self._most = most
-
-    async def __aiter__(self) -> AsyncIterator[bytes]:
-        async for chunk in self._stream:
-            self._left -= len(chunk)
-            if self._left < 0:
-                raise _TooLongError(f"it takes more than {self._most:,} bytes")
-            yield chunk
-
-    async def aclose(self) -> None:
-        await self._stream.aclose()
-
-
-async def _bound(response: httpx2.Response) -> None:
-    stream = cast(httpx2.AsyncByteStream, response.stream)
-    response.stream = _Bounded(stream, MOST_BYTES // PACKED if "content-encoding" in response.headers else MOST_BYTES)
+    def __str__(self) -> str:
+        return f"{self.status or 'no answer'}: {self.reason}"
 
 
 class Endpoint:
@@ -98,65 +72,51 @@ class Endpoint:
     Args:
         config: Model, address, sampling, form of the answers.
         token: What authorises; None to send none.
-        plan: Whether whole routes are asked for.
         timeout: Seconds that an answer may take.
     """
 
-    def __init__(self, config: RunConfig, token: str | None, plan: bool, timeout: float) -> None:
+    def __init__(self, config: RunConfig, token: str | None, timeout: float) -> None:
+        self._url = f"{config.base_url}/chat/completions"
         self._token = token
         self._timeout = timeout
         self._stream = config.stream
-        self.body = request_body(config, plan)
-
-        async def keep_to_ourselves(request: httpx2.Request) -> None:
-            # The client adds headers from variables of the environment that are meant for one certain host.
-            for name in [name for name in request.headers if name.lower() not in SENT_HEADERS]:
-                del request.headers[name]
-            request.headers["accept-encoding"] = "identity"
-            if token is None:
-                request.headers.pop("authorization", None)
-            else:
-                request.headers["authorization"] = f"Bearer {token}"
-
-        def client() -> AsyncOpenAI:
-            # A redirect could take the token elsewhere. No limit of connections: the runner limits them.
-            # A proxy is another machine: what goes to this one, unencrypted, passes none.
-            http = openai.DefaultAsyncHttpxClient(
+        self.body = request_body(config)
+        # The machine's own certificates beside those that httpx brings.
+        certificates = httpx.create_ssl_context()
+        certificates.load_default_certs()
+        headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
+        if token is not None:
+            headers["authorization"] = f"Bearer {token}"
+        # A redirect could take the token elsewhere. No limit of connections: the gate limits them.
+        # A proxy is another machine: what goes to this one, unencrypted, passes none.
+        clients = [
+            httpx.AsyncClient(
+                headers=headers,
                 trust_env=urlsplit(config.base_url).hostname not in LOOPBACK,
                 verify=certificates,
                 follow_redirects=False,
-                limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
-                event_hooks={"request": [keep_to_ourselves], "response": [_bound]},
+                timeout=None,
+                limits=httpx.Limits(max_connections=None, max_keepalive_connections=None),
             )
-            return AsyncOpenAI(
-                api_key=token or "none", base_url=config.base_url, max_retries=0, timeout=timeout, http_client=http
-            )
-
-        certificates = httpx2.create_ssl_context()
-        self._clients = [client() for _ in range(POOLS)]
-        self._next_client = itertools.cycle(self._clients)
-        self.host = urlsplit(config.base_url).netloc
+            for _ in range(POOLS)
+        ]
+        self._clients = clients
+        self._next_client = itertools.cycle(clients)
 
     async def ask(self, messages: Sequence[ChatMessage], call_id: str) -> Answer:
-        """Send one request.
+        """Send one request. The answer holds no token, wherever the endpoint quotes it.
 
         Raises:
             TryFailedError: if no answer came.
         """
         try:
             return await asyncio.wait_for(self._ask(messages, call_id), self._timeout)
-        except (asyncio.TimeoutError, openai.APITimeoutError, httpx2.TimeoutException):
+        except asyncio.TimeoutError:
             raise TryFailedError(0, f"no answer within {self._timeout:g} s", retried=True) from None
-        except openai.APIStatusError as error:
-            self._status_failed(error)
-        except (openai.APIConnectionError, httpx2.TransportError) as error:
-            cause = error.__cause__ or error
-            if isinstance(cause, _TooLongError):
-                raise TryFailedError(200, f"not an answer: {cause}", retried=False) from None
-            reason = f"{type(cause).__name__}: {cause}".rstrip(": ")
+        except (httpx.HTTPError, httpx.InvalidURL) as error:
+            reason = f"{type(error).__name__}: {error}".rstrip(": ")
             raise TryFailedError(0, self._clean(reason), retried=True) from None
-        except (openai.APIError, ValueError) as error:
-            # An error inside of a stream, or what is no JSON.
+        except ValueError as error:
             raise TryFailedError(200, self._clean(f"not an answer: {error}"), retried=False) from None
         except (AttributeError, LookupError, TypeError, RecursionError) as error:
             # Foreign servers send anything where the protocol has objects and lists, and nothing checks it before.
@@ -165,38 +125,33 @@ class Endpoint:
     async def close(self) -> None:
         """Close all connections."""
         for client in self._clients:
-            await client.close()
+            await client.aclose()
 
     async def _ask(self, messages: Sequence[ChatMessage], call_id: str) -> Answer:
-        # Not `chat.completions.create`, which takes longer to check each message than all else here takes.
-        post: Any = next(self._next_client).post
-        body: dict[str, Any] = {"messages": list(messages), **self.body}
-        arguments: dict[str, Any] = {
-            "options": {"headers": {"X-Client-Request-Id": call_id}},
-            "cast_to": ChatCompletion,
-        }
-        if not self._stream:
-            return _read_completion(await post("/chat/completions", body=body, **arguments))
-        body |= {"stream": True, "stream_options": {"include_usage": True}}
-        chunks = AsyncStream[ChatCompletionChunk]
-        return await _read_stream(
-            await post("/chat/completions", body=body, stream=True, stream_cls=chunks, **arguments)
-        )
+        body = {"messages": list(messages), **self.body}
+        if self._stream:
+            body |= {"stream": True, "stream_options": {"include_usage": True}}
+        headers = {"x-client-request-id": call_id}
+        async with next(self._next_client).stream("POST", self._url, json=body, headers=headers) as response:
+            data = await _read(response)
+        if not response.is_success:
+            raise self._refusal(response, data)
+        fields = _streamed(data) if self._stream else _answer([json.loads(data)], "message")
+        if fields["finish_reason"] is None and self._stream:
+            raise TryFailedError(0, "the stream ended before the answer did", retried=True)
+        texts = {name: value for name, value in fields.items() if isinstance(value, str)}
+        return Answer.model_validate(fields | {name: without_secret(text, self._token) for name, text in texts.items()})
 
-    def _status_failed(self, error: openai.APIStatusError) -> NoReturn:
-        status = error.status_code
-        reason = self._clean(_error_text(error))
+    def _refusal(self, response: httpx.Response, data: bytes) -> TryFailedError:
+        status, reason = response.status_code, self._clean(_error_text(data))
         if 300 <= status < 400:
             # Who follows takes the token along.
-            where = self._clean(error.response.headers.get("location", "elsewhere"))
+            where = self._clean(response.headers.get("location", "elsewhere"))
             reason = f"it redirects to {where}, which is not followed: API_BASE_URL must be the endpoint itself"
-            raise TryFailedError(status, reason, retried=False) from None
         if status in HINTS:
-            raise TryFailedError(status, f"{HINTS[status]} ({reason})", retried=False, fatal=True) from None
+            return TryFailedError(status, f"{HINTS[status]} ({reason})", retried=False, fatal=True)
         retried = status in RETRIED or status >= 500
-        raise TryFailedError(
-            status, reason, retried, _retry_after(error.response.headers) if retried else None
-        ) from None
+        return TryFailedError(status, reason, retried, _retry_after(response.headers) if retried else None)
 
     def _clean(self, text: str) -> str:
         """The text on one line, without the token, and without what moves a terminal or cannot be written."""
@@ -206,13 +161,15 @@ class Endpoint:
         return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
 
 
-def request_body(config: RunConfig, plan: bool) -> dict[str, Any]:
+def request_body(config: RunConfig) -> dict[str, Any]:
     """What is sent beside the messages."""
     sampling = config.sampling.model_dump(exclude={"extra"}, exclude_none=True)
-    return {"model": config.model, **sampling, **config.sampling.extra, **_form(config.answers, plan)}
+    return {"model": config.model, **sampling, **config.sampling.extra, **_form(config)}
 
 
-def _form(form: AnswerForm, plan: bool) -> dict[str, Any]:
+def _form(config: RunConfig) -> dict[str, Any]:
+    """What asks for answers in the form of the run."""
+    plan = config.load_prompt().plan
     one = {"type": "string", "enum": DIRECTIONS}
     properties = {"actions": {"type": "array", "items": one}} if plan else {"direction": one}
     schema = {
@@ -222,11 +179,11 @@ def _form(form: AnswerForm, plan: bool) -> dict[str, Any]:
         "additionalProperties": False,
     }
     name = "fly_route" if plan else "fly"
-    if form == "json":
+    if config.answers == "json":
         return {
             "response_format": {"type": "json_schema", "json_schema": {"name": name, "schema": schema, "strict": True}}
         }
-    if form == "tool":
+    if config.answers == "tool":
         described = "Fly the whole route." if plan else "Fly one step."
         function = {"name": name, "description": described, "parameters": schema}
         return {
@@ -236,77 +193,73 @@ def _form(form: AnswerForm, plan: bool) -> dict[str, Any]:
     return {}
 
 
-def _read_completion(completion: Any) -> Answer:
-    """The answer in a completion; foreign servers leave much of it out."""
-    choices = getattr(completion, "choices", None)
-    if not choices:
-        # Some send their errors as 200.
-        error = _field(completion, "error") if isinstance(completion, ChatCompletion) else None
-        raise ValueError(f"there are no choices, but {error or completion}")
-    message = choices[0].message
-    if message is None:
-        raise ValueError("the choice has no message")
-    calls = getattr(message, "tool_calls", None)
-    return Answer(
-        text=_text(message.content) or "",
-        reasoning=_text(_field(message, "reasoning_content") or _field(message, "reasoning")),
-        tool_arguments=_arguments(calls) if calls else None,
-        refusal=_text(getattr(message, "refusal", None)),
-        finish_reason=_text(choices[0].finish_reason),
-        model=_text(completion.model),
-        **_usage(completion.usage),
-    )
+async def _read(response: httpx.Response) -> bytes:
+    """What is sent, up to a limit; of a stream up to its mark of the end, behind which a server may fall silent."""
+    packed = "content-encoding" in response.headers
+    most = MOST_BYTES // PACKED if packed else MOST_BYTES
+    data, chunks = bytearray(), response.aiter_raw()
+    async for chunk in chunks:
+        data += chunk
+        if len(data) > most:
+            # Not worth a retry, whatever its status.
+            raise ValueError(f"it takes more than {most:,} bytes")
+        if STREAM_END.search(data, max(0, len(data) - len(chunk) - len("data: [DONE]"))):
+            # A connection is used again if its response was read to the end.
+            with contextlib.suppress(asyncio.TimeoutError, httpx.HTTPError):
+                await asyncio.wait_for(_pass_over(chunks), SILENCE_SECONDS)
+            break
+    return httpx.Response(200, headers=response.headers, content=bytes(data)).content if packed else bytes(data)
 
 
-async def _read_stream(stream: Any) -> Answer:
-    parts: dict[str, list[str]] = {"text": [], "reasoning": [], "refusal": [], "tool": []}
-    finish_reason: str | None = None
-    model: str | None = None
-    usage: dict[str, int | None] = {}
-    async with stream:
-        async for chunk in stream:
-            model = _text(chunk.model) or model
-            usage = _usage(chunk.usage) if chunk.usage else usage
-            choices: list[Any] = chunk.choices or []
-            for choice in choices[:1]:
-                finish_reason = _text(choice.finish_reason) or finish_reason
-                delta = choice.delta
-                if delta is None:
-                    continue
-                calls = getattr(delta, "tool_calls", None)
-                pieces: dict[str, Any] = {
-                    "text": delta.content,
-                    "reasoning": _field(delta, "reasoning_content") or _field(delta, "reasoning"),
-                    "refusal": getattr(delta, "refusal", None),
-                    "tool": _arguments(calls) if calls else None,
-                }
-                for name, piece in pieces.items():
-                    if piece:
-                        parts[name].append(_text(piece) or "")
-    if finish_reason is None:
-        raise TryFailedError(0, "the stream ended before the answer did", retried=True)
-    joined = {name: "".join(pieces) or None for name, pieces in parts.items()}
-    return Answer(
-        text=joined["text"] or "",
-        reasoning=joined["reasoning"],
-        tool_arguments=joined["tool"],
-        refusal=joined["refusal"],
-        finish_reason=finish_reason,
-        model=model,
-        **_usage_fields(usage),
-    )
+async def _pass_over(chunks: AsyncIterator[bytes]) -> None:
+    async for _ in chunks:
+        pass
 
 
-def _arguments(calls: Any) -> str | None:
-    """The arguments of tool calls. Those of several stand side by side, which makes them no action."""
-    pieces = [_text(call.function.arguments) for call in calls if call.function is not None]
-    return "".join(piece or "" for piece in pieces) or None
+def _streamed(data: bytes) -> dict[str, Any]:
+    """The answer in the events of a stream."""
+    # Behind the last end of a line stands what was cut off.
+    lines = data[: data.rfind(b"\n") + 1].splitlines()
+    events = [line.removeprefix(b"data:").strip() for line in lines if line.startswith(b"data:")]
+    return _answer([json.loads(event) for event in events if event not in (b"", b"[DONE]")], "delta")
 
 
-def _field(message: Any, name: str) -> Any:
-    """A field that is not part of OpenAI's protocol, but of others'."""
-    extra: dict[str, Any] = message.model_extra or {}
-    return extra.get(name)
+def _answer(completions: Sequence[Any], part: str) -> dict[str, Any]:
+    """The fields of the answer in a completion, or in the pieces of one; foreign servers leave much of it out.
+
+    Args:
+        completions: Objects as in the protocol.
+        part: What a choice holds: `message`, or `delta` in a stream.
+    """
+    texts: dict[str, list[str]] = {"text": [], "reasoning": [], "refusal": [], "tool_arguments": []}
+    last: dict[str, str | None] = {"finish_reason": None, "model": None}
+    usage: Any = {}
+    for completion in completions:
+        if not hasattr(completion, "get"):
+            raise ValueError(f"an object was expected, got {completion!r}")
+        choices: list[Any] = completion.get("choices") or []
+        if completion.get("error") or (part == "message" and not choices):
+            # Some send their errors as 200.
+            raise ValueError(f"there are no choices, but {completion.get('error') or completion}")
+        last["model"] = _text(completion.get("model")) or last["model"]
+        usage = completion.get("usage") or usage
+        for choice in choices[:1]:
+            last["finish_reason"] = _text(choice.get("finish_reason")) or last["finish_reason"]
+            message: Any = choice[part] if part == "message" else choice.get(part) or {}
+            calls: list[Any] = message.get("tool_calls") or []
+            pieces: dict[str, list[Any]] = {
+                "text": [message.get("content")],
+                "reasoning": [message.get("reasoning_content") or message.get("reasoning")],
+                "refusal": [message.get("refusal")],
+                # Those of several calls stand side by side, which makes them no action.
+                "tool_arguments": [(call.get("function") or {}).get("arguments") for call in calls],
+            }
+            for name, found in pieces.items():
+                texts[name] += [piece for piece in map(_text, found) if piece]
+    joined = {name: "".join(found) or None for name, found in texts.items()}
+    counts = {name: usage.get(name) for name in ("prompt_tokens", "completion_tokens")}
+    counted = {name: n if type(n) is int and 0 <= n < MOST_TOKENS else None for name, n in counts.items()}
+    return {**joined, "text": joined["text"] or "", **last, **counted}
 
 
 def _text(value: Any) -> str | None:
@@ -315,22 +268,19 @@ def _text(value: Any) -> str | None:
     raise ValueError(f"text was expected, got {value!r}")
 
 
-def _usage(usage: Any) -> dict[str, int | None]:
-    counts = {name: getattr(usage, name, None) for name in ("prompt_tokens", "completion_tokens")}
-    return _usage_fields({name: n if type(n) is int and 0 <= n < MOST_TOKENS else None for name, n in counts.items()})
+def _error_text(data: bytes) -> str:
+    """What an error says, in whatever form it came."""
+    text = data.decode(errors="replace")
+    try:
+        error: Any = json.loads(data)
+        error = error.get("error", error)
+        told = error.get("message")
+    except (ValueError, AttributeError, RecursionError):
+        return text
+    return told if isinstance(told, str) else text
 
 
-def _usage_fields(usage: dict[str, int | None]) -> dict[str, int | None]:
-    return {name: usage.get(name) for name in ("prompt_tokens", "completion_tokens")}
-
-
-def _error_text(error: openai.APIStatusError) -> str:
-    body = error.body
-    told = cast(dict[str, Any], body).get("message") if isinstance(body, dict) else None
-    return told if isinstance(told, str) else error.message
-
-
-def _retry_after(headers: httpx2.Headers) -> float | None:
+def _retry_after(headers: httpx.Headers) -> float | None:
     """Seconds that the endpoint asks to wait, from its headers; None where they do not say."""
     milliseconds, after = headers.get("retry-after-ms"), headers.get("retry-after")
     try:

@@ -21,25 +21,27 @@ START_SECONDS = 120.0
 PORT = 8000
 
 
-class ServerFlight:
-    """One flight in a server, step by step with an episode here. To be closed.
+class ServerSession:
+    """A session on a server that flies, step by step, what an episode here flies. To be closed.
 
     Args:
         url: Where the server is.
+        agent: Who flies, for its records.
     """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, agent: str) -> None:
         self._url = url
+        self._agent = agent
         self._client = DroneEnvClient(url)
 
-    async def reset(self, episode: Episode, agent: str) -> None:
+    async def reset(self, episode: Episode) -> None:
         """Start the map of an episode that has just been reset.
 
         Raises:
             InvalidValueError: if the server shows something else than the episode, or does not answer.
         """
         profile = episode.reward_profile.id
-        await self._agree(episode, self._client.reset, episode.task.id, episode.seed, profile, agent)
+        await self._agree(episode, self._client.reset, episode.task.id, episode.seed, profile, self._agent)
 
     async def step(self, episode: Episode, action: Action) -> None:
         """Fly the action that the episode has just flown.

@@ -17,14 +17,13 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.episodes.record import record_of
 from drone_env.errors import InvalidValueError, MissingPackageError
-from drone_env.llm.answers import Answer
-from drone_env.llm.limits import LimitReachedError
-from drone_env.llm.pilot import Flight, Mission, fly
+from drone_env.llm.answers import Answer, Reading, read_answer
+from drone_env.llm.gate import LimitReachedError
+from drone_env.llm.pilot import PilotedEpisode, fly
 from drone_env.llm.prompt import ChatMessage, first_messages, get_prompt
-from drone_env.llm.run_folder import FlightResult
+from drone_env.llm.run_folder import PilotedRecord
 from drone_env.llm.runner import MOST_ERRORED, log_text
 from drone_env.llm.transcript import CallKey
-from drone_env.models import DroneObservation
 from drone_env.planning.optimal import best_of
 
 try:
@@ -82,7 +81,7 @@ def drone_delivery(
     samples: list[Sample] = []
     for seed in split_seeds(split, episodes):
         episode.reset(seed)
-        messages = first_messages(chosen, config, DroneObservation.of(episode), [], history)
+        messages = first_messages(chosen, episode)
         samples.append(Sample(id=str(seed), input=[_inspects(m) for m in messages], metadata={"seed": seed}))
     return Task(
         dataset=MemoryDataset(samples, name=f"{config.id}-{split}"),
@@ -111,7 +110,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
         model = get_model()
         stopped: BaseException | None = None
 
-        async def ask(key: CallKey, messages: list[ChatMessage]) -> Answer:
+        async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
             nonlocal stopped
             asked = [_inspects(message) for message in messages]
             try:
@@ -120,11 +119,12 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
                 stopped = error
                 raise LimitReachedError(str(error) or "stopped by Inspect") from error
             state.messages, state.output = [*asked, output.message], output
-            return _answer(output)
+            return read_answer(_answer(output), chosen.plan)
 
-        mission = Mission(0, state.metadata["seed"], state.epoch - 1, config, reward_profile, history, str(state.model))
-        flight = await fly(mission, chosen, ask)
-        state.store.set("flight", _told(flight, mission))
+        flown = PilotedEpisode(0, state.epoch - 1, Episode(config, reward_profile))
+        flown.episode.reset(state.metadata["seed"])
+        await fly(flown, chosen, history, ask)
+        state.store.set("flight", _stored(flown, str(state.model)))
         # Where a limit was reached, Inspect notes it and scores what was flown so far.
         if stopped is not None:
             raise stopped
@@ -143,28 +143,28 @@ def graded() -> Scorer:
     """
 
     async def score(state: TaskState, target: Target) -> Score:
-        told: dict[str, Any] = state.store.get("flight")
-        result = FlightResult.model_validate(told["result"])
-        optimum = best_of(get_task(told["task"]), result.seed)
+        kept: dict[str, Any] = state.store.get("flight")
+        result = PilotedRecord.model_validate(kept["result"])
+        optimum = best_of(get_task(kept["task"]), result.seed)
         regret = math.nan if optimum is None else optimum.score - result.score
         return Score(
             value={"score": result.score, "success": float(result.success), "regret": regret},
-            answer=" ".join(told["actions"]),
-            explanation=told["log"],
-            metadata={"result": told["result"], "record": told["record"]},
+            answer=" ".join(kept["actions"]),
+            explanation=kept["log"],
+            metadata={"result": kept["result"], "record": kept["record"]},
         )
 
     return score
 
 
-def _told(flight: Flight, mission: Mission) -> dict[str, Any]:
+def _stored(flown: PilotedEpisode, agent: str) -> dict[str, Any]:
     """A flight as JSON values, which is what a sample can store."""
     return {
-        "task": mission.task.id,
-        "result": FlightResult.of(flight).model_dump(mode="json"),
-        "record": record_of(flight.episode, mission.agent).to_json(),
-        "actions": [step.action.name for step in flight.episode.path],
-        "log": log_text(flight, mission.agent),
+        "task": flown.episode.task.id,
+        "result": PilotedRecord.of(flown).model_dump(mode="json"),
+        "record": record_of(flown.episode, agent).to_json(),
+        "actions": [step.action.name for step in flown.episode.path],
+        "log": log_text(flown, agent),
     }
 
 

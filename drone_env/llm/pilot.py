@@ -1,64 +1,31 @@
-"""One flight of a model: ask, read, fly. No other policy ever acts: an unusable answer is a WAIT, and counted."""
+"""An episode flown by a model: ask, fly. No other policy ever acts: an unusable answer is a WAIT, and counted."""
 
 from collections.abc import Awaitable, Callable
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from typing import Literal
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import TaskConfig
-from drone_env.errors import DroneEnvError
-from drone_env.llm.answers import Answer, Outcome, read_answer
+from drone_env.llm.answers import Reading, TurnKind
 from drone_env.llm.config import RunConfig
-from drone_env.llm.image import ServerFlight
-from drone_env.llm.limits import LimitReachedError
-from drone_env.llm.prompt import ChatMessage, Flown, Prompt, first_messages, repair_messages
+from drone_env.llm.desk import CallFailedError
+from drone_env.llm.gate import LimitReachedError
+from drone_env.llm.image import ServerSession
+from drone_env.llm.prompt import ChatMessage, Prompt, first_messages, repair_messages
 from drone_env.llm.transcript import CallKey
-from drone_env.models import DroneObservation
 
-Ask = Callable[[CallKey, list[ChatMessage]], Awaitable[Answer]]
+Ask = Callable[[CallKey, list[ChatMessage]], Awaitable[Reading]]
 Status = Literal["finished", "errored", "budget_stop"]
 
 
-@dataclass(frozen=True)
-class Mission:
-    """What is to be flown.
-
-    Attributes:
-        index: The number of the flight, from 0.
-        seed, repeat: The map, and the how manieth flight over it from 0.
-        task: The task.
-        reward_profile: What steps pay.
-        history: How many of the last steps are told.
-        agent: Who flies, for a server's records.
-    """
-
-    index: int
-    seed: int
-    repeat: int
-    task: TaskConfig
-    reward_profile: str
-    history: int
-    agent: str
-
-
-def mission_of(config: RunConfig, index: int) -> Mission:
-    """A flight of a run, by its number."""
-    seed, repeat = config.flight(index)
-    return Mission(index, seed, repeat, config.task_config, config.reward_profile, config.history, config.model)
-
-
-class CallFailedError(DroneEnvError):
-    """A call brought no answer, after all retries."""
-
-
 @dataclass
-class Flight:
-    """A flight as far as it was flown.
+class PilotedEpisode:
+    """An episode that a model flies, as far as it was flown.
 
     Attributes:
-        index: Its number in the run.
-        seed, repeat: The map, and the how manieth flight over it from 0.
+        index: Its number in the run, from 0.
+        repeat: How many flights of the run over the same map came before it.
         episode: The episode where the flight stopped.
         turns: How each request for actions came out, in order.
         step_errors: For each step, why it is a WAIT that the model did not choose; None where it chose.
@@ -68,57 +35,76 @@ class Flight:
     """
 
     index: int
-    seed: int
     repeat: int
     episode: Episode
-    turns: list[Outcome] = field(default_factory=list[Outcome])
+    turns: list[TurnKind] = field(default_factory=list[TurnKind])
     step_errors: list[str | None] = field(default_factory=list[str | None])
     status: Status = "finished"
     error: str | None = None
     begun: bool = False
 
 
-async def fly(mission: Mission, prompt: Prompt, ask: Ask, server: ServerFlight | None = None) -> Flight:
-    """Fly one flight. Equal answers give equal flights.
+async def fly_one(config: RunConfig, index: int, ask: Ask, server: str | None = None) -> PilotedEpisode:
+    """Fly one episode of a run.
 
     Args:
-        mission: The flight.
+        config: The run.
+        index: The number of the flight.
+        ask: See `fly`.
+        server: Address of a server that flies along.
+
+    Raises:
+        InvalidValueError: if the server shows something else.
+    """
+    seed, repeat = config.flight(index)
+    episode = Episode(config.task_config, config.reward_profile)
+    episode.reset(seed)
+    flown = PilotedEpisode(index, repeat, episode)
+    with ExitStack() as stack:
+        session = None if server is None else stack.enter_context(closing(ServerSession(server, config.model)))
+        await fly(flown, config.load_prompt(), config.history, ask, session)
+    return flown
+
+
+async def fly(
+    flown: PilotedEpisode, prompt: Prompt, history: int, ask: Ask, server: ServerSession | None = None
+) -> None:
+    """Fly an episode that has just been reset. Equal answers give equal flights.
+
+    Args:
+        flown: The episode.
         prompt: How the model is asked.
+        history: How many of the last steps the prompt holds.
         ask: Brings the answer of one call; raises `CallFailedError` or `LimitReachedError` where there is none.
         server: Flies along, and must show the same.
 
     Raises:
         InvalidValueError: if the server shows something else.
     """
-    index, task = mission.index, mission.task
-    episode = Episode(task, mission.reward_profile)
-    episode.reset(mission.seed)
-    flight = Flight(index, mission.seed, mission.repeat, episode)
+    episode = flown.episode
     if server is not None:
-        await server.reset(episode, mission.agent)
-    flown: list[Flown] = []
+        await server.reset(episode)
+    steps: list[str] = []
     while not episode.ended:
-        turn = len(flight.turns) + 1
-        asked = first_messages(prompt, task, DroneObservation.of(episode), flown, mission.history)
+        turn = len(flown.turns) + 1
+        asked = first_messages(prompt, episode, steps[-history:] if history else ())
         try:
-            answer = await ask(CallKey(index, turn, 1), asked)
-            flight.begun = True
-            reading = read_answer(answer, prompt.plan)
-            outcome: Outcome = reading.kind
+            reading = await ask(CallKey(flown.index, turn, 1), asked)
+            flown.begun = True
+            outcome: TurnKind = reading.kind
             if reading.kind != "ok":
-                shown = answer.text if answer.tool_arguments is None else answer.tool_arguments
-                again = repair_messages(prompt, asked, shown, reading.reason)
-                reading = read_answer(await ask(CallKey(index, turn, 2), again), prompt.plan)
+                again = repair_messages(prompt, asked, reading.text, reading.reason)
+                reading = await ask(CallKey(flown.index, turn, 2), again)
                 outcome = "repaired" if reading.kind == "ok" else reading.kind
         except CallFailedError as error:
-            flight.turns.append("api_error")
-            flight.status, flight.error = "errored", str(error)
+            flown.turns.append("api_error")
+            flown.status, flown.error = "errored", str(error)
             break
         except LimitReachedError as error:
-            flight.turns.append("budget_stop")
-            flight.status, flight.error = "budget_stop", str(error)
+            flown.turns.append("budget_stop")
+            flown.status, flown.error = "budget_stop", str(error)
             break
-        flight.turns.append(outcome)
+        flown.turns.append(outcome)
         for action in reading.actions or (Action.WAIT,):
             if episode.ended:
                 break
@@ -126,8 +112,7 @@ async def fly(mission: Mission, prompt: Prompt, ask: Ask, server: ServerFlight |
             if server is not None:
                 await server.step(episode, action)
             x, y = episode.position
-            flown.append(Flown(action.name, x, y, episode.message))
-            flight.step_errors.append(None if reading.actions else outcome)
+            steps.append(f"{episode.steps}. {action.name} -> ({x}, {y}). {episode.message}")
+            flown.step_errors.append(None if reading.actions else outcome)
         if prompt.plan:
             break
-    return flight

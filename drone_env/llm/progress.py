@@ -2,16 +2,13 @@
 
 import time
 from collections.abc import Callable
-from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from typing_extensions import Self
 
-from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.config import RunConfig
-from drone_env.llm.limits import Spending
-from drone_env.llm.pilot import Flight
+from drone_env.llm.gate import Gate
+from drone_env.llm.pilot import PilotedEpisode
 from drone_env.llm.runner import log_text
 from drone_env.llm.transcript import Call
 
@@ -24,15 +21,22 @@ class ConsoleObserver:
     """Prints the log lines of each flight to standard output, together, and all else to standard error.
 
     Args:
+        config: The run.
+        gate: What its requests pass, for the figures.
         keep: Is given each flight before its log lines are printed.
+
+    Attributes:
+        progress: The bar, to be entered by a `with`.
     """
 
-    def __init__(self, keep: Callable[[Flight], None] | None = None) -> None:
+    def __init__(self, config: RunConfig, gate: Gate, keep: Callable[[PilotedEpisode], None]) -> None:
+        self._config = config
+        self._gate = gate
         self._keep = keep
         self._console = Console(stderr=True, highlight=False, markup=False, emoji=False)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         terminal = self._console.is_terminal
-        self._progress = Progress(
+        self.progress = Progress(
             *columns,
             TextColumn("{task.fields[figures]}"),
             console=self._console,
@@ -40,31 +44,12 @@ class ConsoleObserver:
             disable=not terminal,
             redirect_stdout=terminal,
         )
-        self._bar = self._progress.add_task("flights", total=None, figures="")
-        self._model = ""
-        self._flights = 0
+        self._bar = self.progress.add_task(config.task_config.short_name, total=config.flights, figures="")
         self._done = 0
         self._calls = 0
         self._began = self._told = time.monotonic()
         self._waits = 0
         self._wait_told = 0.0
-        self._spending: Spending | None = None
-        self._gate: AdaptiveGate | None = None
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._progress.stop()
-
-    def started(self, config: RunConfig, spending: Spending, gate: AdaptiveGate) -> None:
-        """The run begins."""
-        self._model, self._flights = config.model, config.flights
-        self._spending, self._gate = spending, gate
-        self._progress.update(self._bar, total=config.flights, description=config.task_config.short_name)
 
     def called(self, call: Call) -> None:
         """A call was made."""
@@ -79,35 +64,29 @@ class ConsoleObserver:
             self._wait_told = now
             self._console.print(f"waiting {seconds:.1f} s, then trying again ({self._waits} so far): {reason}")
 
-    def flown(self, flight: Flight) -> None:
+    def flown(self, flown: PilotedEpisode) -> None:
         """A flight is over: its log lines."""
-        if self._keep is not None:
-            self._keep(flight)
-        print(log_text(flight, self._model), end="", flush=True)
+        self._keep(flown)
+        print(log_text(flown, self._config.model), end="", flush=True)
         self._done += 1
-        if flight.status != "finished":
-            self._console.print(f"map {flight.seed}: {flight.status}: {flight.error}")
-        self._progress.update(self._bar, completed=self._done)
+        if flown.status != "finished":
+            self._console.print(f"map {flown.episode.seed}: {flown.status}: {flown.error}")
+        self.progress.update(self._bar, completed=self._done)
         self._show()
 
     def _show(self) -> None:
         now = time.monotonic()
-        if self._progress.disable:
+        if self.progress.disable:
             if now - self._told >= LINE_SECONDS:
                 self._told = now
-                self._console.print(f"{self._done} of {self._flights} flights, {self._figures(now)}", soft_wrap=True)
+                self._console.print(
+                    f"{self._done} of {self._config.flights} flights, {self._figures(now)}", soft_wrap=True
+                )
             return
-        self._progress.update(self._bar, figures=self._figures(now))
+        self.progress.update(self._bar, figures=self._figures(now))
 
     def _figures(self, now: float) -> str:
-        spending, gate = self._spending, self._gate
-        if spending is None or gate is None:
-            return ""
+        gate = self._gate
         rate = self._calls / max(now - self._began, 1e-9)
-        parts = [
-            f"{spending.requests} requests, {rate:.1f} calls/s, {gate.active} at once",
-            f"{spending.tokens} tokens",
-        ]
-        if spending.cost is not None:
-            parts.append(f"${spending.cost:.4f}")
-        return ", ".join(parts)
+        cost = "" if gate.cost is None else f", ${gate.cost:.4f}"
+        return f"{gate.requests} requests, {rate:.1f} calls/s, {gate.active} at once, {gate.tokens} tokens{cost}"

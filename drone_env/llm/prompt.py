@@ -7,7 +7,7 @@ import hashlib
 import re
 import string
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,9 +16,10 @@ from typing import Any
 from typing_extensions import TypedDict
 
 from drone_env.core.cells import CELL_KINDS
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.models import DroneObservation
+from drone_env.models import NAMES, DroneObservation
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -26,17 +27,7 @@ else:
     import tomli as tomllib
 
 FOLDER = Path(__file__).with_name("prompts")
-LETTERS = {
-    "road": ".",
-    "building": "B",
-    "tree": "T",
-    "obstacle": "O",
-    "delivery": "P",
-    "delivered": "x",
-    "drone": "D",
-    "unknown": "?",
-    "pad": "C",
-}
+LETTERS = dict(zip(NAMES, ".BTOPxD?C", strict=True))
 QUOTED_CHARACTERS = 2000
 """How much of a bad answer is shown to the model again."""
 
@@ -70,16 +61,6 @@ class Prompt:
     def tells_history(self) -> bool:
         """Whether it has a place for the last steps."""
         return "{history}" in self.user
-
-
-@dataclass(frozen=True)
-class Flown:
-    """One flown step, for the history."""
-
-    action: str
-    x: int
-    y: int
-    message: str
 
 
 def prompt_ids() -> list[str]:
@@ -132,9 +113,7 @@ def read_prompt(path: Path) -> Prompt:
     return Prompt(id=path.stem, plan=data["plan"], digest=hashlib.sha256(raw).hexdigest()[:16], **texts)
 
 
-def first_messages(
-    prompt: Prompt, task: TaskConfig, observation: DroneObservation, flown: Sequence[Flown], history: int
-) -> list[ChatMessage]:
+def first_messages(prompt: Prompt, episode: Episode, last_steps: Sequence[str] = ()) -> list[ChatMessage]:
     """The messages that ask for the next action, or for the route.
 
     In tasks with pads every prompt ends with what lies below the drone, which no map shows: that belongs to the version
@@ -142,16 +121,15 @@ def first_messages(
 
     Args:
         prompt: The prompt.
-        task: The task, whose costs and barriers are told.
-        observation: What the drone sees now.
-        flown: All steps so far.
-        history: How many of the last steps to tell.
+        episode: Where it stands.
+        last_steps: The last steps, each in a line.
     """
-    values = _values(task, observation, flown, history)
-    told = [_fill(prompt.user, values), below_text(task, observation.cell_below)]
+    observation = DroneObservation.of(episode)
+    values = _values(episode.task, observation, last_steps)
+    parts = [_fill(prompt.user, values), below_text(episode.task, observation.cell_below)]
     return [
         {"role": "system", "content": _fill(prompt.system, values)},
-        {"role": "user", "content": "\n".join(part for part in told if part)},
+        {"role": "user", "content": "\n".join(part for part in parts if part)},
     ]
 
 
@@ -176,47 +154,8 @@ def repair_text(prompt: Prompt, reason: str) -> str:
     return _fill(prompt.repair, {"reason": reason})
 
 
-VALUES = {
-    *("x", "y", "battery_percent", "battery_steps", "target", "distance", "deliveries_done", "deliveries_total"),
-    *("step", "steps_left", "max_steps", "width", "height", "grid", "parcels", "buildings", "trees", "obstacles"),
-    *("pads", "rules", "history"),
-}
-"""What a template may name."""
-
-
 def _fill(template: str, values: dict[str, object]) -> str:
     return re.sub(r"\n{3,}", "\n\n", template.format(**values)).strip()
-
-
-def _values(task: TaskConfig, observation: DroneObservation, flown: Sequence[Flown], history: int) -> dict[str, object]:
-    target, away = observation.current_target, observation.distance_to_target
-    return {
-        "x": observation.drone_x,
-        "y": observation.drone_y,
-        "battery_percent": round(100 * observation.battery),
-        "battery_steps": observation.battery_steps_remaining,
-        "target": "none" if target is None else f"({target[0]}, {target[1]})",
-        "distance": 0 if away is None else round(away),
-        "deliveries_done": observation.deliveries_done,
-        "deliveries_total": observation.deliveries_total,
-        "step": observation.step_count,
-        "steps_left": observation.max_steps - observation.step_count,
-        "max_steps": observation.max_steps,
-        "width": observation.grid_width,
-        "height": observation.grid_height,
-        "grid": _grid(observation),
-        "parcels": _places(observation, "delivery"),
-        "buildings": _places(observation, "building"),
-        "trees": _places(observation, "tree"),
-        "obstacles": _places(observation, "obstacle"),
-        "pads": _places(observation, "pad"),
-        "rules": rules_text(task),
-        "history": _history(flown, history),
-    }
-
-
-def _grid(observation: DroneObservation) -> str:
-    return "\n".join(" ".join(LETTERS[name] for name in line) for line in observation.cell_types)
 
 
 def _places(observation: DroneObservation, kind: str) -> str:
@@ -226,15 +165,39 @@ def _places(observation: DroneObservation, kind: str) -> str:
     return " ".join(found) or "none"
 
 
-def _history(flown: Sequence[Flown], last: int) -> str:
-    if not last or not flown:
-        return ""
-    start = max(0, len(flown) - last)
-    lines = [
-        f"{number}. {step.action} -> ({step.x}, {step.y}). {step.message}"
-        for number, step in enumerate(flown[start:], start + 1)
-    ]
-    return "\n".join(["", "Last steps:", *lines])
+def _target(observation: DroneObservation) -> str:
+    target = observation.current_target
+    return "none" if target is None else f"({target[0]}, {target[1]})"
+
+
+OBSERVED: dict[str, Callable[[DroneObservation], object]] = {
+    "x": lambda seen: seen.drone_x,
+    "y": lambda seen: seen.drone_y,
+    "battery_percent": lambda seen: round(100 * seen.battery),
+    "battery_steps": lambda seen: seen.battery_steps_remaining,
+    "target": _target,
+    "distance": lambda seen: round(seen.distance_to_target or 0),
+    "deliveries_done": lambda seen: seen.deliveries_done,
+    "deliveries_total": lambda seen: seen.deliveries_total,
+    "step": lambda seen: seen.step_count,
+    "steps_left": lambda seen: seen.max_steps - seen.step_count,
+    "max_steps": lambda seen: seen.max_steps,
+    "width": lambda seen: seen.grid_width,
+    "height": lambda seen: seen.grid_height,
+    "grid": lambda seen: "\n".join(" ".join(LETTERS[name] for name in line) for line in seen.cell_types),
+    "parcels": lambda seen: _places(seen, "delivery"),
+    "buildings": lambda seen: _places(seen, "building"),
+    "trees": lambda seen: _places(seen, "tree"),
+    "obstacles": lambda seen: _places(seen, "obstacle"),
+    "pads": lambda seen: _places(seen, "pad"),
+}
+VALUES = {*OBSERVED, "rules", "history"}
+"""What a template may name."""
+
+
+def _values(task: TaskConfig, observation: DroneObservation, last_steps: Sequence[str]) -> dict[str, object]:
+    history = "\n".join(["", "Last steps:", *last_steps]) if last_steps else ""
+    return {name: of(observation) for name, of in OBSERVED.items()} | {"rules": rules_text(task), "history": history}
 
 
 def rules_text(task: TaskConfig) -> str:

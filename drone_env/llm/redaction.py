@@ -3,7 +3,6 @@
 import base64
 import re
 from functools import lru_cache
-from typing import Any, cast
 
 SHORTEST_SECRET = 8
 """Shorter tokens, such as the `x` that local servers are content with, are no secrets: they are parts of words."""
@@ -21,17 +20,6 @@ def without_secret(text: str, secret: str | None) -> str:
     if secret is None or len(secret) < SHORTEST_SECRET:
         return text
     return _forms(secret).sub(TAKEN_OUT, text)
-
-
-def without_secret_in(value: Any, secret: str | None) -> Any:
-    """A JSON value with the secret taken out of all its texts."""
-    if isinstance(value, str):
-        return without_secret(value, secret)
-    if isinstance(value, list):
-        return [without_secret_in(item, secret) for item in cast(list[Any], value)]
-    if isinstance(value, dict):
-        return {name: without_secret_in(item, secret) for name, item in cast(dict[str, Any], value).items()}
-    return value
 
 
 @lru_cache(maxsize=8)

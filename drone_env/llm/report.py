@@ -12,9 +12,9 @@ from drone_env.errors import CheckpointError, TooLargeError, UnsupportedTaskErro
 from drone_env.evaluation.analysis import analyse_flight
 from drone_env.evaluation.episodes import EpisodeResults, episodes_key, run_episodes
 from drone_env.files import replacing
-from drone_env.llm.answers import OUTCOMES
-from drone_env.llm.limits import Prices
-from drone_env.llm.run_folder import FlightResult
+from drone_env.llm.answers import TURN_KINDS
+from drone_env.llm.options import Prices
+from drone_env.llm.run_folder import PilotedRecord
 from drone_env.llm.runner import mean_over_maps, verdict_of
 from drone_env.llm.verify import VerifiedRun
 
@@ -37,7 +37,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
     counted = [result for result in run.results if result.status != "errored"]
     statuses = [result.status for result in run.results]
     verdict, reason = verdict_of(config.flights, [str(status) for status in statuses])
-    by_map: dict[int, list[FlightResult]] = defaultdict(list)
+    by_map: dict[int, list[PilotedRecord]] = defaultdict(list)
     for result in counted:
         by_map[result.seed].append(result)
     baselines = _baselines(run, sorted(by_map))
@@ -73,7 +73,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
         if score is None or random is None or best is None or best == random
         else (score - random) / (best - random),
         "baselines": {name: _mean_of(scores) for name, scores in baselines.items()},
-        "turns": {name: sum(result.turns.get(name, 0) for result in run.results) for name in OUTCOMES},
+        "turns": {name: sum(result.turns.get(name, 0) for result in run.results) for name in TURN_KINDS},
         "waits": sum(result.waits for result in run.results),
         "moves": _moves(run) if moves else None,
         **_spending(run, prices),
@@ -125,7 +125,7 @@ def _interval(means: Sequence[float]) -> list[float] | None:
     return [mean - error, mean + error]
 
 
-def _pass_hat_k(maps: Sequence[Sequence[FlightResult]]) -> dict[str, float]:
+def _pass_hat_k(maps: Sequence[Sequence[PilotedRecord]]) -> dict[str, float]:
     """For each k, the chance that k flights over one map, drawn without replacement, all deliver everything.
 
     The unbiased estimate C(successes, k) / C(flights, k), averaged over the maps (Yao et al., tau-bench, 2024).

@@ -1,25 +1,26 @@
 """The folder of a run: what it is, its transcript, and what follows from that. One process at a time writes to it."""
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from filelock import FileLock
-from pydantic import Field, ValidationError
+from pydantic import Field
 from typing_extensions import Self
 
 from drone_env.episodes.record import record_of
-from drone_env.errors import InvalidValueError, text_of
+from drone_env.episodes.store import Store
+from drone_env.errors import InvalidValueError
 from drone_env.files import lock_file, replacing
-from drone_env.llm.answers import OUTCOMES, Outcome
+from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
-from drone_env.llm.pilot import Flight, Status
+from drone_env.llm.pilot import PilotedEpisode, Status
 from drone_env.models import Count, Message, Score
 
 CONFIG, TRANSCRIPT, EPISODES, RESULTS = "run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl"
 
 
-class FlightResult(Message):
-    """One flight of a run; its record is the line of the same number in `episodes.jsonl`."""
+class PilotedRecord(Message):
+    """What is kept of a piloted episode; its `EpisodeRecord` is the line of the same number in `episodes.jsonl`."""
 
     flight: Count
     seed: Count
@@ -30,25 +31,25 @@ class FlightResult(Message):
     ended: bool = Field(description="Whether it was flown to the end of the episode.")
     success: bool
     score: Score = Field(description="Of an unfinished flight what waiting to its end would earn.")
-    turns: dict[Outcome, Count] = Field(description="How the requests for actions came out.")
+    turns: dict[TurnKind, Count] = Field(description="How the requests for actions came out.")
     waits: Count = Field(description="Steps that are a WAIT because no answer could be used.")
 
     @classmethod
-    def of(cls, flight: Flight) -> Self:
-        """The result of a flight."""
-        episode = flight.episode
+    def of(cls, flown: PilotedEpisode) -> Self:
+        """What is kept of an episode."""
+        episode = flown.episode
         return cls(
-            flight=flight.index,
-            seed=flight.seed,
-            repeat=flight.repeat,
-            status=flight.status,
-            error=flight.error,
+            flight=flown.index,
+            seed=episode.seed,
+            repeat=flown.repeat,
+            status=flown.status,
+            error=flown.error,
             steps=episode.steps,
             ended=episode.ended,
             success=episode.success,
             score=episode.counted_score(),
-            turns={name: flight.turns.count(name) for name in OUTCOMES},
-            waits=sum(error is not None for error in flight.step_errors),
+            turns={name: flown.turns.count(name) for name in TURN_KINDS},
+            waits=sum(error is not None for error in flown.step_errors),
         )
 
 
@@ -73,7 +74,7 @@ class RunFolder:
         if resume and not config_path.exists():
             raise InvalidValueError(f"there is no run in {path} to resume")
         path.mkdir(parents=True, exist_ok=True)
-        self._lock = _lock(path)
+        self._lock = lock_file(path / "lock", f"another process is working on the run in {path}")
         try:
             if config_path.exists():
                 before = load_config(path)
@@ -87,18 +88,31 @@ class RunFolder:
             self.close()
             raise
 
-    def write_flights(self, flights: Sequence[Flight], agent: str) -> None:
+    def write_flights(self, flights: Sequence[PilotedEpisode], agent: str) -> None:
         """Write the records and the results of flights, in their order; each file is there whole or not at all.
 
         Raises:
             OSError: if they cannot be written.
         """
-        ordered = sorted(flights, key=lambda flight: flight.index)
-        records = [record_of(flight.episode, agent).to_json() for flight in ordered]
-        results = [FlightResult.of(flight).model_dump_json() for flight in ordered]
+        ordered = sorted(flights, key=lambda flown: flown.index)
+        records = [record_of(flown.episode, agent).to_json() for flown in ordered]
+        results = [PilotedRecord.of(flown).model_dump_json() for flown in ordered]
         for name, lines in ((EPISODES, records), (RESULTS, results)):
             with replacing(self.path / name) as temporary:
                 temporary.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+
+    def keep(self, flown: PilotedEpisode, store: Store, agent: str) -> None:
+        """Keep an episode that was flown to its end in a store: once, however often the run is gone on with.
+
+        Raises:
+            StoreError: if the store refuses it.
+        """
+        if not flown.episode.ended:
+            return
+        with (self.path / TRANSCRIPT).open("rb") as file:
+            # It holds the time of the run's first call, and is the same for all parts of the run.
+            run = file.readline()
+        store.add_episode(flown.episode, agent, hashlib.sha256(b"%d %s" % (flown.index, run)).hexdigest()[:16])
 
     def close(self) -> None:
         """Let other processes in."""
@@ -113,38 +127,24 @@ def load_config(path: Path) -> RunConfig:
         InvalidValueError: if there is none, or the file is not the configuration of a run.
     """
     try:
-        return RunConfig.model_validate_json((path / CONFIG).read_bytes())
+        text = (path / CONFIG).read_bytes()
     except (FileNotFoundError, NotADirectoryError):
         raise InvalidValueError(f"{path}: this is not the folder of a run: there is no {CONFIG} in it") from None
-    except ValidationError as error:
-        raise InvalidValueError(f"{path / CONFIG} is not the configuration of a run: {text_of(error)}") from None
+    return RunConfig.read(text, f"{path / CONFIG} is not the configuration of a run")
 
 
-def load_results(path: Path) -> list[FlightResult]:
+def load_results(path: Path) -> list[PilotedRecord]:
     """The results of a run, in order.
 
     Raises:
         OSError: if there are none yet.
         InvalidValueError: if a line is no result.
     """
-    results: list[FlightResult] = []
-    for number, line in enumerate((path / RESULTS).read_bytes().splitlines(), 1):
-        try:
-            results.append(FlightResult.model_validate_json(line))
-        except ValidationError as error:
-            where = f"line {number} of {path / RESULTS}"
-            raise InvalidValueError(f"{where} is not the result of a flight: {text_of(error)}") from None
-    return results
+    lines = enumerate((path / RESULTS).read_bytes().splitlines(), 1)
+    wrong = f"of {path / RESULTS} is not the result of a flight"
+    return [PilotedRecord.read(line, f"line {number} {wrong}") for number, line in lines]
 
 
 def _begun(path: Path) -> bool:
     """Whether the folder holds nothing but what a run that was killed at its very start leaves."""
     return all(entry.name == "lock" or entry.name.endswith(".part") for entry in path.iterdir())
-
-
-def _lock(path: Path) -> FileLock:
-    """Keep other processes out until the lock is released, or this process dies."""
-    try:
-        return lock_file(path / "lock")
-    except BlockingIOError:
-        raise InvalidValueError(f"another process is working on the run in {path}") from None

@@ -10,13 +10,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from drone_env.errors import InvalidValueError, text_of
+from drone_env.errors import InvalidValueError
 from drone_env.files import lock_file
 from drone_env.llm.answers import Answer
 from drone_env.llm.prompt import ChatMessage
-from drone_env.llm.redaction import without_secret_in
 from drone_env.models import Count, Message
 
 
@@ -72,7 +71,6 @@ class Transcript:
 
     Args:
         path: The file; it is made where it is missing, and a cut last line is removed.
-        secret: A text that must never be written, such as the token.
 
     Raises:
         OSError: if it cannot be opened.
@@ -80,14 +78,10 @@ class Transcript:
             one on a cluster whose driver has just died.
     """
 
-    def __init__(self, path: Path, secret: str | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self._secret = secret
         self.calls: list[Call] = []
-        try:
-            self._lock = lock_file(path.with_suffix(".lock"))
-        except BlockingIOError:
-            raise InvalidValueError(f"another process writes to {path}") from None
+        self._lock = lock_file(path.with_suffix(".lock"), f"another process writes to {path}")
         with ExitStack() as on_error:
             on_error.callback(self._lock.release)
             self._file = on_error.enter_context(path.open("ab+", buffering=0))
@@ -95,20 +89,13 @@ class Transcript:
             on_error.pop_all()
         self.answered = {call.key: call for call in self.calls if call.answer is not None}
 
-    def append(self, call: Call) -> Call:
-        """Write a call and return it as it was written; it is in the file when this returns.
+    def append(self, call: Call) -> None:
+        """Write a call; it is in the file when this returns.
 
         Raises:
             OSError: if it cannot be written.
         """
-        # An endpoint may quote the token, in an error or in an answer. What is asked holds none: the next request
-        # quotes an answer as it is here.
-        told = call.model_dump(mode="json", include={"answer", "failures"})
-        cleaned = without_secret_in(told, self._secret)
-        if cleaned != told:
-            call = Call.model_validate({**call.model_dump(), **cleaned})
-        line = call.model_dump_json()
-        data = f"{line}\n".encode()
+        data = f"{call.model_dump_json()}\n".encode()
         written = self._file.write(data)
         if written != len(data):
             # The next call would stand on the same line.
@@ -117,7 +104,6 @@ class Transcript:
         self.calls.append(call)
         if call.answer is not None:
             self.answered[call.key] = call
-        return call
 
     def close(self) -> None:
         """Put all on the disk and close the file."""
@@ -146,10 +132,7 @@ def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
         for number, line in enumerate(file, 1):
             if not line.endswith(b"\n"):
                 return
-            try:
-                call = Call.model_validate_json(line)
-            except ValidationError as error:
-                raise InvalidValueError(f"line {number} of {path} is no call: {text_of(error)}") from None
+            call = Call.read(line, f"line {number} of {path} is no call")
             if call.answer is not None:
                 if call.key in seen:
                     raise InvalidValueError(f"line {number} of {path}: call {call.key} has an answer already")

@@ -23,7 +23,7 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError
 from drone_env.llm.prompt import FOLDER, below_text, first_messages, read_prompt, repair_text
-from drone_env.models import NAMES, Direction, DroneObservation
+from drone_env.models import NAMES, Direction
 
 if TYPE_CHECKING:
     from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
@@ -62,8 +62,8 @@ class DroneEnvironment:
         """
         if task is None or seed is None:
             raise InvalidValueError("each row of the data set needs the columns task and seed, as of training_maps()")
-        self._episode = episode = Episode(task, self._reward_profile, seed)
-        return first_messages(PROMPT, episode.task, DroneObservation.of(episode), [], 0)[1]["content"]
+        self._episode = Episode(task, self._reward_profile, seed)
+        return first_messages(PROMPT, self._episode)[1]["content"]
 
     def fly(self, direction: Direction) -> str:
         """Fly the drone one step, or wait for one.
@@ -125,7 +125,7 @@ def training_maps(task: str = "easy", maps: int = 1000, split: str = "train") ->
     seeds = list(split_seeds(split, maps))
     episode = Episode(config)
     episode.reset(seeds[0])
-    system, user = first_messages(PROMPT, config, DroneObservation.of(episode), [], 0)
+    system, user = first_messages(PROMPT, episode)
     # What is on the map comes from `reset`.
     prompt = [system, {**user, "content": ""}]
     return Dataset.from_dict({"prompt": [prompt] * len(seeds), "task": [config.id] * len(seeds), "seed": seeds})

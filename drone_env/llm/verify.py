@@ -3,18 +3,18 @@
 import asyncio
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from drone_env.episodes.jsonl import read_records
 from drone_env.episodes.record import EpisodeRecord, record_of, replay
 from drone_env.errors import DroneEnvError, InvalidValueError
-from drone_env.llm.answers import Answer
+from drone_env.llm.answers import Reading, read_answer
 from drone_env.llm.config import RunConfig, digest
+from drone_env.llm.desk import CallFailedError
 from drone_env.llm.endpoint import request_body
-from drone_env.llm.limits import LimitReachedError
-from drone_env.llm.pilot import CallFailedError, Flight, fly, mission_of
+from drone_env.llm.gate import LimitReachedError
+from drone_env.llm.pilot import fly_one
 from drone_env.llm.prompt import ChatMessage
-from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, FlightResult, load_config, load_results
+from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, PilotedRecord, load_config, load_results
 from drone_env.llm.transcript import Call, CallKey, read_calls
 
 
@@ -32,7 +32,7 @@ class VerifiedRun:
 
     path: Path
     config: RunConfig
-    results: list[FlightResult]
+    results: list[PilotedRecord]
     records: list[EpisodeRecord]
     calls: list[Call]
 
@@ -60,44 +60,38 @@ def verified_run(path: Path) -> VerifiedRun:
         # Leaving out the flights that went badly would make a run look better than it was.
         raise InvalidValueError(f"{path}: flight {lost[0]} was begun but is not among the results: resume the run")
     used: set[CallKey] = set()
-    body = request_body(config, config.load_prompt().plan)
-    for result, record in zip(results, records, strict=True):
-        try:
-            replay(record)
-            flight = asyncio.run(_flown_again(config, body, result, answers, failed, used))
-        except DroneEnvError as error:
-            raise InvalidValueError(f"{path}: flight {result.flight}: {error}") from None
-        if FlightResult.of(flight) != result or record_of(flight.episode, config.model) != record:
-            raise InvalidValueError(f"{path}: flight {result.flight} is not what the model's answers come to")
-    if used != answers.keys():
-        raise InvalidValueError(f"{path}: {len(answers.keys() - used)} answers belong to no flight")
-    return VerifiedRun(path, config, results, records, calls)
+    body, plan = request_body(config), config.load_prompt().plan
 
+    by_number = {result.flight: result for result in results}
 
-async def _flown_again(
-    config: RunConfig,
-    body: dict[str, Any],
-    result: FlightResult,
-    answers: dict[CallKey, Call],
-    failed: set[CallKey],
-    used: set[CallKey],
-) -> Flight:
-    async def ask(key: CallKey, messages: list[ChatMessage]) -> Answer:
-        call = answers.get(key)
+    async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
+        call, ended = answers.get(key), by_number[key.flight]
         if call is not None and call.answer is not None:
             if call.messages != messages:
                 raise InvalidValueError(f"call {key} asked something else than this prompt does")
             if call.request_digest != digest({"body": body, "messages": messages}):
                 raise InvalidValueError(f"call {key} asked another model or otherwise than run.json says")
             used.add(key)
-            return call.answer
+            return read_answer(call.answer, plan)
         # Where the answers end, the flight ended as its result says, which is compared with the rest of it.
-        if result.status == "errored" and key in failed:
-            raise CallFailedError(result.error or "")
-        if result.status == "budget_stop":
-            raise LimitReachedError(result.error or "")
+        if ended.status == "errored" and key in failed:
+            raise CallFailedError(ended.error or "")
+        if ended.status == "budget_stop":
+            raise LimitReachedError(ended.error or "")
         # An errored flight counts for nothing, so nobody may call one so whose calls did not fail.
-        missing = "has neither an answer nor a failure" if result.status == "errored" else "has no answer"
-        raise InvalidValueError(f"call {key} {missing}, but the flight is said to be {result.status}")
+        missing = "has neither an answer nor a failure" if ended.status == "errored" else "has no answer"
+        raise InvalidValueError(f"call {key} {missing}, but the flight is said to be {ended.status}")
 
-    return await fly(mission_of(config, result.flight), config.load_prompt(), ask)
+    for result, record in zip(results, records, strict=True):
+        try:
+            flown = asyncio.run(fly_one(config, result.flight, ask))
+            fits = record_of(flown.episode, config.model) == record
+            if not fits:
+                replay(record)  # says more, where the record does not even fit itself
+        except DroneEnvError as error:
+            raise InvalidValueError(f"{path}: flight {result.flight}: {error}") from None
+        if not fits or PilotedRecord.of(flown) != result:
+            raise InvalidValueError(f"{path}: flight {result.flight} is not what the model's answers come to")
+    if used != answers.keys():
+        raise InvalidValueError(f"{path}: {len(answers.keys() - used)} answers belong to no flight")
+    return VerifiedRun(path, config, results, records, calls)

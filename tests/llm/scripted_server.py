@@ -106,7 +106,8 @@ class Server:
         index, channel.count = channel.count, channel.count + 1
         call = headers.get("x-client-request-id", "")
         fault = next((f for first, last, f in script.get("faults", []) if first <= index <= last), None)
-        line = {"call": call, "fault": fault, "headers": headers, "body": body}
+        port = writer.get_extra_info("peername")[1]
+        line = {"call": call, "fault": fault, "headers": headers, "body": body, "port": port}
         channel.log(line)
         try:
             await channel.gather()
@@ -210,6 +211,9 @@ class Server:
         event(chunk({}, reason))
         event(json.dumps({**common, "object": "chat.completion.chunk", "choices": [], "usage": usage}))
         event("[DONE]")
+        if fault == "open_stream":
+            await writer.drain()
+            await asyncio.sleep(3600)
         writer.write(b"0\r\n\r\n")
 
     def send(self, writer, status: int, value: dict, headers: dict | None = None) -> None:

@@ -10,14 +10,12 @@ import pytest
 
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
-from drone_env.llm.clock import Clock
-from drone_env.llm.concurrency import AdaptiveGate
-from drone_env.llm.desk import LocalDesk, StoppedError
-from drone_env.llm.limits import LimitReachedError, Limits, Spending
-from drone_env.llm.pace import Pace
+from drone_env.llm.desk import Desk
+from drone_env.llm.gate import Clock, Gate, LimitReachedError, StoppedError
+from drone_env.llm.options import Options
 from drone_env.llm.transcript import Call, CallKey, Transcript
 
-from .virtual_time import Nobody, VirtualClock
+from .virtual_time import Nobody, VirtualClock, run_config
 
 
 def call(text: str) -> Call:
@@ -38,17 +36,11 @@ def call(text: str) -> Call:
 
 
 def at_desk(
-    path: Path,
-    work: Callable[[LocalDesk, Spending, AdaptiveGate], Any],
-    most: int = 1,
-    clock: Clock | None = None,
+    path: Path, work: Callable[[Desk, Gate], Any], options: Options | None = None, clock: Clock | None = None
 ) -> Transcript:
-    clock = clock or Clock()
-
     async def run() -> Transcript:
-        transcript, spending, gate = Transcript(path), Spending(Limits(), None, clock=clock), AdaptiveGate(most, clock)
-        desk = LocalDesk("host", transcript, spending, gate, Pace(clock=clock), None, Nobody(), clock)
-        await work(desk, spending, gate)
+        transcript, gate = Transcript(path), Gate(options or Options(concurrency=1), clock)
+        await work(Desk(run_config(), transcript, gate, Nobody()), gate)
         transcript.close()
         return transcript
 
@@ -56,31 +48,29 @@ def at_desk(
 
 
 def test_a_flight_that_begins_anew_frees_its_place(tmp_path: Path) -> None:
-    async def work(desk: LocalDesk, spending: Spending, gate: AdaptiveGate) -> None:
+    async def work(desk: Desk, gate: Gate) -> None:
         lost, waiting = CallKey(0, 1, 1), CallKey(1, 1, 1)
-        await desk.enter(lost)
+        await desk.acquire(0)
         # The other one waits for the only place, and its process dies as well.
-        orphan = asyncio.ensure_future(desk.enter(waiting))
+        orphan = asyncio.ensure_future(desk.acquire(1))
         await asyncio.sleep(0)
         await desk.known(waiting, "x", "y")
         await desk.known(lost, "x", "y")
         with pytest.raises(StoppedError, match="begun anew"):
             await orphan
-        for key in (lost, waiting):
-            await asyncio.wait_for(desk.enter(key), 60)
-            await desk.leave(key, answered=True)
-        assert (gate.active, spending.requests) == (0, 3)
+        for flight in (0, 1):
+            await asyncio.wait_for(desk.acquire(flight), 60)
+            await desk.release(flight, 0)
+        assert (gate.active, gate.requests) == (0, 3)
 
     at_desk(tmp_path / "calls.jsonl", work)
 
 
 def test_of_two_answers_to_one_call_the_first_counts_and_both_are_paid(tmp_path: Path) -> None:
-    async def work(desk: LocalDesk, spending: Spending, gate: AdaptiveGate) -> None:
-        for text in ("UP", "DOWN"):
-            recorded = await desk.record(call(text), "y")
-            assert recorded.answer is not None
-            assert recorded.answer.text == "UP"
-        assert spending.tokens == 22
+    async def work(desk: Desk, gate: Gate) -> None:
+        assert await desk.record(call("UP"), "y") is None
+        assert await desk.record(call("DOWN"), "y") == call("UP").answer
+        assert gate.tokens == 22
 
     transcript = at_desk(tmp_path / "calls.jsonl", work)
     assert len(transcript.path.read_text().splitlines()) == 1
@@ -89,25 +79,23 @@ def test_of_two_answers_to_one_call_the_first_counts_and_both_are_paid(tmp_path:
 def test_an_overloaded_endpoint_is_sent_less_and_for_a_while_nothing(tmp_path: Path) -> None:
     clock = VirtualClock()
 
-    async def work(desk: LocalDesk, spending: Spending, gate: AdaptiveGate) -> None:
-        first, second = CallKey(0, 1, 1), CallKey(1, 1, 1)
-        await desk.enter(first)
-        await desk.leave(first, answered=False, overloaded=True, pause=7)
+    async def work(desk: Desk, gate: Gate) -> None:
+        await desk.acquire(0)
+        await desk.release(0, None, overloaded=True, pause=7)
         assert gate.limit == 4
-        await desk.enter(second)
+        await desk.acquire(1)
         assert clock.slept == [7]
-        await desk.leave(second, answered=True)
+        await desk.release(1, 0)
         assert gate.limit == 4.25
         # Where the run ends earlier, so does the pause.
-        spending.limits = Limits(seconds=10)
-        await desk.enter(first)
-        await desk.leave(first, answered=False, overloaded=True, pause=60)
+        await desk.acquire(0)
+        await desk.release(0, None, overloaded=True, pause=60)
         with pytest.raises(LimitReachedError, match="10 s have passed"):
-            await desk.enter(second)
+            await desk.acquire(1)
         assert clock.slept == [7, 3]
         assert gate.active == 0
 
-    at_desk(tmp_path / "calls.jsonl", work, most=100, clock=clock)
+    at_desk(tmp_path / "calls.jsonl", work, Options(concurrency=100, max_seconds=10), clock)
 
 
 @pytest.mark.parametrize("system", ["linux", "win32"])

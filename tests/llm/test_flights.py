@@ -9,6 +9,7 @@ import pytest
 
 from drone_env.core.seeds import SPLITS
 from drone_env.evaluation.episodes import episodes_key, run_episodes
+from drone_env.llm.endpoint import POOLS
 from drone_env.planning.optimal import solve
 
 from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines
@@ -93,6 +94,18 @@ def test_reasoning_is_kept_and_not_taken_for_an_answer(endpoint: Start) -> None:
         done = endpoint(pilot="greedy", message=message).infer("--seeds", "14:15", stream)
         assert done.turns == {"ok": 3}
         assert {call["answer"]["reasoning"] for call in done.calls} == {"UP UP UP"}
+
+
+@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
+def test_connections_are_used_again(endpoint: Start, stream: str) -> None:
+    scripted = endpoint(pilot="WAIT")
+    assert scripted.infer("--seeds", "14:15", stream).turns == {"ok": 60}
+    assert len({request["port"] for request in scripted.requests()}) <= POOLS
+
+
+def test_a_stream_is_over_with_its_mark_of_the_end(endpoint: Start) -> None:
+    done = endpoint(pilot="greedy", faults=[[0, 0, "open_stream"]]).infer("--seeds", "14:15", "--stream")
+    assert (done.turns, [len(call["failures"]) for call in done.calls]) == ({"ok": 3}, [0] * 3)
 
 
 @pytest.mark.parametrize("form", ["json", "tool"])

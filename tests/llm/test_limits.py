@@ -5,8 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from drone_env.errors import InvalidValueError
-from drone_env.llm.limits import Limits, Prices
-from drone_env.llm.runner import Options
+from drone_env.llm.options import Options, Prices
 from drone_env.llm.verify import verified_run
 
 from .conftest import Endpoint
@@ -86,9 +85,9 @@ def test_what_an_endpoint_does_not_meter_cannot_be_limited(endpoint: Start) -> N
 @pytest.mark.parametrize("name", ["calls", "tokens", "seconds", "cost"])
 def test_what_is_no_limit_is_refused(name: str) -> None:
     with pytest.raises(InvalidValueError, match=f"--max-{name} must be above 0, got 0"):
-        Limits(**{name: 0})
+        Options(**{f"max_{name}": 0})
     with pytest.raises(InvalidValueError, match="--max-cost needs prices"):
-        Options(limits=Limits(cost=1))
+        Options(max_cost=1)
     with pytest.raises(InvalidValueError, match="prices must be 0 or more"):
         Prices(1, -1)
 

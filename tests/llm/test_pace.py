@@ -8,10 +8,8 @@ from typing import Any
 import pytest
 
 from drone_env.errors import InvalidValueError
-from drone_env.llm.caller import RetryPolicy
-from drone_env.llm.concurrency import AdaptiveGate
-from drone_env.llm.pace import Pace
-from drone_env.llm.runner import Options
+from drone_env.llm.gate import Gate, Pace
+from drone_env.llm.options import Options
 
 from .conftest import Endpoint
 from .virtual_time import VirtualClock, fly
@@ -62,7 +60,7 @@ def test_what_brings_no_answer_takes_no_tokens() -> None:
         pace.used(100, await pace.turn(math.inf))
         expected = await pace.turn(math.inf)
         assert (clock.passed, expected) == (pytest.approx(0.1), 100)
-        pace.unused(expected)
+        pace.used(None, expected)
         await pace.turn(math.inf)
         assert clock.passed == pytest.approx(0.1)
         # It counts until its answer is there.
@@ -87,8 +85,6 @@ def test_nobody_waits_for_a_turn_longer_than_the_run_lasts() -> None:
 def test_what_is_no_pace_is_refused() -> None:
     for wrong in ({"requests": 0}, {"tokens": math.nan}, {"requests": math.inf}):
         with pytest.raises(InvalidValueError, match="per-minute must be above 0"):
-            Pace(**wrong)
-        with pytest.raises(InvalidValueError, match="per-minute must be above 0"):
             Options(**{f"{name}_per_minute": value for name, value in wrong.items()})
 
 
@@ -104,25 +100,25 @@ def test_a_run_keeps_the_pace(endpoint: Callable[..., Endpoint]) -> None:
 
 def test_a_request_that_fails_leaves_its_tokens_to_the_next(endpoint: Callable[..., Endpoint]) -> None:
     scripted = endpoint(pilot="greedy", faults=[[1, 1, {"status": 500}]])
-    options = Options(tokens_per_minute=6120, retries=RetryPolicy(backoff=0))
+    options = Options(tokens_per_minute=6120, backoff=0)
     flown = fly(scripted.url, scripted.folder / "run", options)
     # Three answers of a second's worth of tokens each: the third waits for two of them.
     assert (flown.turns, flown.clock.passed) == (["ok"] * 3, pytest.approx(2))
 
 
-def at_gate(most: int, work: Callable[[AdaptiveGate, VirtualClock], Awaitable[Any]]) -> None:
+def at_gate(most: int, work: Callable[[Gate, VirtualClock], Awaitable[Any]]) -> None:
     async def run() -> None:
         clock = VirtualClock()
-        await work(AdaptiveGate(most, clock), clock)
+        await work(Gate(Options(concurrency=most), clock), clock)
 
     asyncio.run(run())
 
 
 def test_the_gate_grows_with_answers_and_halves_under_load() -> None:
-    async def work(gate: AdaptiveGate, clock: VirtualClock) -> None:
+    async def work(gate: Gate, clock: VirtualClock) -> None:
         assert gate.limit == 8
         for _ in range(8):
-            gate.succeeded()
+            gate.answered()
         assert gate.limit == 16
         clock.time += 1
         gate.overloaded(sent_at=clock.time)
@@ -131,63 +127,60 @@ def test_the_gate_grows_with_answers_and_halves_under_load() -> None:
         assert gate.limit == 8
         # From now on one more when all of a round were answered.
         for _ in range(8):
-            gate.succeeded()
+            gate.answered()
         assert 8.9 < gate.limit < 9
         for _ in range(10):
             clock.time += 1
             gate.overloaded(sent_at=clock.time)
         assert gate.limit == 1
         for _ in range(10_000):
-            gate.succeeded()
+            gate.answered()
         assert gate.limit == 100
 
     at_gate(100, work)
 
 
 def test_so_many_pass_the_gate_at_once_and_no_more() -> None:
-    async def work(gate: AdaptiveGate, clock: VirtualClock) -> None:
+    async def work(gate: Gate, clock: VirtualClock) -> None:
         most = passed = 0
 
-        async def one() -> None:
+        async def one(flight: int) -> None:
             nonlocal most, passed
-            async with gate.passing():
-                most = max(most, gate.active)
-                await asyncio.sleep(0)
-                passed += 1
+            await gate.acquire(flight)
+            most = max(most, gate.active)
+            await asyncio.sleep(0)
+            passed += 1
+            gate.release(flight, None)
 
-        await asyncio.gather(*(one() for _ in range(50)))
+        await asyncio.gather(*map(one, range(50)))
         assert (most, passed, gate.active) == (3, 50, 0)
 
     at_gate(3, work)
 
 
 def test_the_gate_is_closed_for_as_long_as_the_endpoint_asks() -> None:
-    async def work(gate: AdaptiveGate, clock: VirtualClock) -> None:
+    async def work(gate: Gate, clock: VirtualClock) -> None:
         gate.overloaded(sent_at=clock.time, pause=5)
         gate.overloaded(sent_at=clock.time, pause=2)
-        async with gate.passing():
-            assert clock.slept == [5]
+        await gate.acquire(0)
+        assert clock.slept == [5]
 
     at_gate(8, work)
 
 
 def test_a_place_that_nobody_waits_for_any_more_goes_to_the_next() -> None:
-    async def work(gate: AdaptiveGate, clock: VirtualClock) -> None:
-        async def hold() -> None:
-            async with gate.passing():
-                await asyncio.Event().wait()
-
-        async with gate.passing():
-            second, third = asyncio.ensure_future(hold()), asyncio.ensure_future(hold())
-            await asyncio.sleep(0)
+    async def work(gate: Gate, clock: VirtualClock) -> None:
+        await gate.acquire(1)
+        second, third = asyncio.ensure_future(gate.acquire(2)), asyncio.ensure_future(gate.acquire(3))
+        await asyncio.sleep(0)
+        gate.release(1, None)
         # The place has been given to the second one, which is stopped before it takes it.
         second.cancel()
         for _ in range(5):
             await asyncio.sleep(0)
         assert second.cancelled()
-        assert gate.active == 1
-        third.cancel()
-        await asyncio.gather(third, return_exceptions=True)
+        assert (third.done(), gate.active) == (True, 1)
+        gate.release(3, None)
         assert gate.active == 0
 
     at_gate(1, work)

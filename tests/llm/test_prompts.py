@@ -12,8 +12,7 @@ from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.llm.prompt import FOLDER, VALUES, Flown, first_messages, get_prompt, prompt_ids, read_prompt
-from drone_env.models import DroneObservation
+from drone_env.llm.prompt import FOLDER, VALUES, first_messages, get_prompt, prompt_ids, read_prompt
 from drone_env.planning.optimal import solve
 from tests.tools import missing_tool
 
@@ -35,17 +34,15 @@ def test_a_checkout_with_other_ends_of_lines_has_the_same_prompts(tmp_path: Path
 def test_prompts_tell_what_the_drone_sees() -> None:
     episode = Episode("hard")
     episode.reset(7)
-    observation = DroneObservation.of(episode)
-    flown = [Flown("UP", 1, 2, "On the way."), Flown("LEFT", 0, 2, "On the way.")]
+    last = ["2. LEFT -> (0, 2). On the way."]
     x, y = episode.position
     for name in prompt_ids():
-        system, user = first_messages(get_prompt(name), episode.task, observation, flown, 1)
+        system, user = first_messages(get_prompt(name), episode, last)
         assert all(action.name in system["content"] for action in Action)
         assert f"Position: ({x}, {y})" in user["content"]
         assert not re.search(r"\{\w+\}", system["content"] + user["content"])
     (_, minimal), (_, lists), (_, grid) = (
-        first_messages(get_prompt(name), episode.task, observation, flown, 1)
-        for name in ("minimal", "coordinates", "grid")
+        first_messages(get_prompt(name), episode, last) for name in ("minimal", "coordinates", "grid")
     )
     target = episode.target
     assert target is not None
@@ -64,7 +61,7 @@ def test_every_task_can_be_told() -> None:
     for task in TASKS.values():
         episode = Episode(task)
         episode.reset(0)
-        system, _ = first_messages(get_prompt("grid"), task, DroneObservation.of(episode), [], 0)
+        system, _ = first_messages(get_prompt("grid"), episode)
         assert ("charging pad adds" in system["content"]) == bool(task.pads)
 
 
@@ -77,7 +74,7 @@ def test_where_there_are_pads_every_prompt_tells_what_lies_below_the_drone() -> 
             kind = CELL_KINDS[Cell(episode.under)].name
             below = f"Below the drone: {'charging pad' if kind == 'pad' else kind}"
             for prompt in prompts:
-                _, user = first_messages(prompt, episode.task, DroneObservation.of(episode), [], 0)
+                _, user = first_messages(prompt, episode)
                 assert user["content"].splitlines()[-1] == below
             told.add(below)
             episode.step(action)
@@ -85,7 +82,7 @@ def test_where_there_are_pads_every_prompt_tells_what_lies_below_the_drone() -> 
     episode = Episode("hard")
     episode.reset(7)
     for prompt in prompts:
-        _, user = first_messages(prompt, episode.task, DroneObservation.of(episode), [], 0)
+        _, user = first_messages(prompt, episode)
         assert "Below" not in user["content"]
 
 
@@ -109,7 +106,7 @@ def test_a_template_may_name_every_value_and_no_other(tmp_path: Path) -> None:
     path.write_text(f"plan = false\nsystem = '{told}'\nuser = '{told}'\nrepair = '{{reason}}'\n")
     episode = Episode("easy")
     episode.reset(14)
-    for message in first_messages(read_prompt(path), episode.task, DroneObservation.of(episode), [], 0):
+    for message in first_messages(read_prompt(path), episode):
         filled = dict(part.partition("=")[::2] for part in message["content"].split("; "))
         assert filled.keys() == VALUES
         assert (filled["x"], filled["y"], filled["steps_left"], filled["history"]) == ("6", "3", "60", "")
@@ -134,3 +131,11 @@ def test_the_prompt_asks_for_one_word(endpoint: Callable[..., Endpoint]) -> None
         "Distance: 3",
     ]
     assert later["content"].startswith("Position: (5, 3)\nBattery: 98% (59 units)\n")
+
+
+def test_so_many_of_the_last_steps_are_told(endpoint: Callable[..., Endpoint]) -> None:
+    scripted = endpoint(pilot="greedy")
+    assert scripted.infer("--seeds", "14:15", "--history", "1").status == 0
+    users = [request["body"]["messages"][1]["content"] for request in scripted.requests()]
+    assert ["Last steps:" in user for user in users] == [False, True, True]
+    assert users[2].endswith("Last steps:\n2. UP -> (5, 2). On the way.")

@@ -13,7 +13,7 @@ from drone_env.core.seeds import SPLITS
 from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import episodes_key, run_episodes
-from drone_env.llm.limits import Prices
+from drone_env.llm.options import Prices
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import verified_run

@@ -14,7 +14,7 @@ import pytest
 
 from drone_env.cli import main
 from drone_env.errors import InvalidValueError
-from drone_env.llm.limits import Prices
+from drone_env.llm.options import Prices
 from drone_env.llm.report import report
 from drone_env.llm.transcript import Transcript, read_calls
 from drone_env.llm.verify import verified_run

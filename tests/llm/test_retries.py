@@ -8,9 +8,8 @@ from time import time
 import pytest
 
 from drone_env.errors import InvalidValueError
-from drone_env.llm.caller import LONGEST_BACKOFF, RetryPolicy
-from drone_env.llm.limits import Limits
-from drone_env.llm.runner import Options
+from drone_env.llm.caller import LONGEST_BACKOFF
+from drone_env.llm.options import Options
 
 from .conftest import Endpoint
 from .virtual_time import fly
@@ -22,7 +21,7 @@ ALWAYS = 10**9
 def test_waits_are_random_below_a_bound_that_doubles(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy", faults=[[1, 20, {"status": 500}]])
     random.seed(1)
-    flown = fly(scripted.url, scripted.folder / "run", Options(retries=RetryPolicy(tries=21, backoff=0.5)))
+    flown = fly(scripted.url, scripted.folder / "run", Options(tries=21, backoff=0.5))
     waits = flown.clock.slept
     assert flown.turns == ["ok"] * 3
     assert len(waits) == 20
@@ -36,12 +35,12 @@ def test_waits_are_random_below_a_bound_that_doubles(endpoint: Start) -> None:
 
 def test_so_many_tries_and_no_more(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy", faults=[[0, ALWAYS, {"status": 500}]])
-    flown = fly(scripted.url, scripted.folder / "run", Options(retries=RetryPolicy(tries=3)))
+    flown = fly(scripted.url, scripted.folder / "run", Options(tries=3))
     assert (flown.turns, len(scripted.requests()), len(flown.clock.slept)) == (["api_error"], 3, 2)
     assert [failure.status for failure in flown.calls[0].failures] == [500] * 3
     for wrong in ({"tries": 0}, {"tries": 101}, {"backoff": -1.0}, {"longest_wait": float("nan")}):
         with pytest.raises(InvalidValueError, match="tries must be 1 to 100"):
-            RetryPolicy(**wrong)
+            Options(**wrong)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +61,7 @@ def test_what_the_endpoint_asks_for_is_waited(endpoint: Start, headers: dict[str
 def test_a_moment_that_the_endpoint_names_is_waited_for(endpoint: Start) -> None:
     faults = [[1, 1, {"status": 503, "headers": {"Retry-After": formatdate(time() + 3600, usegmt=True)}}]]
     scripted = endpoint(pilot="greedy", faults=faults)
-    flown = fly(scripted.url, scripted.folder / "run", Options(retries=RetryPolicy(longest_wait=3600)))
+    flown = fly(scripted.url, scripted.folder / "run", Options(longest_wait=3600))
     (waited,) = flown.clock.slept
     assert 3000 < waited <= 3600
 
@@ -78,7 +77,7 @@ def test_a_longer_wait_than_allowed_is_an_api_error(endpoint: Start) -> None:
 def test_no_wait_is_longer_than_the_time_of_the_run(endpoint: Start) -> None:
     fault = {"status": 429, "headers": {"Retry-After": "100"}}
     scripted = endpoint(pilot="greedy", faults=[[0, ALWAYS, fault]])
-    flown = fly(scripted.url, scripted.folder / "run", Options(limits=Limits(seconds=30)), seeds=(14, 17))
+    flown = fly(scripted.url, scripted.folder / "run", Options(max_seconds=30), seeds=(14, 17))
     assert flown.clock.slept == [30]
     assert len(scripted.requests()) == 1
     assert flown.result.verdict == "incomplete"
@@ -86,7 +85,7 @@ def test_no_wait_is_longer_than_the_time_of_the_run(endpoint: Start) -> None:
 
 def test_behind_the_time_of_the_run_nothing_is_sent(endpoint: Start) -> None:
     scripted = endpoint(pilot="WAIT")
-    flown = fly(scripted.url, scripted.folder / "run", Options(limits=Limits(seconds=30), requests_per_minute=6))
+    flown = fly(scripted.url, scripted.folder / "run", Options(max_seconds=30, requests_per_minute=6))
     # Two together, then one each 10 s, and none at the end of the 30th.
     assert (flown.turns, flown.clock.passed) == (["ok"] * 4 + ["budget_stop"], 30)
     assert len(scripted.requests()) == 4

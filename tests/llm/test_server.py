@@ -17,7 +17,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.errors import InvalidValueError, StoreError
-from drone_env.llm.image import ServerFlight
+from drone_env.llm.image import ServerSession
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.serving import Server
@@ -35,13 +35,13 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         (stored,) = httpx.get(f"{server.url}/memory_logs", timeout=30).json()["episodes"]
         assert (stored["seed"], stored["agent"], stored["score"]) == (14, "scripted", 0.99)
         # A server of other rules would show another flight than the one here.
-        episode, flight = Episode("easy", "tiered"), ServerFlight(server.url)
+        episode, session = Episode("easy", "tiered"), ServerSession(server.url, "mine")
         episode.reset(14)
-        asyncio.run(flight.reset(episode, "mine"))
+        asyncio.run(session.reset(episode))
         episode.step(Action.LEFT)
         with pytest.raises(InvalidValueError, match=r"by other rules: map 14, step 1: .* where it is .* here"):
-            asyncio.run(flight.step(episode, Action.RIGHT))
-        flight.close()
+            asyncio.run(session.step(episode, Action.RIGHT))
+        session.close()
     finally:
         server.kill()
 

@@ -5,14 +5,13 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from drone_env.llm.clock import Clock
-from drone_env.llm.concurrency import AdaptiveGate
 from drone_env.llm.config import RunConfig, Sampling
-from drone_env.llm.limits import Spending
-from drone_env.llm.pilot import Flight
+from drone_env.llm.gate import Clock, Gate
+from drone_env.llm.options import Options
+from drone_env.llm.pilot import PilotedEpisode
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import RunFolder
-from drone_env.llm.runner import Options, RunResult, run
+from drone_env.llm.runner import RunResult, run
 from drone_env.llm.transcript import Call, read_calls
 
 
@@ -40,13 +39,11 @@ class VirtualClock(Clock):
 class Nobody:
     """Watches nothing."""
 
-    def started(self, config: RunConfig, spending: Spending, gate: AdaptiveGate) -> None: ...
-
     def called(self, call: Call) -> None: ...
 
     def waiting(self, seconds: float, reason: str) -> None: ...
 
-    def flown(self, flight: Flight) -> None: ...
+    def flown(self, flown: PilotedEpisode) -> None: ...
 
 
 def run_config(**change: Any) -> RunConfig:
@@ -90,7 +87,7 @@ def fly(url: str, folder: Path, options: Options, **change: Any) -> Flown:
     options = dataclasses.replace(options, concurrency=1)
     opened = RunFolder(folder, config, resume=False)
     try:
-        result = asyncio.run(run(config, opened, None, options, Nobody(), clock))
+        result = asyncio.run(run(config, opened, None, Gate(options, clock), Nobody()))
     finally:
         opened.close()
     return Flown(result, clock, [call for _, call in read_calls(folder / "calls.jsonl")])

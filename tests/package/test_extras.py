@@ -145,11 +145,11 @@ def test_what_needs_another_extra_says_which() -> None:
 
 def test_extras_bring_what_they_name_and_no_more() -> None:
     assert brought() >= {"numpy", "gymnasium", "pydantic", "pydantic_core"}
-    assert not brought() & {"httpx", "torch", "fastapi", "ray", "openai", "pytest"}
+    assert not brought() & {"httpx", "torch", "fastapi", "ray", "pytest"}
     assert brought("server") >= {"fastapi", "starlette", "uvicorn", "uvloop", "websockets"}
-    assert not brought("server") & {"tenacity", "torch", "pygame", "matplotlib"}
-    assert brought("inspect") >= brought("llm") >= {"tenacity", "openai", "dotenv"}
-    assert not brought("train") & {"fastapi", "openai", "ray"}
+    assert not brought("server") & {"torch", "pygame", "matplotlib"}
+    assert brought("inspect") >= brought("llm") >= {"httpx", "matplotlib", "dotenv"}
+    assert not brought("train") & {"fastapi", "httpx", "ray"}
     assert brought("all") >= brought(*(extra for extra in ("data", "human", "server", "llm", "train")))
     assert {extra for named in NEEDS.values() for extra in named} <= set(PROJECT["optional-dependencies"])
 

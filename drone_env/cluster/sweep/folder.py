@@ -13,9 +13,8 @@ One process drives a sweep at a time, and one trains a trial: locks say so, whic
 import json
 import os
 import socket
-import time
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Literal
@@ -119,10 +118,7 @@ class SweepFolder:
             InvalidValueError: if there is one.
         """
         self.path.mkdir(parents=True, exist_ok=True)
-        try:
-            lock = lock_file(self.path / "lock")
-        except BlockingIOError:
-            raise InvalidValueError(f"another process is driving the sweep in {self.path}") from None
+        lock = lock_file(self.path / "lock", f"another process is driving the sweep in {self.path}")
         try:
             yield
         finally:
@@ -137,14 +133,7 @@ class SweepFolder:
         """
         folder = self.folder(trial)
         folder.mkdir(parents=True, exist_ok=True)
-        until, lock = time.monotonic() + LOCK_SECONDS, None
-        while lock is None:
-            with suppress(BlockingIOError):
-                lock = lock_file(folder / "lock")
-            if lock is None and time.monotonic() > until:
-                raise InvalidValueError(f"another process is still training in {folder}")
-            if lock is None:
-                time.sleep(0.2)
+        lock = lock_file(folder / "lock", f"another process is still training in {folder}", LOCK_SECONDS)
         try:
             yield folder
         finally:
