@@ -108,10 +108,9 @@ verify: $(VENV)/.dev
 	$(MAKE) coverage mutants adapters wheels-check lowest
 	$(MAKE) test VENV=$(VENV)/$(OTHER_PYTHON) PYTHON=$(OTHER_PYTHON)
 
-# The batched simulator beside its peers, in an environment of its own; make bench ARGS=--quick for a short run.
+# The simulator, batched and alone, beside its peers, in an environment of its own; make bench ARGS=--quick for a short run.
 bench: $(VENV)/.base
 	$(BIN)/python benchmarks/simulator.py $(ARGS)
-	$(BIN)/python benchmarks/scalar_step.py
 
 # The server's WebSocket beside OpenEnv's echo environment.
 bench-server: $(VENV)/.dev

@@ -10,11 +10,12 @@ table is an extrapolation: measured figures times sessions, nothing else.
 import argparse
 import asyncio
 import json
+import multiprocessing
 import os
 import statistics
 import sys
 import tempfile
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,19 +23,19 @@ from typing import Any, NamedTuple
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.session_costs import (  # noqa: E402
-    STEPS,
-    SocketMemory,
-    Wire,
-    children,
-    episode_bytes,
-    files_of,
-    memory_of,
-    open_rows,
-    sockets,
-    time_http,
+from benchmarks.server import (  # noqa: E402
+    MOVES,
+    NEW,
+    Figures,
+    Http,
+    Session,
+    Socket,
+    frame,
+    open_session,
+    time_sessions,
 )
-from benchmarks.store_costs import StoreFigures, measure_store  # noqa: E402
+from benchmarks.store_costs import STEPS, StoreFigures, measure_store  # noqa: E402
+from drone_env.core.episode import Episode  # noqa: E402
 from tests.api.serving import Server  # noqa: E402
 from tests.cluster.serving import COMMAND, Nginx  # noqa: E402
 from tests.tools import reserved_port  # noqa: E402
@@ -56,7 +57,111 @@ def served(capacity: int) -> Generator[tuple[Server, Nginx], None, None]:
             server.kill()
 
 
-class Figures(NamedTuple):
+def children(process: int) -> list[int]:
+    """A process and its children (Linux)."""
+    listed = Path(f"/proc/{process}/task/{process}/children").read_text(encoding="utf-8")
+    return [process, *map(int, listed.split())]
+
+
+def memory_of(processes: Iterable[int]) -> int:
+    """Memory that these processes share with nobody, in bytes (Linux)."""
+    total = 0
+    for process in processes:
+        for line in Path(f"/proc/{process}/smaps_rollup").read_text(encoding="utf-8").splitlines():
+            if line.startswith("Private_"):
+                total += int(line.split()[1]) * 1024
+    return total
+
+
+def files_of(processes: Iterable[int]) -> int:
+    """How many files and connections these processes have open (Linux)."""
+    return sum(len(list(Path(f"/proc/{process}/fd").iterdir())) for process in processes)
+
+
+async def open_rows(port: int, task: str, count: int) -> None:
+    """Open HTTP sessions over one connection, and fly `STEPS` in each."""
+    http = Http(port)
+    await http.open()
+    for seed in range(count):
+        opening = await http.ask(http.request("/reset", {"task_name": task, "seed": seed}, NEW))
+        named = {"X-Session-Id": json.loads(opening)["session_id"]}
+        for step in range(STEPS):
+            await http.ask(http.request("/step", {"direction": MOVES[step % 4]}, named))
+    await http.close()
+
+
+async def time_http(port: int, task: str, server: list[int], proxy: list[int], seconds: float) -> Figures:
+    """Step 16 HTTP sessions as fast as they are answered."""
+    return await time_sessions([await open_session(port, "HTTP", task) for _ in range(16)], server, seconds, proxy)
+
+
+class SocketMemory(NamedTuple):
+    """What an open WebSocket takes: bytes in the server before and after its flight, bytes and files in nginx."""
+
+    connected: float
+    flying: float
+    nginx: float
+    server_files: float
+    nginx_files: float
+
+
+async def sockets(
+    port: int, task: str, count: int, server: list[int], proxy: list[int], seconds: float
+) -> tuple[SocketMemory, Figures]:
+    """Open WebSockets, fly `STEPS` in each, measure what they take; then step the first 16 of them."""
+    # The first connections make what all others share.
+    for session in [await open_session(port, "WebSocket", task) for _ in range(8)]:
+        await session.connection.close()
+    start, proxy_start = memory_of(server), memory_of(proxy)
+    files, proxy_files = files_of(server), files_of(proxy)
+    opened = [Socket(port) for _ in range(count)]
+    for socket in opened:
+        await socket.open()
+    connected = memory_of(server)
+    reset = frame({"type": "reset", "data": {"task_name": task}})
+    moves = [frame({"type": "step", "data": {"direction": move}}) for move in MOVES]
+
+    async def first_steps(socket: Socket) -> None:
+        for message in (reset, *moves * (STEPS // 4)):
+            await socket.ask(message)
+
+    await asyncio.gather(*map(first_steps, opened))
+    taken = SocketMemory(
+        (connected - start) / count,
+        (memory_of(server) - start) / count,
+        (memory_of(proxy) - proxy_start) / count,
+        (files_of(server) - files) / count,
+        (files_of(proxy) - proxy_files) / count,
+    )
+    wire = await time_sessions([Session(socket, reset, moves) for socket in opened[:16]], server, seconds, proxy)
+    for socket in opened[16:]:
+        await socket.close()
+    return taken, wire
+
+
+def episode_bytes(task: str, count: int) -> float:
+    """Bytes of an episode in flight, from the memory of a process of its own."""
+    with multiprocessing.get_context("spawn").Pool(1) as process:
+        return process.apply(_episode_bytes, (task, count))
+
+
+def _episode_bytes(task: str, count: int) -> float:
+    def flown(seed: int) -> Episode:
+        episode = Episode(task)
+        episode.reset(seed)
+        for step in range(STEPS):
+            episode.step(step % 4)
+        return episode
+
+    warm = [flown(seed) for seed in range(50)]
+    before = memory_of([os.getpid()])
+    kept = [flown(seed) for seed in range(count)]
+    grown = memory_of([os.getpid()]) - before
+    del warm, kept
+    return grown / count
+
+
+class Costs(NamedTuple):
     """All that is measured."""
 
     server_bytes: float
@@ -66,21 +171,21 @@ class Figures(NamedTuple):
     live_http_files: float
     episode_bytes: float
     socket: SocketMemory
-    http_direct: Wire
-    http_proxied: Wire
-    socket_proxied: Wire
+    http_direct: Figures
+    http_proxied: Figures
+    socket_proxied: Figures
     store: StoreFigures
 
 
-def one_round(task: str, sessions: int, seconds: float) -> Figures:
+def one_round(task: str, sessions: int, seconds: float) -> Costs:
     """Measure everything once."""
     store = measure_store(task)
     with served(sessions + 100) as (server, nginx):
         port, proxy = int(server.url.rpartition(":")[2]), int(nginx.url.rpartition(":")[2])
         processes, proxies = children(server.process.pid), children(nginx.process.pid)
-        asyncio.run(open_rows(port, task, 20, STEPS))
+        asyncio.run(open_rows(port, task, 20))
         server_bytes, files, nginx_bytes = memory_of(processes), files_of(processes), memory_of(proxies)
-        asyncio.run(open_rows(port, task, sessions, STEPS))
+        asyncio.run(open_rows(port, task, sessions))
         live, live_files = memory_of(processes) - server_bytes, files_of(processes) - files
         direct = asyncio.run(time_http(port, task, processes, [], seconds))
         proxied = asyncio.run(time_http(proxy, task, processes, proxies, seconds))
@@ -88,7 +193,7 @@ def one_round(task: str, sessions: int, seconds: float) -> Figures:
         proxy = int(nginx.url.rpartition(":")[2])
         processes, proxies = children(server.process.pid), children(nginx.process.pid)
         socket, wire = asyncio.run(sockets(proxy, task, sessions, processes, proxies, seconds))
-    return Figures(
+    return Costs(
         server_bytes,
         nginx_bytes,
         live / sessions,
@@ -112,7 +217,7 @@ def median_of(rounds: Sequence[Any]) -> Any:
     return statistics.median(rounds)
 
 
-def measured(figures: Figures) -> str:
+def measured(figures: Costs) -> str:
     """What was measured, as a table."""
     store, socket, wires = figures.store, figures.socket, figures.socket_proxied
     kilo = 1000
@@ -127,15 +232,15 @@ def measured(figures: Figures) -> str:
         ("a WebSocket in nginx", f"{socket.nginx / kilo:.1f} KB"),
         ("open files for a WebSocket: server, nginx", f"{socket.server_files:.2f}, {socket.nginx_files:.2f}"),
         ("open files for an HTTP session without a request", f"{round(figures.live_http_files, 1) + 0.0:.1f}"),
-        ("a step over HTTP: CPU of the server, directly", f"{figures.http_direct.server_us:.0f} us"),
-        ("a step over HTTP: CPU of the server, through nginx", f"{figures.http_proxied.server_us:.0f} us"),
-        ("a step over HTTP: CPU of nginx", f"{figures.http_proxied.nginx_us:.0f} us"),
+        ("a step over HTTP: CPU of the server, directly", f"{figures.http_direct.cpu_us:.0f} us"),
+        ("a step over HTTP: CPU of the server, through nginx", f"{figures.http_proxied.cpu_us:.0f} us"),
+        ("a step over HTTP: CPU of nginx", f"{figures.http_proxied.proxy_us:.0f} us"),
         (
             "a step over HTTP: bytes sent, answered",
             f"{figures.http_proxied.sent:.0f}, {figures.http_proxied.received:.0f}",
         ),
-        ("a step over WebSocket: CPU of the server, through nginx", f"{wires.server_us:.0f} us"),
-        ("a step over WebSocket: CPU of nginx", f"{wires.nginx_us:.0f} us"),
+        ("a step over WebSocket: CPU of the server, through nginx", f"{wires.cpu_us:.0f} us"),
+        ("a step over WebSocket: CPU of nginx", f"{wires.proxy_us:.0f} us"),
         ("a step over WebSocket: bytes sent, answered", f"{wires.sent:.0f}, {wires.received:.0f}"),
         ("a step kept in the store: CPU", f"{store.step_us:.0f} us"),
         ("a step kept in the store: bytes of SQLite's log", f"{store.log_bytes:.0f}"),
@@ -146,16 +251,16 @@ def measured(figures: Figures) -> str:
     return "\n".join(["| what | measured |", "|---|---|", *[f"| {name} | {value} |" for name, value in rows]])
 
 
-def extrapolated(figures: Figures, rate: float) -> str:
+def extrapolated(figures: Costs, rate: float) -> str:
     """What a million sessions would take, by multiplication."""
     store, http, ws = figures.store, figures.http_proxied, figures.socket_proxied
     steps = MILLION * rate
     written = max(store.steps_per_second.values())
 
-    def cores(wire: Wire) -> tuple[float, float]:
-        return steps * wire.server_us / 1e6, steps * wire.nginx_us / 1e6
+    def cores(wire: Figures) -> tuple[float, float]:
+        return steps * wire.cpu_us / 1e6, steps * wire.proxy_us / 1e6
 
-    def gigabits(wire: Wire) -> float:
+    def gigabits(wire: Figures) -> float:
         return steps * (wire.sent + wire.received) * 8 / 1e9
 
     rows = [
@@ -191,13 +296,13 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1.0, help="steps per second of each session (%(default)s)")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    rounds: list[Figures] = []
+    rounds: list[Costs] = []
     loads = [os.getloadavg()[0]]
     for number in range(given.rounds):
         print(f"round {number + 1} of {given.rounds}", file=sys.stderr, flush=True)
         rounds.append(one_round(given.task, given.sessions, given.seconds))
         loads.append(os.getloadavg()[0])
-    figures: Figures = median_of(rounds)
+    figures: Costs = median_of(rounds)
     print(f"Task {given.task}, {given.sessions} sessions, median of {given.rounds} rounds, {os.cpu_count()} cores,")
     print(f"load of the machine {min(loads):.1f} to {max(loads):.1f} (this run included).\n")
     print(measured(figures), "\n", extrapolated(figures, given.rate), sep="\n")

@@ -140,20 +140,35 @@ def cart_pole(num_envs: int) -> Contender:
     )
 
 
-def mini_grid(name: str) -> Contender:
-    """One MiniGrid environment, in Python."""
-    import_module("minigrid")
-    env = gymnasium.make(name, disable_env_checker=True)
+def alone(name: str) -> Contender:
+    """One environment in plain Python, through `gymnasium.Env.step`."""
+    if name.startswith("MiniGrid"):
+        import_module("minigrid")
+    env: Any = gymnasium.make(name, disable_env_checker=True)
     first, _ = env.reset(seed=0)
-    actions = random_actions(WINDOWS, 7)[0].tolist()
+    actions = random_actions(WINDOWS, int(env.action_space.n))[0].tolist()
 
     def step(action: int) -> None:
         _, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
             env.reset()
 
-    arrays = {key: np.asarray(value) for key, value in first.items() if key != "mission"}
+    shown = cast("dict[str, Any]", first) if isinstance(first, dict) else {"": first}
+    arrays = {key: np.asarray(value) for key, value in shown.items() if key != "mission"}
     return Contender(f"{name} 1", 1, bytes_of(arrays, 1), repeat(step, actions))
+
+
+def bare_alone(task: str) -> Contender:
+    """`Episode.step` in plain Python; it makes no observation."""
+    episode = drone_env.Episode(task)
+    episode.reset(0)
+
+    def step(action: int) -> None:
+        if episode.ended:
+            episode.reset()
+        episode.step(action)
+
+    return Contender(f"Episode {task} 1", 1, 0, repeat(step, random_actions(WINDOWS, 5)[0].tolist()))
 
 
 def env_pool(name: str, num_envs: int) -> Contender:
@@ -205,8 +220,12 @@ def contenders(quick: bool, envpool: bool) -> Iterator[Contender]:
                 yield vector(task, 4096, mode, copy)
     for task in tasks:
         yield numpy_rules(task, 4096)
+    yield alone("CartPole-v1")
+    for task in tasks:
+        yield bare_alone(task)
+        yield alone(drone_env.get_task(task).gym_id)
     for name in ["MiniGrid-Empty-8x8-v0"] if quick else ["MiniGrid-Empty-8x8-v0", "MiniGrid-DoorKey-8x8-v0"]:
-        yield mini_grid(name)
+        yield alone(name)
         if envpool:
             yield env_pool(name, 1024)
     yield copying(256 * KIB, "in cache (256 KiB)")

@@ -27,7 +27,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Awaitable, Callable, Generator
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,6 +38,7 @@ ROOT = Path(__file__).parents[1]
 PORTS = {"drone-env": 18_431, "echo": 18_432, "other": 18_433}
 WAYS = ("WebSocket", "HTTP", "openenv-HTTP")
 MOVES = ("UP", "LEFT", "DOWN", "RIGHT")
+NEW = {"X-Session-Id": "new"}
 ECHO_SERVER = """
 import sys
 sys.path.insert(0, {folder!r})
@@ -58,6 +59,12 @@ class Figures(NamedTuple):
     p99_ms: float
     cpu_us: float
     """CPU time of the server for a step, which other load on the machine hardly changes."""
+    proxy_us: float
+    """That of the proxy before it; 0 where there is none."""
+    sent: float
+    """Bytes of the request of a step, without those of TCP."""
+    received: float
+    """Bytes of its answer."""
 
 
 def frame(message: dict[str, Any]) -> bytes:
@@ -67,41 +74,7 @@ def frame(message: dict[str, Any]) -> bytes:
     return b"\x81" + length + bytes(4) + payload
 
 
-async def read_frame(reader: asyncio.StreamReader) -> bytes:
-    """The payload of a text frame; pings are read over (a run is shorter than their patience).
-
-    Raises:
-        ConnectionError: if the server closes.
-    """
-    while True:
-        head = await reader.readexactly(2)
-        length = head[1] & 0x7F
-        if length == 126:
-            length = int.from_bytes(await reader.readexactly(2), "big")
-        elif length == 127:
-            length = int.from_bytes(await reader.readexactly(8), "big")
-        payload = await reader.readexactly(length)
-        if head[0] == 0x81:
-            return payload
-        if head[0] == 0x88:
-            raise ConnectionError(f"the server closed: {payload!r}")
-
-
-async def connect(port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-    """A WebSocket to `/ws`."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1 << 20)
-    key = "AAAAAAAAAAAAAAAAAAAAAA=="
-    writer.write(
-        f"GET /ws HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
-    )
-    answer = await reader.readuntil(b"\r\n\r\n")
-    if b" 101 " not in answer:
-        raise ConnectionError(answer.decode())
-    return reader, writer
-
-
-class Http:
+class Connection:
     """A kept connection to a server, which counts its bytes.
 
     A library would take more time than the server does, on the same cores.
@@ -115,65 +88,111 @@ class Http:
         """Connect."""
         self.reader, self.writer = await asyncio.open_connection("127.0.0.1", self.port, limit=1 << 20)
 
-    async def post(self, path: str, body: dict[str, object], headers: dict[str, str]) -> bytes:
-        """Send a request and return the body of its answer.
+    async def close(self) -> None:
+        """End the connection."""
+        self.writer.close()
+        await self.writer.wait_closed()
+
+    async def ask(self, message: bytes) -> bytes:
+        """Send a message that is written already, and return its answer."""
+        self.writer.write(message)
+        answer = await self.answer()
+        self.sent += len(message)
+        return answer
+
+    async def answer(self) -> bytes:
+        """The next answer."""
+        raise NotImplementedError
+
+
+class Socket(Connection):
+    """A WebSocket to `/ws`."""
+
+    async def open(self) -> None:
+        """Connect.
 
         Raises:
-            ConnectionError: if the answer is a refusal.
+            ConnectionError: if the server refuses.
         """
-        return await self.ask(self.request(path, body, headers))
+        await super().open()
+        self.writer.write(
+            f"GET /ws HTTP/1.1\r\nHost: 127.0.0.1:{self.port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+        )
+        answer = await self.reader.readuntil(b"\r\n\r\n")
+        if b" 101 " not in answer:
+            raise ConnectionError(answer.decode())
 
-    def request(self, path: str, body: dict[str, object], headers: dict[str, str]) -> bytes:
+    async def answer(self) -> bytes:
+        """The payload of the next text frame; pings are answered.
+
+        Raises:
+            ConnectionError: if the server closes.
+        """
+        while True:
+            head = await self.reader.readexactly(2)
+            length = head[1] & 0x7F
+            if length >= 126:
+                length = int.from_bytes(await self.reader.readexactly(2 if length == 126 else 8), "big")
+            payload = await self.reader.readexactly(length)
+            if head[0] == 0x81:
+                self.received += len(payload) + 4
+                return payload
+            if head[0] == 0x88:
+                raise ConnectionError(f"the server closed: {payload!r}")
+            self.writer.write(bytes([0x8A, 0x80 | len(payload)]) + bytes(4) + payload)
+
+
+class Http(Connection):
+    """HTTP, one request after another."""
+
+    def request(self, path: str, body: dict[str, Any], headers: dict[str, str]) -> bytes:
         """A request as it travels."""
         content = json.dumps(body).encode()
         lines = [f"POST {path} HTTP/1.1", f"Host: 127.0.0.1:{self.port}", "Content-Type: application/json"]
         lines += [f"{name}: {value}" for name, value in headers.items()]
         return "\r\n".join([*lines, f"Content-Length: {len(content)}", "", ""]).encode() + content
 
-    async def ask(self, request: bytes) -> bytes:
-        """The same of a request that is written already."""
-        self.writer.write(request)
+    async def answer(self) -> bytes:
+        """The body of the next answer.
+
+        Raises:
+            ConnectionError: if it is a refusal.
+        """
         head = await self.reader.readuntil(b"\r\n\r\n")
         length = next(int(line[15:]) for line in head.lower().split(b"\r\n") if line.startswith(b"content-length:"))
         answer = await self.reader.readexactly(length)
         if b" 200 " not in head[:16]:
             raise ConnectionError(answer.decode())
-        self.sent += len(request)
         self.received += len(head) + length
         return answer
 
 
 class Session(NamedTuple):
-    """An open session: how to ask over its connection, and what."""
+    """An open session: its connection, and what it asks."""
 
-    ask: Callable[[bytes], Awaitable[bytes]]
+    connection: Connection
     reset: bytes
     steps: list[bytes]
-    writer: asyncio.StreamWriter
 
 
-async def open_session(server: str, way: str, task: str) -> Session:
-    """A session of a server, over a connection of its own, with an episode."""
-    echo, begin = server == "echo", {} if server == "echo" else {"task_name": task}
+async def open_session(port: int, way: str, task: str, echo: bool = False) -> Session:
+    """A session of a server, over a connection of its own, with an episode; `echo` speaks to that environment."""
+    begin = {} if echo else {"task_name": task}
     actions = [{"message": "RIGHT"}] if echo else [{"direction": move} for move in MOVES]
     if way == "WebSocket":
-        reader, writer = await connect(PORTS[server])
-
-        async def ask(message: bytes) -> bytes:
-            writer.write(message)
-            return await read_frame(reader)
-
+        socket = Socket(port)
+        await socket.open()
         steps = [frame({"type": "step", "data": action}) for action in actions]
-        session = Session(ask, frame({"type": "reset", "data": begin}), steps, writer)
-        await ask(session.reset)
+        session = Session(socket, frame({"type": "reset", "data": begin}), steps)
+        await socket.ask(session.reset)
         return session
-    http = Http(PORTS[server])
+    http = Http(port)
     await http.open()
-    answer = json.loads(await http.post("/reset", dict(begin), {}))
+    answer = json.loads(await http.ask(http.request("/reset", begin, {} if echo else NEW)))
     named = {} if echo else {"X-Session-Id": answer["session_id"]}
     bodies = [{"action": action} if echo or way == "openenv-HTTP" else action for action in actions]
-    steps = [http.request("/step", dict(body), named) for body in bodies]
-    return Session(http.ask, http.request("/reset", dict(begin), named), steps, http.writer)
+    return Session(http, http.request("/reset", begin, named), [http.request("/step", body, named) for body in bodies])
 
 
 async def fly(session: Session, until: float, latencies: list[float]) -> None:
@@ -184,34 +203,46 @@ async def fly(session: Session, until: float, latencies: list[float]) -> None:
     """
     clock, number = time.perf_counter, 0
     while (sent := clock()) < until:
-        answer = await session.ask(session.steps[number % len(session.steps)])
+        answer = await session.connection.ask(session.steps[number % len(session.steps)])
         latencies.append(clock() - sent)
         number += 1
         if b'"done":' not in answer:
             raise ConnectionError(answer[:200].decode())
         if b'"done":true' in answer:
-            await session.ask(session.reset)
+            await session.connection.ask(session.reset)
 
 
-def cpu_seconds(process: int) -> float:
-    """CPU time that a process has used (Linux)."""
-    fields = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+def cpu_seconds(processes: Iterable[int]) -> float:
+    """CPU time that processes have used together (Linux)."""
+    stats = [Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2] for process in processes]
+    return sum(int(ticks) for stat in stats for ticks in stat.split()[11:13]) / os.sysconf("SC_CLK_TCK")
+
+
+async def time_sessions(
+    sessions: Sequence[Session], server: Sequence[int], seconds: float, proxy: Sequence[int] = ()
+) -> Figures:
+    """Step sessions as fast as they are answered, and close them. `server` and `proxy` are processes."""
+    latencies: list[float] = []
+    before = [session.connection.sent for session in sessions], [session.connection.received for session in sessions]
+    cpu, proxy_cpu, started = cpu_seconds(server), cpu_seconds(proxy), time.perf_counter()
+    await asyncio.gather(*[fly(session, started + seconds, latencies) for session in sessions])
+    elapsed = time.perf_counter() - started
+    cpu, proxy_cpu = cpu_seconds(server) - cpu, cpu_seconds(proxy) - proxy_cpu
+    sent = sum(session.connection.sent for session in sessions) - sum(before[0])
+    received = sum(session.connection.received for session in sessions) - sum(before[1])
+    for session in sessions:
+        await session.connection.close()
+    steps, ordered = len(latencies), sorted(latencies)
+    p50, p99 = (ordered[int(share * (steps - 1))] * 1000 for share in (0.5, 0.99))
+    return Figures(
+        steps / elapsed, p50, p99, cpu / steps * 1e6, proxy_cpu / steps * 1e6, sent / steps, received / steps
+    )
 
 
 async def one_round(server: str, process: int, way: str, task: str, count: int, seconds: float) -> Figures:
     """Time one server under this many sessions."""
-    sessions = [await open_session(server, way, task) for _ in range(count)]
-    latencies: list[float] = []
-    cpu, started = cpu_seconds(process), time.perf_counter()
-    await asyncio.gather(*[fly(session, started + seconds, latencies) for session in sessions])
-    elapsed, cpu = time.perf_counter() - started, cpu_seconds(process) - cpu
-    for session in sessions:
-        session.writer.close()
-        await session.writer.wait_closed()
-    ordered = sorted(latencies)
-    p50, p99 = (ordered[int(share * (len(ordered) - 1))] * 1000 for share in (0.5, 0.99))
-    return Figures(len(latencies) / elapsed, p50, p99, cpu / len(latencies) * 1e6)
+    sessions = [await open_session(PORTS[server], way, task, server == "echo") for _ in range(count)]
+    return await time_sessions(sessions, [process], seconds)
 
 
 @contextmanager
@@ -284,18 +315,17 @@ def main() -> None:
                     timed = one_round(name, processes[name], way, given.task, sessions, given.seconds)
                     figures.append(asyncio.run(timed))
             for name, figures in rounds.items():
-                rate, p50, p99, cpu = (statistics.median(column) for column in zip(*figures, strict=True))
-                print(f"| {sessions} | {way} | {name} | {rate:.0f} | {p50:.2f} | {p99:.2f} | {cpu:.0f} |", flush=True)
-                timings = {
-                    "sessions": sessions,
-                    "by": way,
-                    "server": name,
-                    "median": Figures(rate, p50, p99, cpu)._asdict(),
-                }
+                middle = Figures(*(statistics.median(column) for column in zip(*figures, strict=True)))
+                print(
+                    f"| {sessions} | {way} | {name} | {middle.steps_per_second:.0f} | {middle.p50_ms:.2f} "
+                    f"| {middle.p99_ms:.2f} | {middle.cpu_us:.0f} |",
+                    flush=True,
+                )
+                timings = {"sessions": sessions, "by": way, "server": name, "median": middle._asdict()}
                 report.append({**timings, "rounds": [f._asdict() for f in figures]})
     if given.json is not None:
-        told = {"task": given.task, "other": None if given.other is None else str(given.other), "report": report}
-        given.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+        measured = {"task": given.task, "other": None if given.other is None else str(given.other), "report": report}
+        given.json.write_text(json.dumps(measured, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -31,7 +31,6 @@ HOME = ROOT / ".venv" / "bench"
 PYTHON = HOME / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 READY = HOME / "ready.json"
 
-UNIT = "Gymnasium CartPole vector {}"
 OTHER = ", other checkout"
 WORKER = """
 import sys
@@ -154,6 +153,11 @@ def batches_of(checkout: Path | None, quick: bool) -> Generator[list[Elsewhere],
         yield [Elsewhere(process, line) for line in described]
 
 
+def unit_of(num_envs: int) -> str:
+    """The CartPole that so many episodes are compared with."""
+    return "CartPole-v1 1" if num_envs == 1 else f"Gymnasium CartPole vector {num_envs}"
+
+
 def calls_per_slice(contender: "Contender | Elsewhere", seconds: float) -> int:
     """How many calls take about this long; also warms up."""
     calls = 1
@@ -183,7 +187,7 @@ def time_all(entries: "list[Contender | Elsewhere]", rounds: int, seconds: float
 
 def in_subprocess(code: str, *arguments: Any, **environment: str) -> list[float]:
     """The numbers that a Python of its own prints."""
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
         check=True,
         stdout=subprocess.PIPE,
@@ -191,7 +195,7 @@ def in_subprocess(code: str, *arguments: Any, **environment: str) -> list[float]
         text=True,
         env=os.environ | environment,
     )
-    return [float(line) for line in told.stdout.split()]
+    return [float(line) for line in done.stdout.split()]
 
 
 def first_steps(times: int) -> dict[str, float]:
@@ -289,7 +293,7 @@ def measure(quick: bool, other: Path | None) -> dict[str, Any]:
             "per_cpu_second": median(name),
             "per_second": median(name, "wall"),
             "observation_bytes": entry.observation,
-            "ratio": median(name) / median(unit) if (unit := UNIT.format(entry.per_call)) in figures else None,
+            "ratio": median(name) / median(unit) if (unit := unit_of(entry.per_call)) in figures else None,
             "rounds": figures[name],
         }
         one = name.removesuffix(", 2 threads")

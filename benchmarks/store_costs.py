@@ -10,10 +10,11 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.session_costs import STEPS
 from drone_env.core.tasks import get_task
 from drone_env.episodes.store import FILE_NAME, Store
 
+STEPS = 20
+"""Flown in each session before anything is measured: a flight of the standard tasks lasts 7 to 160."""
 ROWS = (10_000, 100_000)
 TRANSACTIONS = 3_000
 UNBOUNDED = 1_000_000
@@ -76,7 +77,7 @@ def middle(call: Callable[[], object], times: int = 7) -> float:
 
 
 def write_steps(folder: Path, task: str, number: int, results: "multiprocessing.Queue[tuple[float, float]]") -> None:
-    """Keep steps in sessions of one's own; tells the time and the CPU time of one."""
+    """Keep steps in sessions of one's own, and put the time and the CPU time of one into `results`."""
     known = get_task(task)
     with Store(folder) as store:
         names = [store.open_session(known.id, known.version, number, "tiered", "bench", UNBOUNDED) for _ in range(64)]
@@ -96,11 +97,11 @@ def write_rates(folder: Path, task: str) -> tuple[dict[int, float], float]:
         writers = [spawn.Process(target=write_steps, args=(folder, task, n, results)) for n in range(count)]
         for writer in writers:
             writer.start()
-        told = [results.get() for _ in writers]
+        taken = [results.get() for _ in writers]
         for writer in writers:
             writer.join()
-        rates[count] = sum(1 / seconds for seconds, _ in told)
-        cpu = told[0][1] if count == 1 else cpu
+        rates[count] = sum(1 / seconds for seconds, _ in taken)
+        cpu = taken[0][1] if count == 1 else cpu
     return rates, cpu
 
 

@@ -61,14 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
         sys.stdout.flush()
         return int(status or 0)
-    except DroneEnvError as error:
-        print(f"drone-env: {error}", file=sys.stderr)
-        return 2
     except BrokenPipeError:
-        # Whoever read the output has closed it (`drone-env fly | head`); the interpreter must not flush it again.
+        # The reader of the output has closed it (`drone-env fly | head`); the interpreter must not flush it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 2
-    except OSError as error:
+    except (DroneEnvError, OSError) as error:
         print(f"drone-env: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

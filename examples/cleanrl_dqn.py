@@ -18,7 +18,7 @@ import tyro
 from torch import nn
 from torch.nn import functional
 
-from drone_env import AGENTS, episodes_key, run_episodes, split_seeds, summarise
+from drone_env import episodes_key, register_agent, run_episodes, split_seeds, summarise
 from drone_env.core.cells import N_CELL_KINDS
 
 
@@ -154,7 +154,7 @@ for global_step in range(0, args.total_timesteps, args.num_envs):
     if global_step // 50_000 != (global_step - args.num_envs) // 50_000 and scores:
         print(f"step {global_step}: epsilon {epsilon:.2f}, score while exploring {np.mean(scores[-500:]):.3f}")
 
-AGENTS["cleanrl_dqn"] = lambda task: Learned()
+register_agent("cleanrl_dqn", lambda task: Learned())
 key = episodes_key(
     args.task.lower().replace("-", "_"), "cleanrl_dqn", split_seeds("validation", args.maps), "validation"
 )

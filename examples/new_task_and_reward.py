@@ -7,11 +7,8 @@
 Measured, the short one: the profile is aligned on all 10 maps; greedy and optimal score 0.9445, the optimum, random
 0.1270, and the network after its 100 episodes 0.3175. One minute of CPU time, half of it for compiling.
 
-Everything that knows the package's own tasks and profiles knows these too, as soon as they are registered. For the
-command line, put such lines into a module, here `my_tasks.py`, and name it:
-
-    PYTHONPATH=. DRONE_ENV_PLUGINS=my_tasks drone-env evaluate --task courier
-    gymnasium.make("my_tasks:DroneDelivery-Courier-v1")
+Everything that knows the package's own tasks and profiles knows these too, as soon as they are registered.
+docs/newcomer.md does the same for the command line, with an agent besides.
 """
 
 import argparse

@@ -17,7 +17,7 @@ import gymnasium
 import torch
 from torch import nn
 
-from drone_env import AGENTS, episodes_key, run_episodes, split_seeds, summarise
+from drone_env import episodes_key, register_agent, run_episodes, split_seeds, summarise
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--total-timesteps", type=int, default=1_000_000)
@@ -107,7 +107,7 @@ class Learned:
             return model(telemetry)[0].sample().numpy()
 
 
-AGENTS["pytorch_loop"] = lambda task: Learned()
+register_agent("pytorch_loop", lambda task: Learned())
 figures = summarise(
     run_episodes(episodes_key(TASK, "pytorch_loop", split_seeds("validation", args.maps), "validation"))
 )

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 
-from drone_env import AGENTS, episodes_key, run_episodes, split_seeds, summarise
+from drone_env import episodes_key, register_agent, run_episodes, split_seeds, summarise
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
 from drone_env.envs.wrappers import one_hot
 
@@ -65,7 +65,7 @@ class Learned:
         return model.predict(flat, deterministic=False)[0]
 
 
-AGENTS["sb3_ppo"] = lambda task: Learned()
+register_agent("sb3_ppo", lambda task: Learned())
 key = episodes_key(args.task, "sb3_ppo", split_seeds("validation", args.maps), "validation")
 figures = summarise(run_episodes(key))
 print(f"score {figures['mean_score']:.4f}, optimum of the same {args.maps} maps {figures['mean_optimal_score']:.4f}")

@@ -49,7 +49,7 @@ def build(builder: str, tag: str, context: Path, log: Path, options: Sequence[st
 
 
 def stoppable(command: list[str]) -> int:
-    """Run a command, and end it when this process is told to stop; its exit status, 130 if it was stopped."""
+    """Run a command, and end it when this process gets a signal to stop; its exit status, 130 if it was stopped."""
     running: subprocess.Popen[bytes] | None = None
     stopped = False
 

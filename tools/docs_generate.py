@@ -1,18 +1,17 @@
 """Write the generated parts of the documentation: `make docs-data`, some minutes.
 
-    docs/tasks.md           every task: its numbers, a picture, and how the agents fly it
-    docs/images/<task>.png  a best flight over its first test map
-    docs/reward.md          the table of audits between its two markers
+    tasks   docs/tasks.md: the numbers of every task, a picture, and how the agents fly it; docs/images/<task>.png
+    audits  docs/reward.md: the table of audits
+    curves  docs/reward.md and docs/images/training/*.png: training on `tiered` beside `aligned`, all else equal
 
-`python tools/docs_generate.py --tasks` leaves the audits out.
+`python tools/docs_generate.py tasks curves` writes these alone; without a name, tasks and audits. Curves need PyTorch.
 """
 
 import sys
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 
-from docs_tables import between, numbers
+from docs_tables import between, numbers, put, table
 
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.episode import Episode
@@ -21,10 +20,11 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.envs.rendering import save_picture
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
-from drone_env.planning.audit import MapAudit, audit_map, audited_profile
+from drone_env.planning.audit import audit_maps, audited_profile, summarise_audits
 from drone_env.planning.optimal import solve
 
 DOCS = Path(__file__).parents[1] / "docs"
+REWARD = DOCS / "reward.md"
 AGENTS = ("random", "greedy", "pathqnet", "optimal")
 MAPS = 1000
 AUDITED = {
@@ -35,7 +35,8 @@ AUDITED = {
     "skyline_medium": 20,
 }
 """How many test maps the audits of a task run over."""
-BEGIN, END = "<!-- audits: written by generate.py -->", "<!-- end of audits -->"
+CURVES, CURVES_EPISODES = "easy", 1_500
+"""The task of the curves, and how many episodes are enough to see which way each goes."""
 
 
 def figures(task: TaskConfig) -> str:
@@ -82,8 +83,7 @@ def write_tasks() -> None:
     for task in TASKS.values():
         picture(task)
         shown = f"![A best flight on {task.id}](images/{task.id}.png)"
-        begin, end = between(task.id)
-        parts.append(f"## {task.id}\n\n{shown}\n\n{begin}\n\n{numbers(task)}\n\n{end}\n\n{figures(task)}")
+        parts.append(f"## {task.id}\n\n{shown}\n\n{between(task.id, numbers(task))}\n\n{figures(task)}")
     (DOCS / "tasks.md").write_text("\n".join(parts), encoding="utf-8")
 
 
@@ -93,26 +93,23 @@ def audits(task: TaskConfig, maps: int) -> list[str]:
     cases = [(name, gamma, None) for name in REWARD_PROFILES for gamma in (1.0, 0.99)] + [("aligned", 1.0, 0.99)]
     for name, gamma, shaping_gamma in cases:
         profile = audited_profile(name, gamma, shaping_gamma)
-        one = partial(audit_map, task, reward_profile=profile, gamma=gamma)
-        seeds = split_seeds("test", maps)
-        with ThreadPoolExecutor() as pool:
-            of_maps: list[MapAudit] = [one(seeds[0]), *pool.map(one, seeds[1:])]
-        share = sum(of_map.aligned for of_map in of_maps) / maps
-        mean = {key: sum(of_map.returns[key] for of_map in of_maps) / maps for key in of_maps[0].returns}
-        score, optimum = (sum(getattr(m, key) for m in of_maps) / maps for key in ("score", "optimum"))
+        report = summarise_audits(
+            task, profile, gamma, list(audit_maps(task, split_seeds("test", maps), profile, gamma))
+        )
+        mean = report["mean_returns"]
         note = f" (shaping {shaping_gamma})" if shaping_gamma is not None else ""
-        verdict = "aligned" if share == 1 else "**exploitable**"
+        verdict = "aligned" if report["verdict"] == "aligned" else "**exploitable**"
         rows.append(
-            f"| {task.short_name} | {maps} | `{name}`{note} | {gamma:g} | {verdict} | {share:.1%} | {score:.3f} "
-            f"| {optimum:.3f} | {mean['honest']:.2f} | {mean['stall']:.2f} | {mean['bump']:.2f} "
-            f"| {mean['oscillate']:.2f} | {mean['hover']:.2f} |"
+            f"| {task.short_name} | {maps} | `{name}`{note} | {gamma:g} | {verdict} | {report['share_aligned']:.1%} "
+            f"| {report['mean_score']:.3f} | {report['mean_optimal_score']:.3f} | {mean['honest']:.2f} "
+            f"| {mean['stall']:.2f} | {mean['bump']:.2f} | {mean['oscillate']:.2f} | {mean['hover']:.2f} |"
         )
         print(rows[-1], file=sys.stderr)
     return rows
 
 
 def write_audits() -> None:
-    """Write the table of docs/reward.md."""
+    """Write the table of audits in docs/reward.md."""
     lines = [
         "| task | maps | reward | gamma | verdict | maps on which it reaches the optimum | score of the maximiser "
         "| optimum | return: honest | stall | bump | oscillate | hover |",
@@ -120,13 +117,33 @@ def write_audits() -> None:
     ]
     for task_id, maps in AUDITED.items():
         lines += audits(TASKS[task_id], maps)
-    page = DOCS / "reward.md"
-    before, rest = page.read_text(encoding="utf-8").split(BEGIN)
-    after = rest.split(END)[1]
-    page.write_text(f"{before}{BEGIN}\n\n" + "\n".join(lines) + f"\n\n{END}{after}", encoding="utf-8")
+    REWARD.write_text(put(REWARD.read_text(encoding="utf-8"), "audits", "\n".join(lines)), encoding="utf-8")
+
+
+def write_curves() -> None:
+    """Train on two rewards, draw the curves, and write their table in docs/reward.md."""
+    from drone_env.rl.config import preset
+    from drone_env.rl.curves import draw_curves
+    from drone_env.rl.trainer import Progress, Trainer
+
+    histories: dict[str, list[Progress]] = {}
+    rows = [
+        ["trained on", "reward of the last episodes", "steps", "delivered", "its score on validation maps", "optimum"]
+    ]
+    for reward in ("tiered", "aligned"):
+        trainer = Trainer(replace(preset("fast", CURVES), reward_profile=reward, episodes=CURVES_EPISODES))
+        for _ in trainer.train():
+            pass
+        last = trainer.history[-1]
+        histories[reward] = trainer.history
+        shares = [f"{last.success:.1%}", f"{last.validation:.4f}", f"{last.validation_optimum:.4f}"]
+        rows.append([f"`{reward}`", f"{last.reward:.2f}", f"{last.length:.1f}", *shares])
+        print(rows[-1], file=sys.stderr)
+    draw_curves(histories, CURVES, DOCS / "images" / "training")
+    REWARD.write_text(put(REWARD.read_text(encoding="utf-8"), "curves", table(rows)), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    write_tasks()
-    if "--tasks" not in sys.argv[1:]:
-        write_audits()
+    parts = {"tasks": write_tasks, "audits": write_audits, "curves": write_curves}
+    for name in sys.argv[1:] or ["tasks", "audits"]:
+        parts[name]()

@@ -117,9 +117,16 @@ def tables() -> dict[tuple[str, str], str]:
     }
 
 
-def between(name: str) -> tuple[str, str]:
-    """The markers that a table stands between."""
-    return f"<!-- {name}: written by tables.py -->", f"<!-- end of {name} -->"
+def between(name: str, text: str) -> str:
+    """A generated text between its markers."""
+    return f"<!-- {name}: generated -->\n\n{text}\n\n<!-- end of {name} -->"
+
+
+def put(page: str, name: str, text: str) -> str:
+    """The page with this text between the markers of this name."""
+    begin, end = between(name, "").split("\n\n\n\n")
+    before, rest = page.split(begin)
+    return before + between(name, text) + rest.split(end)[1]
 
 
 def changes() -> dict[Path, str]:
@@ -127,9 +134,7 @@ def changes() -> dict[Path, str]:
     files: dict[Path, str] = {DOCS / "images" / "imports.svg": diagram()}
     for (page, name), text in tables().items():
         path = DOCS / page
-        begin, end = between(name)
-        before, rest = files.get(path, path.read_text(encoding="utf-8")).split(begin)
-        files[path] = f"{before}{begin}\n\n{text}\n\n{end}{rest.split(end)[1]}"
+        files[path] = put(files.get(path) or path.read_text(encoding="utf-8"), name, text)
     return {path: text for path, text in files.items() if not path.is_file() or path.read_text("utf-8") != text}
 
 

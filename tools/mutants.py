@@ -176,8 +176,8 @@ async def judge_all(mutants: Sequence[Mutant], root: Path, jobs: int, limit: flo
         tests = sorted({test for mutant in mutants for test in mutant.tests})
         shares = [tests[len(tests) * i // jobs : len(tests) * (i + 1) // jobs] for i in range(jobs)]
         # Pytest runs everything where no test is named.
-        told = [(folder, share) for folder, share in zip(folders, shares, strict=True) if share]
-        unmutated = [run_tests(folder, share, 4 * limit) for folder, share in told]
+        chosen = [(folder, share) for folder, share in zip(folders, shares, strict=True) if share]
+        unmutated = [run_tests(folder, share, 4 * limit) for folder, share in chosen]
         for status, output in await asyncio.gather(*unmutated):
             if status != 0:
                 raise SystemExit(f"{output}\nthe tests fail (exit status {status}) with no fault put in")

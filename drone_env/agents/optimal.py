@@ -18,7 +18,7 @@ TARGET_TELEMETRY = (3, 4)
 
 
 class OptimalAgent:
-    """Plans a best flight from what it sees and flies it; plans anew when the world is not what it expected.
+    """Plans a best flight from what it sees and flies it; plans again when the world is not what it expected.
 
     Raises:
         TooLargeError: when it is to plan on a map that is too large to be solved.

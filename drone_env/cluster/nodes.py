@@ -72,7 +72,7 @@ def check_cpus(needed: int) -> None:
     """To be called by the driver, inside of `connect`: Ray would wait without a word for a node that is large enough.
 
     Raises:
-        ClusterError: if no node offers so many CPUs.
+        ClusterError: if no node offers this many CPUs.
     """
     import ray
 

@@ -14,6 +14,8 @@ SHORT_NAMES = [task.short_name for task in TASKS.values()]
 
 TaskName = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 AgentName = Annotated[str, tyro.conf.arg(metavar="|".join(AGENTS))]
+AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
+Split = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
 ProfileName = Annotated[str, tyro.conf.arg(metavar="|".join(REWARD_PROFILES))]
 ClusterAddress = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PORT")]
 SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]

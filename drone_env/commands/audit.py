@@ -1,33 +1,23 @@
 """`drone-env audit`: whether maximising a reward is the same as flying well."""
 
-import json as json_format
-import math
-import os
-import sys
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 from rich import box
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from drone_env.commands.arguments import TaskName
+from drone_env.commands.arguments import Split, TaskName
+from drone_env.commands.printing import print_json, progress_bar, table_console
+from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES, RewardProfile
-from drone_env.core.seeds import SPLITS, split_seeds
-from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
+from drone_env.core.seeds import split_seeds
+from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 
-if TYPE_CHECKING:
-    from drone_env.planning.audit import MapAudit
-
 RewardName = Annotated[str, tyro.conf.arg(metavar=f"{'|'.join(REWARD_PROFILES)}|FILE.toml")]
-SplitName = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
 
 
 def audit(
@@ -35,7 +25,7 @@ def audit(
     reward: RewardName = DEFAULT_PROFILE,
     gamma: float = 1.0,
     maps: int = 20,
-    split: SplitName = "test",
+    split: Split = "test",
     shaping_gamma: float | None = None,
     replay: Path | None = None,
     json: bool = False,
@@ -64,7 +54,7 @@ def audit(
     """
     # These load a compiler, which other commands should not wait for.
     from drone_env.episodes.record import record_of, save_record
-    from drone_env.planning.audit import audited_profile
+    from drone_env.planning.audit import MapAudit, audit_maps, audited_profile, summarise_audits
     from drone_env.reward_file import reward_profile_from
 
     config = get_task(task)
@@ -74,71 +64,21 @@ def audit(
     if replay is not None and (replay.is_dir() or not replay.parent.is_dir()):
         raise InvalidValueError(f"--replay takes a file in a folder that exists, got {replay}")
     seeds = split_seeds(split, maps)
-    audits = _audit_maps(config, profile, gamma, seeds, jobs or os.cpu_count() or 1)
-    worst = max(audits, key=lambda of_map: (not of_map.aligned, of_map.optimum - of_map.score))
+    with progress_bar(f"{config.short_name} {profile.id}", maps) as advance:
+        audits: list[MapAudit] = []
+        for audited in audit_maps(config, seeds, profile, gamma, jobs):
+            audits.append(audited)
+            advance()
+    report = summarise_audits(config, profile, gamma, audits)
     if replay is not None:
-        flight = Episode(config, profile, worst.seed).fly(worst.actions)
+        worst = report["worst"]
+        flight = Episode(config, profile, worst["seed"]).fly(Action[action] for action in worst["actions"])
         save_record(record_of(flight, f"maximiser of {profile.id}"), replay)
-    report = _report(config, profile, gamma, audits, worst)
     if json:
-        print(json_format.dumps(report, indent=2, allow_nan=False))
+        print_json(report)
     else:
         _print(report, replay)
     return 0 if report["verdict"] == "aligned" else 1
-
-
-def _audit_maps(task: TaskConfig, profile: RewardProfile, gamma: float, seeds: range, jobs: int) -> "list[MapAudit]":
-    from drone_env.planning.audit import audit_map
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    one = partial(audit_map, task, reward_profile=profile, gamma=gamma)
-    audits: list[MapAudit] = []
-    with (
-        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress,
-        ThreadPoolExecutor(jobs) as pool,
-    ):
-        bar = progress.add_task(f"{task.short_name} {profile.id}", total=len(seeds))
-        # The first map alone: it compiles what the others then use.
-        audits.append(one(seeds[0]))
-        progress.advance(bar)
-        for audited in pool.map(one, seeds[1:]):
-            audits.append(audited)
-            progress.advance(bar)
-    return audits
-
-
-def _report(
-    task: TaskConfig, profile: RewardProfile, gamma: float, audits: "list[MapAudit]", worst: "MapAudit"
-) -> dict[str, Any]:
-    def mean(values: list[float]) -> float:
-        return math.fsum(values) / len(values)
-
-    share = sum(of_map.aligned for of_map in audits) / len(audits)
-    shaping = profile.shaping_gamma
-    return {
-        "task": task.id,
-        "version": task.version,
-        "reward": profile.id,
-        "gamma": gamma,
-        "shaping_gamma": None if shaping is None else float(shaping),
-        "seeds": [audits[0].seed, audits[-1].seed + 1],
-        "maps": len(audits),
-        "verdict": "aligned" if share == 1 else "exploitable",
-        "share_aligned": share,
-        "mean_score": mean([of_map.score for of_map in audits]),
-        "mean_optimal_score": mean([of_map.optimum for of_map in audits]),
-        "mean_returns": {
-            "maximiser": mean([of_map.maximum for of_map in audits]),
-            **{name: mean([of_map.returns[name] for of_map in audits]) for name in audits[0].returns},
-        },
-        "worst": {
-            "seed": worst.seed,
-            "score": worst.score,
-            "optimal_score": worst.optimum,
-            "actions": [action.name for action in worst.actions],
-        },
-    }
 
 
 RETURNS = {
@@ -152,7 +92,7 @@ RETURNS = {
 
 
 def _print(report: dict[str, Any], replay: Path | None) -> None:
-    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    console = table_console()
     shaping = "" if report["shaping_gamma"] is None else f", shaping gamma {report['shaping_gamma']:g}"
     console.print(
         f"{escape(report['reward'])} on {report['task']}, gamma {report['gamma']:g}{shaping}, {report['maps']} maps",

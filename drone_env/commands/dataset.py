@@ -4,18 +4,14 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from drone_env.agents import AGENTS
-from drone_env.commands.arguments import ProfileName, TaskName
+from drone_env.commands.arguments import AgentNames, ProfileName, Split, TaskName
+from drone_env.commands.printing import progress_bar
 from drone_env.core.rewards import DEFAULT_PROFILE
-from drone_env.core.seeds import SPLITS, split_seeds
+from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 
-AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
-SplitName = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
 FormatNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="parquet|minari")]
 
 
@@ -23,7 +19,7 @@ def dataset(
     out: Path,
     task: TaskName = "easy",
     maps: int = 100,
-    split: SplitName = "train",
+    split: Split = "train",
     offset: int = 0,
     agents: AgentNames = ("optimal", "greedy", "random"),
     epsilon: float = 0.1,
@@ -56,9 +52,6 @@ def dataset(
     if maps < 1:
         raise InvalidValueError(f"--maps must be at least 1, got {maps}")
     config = dataset_config(get_task(task), split_seeds(split, maps, offset), split, agents, epsilon, reward_profile)
-    console = Console(stderr=True)
-    parts = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*parts, console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task(f"{config.task.short_name} maps", total=maps)
-        rows = build_dataset(config, out, formats, on_map=lambda: progress.advance(bar))
+    with progress_bar(f"{config.task.short_name} maps", maps) as advance:
+        rows = build_dataset(config, out, formats, on_map=advance)
     print(f"{out}: {rows:,} steps of {config.episodes:,} flights over {maps:,} maps")

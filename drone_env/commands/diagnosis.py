@@ -1,6 +1,8 @@
 """What `drone-env doctor` looks at, one function for each topic. Works where no extra is installed."""
 
+import base64
 import errno
+import hashlib
 import os
 import platform
 import shutil
@@ -17,7 +19,7 @@ from typing import Literal
 from packaging.requirements import Requirement
 
 from drone_env import __version__
-from drone_env.agents.pathqnet import WEIGHTS, PathQNetAgent, shipped_network
+from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
 from drone_env.core.compile_cache import cache_folder
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import load_plugins, plugin_names
@@ -70,32 +72,23 @@ def diagnose(port: int | None, host: str | None, data: Path | None) -> list[Find
     ]
 
 
+def _installed() -> metadata.Distribution | None:
+    try:
+        return metadata.distribution(DISTRIBUTION)
+    except metadata.PackageNotFoundError:
+        return None
+
+
 def _system() -> Iterator[Finding]:
     python = platform.python_version()
     yield Finding("system", "python", "ok", f"{python} ({sys.executable})", {"version": python})
     machine = f"{platform.platform()}, {platform.machine()}, {os.cpu_count()} cores"
     yield Finding("system", "platform", "ok", machine, {"cores": os.cpu_count()})
-    place = Path(__file__).parents[1]
-    try:
-        installed = metadata.version(DISTRIBUTION)
-    except metadata.PackageNotFoundError:
-        yield Finding("system", DISTRIBUTION, "attention", f"{__version__}, not installed: runs from {place}")
-        return
-    same = installed == __version__
-    detail = f"{__version__} from {place}" + ("" if same else f", but {installed} is what is installed")
-    yield Finding("system", DISTRIBUTION, "ok" if same else "attention", detail, {"version": __version__})
-
-
-def _requirements() -> list[Requirement]:
-    """What the package asks for, in all extras; empty where it is not installed."""
-    try:
-        return [Requirement(text) for text in metadata.requires(DISTRIBUTION) or []]
-    except metadata.PackageNotFoundError:
-        return []
-
-
-def _applies(requirement: Requirement, extra: str) -> bool:
-    return requirement.marker is None or requirement.marker.evaluate({"extra": extra})
+    installed = _installed()
+    version = "nothing" if installed is None else installed.version
+    differs = "" if version == __version__ else f", but {version} is installed"
+    detail = f"{__version__} from {Path(__file__).parents[1]}{differs}"
+    yield Finding("system", DISTRIBUTION, "attention" if differs else "ok", detail, {"version": __version__})
 
 
 def _unmet(requirement: Requirement) -> str | None:
@@ -109,12 +102,24 @@ def _unmet(requirement: Requirement) -> str | None:
     return f"{requirement.name}{requirement.specifier} (there is {version})"
 
 
+def _missing(extra: str = "") -> dict[str, str]:
+    """By name: why what the package asks for with this extra, and with those that it names, is not met."""
+    installed = _installed()
+    missing: dict[str, str] = {}
+    for requirement in map(Requirement, (installed and installed.requires) or []):
+        if requirement.marker is not None and not requirement.marker.evaluate({"extra": extra}):
+            continue
+        if requirement.name == DISTRIBUTION:
+            for other in requirement.extras:
+                missing |= _missing(other)
+        elif unmet := _unmet(requirement):
+            missing[requirement.name] = unmet
+    return missing
+
+
 def _packages() -> Iterator[Finding]:
-    for requirement in _requirements():
-        if _applies(requirement, ""):
-            unmet = _unmet(requirement)
-            if unmet is not None:
-                yield Finding("packages", requirement.name, "broken", f"missing: {unmet}")
+    for name, unmet in _missing().items():
+        yield Finding("packages", name, "broken", f"missing: {unmet}")
     for name in ("numpy", "numba", "gymnasium"):
         version = metadata.version(name)
         yield Finding("packages", name, "ok", version, {"version": version})
@@ -129,64 +134,34 @@ def _packages() -> Iterator[Finding]:
 
 
 def _extras() -> Iterator[Finding]:
-    try:
-        extras = metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or []
-    except metadata.PackageNotFoundError:
-        return
-    for extra in sorted(str(name) for name in extras):
-        missing = sorted({unmet for r in _brought_by(extra) if (unmet := _unmet(r)) is not None})
-        facts: dict[str, object] = {"missing": missing}
-        if missing:
-            detail = f"{install_command(extra)} brings {', '.join(missing)}"
-            yield Finding("extras", extra, "absent", detail, facts)
-        else:
-            yield Finding("extras", extra, "ok", "complete", facts)
-
-
-def _brought_by(extra: str) -> Iterator[Requirement]:
-    """What an extra asks for, and what the extras ask for that it names."""
-    for requirement in _requirements():
-        if _applies(requirement, extra) and not _applies(requirement, ""):
-            if requirement.name == DISTRIBUTION:
-                for other in requirement.extras:
-                    yield from _brought_by(other)
-            else:
-                yield requirement
+    installed = _installed()
+    for extra in sorted((installed and installed.metadata.get_all("Provides-Extra")) or []):
+        missing = sorted(_missing(extra).values())
+        detail = f"{install_command(extra)} brings {', '.join(missing)}" if missing else "complete"
+        yield Finding("extras", extra, "absent" if missing else "ok", detail, {"missing": missing})
 
 
 def _networks() -> Iterator[Finding]:
-    recorded = _recorded_digests()
+    installed = _installed()
+    # Of a wheel; an editable installation records no networks.
+    recorded = {
+        Path(str(file.locate())): file.hash.value for file in (installed and installed.files) or [] if file.hash
+    }
     for name in SHIPPED:
-        task = TASKS[name]
-        path = shipped_network(task)
+        path = shipped_network(TASKS[name])
         try:
-            agent = PathQNetAgent(task)
+            agent = PathQNetAgent(TASKS[name])
+            content = path.read_bytes()
         except (DroneEnvError, OSError) as error:
             yield Finding("networks", name, "broken", str(error))
             continue
-        if path.name in recorded and not recorded[path.name]:
+        sha256 = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).rstrip(b"=").decode()
+        if recorded.get(path, sha256) != sha256:
             yield Finding("networks", name, "broken", f"{path} is not the file that was installed")
         else:
-            detail = f"{path.stat().st_size / MEGABYTE:.2f} MB, digest {agent.config['network']}"
-            yield Finding("networks", name, "ok", detail, {"digest": agent.config["network"]})
-
-
-def _recorded_digests() -> dict[str, bool]:
-    """By name of an installed network: whether it is as its wheel recorded it. Empty for an editable installation."""
-    try:
-        files = metadata.files(DISTRIBUTION) or []
-    except metadata.PackageNotFoundError:
-        return {}
-    import base64
-    import hashlib
-
-    intact: dict[str, bool] = {}
-    for file in files:
-        path = Path(str(file.locate()))
-        if path.parent == WEIGHTS and file.hash is not None and file.hash.mode == "sha256" and path.is_file():
-            digest = base64.urlsafe_b64encode(hashlib.sha256(path.read_bytes()).digest()).rstrip(b"=").decode()
-            intact[path.name] = digest == file.hash.value
-    return intact
+            digest = agent.config["network"]
+            detail = f"{len(content) / MEGABYTE:.2f} MB, digest {digest}"
+            yield Finding("networks", name, "ok", detail, {"digest": digest})
 
 
 def _folders(data: Path) -> Iterator[Finding]:
@@ -282,9 +257,9 @@ def _inference_settings() -> Iterator[Finding]:
 
 def _plugins() -> Iterator[Finding]:
     for name in filter(None, map(str.strip, plugin_names().split(","))):
+        status, detail = "ok", "imported"
         try:
             load_plugins(name)
         except Exception as error:  # whatever a module from outside raises when it is imported
-            yield Finding("plugins", name, "broken", f"{type(error).__name__}: {error}")
-        else:
-            yield Finding("plugins", name, "ok", "imported")
+            status, detail = "broken", f"{type(error).__name__}: {error}"
+        yield Finding("plugins", name, status, detail)

@@ -1,6 +1,5 @@
 """`drone-env doctor`: what is installed, where things go, and whether flights can be flown."""
 
-import json as json_format
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from drone_env import __version__
+from drone_env.commands.printing import print_json
 
 if TYPE_CHECKING:
     from drone_env.commands.diagnosis import Finding
@@ -39,7 +39,7 @@ def doctor(port: int | None = None, host: str | None = None, data: Path | None =
     healthy = all(finding.status != "broken" for finding in findings)
     if json:
         report = {"version": __version__, "healthy": healthy, "findings": [asdict(finding) for finding in findings]}
-        print(json_format.dumps(report, indent=2, default=str))
+        print_json(report)
     else:
         _print(findings, healthy)
     return 0 if healthy else 1

@@ -10,7 +10,7 @@ from numba.extending import intrinsic
 cgutils: Any = import_module("numba.core.cgutils")
 
 FOR_WRITING, KEPT, DATA = 1, 3, 1
-"""What LLVM's `prefetch` is told: it will be written, it will be used again, and it is no code."""
+"""What LLVM's `prefetch` gets: it will be written, it will be used again, and it is no code."""
 
 
 def _fetch_early(typing_context: Any, array: Any, i: Any, j: Any) -> Any:

@@ -28,7 +28,7 @@ def draw_road(tables: Tables, grid: Buffer, key: int) -> tuple[int, int]:
 
 
 def place_anywhere(tables: Tables, grid: Buffer, state: Buffer, key: int) -> None:
-    """Place the deliveries, then the terrain, each on a cell drawn anew until it is still road."""
+    """Place the deliveries, then the terrain, each on a cell drawn again until it is still road."""
     for cell in range(tables.cells):
         grid[cell] = ROAD
     grid[state[CELL]] = DRONE

@@ -59,7 +59,7 @@ class Trajectory:
 
     @property
     def regrets(self) -> npt.NDArray[np.float64]:
-        """float64[T]: V*(s) - Q*(s, a), what the flown action gave away for good, in score."""
+        """float64[T]: V*(s) - Q*(s, a), what the flown action lost for good, in score."""
         return self.values[:-1] - self.q_values[np.arange(self.steps), self.actions]
 
     @property

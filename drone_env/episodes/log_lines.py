@@ -18,7 +18,7 @@ ENV_NAME = "drone_env_v1"
 
 
 def start_line(task: TaskConfig, model: str) -> str:
-    """The line before the first step; `model` is the name of whoever flies."""
+    """The line before the first step; `model` is the pilot's name."""
     return f"[START] task={task.grader} env={ENV_NAME} model={model}"
 
 

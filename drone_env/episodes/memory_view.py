@@ -49,7 +49,7 @@ class MemoryView:
         self._thread = ThreadPoolExecutor(1, "drone_env-memory-view")
 
     def refresh(self) -> None:
-        """Have the file written anew, soon. What goes wrong then is logged, and tried again with the next episode."""
+        """Have the file written again, soon. What goes wrong then is logged, and tried again with the next episode."""
         with self._lock:
             if not (self._due or self._closing.is_set()):
                 self._due = True
@@ -66,7 +66,7 @@ class MemoryView:
         with self._lock:
             self._due = False
         try:
-            # Whoever writes last looks last, so no process can leave an older view over a newer one.
+            # The last to write looks last, so no process can leave an older view over a newer one.
             while self._look():
                 self._write()
         except DroneEnvError as error:
@@ -83,7 +83,7 @@ class MemoryView:
             self._keep_what_is_not_ours()
             write_text(self._path, text)
         except OSError as error:
-            # The episode is safe in the store: whoever flew it must not be told otherwise.
+            # The episode is safe in the store: its caller must not get an error.
             log.warning("%s could not be written: %s", self._path, error)
 
     def _keep_what_is_not_ours(self) -> None:

@@ -110,7 +110,7 @@ def evaluate_keys(
         keys: What to fly.
         engine: Who flies it.
         folder: Where each piece is kept before it counts.
-        arrived: Is told of every piece once.
+        arrived: Called once with each piece.
 
     Raises:
         OSError, InvalidValueError: from the folder; the latter, too, if another version of this package began it and
@@ -163,7 +163,7 @@ def _config(keys: Sequence[EpisodesKey]) -> dict[str, Any]:
 
 
 def _begun_by(path: Path, config: dict[str, Any]) -> str:
-    """The version of this package that began the evaluation, which must be this one but for that."""
+    """The version of this package that began the evaluation; an evaluation that is not whole must be of this one."""
     try:
         before: Any = json.loads(path.read_bytes())
         if not isinstance(before, dict) or before.get("format") != config["format"]:

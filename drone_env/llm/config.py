@@ -53,7 +53,7 @@ class RunConfig(Message):
     reward_profile: str
     prompt: str = Field(description="Id of the prompt.")
     prompt_digest: str = Field(description="What its file held.")
-    history: Count = Field(description="How many of the last steps are told.")
+    history: Count = Field(description="How many of the last steps the prompt names.")
     answers: AnswerForm
     stream: bool
     sampling: Sampling

@@ -45,7 +45,7 @@ def _character(letter: str) -> str:
 
 
 def _base64(secret: str, offset: int) -> str:
-    """The base64 of the secret behind so many other bytes, in either alphabet, perhaps on several lines.
+    """The base64 of the secret behind this many other bytes, in either alphabet, perhaps on several lines.
 
     Without the digits at its ends that its neighbours decide, too: they tell less than a character.
     """

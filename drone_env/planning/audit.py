@@ -5,7 +5,13 @@ itself flown from every state, so that no reward is worked out a second time. Am
 maximiser takes the one that ends in the lowest score: a reward is *aligned* on a map if even so it scores the optimum.
 """
 
+import bisect
+import math
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -202,6 +208,52 @@ def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardPro
     return MapAudit(start.seed, solution.score, flight.score, actions, maximum, returns)
 
 
+def audit_maps(
+    task: TaskConfig, seeds: range, reward_profile: RewardProfile, gamma: float, jobs: int | None = None
+) -> Iterator[MapAudit]:
+    """The audits of these maps in order, `jobs` at a time: as many as the machine has cores if None."""
+    one = partial(audit_map, task, reward_profile=reward_profile, gamma=gamma)
+    with ThreadPoolExecutor(jobs or os.cpu_count()) as pool:
+        yield one(seeds[0])  # alone: it compiles what the others then use
+        yield from pool.map(one, seeds[1:])
+
+
+def summarise_audits(
+    task: TaskConfig, reward_profile: RewardProfile, gamma: float, audits: Sequence[MapAudit]
+) -> dict[str, Any]:
+    """The report over audits of neighbouring maps, as JSON values."""
+
+    def mean(values: Iterable[float]) -> float:
+        return math.fsum(values) / len(audits)
+
+    share = mean(audited.aligned for audited in audits)
+    shaping = reward_profile.shaping_gamma
+    worst = max(audits, key=lambda audited: (not audited.aligned, audited.optimum - audited.score))
+    return {
+        "task": task.id,
+        "version": task.version,
+        "reward": reward_profile.id,
+        "gamma": gamma,
+        "shaping_gamma": None if shaping is None else float(shaping),
+        "seeds": [audits[0].seed, audits[-1].seed + 1],
+        "maps": len(audits),
+        "verdict": "aligned" if share == 1 else "exploitable",
+        "share_aligned": share,
+        "mean_score": mean(audited.score for audited in audits),
+        "mean_optimal_score": mean(audited.optimum for audited in audits),
+        "mean_returns": {
+            "maximiser": mean(audited.maximum for audited in audits),
+            **{name: mean(audited.returns[name] for audited in audits) for name in audits[0].returns},
+        },
+        "worst": {
+            "seed": worst.seed,
+            "score": worst.score,
+            "optimal_score": worst.optimum,
+            "actions": [action.name for action in worst.actions],
+        },
+    }
+
+
 def _maximise(start: Episode, gamma: float) -> tuple[Episode, float]:
     """The return-maximising flight with the lowest score, and its return."""
     task = start.task
@@ -267,12 +319,10 @@ def hover(start: Episode, solution: Solution) -> tuple[Action, ...]:
         last = deliveries[-1]
         return (*solution.actions[:last], *(Action.WAIT,) * steps, *solution.actions[last:])
 
-    possible, too_many = 0, start.task.max_steps + 1
-    while too_many - possible > 1:
-        middle = (possible + too_many) // 2
-        delivers = start.copy().fly(waiting(middle)).deliveries_done == solution.deliveries
-        possible, too_many = (middle, too_many) if delivers else (possible, middle)
-    return waiting(possible)
+    def too_long(steps: int) -> bool:
+        return start.copy().fly(waiting(steps)).deliveries_done < solution.deliveries
+
+    return waiting(bisect.bisect_left(range(1, start.task.max_steps + 1), True, key=too_long))
 
 
 HACKS = {"stall": stall, "bump": bump, "oscillate": oscillate, "hover": hover}

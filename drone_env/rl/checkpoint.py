@@ -55,7 +55,7 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
         said = f"of version {version}" if isinstance(version, int) else "that does not say its version"
         raise CheckpointError(f"{path} is a checkpoint {said}; this program reads version {VERSION}")
     batch = contents.get("batch")
-    if isinstance(batch, dict) and "rows" in batch:  # as programs up to 0.5.0 call the states
+    if isinstance(batch, dict) and "rows" in batch:  # as earlier versions call the states
         batch["states"] = batch.pop("rows")
     return contents
 

@@ -60,7 +60,7 @@ class TrainConfig:
     max_grad_norm: float = 10.0
     """Gradients longer than this are shortened to it; 0 for never."""
     target_update: Literal["soft", "episodes"] = "soft"
-    """Whether the target network follows a little at every update, or is copied every so many episodes."""
+    """Whether the target network follows a little at every update, or is copied every few episodes."""
     tau: float = 0.02
     """How much it follows, where it is `soft`."""
     target_every: int = 10
@@ -82,9 +82,9 @@ class TrainConfig:
     log_every: int = 20
     """Episodes per line of the log."""
     checkpoint_episodes: int = 50
-    """Episodes up to the first checkpoint, and at least so many between two."""
+    """Episodes up to the first checkpoint, and at least this many between two."""
     checkpoint_seconds: float = 10.0
-    """At least so many seconds between two checkpoints."""
+    """At least this many seconds between two checkpoints."""
 
     def __post_init__(self) -> None:
         get_task(self.task)

@@ -17,7 +17,7 @@ from drone_env.agents.network import EPSILON, POOLED, SHAPES
 
 
 def _linear(name: str, more: int = 0) -> nn.Linear:
-    """A linear layer as large as `agents.network` says, with so many inputs more."""
+    """A linear layer as large as `agents.network` says, with this many inputs more."""
     outputs, inputs = SHAPES[f"{name}.weight"]
     return nn.Linear(inputs + more, outputs)
 

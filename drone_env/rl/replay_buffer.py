@@ -76,7 +76,7 @@ class ReplayBuffer:
         self.added += 1
 
     def can_sample(self, n_step: int) -> bool:
-        """Whether there is a transition over so many steps."""
+        """Whether there is a transition over this many steps."""
         return self.held > n_step
 
     def sample(self, batch_size: int, n_step: int, gamma: float, rng: np.random.Generator) -> Transitions:

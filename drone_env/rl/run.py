@@ -47,8 +47,8 @@ class TrainingRun:
         config: How to train.
         data: Folder of checkpoint and log.
         results: Folder of tables and curves.
-        fresh: Start anew; the checkpoint that is there is renamed to `.old`.
-        clock: What tells the time in seconds, by which checkpoints are due.
+        fresh: Start from nothing; the checkpoint that is there is renamed to `.old`.
+        clock: Gives the time in seconds, by which checkpoints are due.
 
     Raises:
         CheckpointError: if the checkpoint cannot be read or is of another run; it is left as it was.
@@ -99,7 +99,7 @@ class TrainingRun:
             for lines in trainer.train():
                 late = saved_at is None or self._clock() - saved_at >= config.checkpoint_seconds
                 if late and trainer.episodes - saved_episodes >= config.checkpoint_episodes:
-                    # Saved before it is logged: who reads that so many have been flown finds them after a kill, too.
+                    # Saved before it is logged: what the log shows survives a kill.
                     self.save()
                     saved_at, saved_episodes = self._clock(), trainer.episodes
                 for line in lines:
@@ -143,13 +143,13 @@ class TrainingRun:
         export_network(self.trainer.best_network(), self.network, metadata)
 
     def _log_file(self) -> TextIO:
-        """The log, begun anew with the lines of the checkpoint: what was logged after it is flown again."""
+        """The log, begun again with the lines of the checkpoint: what was logged after it is flown again."""
         with replacing(self.log) as temporary:
             temporary.write_text("".join(f"{log_line(line)}\n" for line in self.trainer.history), encoding="utf-8")
         return self.log.open("a", encoding="utf-8", buffering=1)
 
     def _tensorboard(self) -> Any:
-        """TensorBoard's writer. What it was told after the checkpoint is flown again, and so taken back."""
+        """TensorBoard's writer. What it got after the checkpoint is flown again, and so taken back."""
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:

@@ -34,7 +34,7 @@ from drone_env.rl.validation import Validation, Validator
 
 LOSSES = {"huber": smooth_l1_loss, "mse": mse_loss}
 Figures = tuple[float, float, bool, int]
-"""What came of an episode: undiscounted sum of rewards, score, whether all was delivered, steps."""
+"""The result of an episode: undiscounted sum of rewards, score, whether all was delivered, steps."""
 
 
 @dataclass(frozen=True)
@@ -352,7 +352,7 @@ def as_tensor(array: npt.NDArray[Any]) -> Tensor:
 def keep_freed_memory() -> None:
     """Have the C library keep what PyTorch frees, up to 1 GiB; where it is not glibc, do nothing.
 
-    Each layer's output is some megabytes. Given back to the kernel and asked for anew at every update, its pages are
+    Each layer's output is some megabytes. Given back to the kernel and asked for again at every update, its pages are
     zeroed again one fault at a time, which took up to a third of the time of training on the CPU.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None

@@ -16,7 +16,7 @@ Values = Callable[[npt.NDArray[np.uint8], npt.NDArray[np.float32]], npt.NDArray[
 
 
 class Validation(NamedTuple):
-    """What came of flying the validation maps."""
+    """The result of flying the validation maps."""
 
     score: float
     """Mean graded score."""

@@ -2,7 +2,7 @@
 
 Requests are parsed by httptools: h11 takes longer for one than flying and storing a step does. But it hands on all that
 can be parsed: one caller that sends requests and reads no answers would fill the memory with them, and a header line
-may have any length. So it is given no more than one request at a time, and so many bytes for what is no body.
+may have any length. So it is given one request at a time, and a limited number of bytes before a body.
 """
 
 import asyncio

@@ -65,7 +65,7 @@ class LogRequests:
         self.log = log
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on, and note what came of it."""
+        """Pass on, and note the result."""
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return

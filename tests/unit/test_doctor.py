@@ -4,6 +4,8 @@ import json
 import os
 import shutil
 import socket
+from email.message import Message
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +119,25 @@ def test_a_network_that_is_not_whole(
     status, found = diagnosis(capsys)
     assert (status, found["medium_delivery"]["status"]) == (1, "broken")
     assert found["hard_delivery"]["status"] == "ok"
+
+
+def test_a_network_that_is_not_the_installed_one(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Recorded(metadata.PathDistribution):
+        @property
+        def files(self) -> list[metadata.PackagePath]:
+            other = metadata.PackagePath(WEIGHTS / "easy_delivery_v1.npz")
+            other.hash, other.dist = metadata.FileHash("sha256=another"), self
+            return [other]
+
+    monkeypatch.setattr("drone_env.commands.diagnosis._installed", lambda: Recorded(Path("/")))
+    monkeypatch.setattr("drone_env.commands.diagnosis._missing", lambda extra="": {})
+    monkeypatch.setattr(Recorded, "version", __version__)
+    monkeypatch.setattr(Recorded, "metadata", Message())
+    status, found = diagnosis(capsys)
+    assert (status, found["easy_delivery"]["status"], found["hard_delivery"]["status"]) == (1, "broken", "ok")
+    assert "is not the file that was installed" in found["easy_delivery"]["detail"]
 
 
 def test_settings_that_are_wrong_or_misspelt(

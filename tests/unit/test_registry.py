@@ -1,4 +1,4 @@
-"""Tasks and reward profiles that are registered from outside the package."""
+"""Tasks, reward profiles and agents that are registered from outside the package."""
 
 import os
 import subprocess
@@ -12,12 +12,14 @@ import gymnasium
 import pytest
 
 import drone_env
+from drone_env.agents import AGENTS, GreedyAgent
+from drone_env.cli import main
 from drone_env.core.actions import Event
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.envs.registry import register_reward_profile, register_task
-from drone_env.errors import InvalidTaskError
+from drone_env.envs.registry import register_agent, register_reward_profile, register_task
+from drone_env.errors import InvalidTaskError, InvalidValueError
 from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.graders import GRADERS
 from drone_env.models import DroneState
@@ -86,6 +88,21 @@ def test_a_registered_profile_pays_by_its_name() -> None:
             register_reward_profile(replace(profile, id="tiered"))
     finally:
         REWARD_PROFILES.pop("parcels", None)
+
+
+def test_a_registered_agent_flies_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        register_agent("mine", GreedyAgent)
+        register_agent("mine", GreedyAgent)
+        mine, greedy = (run_episodes(episodes_key("easy", name, range(7, 9))) for name in ("mine", "greedy"))
+        assert mine.scores.tolist() == greedy.scores.tolist()
+        assert main(["fly", "--agent", "mine", "--seed", "14"]) == 0
+        assert "[END] success=true steps=3" in capsys.readouterr().out
+        for name in ("mine", "greedy", "pathqnet:mine"):
+            with pytest.raises(InvalidValueError, match="has a colon or is that of another agent: random, greedy"):
+                register_agent(name, lambda task: GreedyAgent(task))
+    finally:
+        del AGENTS["mine"]
 
 
 def test_the_command_line_imports_the_modules_it_is_told(tmp_path: Path) -> None:

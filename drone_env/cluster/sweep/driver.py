@@ -71,5 +71,5 @@ def retry_failed(folder: SweepFolder, config: SweepConfig) -> None:
 
 
 def _give_up(folder: SweepFolder, trial: Trial, error: Exception) -> None:
-    told = f"its worker died {TRIES} times: {type(error).__name__}: {error}"
-    folder.set_state(trial, folder.state(trial).model_copy(update={"status": "failed", "error": told}))
+    message = f"its worker died {TRIES} times: {type(error).__name__}: {error}"
+    folder.set_state(trial, folder.state(trial).model_copy(update={"status": "failed", "error": message}))

@@ -117,11 +117,7 @@ class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObse
 
     @property
     def state(self) -> DroneEnvState:
-        """The full state.
-
-        Raises:
-            EpisodeError: before the first reset.
-        """
+        """The full state."""
         return DroneEnvState(**dict(self._session.state()))
 
     def get_metadata(self) -> EnvironmentMetadata:

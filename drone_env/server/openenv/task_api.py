@@ -34,19 +34,11 @@ class TaskApi:
         return [{"name": name, "type": name.partition("/")[2]} for name in split_names()]
 
     def num_tasks(self, split: str) -> int:
-        """How many maps a split has.
-
-        Raises:
-            UnknownNameError: if there is no such split.
-        """
+        """How many maps a split has."""
         return len(find_split(split)[1])
 
     def list_tasks(self, split: str) -> list[TaskSpec]:
-        """The first 1,000 maps of a split.
-
-        Raises:
-            UnknownNameError: if there is no such split.
-        """
+        """The first 1,000 maps of a split."""
         return self.get_task_range(split, 0, PREVIEW)
 
     def get_task_range(self, split: str, start: int | None = None, stop: int | None = None) -> list[TaskSpec]:

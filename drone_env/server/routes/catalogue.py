@@ -7,7 +7,7 @@ from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.errors import StoreError
-from drone_env.server.live.commands import MOST_MISSIONS
+from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.pilots import HUMAN, PILOTS, tasks_of
 from drone_env.server.predict import TRAINED
 from drone_env.server.problems import RequestError, answers
@@ -67,7 +67,7 @@ def pilots(shared: SharedParts) -> PilotList:
             for name, pilot in PILOTS.items()
             if name != TRAINED or tasks_of(name, shared.networks)
         ],
-        most=MOST_MISSIONS,
+        most=MOST_EPISODES,
     )
 
 
