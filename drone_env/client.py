@@ -143,7 +143,7 @@ class DroneEnvClient:
         return self._call("GET", f"/grade/{task_name}")
 
     def analyse(self, task_name: str) -> dict[str, Any]:
-        """What the finished episodes of a task come to."""
+        """Figures of the finished episodes of a task."""
         return self._call("GET", f"/analyse/{task_name}")
 
     def path_history(self) -> dict[str, Any]:

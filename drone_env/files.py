@@ -18,7 +18,7 @@ PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
 
 
 def data_folder(part: str = "") -> Path:
-    """The folder of what is kept, if a command is not told another, or of a part: `results` or `sweep`.
+    """The folder of what is kept, unless a command names another, or of a part: `results` or `sweep`.
 
     `DRONE_ENV_DATA` names the one folder of all; without it, parts lie in the working directory, as `PLACES` says.
     """

@@ -72,7 +72,7 @@ def infer(
         seeds: Fly the maps from A up to and not including B instead of a split's.
         repeats: Flights over each map, for pass^k.
         prompt: The prompt, by its name (the newest version) or id, such as grid-1.
-        history: How many of the last steps are told.
+        history: How many of the last steps the prompt names.
         answers: Ask for plain text, for structured output (JSON schema), or for a tool call.
         stream: Have answers streamed.
         temperature: Sampling temperature.

@@ -81,7 +81,7 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
             task: The task, by its short name, id or grader; `all` for easy, medium and hard, one after the other.
             preset: Which defaults to start from.
             resume: Insist that there is a checkpoint to go on from.
-            fresh: Start anew; a checkpoint that is there is renamed to `TASK.pth.old`.
+            fresh: Start again; a checkpoint that is there is renamed to `TASK.pth.old`.
             data: Folder of checkpoint, network and log; DRONE_ENV_DATA if nothing is said, else data.
             results: Folder of tables and curves; results/ in DRONE_ENV_DATA if nothing is said, else results.
         """

@@ -23,7 +23,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
     """Deliver parcels on a generated city grid.
 
     Observation: `{"grid": uint8[H, W], "telemetry": float32[5]}`; cell ids are those of `core.cells.Cell`, the
-    telemetry is drone x/width, y/height, battery, target x/width, y/height. Where the battery does not tell the share
+    telemetry is drone x/width, y/height, battery, target x/width, y/height. Where the battery does not show the share
     of steps left, that follows (float32[6]), and where there are pads, the kind of the cell below the drone, one value
     for each of `core.tasks.TERRAIN` (float32[13]). Actions: 0 UP, 1 DOWN, 2 LEFT, 3 RIGHT, 4 WAIT. All endings are part
     of the task and so `terminated`; nothing here truncates.

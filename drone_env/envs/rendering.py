@@ -1,4 +1,4 @@
-"""A mission as a picture: the city from above, and beside it a panel that tells how the flight stands."""
+"""A mission as a picture: the city from above, and beside it a panel of how the flight stands."""
 
 import math
 import textwrap

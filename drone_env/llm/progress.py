@@ -1,4 +1,4 @@
-"""Progress of a run on standard error: a bar in a terminal, a line now and then elsewhere. Waits are always told."""
+"""Progress of a run on standard error: a bar in a terminal, a line now and then elsewhere. Waits are always shown."""
 
 import time
 from collections.abc import Callable
