@@ -13,6 +13,7 @@ from drone_env.errors import InvalidValueError
 SHORT_NAMES = [task.short_name for task in TASKS.values()]
 
 TaskName = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
+ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 AgentName = Annotated[str, tyro.conf.arg(metavar="|".join(AGENTS))]
 AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
 Split = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
@@ -21,6 +22,16 @@ ClusterAddress = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PO
 SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
 SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 Seed = Annotated[int | None, tyro.conf.arg(metavar="N")]
+
+
+def check_address(engine: str, address: str | None) -> None:
+    """Refuse the address of a cluster where none is flown on.
+
+    Raises:
+        InvalidValueError: if `--address` is given without `--engine ray`.
+    """
+    if address is not None and engine != "ray":
+        raise InvalidValueError("--address names a cluster: give it with --engine ray")
 
 
 def parse_seeds(text: str) -> range:

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileName, SeedRange, SplitName, chosen_maps
+from drone_env.commands.arguments import (
+    ChosenTask,
+    ClusterAddress,
+    ProfileName,
+    SeedRange,
+    SplitName,
+    check_address,
+    chosen_maps,
+)
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError, needs, text_of
@@ -19,7 +27,6 @@ from drone_env.llm.options import Number, Options, Whole
 if TYPE_CHECKING:
     from drone_env.llm.runner import Engine
 
-ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 PromptName = Annotated[str, tyro.conf.arg(metavar="minimal|grid|coordinates|plan")]
 DEFAULTS = Options()
 
@@ -151,8 +158,7 @@ def infer(
         raise InvalidValueError("--use-image starts a server itself: give it without --server")
     if use_image and engine == "ray":
         raise InvalidValueError("--use-image starts a server on this machine alone: give --server with --engine ray")
-    if address is not None and engine != "ray":
-        raise InvalidValueError("--address names a cluster: give it with --engine ray")
+    check_address(engine, address)
     data = data_folder() if data is None else data
     problems: list[str] = []
     with contextlib.ExitStack() as opened:
@@ -200,9 +206,9 @@ def infer(
 
 
 def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "Engine":
-    from drone_env.cluster.connect import LOCAL, connect
+    from drone_env.cluster.connect import connect
 
-    stack.enter_context(connect(LOCAL if address is None else address))
+    stack.enter_context(connect(address))
     from drone_env.cluster.flights import run_on_nodes
 
     return run_on_nodes

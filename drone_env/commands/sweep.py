@@ -8,17 +8,16 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from drone_env.commands.arguments import SHORT_NAMES
+from drone_env.commands.arguments import TaskName
 from drone_env.errors import InvalidValueError, MissingPackageError
 from drone_env.files import data_folder
 
-TaskChoice = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
 Values = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(name="set", metavar="NAME=VALUE,VALUE...")]
 
 
 def sweep(
-    task: TaskChoice = "easy",
+    task: TaskName = "easy",
     preset: Literal["fast", "original"] = "fast",
     values: Values = (),
     seeds: int = 3,
