@@ -6,7 +6,7 @@
             observation = client.step("RIGHT")
 
 `DroneDeliveryClient` is the OpenEnv client; it is imported when it is first asked for, because OpenEnv takes seconds.
-`python -m drone_env.client URL` flies one mission as a check.
+`python -m drone_env.client URL` flies one map as a check.
 """
 
 import argparse

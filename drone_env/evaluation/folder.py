@@ -104,7 +104,7 @@ def evaluate_keys(
 ) -> dict[EpisodesKey, EpisodeResults]:
     """The results of each key: what the folder has, and the rest from the engine.
 
-    They are put together in the order of the seeds, so that they are the same in whatever order they arrive.
+    They are put together in the order of the seeds, so that they are the same in any order of arrival.
 
     Args:
         keys: What to fly.
