@@ -223,8 +223,8 @@ class DroneEnvClient:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly one random mission against a server and say how it went; 0 if all answers came, 1 otherwise."""
-    parser = argparse.ArgumentParser("python -m drone_env.client", description="Check a server by flying a mission.")
+    """Fly one map at random against a server and print the result; 0 if all answers came, 1 otherwise."""
+    parser = argparse.ArgumentParser("python -m drone_env.client", description="Check a server by flying one map.")
     parser.add_argument("url", nargs="?", default=DEFAULT_URL, help="where the server is (%(default)s)")
     parser.add_argument("--task", default="easy_delivery", help="the task to fly (%(default)s)")
     given = parser.parse_args(arguments)

@@ -242,7 +242,7 @@ class Gate:
 
     def _check_current(self, flight: int, place: _Place) -> None:
         if self._places.get(flight) is not place:
-            raise StoppedError("the flight has begun anew elsewhere")
+            raise StoppedError("the flight has begun again elsewhere")
 
     def _check_limits(self) -> None:
         limits, cost = self.options, self.cost

@@ -94,7 +94,7 @@ class Page:
         self._socket = socket
         self._shared = shared
         self._values = values
-        self._told_end: set[LiveEpisode] = set()
+        self._end_sent: set[LiveEpisode] = set()
         self._flying = asyncio.Lock()
         self._changed = asyncio.Event()
         self._solving = anyio.CancelScope()
@@ -184,7 +184,7 @@ class Page:
         kept = {live.session for live, _ in opened}
         left = [live for live in self.episodes if live.session not in kept]
         self.episodes = [live for live, _ in opened]
-        self._told_end.clear()
+        self._end_sent.clear()
         await self._set_playing(False)
         await run_in_threadpool(_end_all, left)
         message = {"missions": [shown for _, shown in opened], "number": asked}
@@ -198,8 +198,8 @@ class Page:
         if frames:
             await self._send({"type": "frames", "frames": frames})
         for number, live in enumerate(self.episodes):
-            if live.episode.ended and live not in self._told_end:
-                self._told_end.add(live)
+            if live.episode.ended and live not in self._end_sent:
+                self._end_sent.add(live)
                 for row in await run_in_threadpool(self._shared.store.listed, 1, episode_id=live.episode_id):
                     await self._send({"type": "ended", "mission": number, "episode": EpisodeSummary.of(row)})
                 await self._send_values(number, live)
