@@ -24,16 +24,6 @@ SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 Seed = Annotated[int | None, tyro.conf.arg(metavar="N")]
 
 
-def check_address(engine: str, address: str | None) -> None:
-    """Refuse the address of a cluster where none is flown on.
-
-    Raises:
-        InvalidValueError: if `--address` is given without `--engine ray`.
-    """
-    if address is not None and engine != "ray":
-        raise InvalidValueError("--address names a cluster: give it with --engine ray")
-
-
 def parse_seeds(text: str) -> range:
     """The seeds of `A:B`, from A up to and not including B.
 

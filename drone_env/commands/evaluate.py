@@ -9,15 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from drone_env import __version__
-from drone_env.commands.arguments import (
-    SHORT_NAMES,
-    AgentNames,
-    ClusterAddress,
-    SeedRange,
-    SplitName,
-    check_address,
-    chosen_maps,
-)
+from drone_env.commands.arguments import SHORT_NAMES, AgentNames, ClusterAddress, SeedRange, SplitName, chosen_maps
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError
@@ -77,7 +69,8 @@ def evaluate(
     named = [t for name in task for t in (TASKS.values() if name == "all" else [get_task(name)])]
     keys = {t: {agent: episodes_key(t, agent, maps, chosen_split) for agent in agents} for t in dict.fromkeys(named)}
 
-    check_address(engine, address)
+    if address is not None and engine != "ray":
+        raise InvalidValueError("--address names a cluster: give it with --engine ray")
     all_keys = [key for of_agent in keys.values() for key in of_agent.values()]
     folder = None if out is None else ResultsFolder(out, all_keys)
     try:

@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from drone_env.commands.arguments import (
-    ChosenTask,
-    ClusterAddress,
-    ProfileName,
-    SeedRange,
-    SplitName,
-    check_address,
-    chosen_maps,
-)
+from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName, SeedRange, SplitName, chosen_maps
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError, needs, text_of
@@ -158,7 +150,8 @@ def infer(
         raise InvalidValueError("--use-image starts a server itself: give it without --server")
     if use_image and engine == "ray":
         raise InvalidValueError("--use-image starts a server on this machine alone: give --server with --engine ray")
-    check_address(engine, address)
+    if address is not None and engine != "ray":
+        raise InvalidValueError("--address names a cluster: give it with --engine ray")
     data = data_folder() if data is None else data
     problems: list[str] = []
     with contextlib.ExitStack() as opened:

@@ -2,10 +2,12 @@
 
 import sys
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table as RichTable
 
 
 class Table(NamedTuple):
@@ -37,10 +39,8 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
 
 
-def table_console(width: int) -> "Console":
+def table_console(width: int) -> Console:
     """Standard output, this many columns wide where it is no terminal."""
-    from rich.console import Console
-
     return Console(width=None if sys.stdout.isatty() else width, highlight=False)
 
 
@@ -62,10 +62,6 @@ def print_table(
         sections: Whether rows with another first cell than the one above stand apart.
         alarming: Numbers of rows to show in red, from 0.
     """
-    from rich import box
-    from rich.markup import escape
-    from rich.table import Table as RichTable
-
     shown = RichTable(
         title=escape(table.title), caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
     )
