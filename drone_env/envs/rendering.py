@@ -123,7 +123,7 @@ def _city(task: TaskConfig, seed: int, size: int) -> Image.Image:
     _stamp(picture, "start", layout.draw_figure(), layout.centre(*city.start))
     for (y, x), kind in np.ndenumerate(city.grid):
         variety, at = crc32(bytes((x, y))) >> 8, layout.centre(x, y)
-        number = {Cell.BUILDING: variety % 24, Cell.TREE: variety % 4}.get(Cell(kind), "")
+        number = {Cell.BUILDING: variety % 8, Cell.TREE: variety % 4}.get(Cell(kind), "")
         if kind not in (Cell.ROAD, Cell.DELIVERY):
             _stamp(picture, f"{CELL_KINDS[Cell(kind)].name}{number}", layout.cell, at)
         if kind in task.impassable:

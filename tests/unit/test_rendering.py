@@ -31,7 +31,7 @@ LARGEST = replace(
 WIDEST = replace(HARD, id="widest", width=64, height=2)
 TALLEST = replace(HARD, id="tallest", width=2, height=64)
 
-PALETTE = rendering.PALETTE | {"hull": "#2E3D4D", "box": "#DDB07C", "done": "#4E9F74"}
+PALETTE = rendering.PALETTE | {"hull": "#2E3D4D", "box": "#F0A020", "done": "#237A45"}
 Picture = npt.NDArray[np.uint8]
 
 

@@ -90,13 +90,20 @@ export function drawDrone(ctx, x, y, size, heading, spin, lift, colours) {
   ctx.restore();
 }
 
-/** The mark around the current target. @param {number} breath In [0, 1], widens it a little. */
-export function drawTarget(ctx, x, y, cell, breath) {
-  ctx.save();
-  ctx.translate(x, y);
-  ctx.scale(1 + 0.1 * breath, 1 + 0.1 * breath);
-  drawFigure(ctx, "target", 0, 0, cell);
-  ctx.restore();
+/** Brackets around the current target. @param {number} breath In [0, 1], opens them a little. */
+export function drawTarget(ctx, x, y, cell, breath, colours) {
+  const half = cell * (0.47 + 0.07 * breath);
+  const end = half - cell * 0.2;
+  ctx.strokeStyle = colours.accent;
+  ctx.lineWidth = Math.max(1.5, cell * 0.08);
+  ctx.lineCap = "square";
+  ctx.beginPath();
+  for (const [sx, sy] of CORNERS) {
+    ctx.moveTo(x + sx * half, y + sy * end);
+    ctx.lineTo(x + sx * half, y + sy * half);
+    ctx.lineTo(x + sx * end, y + sy * half);
+  }
+  ctx.stroke();
 }
 
 /** An arrow from one point to another, thick at its head. */

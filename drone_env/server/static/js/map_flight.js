@@ -26,12 +26,9 @@ export function drawFlight(ctx, player, layout, shown, colours) {
   if (shown.ghost) drawGhostPath(ctx, shown.ghost, centre, cell, layout, colours);
   const delivered = new Set(frame.delivered.map(String));
   for (const parcel of mission.parcels) {
-    const done = delivered.has(String(parcel));
-    ctx.globalAlpha = done ? 0.75 : 1;
-    drawFigure(ctx, done ? "delivered" : "parcel", ...centre(parcel), cell);
+    drawFigure(ctx, delivered.has(String(parcel)) ? "delivered" : "parcel", ...centre(parcel), cell);
   }
-  ctx.globalAlpha = 1;
-  if (frame.target) drawTarget(ctx, ...centre(frame.target), cell, shown.breath);
+  if (frame.target) drawTarget(ctx, ...centre(frame.target), cell, shown.breath, colours);
   if (player.annotation) drawMistakes(ctx, player, centre, cell, layout);
   if (shown.ghost) {
     const ghost = shown.ghost[Math.min(Math.round(position), shown.ghost.length - 1)];
