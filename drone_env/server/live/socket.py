@@ -24,7 +24,7 @@ from drone_env.server.live.commands import Attach, End, Fly, Pause, Play, Start,
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.live.feeds import Feed
 from drone_env.server.live.values import ExactValues
-from drone_env.server.map_choice import choose_map
+from drone_env.server.map_choice import start_episode
 from drone_env.server.pilots import agent_of
 from drone_env.server.problems import FAILED, printable, status_of
 from drone_env.server.schemas import EpisodeSummary, ResetOptions
@@ -162,7 +162,7 @@ class Page:
             agent_of(pilot, task, self._shared.networks)  # says why it cannot fly before anything is opened
         last = self.episodes[0].episode if self.episodes and self.episodes[0].episode.task == task else None
         options = ResetOptions(task_name=task.id, seed=command.seed, reward_profile=command.reward_profile)
-        seed = choose_map(options, None if last is None else last.seed).seed
+        seed = start_episode(options, None if last is None else last.seed).seed
         opened: Opened = []
         try:
             for pilot in command.pilots:
