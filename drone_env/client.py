@@ -6,7 +6,7 @@
             observation = client.step("RIGHT")
 
 `DroneDeliveryClient` is the OpenEnv client; it is imported when it is first asked for, because OpenEnv takes seconds.
-`python -m drone_env.client URL` flies one mission as a check.
+`python -m drone_env.client URL` flies one episode as a check.
 """
 
 import argparse
@@ -223,8 +223,8 @@ class DroneEnvClient:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly one random mission against a server and say how it went; 0 if all answers came, 1 otherwise."""
-    parser = argparse.ArgumentParser("python -m drone_env.client", description="Check a server by flying a mission.")
+    """Fly one random episode against a server and say how it went; 0 if all answers came, 1 otherwise."""
+    parser = argparse.ArgumentParser("python -m drone_env.client", description="Check a server by flying an episode.")
     parser.add_argument("url", nargs="?", default=DEFAULT_URL, help="where the server is (%(default)s)")
     parser.add_argument("--task", default="easy_delivery", help="the task to fly (%(default)s)")
     given = parser.parse_args(arguments)

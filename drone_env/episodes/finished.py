@@ -104,7 +104,8 @@ SELECT_ROWS = (
     f"SELECT {', '.join([f'e.{name}' for name in COLUMNS])}, o.task IS NOT NULL, o.score "
     "FROM episodes e LEFT JOIN optima o USING (task, task_version, seed)"
 )
-SELECT_STORED = "SELECT number, id, finished_at, steps, deliveries_total, reward_total, outcome, record FROM episodes"
+STORED = list(StoredEpisode.model_fields)
+SELECT_STORED = f"SELECT number, {', '.join(STORED)} FROM episodes"
 
 
 def selection(
@@ -142,16 +143,11 @@ def stored_episode(row: Sequence[Any], store: object) -> tuple[int, StoredEpisod
     Raises:
         InvalidValueError: if its record cannot be read.
     """
-    number, episode_id, finished_at, steps, deliveries_total, reward_total, outcome, record = row
-    return number, StoredEpisode(
-        id=episode_id,
-        finished_at=utc(finished_at),
-        steps=steps,
-        deliveries_total=deliveries_total,
-        reward_total=reward_total,
-        outcome=outcome,
-        record=parse_record(record, f"episode {episode_id} of {store}"),
-    )
+    number, *values = row
+    kept = dict(zip(STORED, values, strict=True))
+    kept["finished_at"] = utc(kept["finished_at"])
+    kept["record"] = parse_record(kept["record"], f"episode {kept['id']} of {store}")
+    return number, StoredEpisode(**kept)
 
 
 def insert_episode(connection: sqlite3.Connection, stored: StoredEpisode) -> None:

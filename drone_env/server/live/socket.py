@@ -20,7 +20,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from drone_env.core.tasks import get_task
 from drone_env.errors import UnknownNameError
 from drone_env.server.frames import Frame, ShownEpisode
-from drone_env.server.live.commands import Attach, End, Fly, Pause, Play, Start, Step, Subscribe, parse_command
+from drone_env.server.incoming import TRY_LATER, received
+from drone_env.server.live.commands import Attach, Fly, Plain, Play, Start, Subscribe, parse_command
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.live.feeds import Feed
 from drone_env.server.live.values import ExactValues
@@ -34,7 +35,6 @@ log = logging.getLogger(__name__)
 
 PROTOCOL = "drone-env"
 """The subprotocol that browsers offer beside `bearer.TOKEN`: they cannot send headers with a WebSocket."""
-TOO_BIG, TRY_LATER = 1009, 1013
 SPEED = 6.0
 FEED_SECONDS = 0.25
 Opened = list[tuple[LiveEpisode, ShownEpisode]]
@@ -79,10 +79,6 @@ class LiveSocket:
         if sessions:
             self.shared.store.touch_sessions(sessions)
 
-    def close(self) -> None:
-        """Stop solving maps."""
-        self.values.close()
-
 
 class Page:
     """One open page: its episodes, and whether they are flying."""
@@ -109,17 +105,8 @@ class Page:
                 tasks.start_soon(work)
 
     async def _listen(self) -> None:
-        while True:
-            message = await self._socket.receive()
-            if message["type"] == "websocket.disconnect":
-                break
-            text = message.get("text") or ""
-            if len(text.encode("utf-8", "surrogatepass")) > self._shared.settings.max_bytes:
-                await self._socket.close(TOO_BIG, f"a frame may have {self._shared.settings.max_bytes} bytes")
-                break
-            await self._answering(self._obey, text)
-            # Where more has come already, nothing above needs to wait: others get their turn.
-            await asyncio.sleep(0)
+        async for text in received(self._socket, self._shared.settings.max_bytes):
+            await self._answering(self._obey, text or "")
         self._tasks.cancel_scope.cancel()
 
     async def _answering(self, act: Callable[..., Any], *arguments: Any, silent: bool = False) -> bool:
@@ -138,12 +125,12 @@ class Page:
             match command:
                 case Subscribe(topics=topics):
                     self._feed = Feed(self._shared, topics) if topics else None
-                case Pause():
+                case Plain(type="pause"):
                     await self._set_playing(False)
                 case Play(speed=speed):
                     self.speed = speed or self.speed
                     await self._set_playing(any(live.automatic for live in self.episodes))
-                case Step():
+                case Plain(type="step"):
                     await self._tell(await run_in_threadpool(self._step_all))
                 case Fly(mission=number, direction=direction):
                     if number >= len(self.episodes):
@@ -153,7 +140,7 @@ class Page:
                     await self._replace(await run_in_threadpool(self._start, command), command.number)
                 case Attach():
                     await self._replace(await run_in_threadpool(self._attach, command.sessions), command.number)
-                case End():
+                case Plain():  # "end"
                     await self._replace([], None)
 
     def _start(self, command: Start) -> Opened:
