@@ -113,22 +113,20 @@ class Networks:
         file = self._file(source, task)
         try:
             status = file.stat()
+            now = (status.st_ino, status.st_size, status.st_mtime_ns)
+            with self._lock:
+                read = self._read.get(file)
+                if read is None or read[0] != now:
+                    try:
+                        found = PathQNetAgent(task, file)
+                    except CheckpointError as error:
+                        found = error
+                    read = self._read[file] = (now, found)
+                return read[1]
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
             return CheckpointError(f"{file} cannot be read: {error}")
-        now = (status.st_ino, status.st_size, status.st_mtime_ns)
-        with self._lock:
-            read = self._read.get(file)
-            if read is None or read[0] != now:
-                try:
-                    found = PathQNetAgent(task, file)
-                except CheckpointError as error:
-                    found = error
-                except OSError as error:
-                    found = CheckpointError(f"{file} cannot be read: {error}")
-                read = self._read[file] = (now, found)
-            return read[1]
 
 
 def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfig, Observation]:

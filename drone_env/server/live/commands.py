@@ -6,9 +6,8 @@ from pydantic import Field, TypeAdapter, ValidationError, ValidatorFunctionWrapH
 from pydantic_core import PydanticCustomError
 
 from drone_env.errors import InvalidValueError, text_of
-from drone_env.models import Direction, Message
+from drone_env.models import MAX_SEED, Direction, Message, Seed
 from drone_env.server.incoming import parse_json
-from drone_env.server.schemas import MAX_SEED, Seed
 from drone_env.server.state import LONGEST_ID
 
 MOST_EPISODES = 4

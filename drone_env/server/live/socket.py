@@ -28,7 +28,7 @@ from drone_env.server.live.values import ExactValues
 from drone_env.server.map_choice import start_episode
 from drone_env.server.pilots import agent_of
 from drone_env.server.problems import FAILED, printable, status_of
-from drone_env.server.schemas import EpisodeSummary, ResetOptions
+from drone_env.server.schemas import ResetOptions
 from drone_env.server.state import Shared
 
 log = logging.getLogger(__name__)
@@ -188,7 +188,7 @@ class Page:
             if live.episode.ended and live not in self._told_end:
                 self._told_end.add(live)
                 for row in await run_in_threadpool(self._shared.store.listed, 1, episode_id=live.episode_id):
-                    await self._send({"type": "ended", "mission": number, "episode": EpisodeSummary.of(row)})
+                    await self._send({"type": "ended", "mission": number, "episode": row})
                 await self._send_values(number, live)
 
     async def _tell_values(self, episodes: Sequence[LiveEpisode]) -> None:

@@ -8,7 +8,6 @@ from pydantic import Field
 from drone_env.core.episode import Episode
 from drone_env.models import DroneObservation, DroneState
 from drone_env.server.map_choice import DEFAULT_TASK, start_episode
-from drone_env.server.observation_json import openenv_json
 from drone_env.server.schemas import ResetOptions
 
 ENV_NAME = "drone-env"
@@ -55,10 +54,6 @@ class Session:
         self.episode_id = options.episode_id if options.episode_id is not None else str(uuid.uuid4())
         self.agent = options.agent
         self.stored = False
-
-    def result(self, reward: float | None) -> str:
-        """The JSON of the episode now, with what the last step paid (None after a reset)."""
-        return openenv_json(self.episode, reward)
 
     def state(self) -> DroneState:
         """The full state."""

@@ -20,6 +20,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.errors import DroneEnvError, InvalidValueError, text_of, wrong_parts
 from drone_env.server.incoming import TRY_LATER, parse_json, received
+from drone_env.server.observation_json import openenv_json
 from drone_env.server.openenv.session import Session
 from drone_env.server.problems import printable
 from drone_env.server.schemas import ResetOptions, WireAction
@@ -125,7 +126,7 @@ class OpenEnvSocket:
                 return await self._step(session, data)
             if kind == "reset":
                 session.reset(ResetOptions.model_validate(data))
-                return _frame("observation", session.result(None))
+                return _frame("observation", openenv_json(session.episode, None))
             if kind == "state":
                 return _frame("state", session.state().model_dump_json())
         except ValidationError as error:
@@ -153,7 +154,7 @@ class OpenEnvSocket:
             keep, agent = self.shared.store.add_episode, session.agent or ANONYMOUS
             await asyncio.get_running_loop().run_in_executor(self.shared.steps, keep, episode, agent)
             session.stored = True
-        return _frame("observation", session.result(reward))
+        return _frame("observation", openenv_json(episode, reward))
 
     async def close_idle(self) -> None:
         """Close the sockets that were idle for too long."""
