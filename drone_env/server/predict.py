@@ -11,6 +11,7 @@ from drone_env.core.episode import Observation
 from drone_env.core.observation import telemetry_of
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
+from drone_env.files import stamp
 from drone_env.models import DIRECTIONS, NAMES, DroneObservation
 from drone_env.server.problems import RequestError
 from drone_env.server.schemas import ModelInfo, Prediction, PredictRequest
@@ -112,8 +113,9 @@ class Networks:
         """What flies by a file as it is now; what is wrong with it; None where there is none."""
         file = self._file(source, task)
         try:
-            status = file.stat()
-            now = (status.st_ino, status.st_size, status.st_mtime_ns)
+            now = stamp(file)
+            if now is None:
+                return None
             with self._lock:
                 read = self._read.get(file)
                 if read is None or read[0] != now:
@@ -123,8 +125,6 @@ class Networks:
                         found = error
                     read = self._read[file] = (now, found)
                 return read[1]
-        except (FileNotFoundError, NotADirectoryError):
-            return None
         except OSError as error:
             return CheckpointError(f"{file} cannot be read: {error}")
 
