@@ -92,11 +92,16 @@ class DroneAction(Message):
         return Action[self.direction]
 
 
-class EpisodeNumbers(Message):
-    """How an episode stands, in numbers: what an observation and a state have in common."""
+class DroneObservation(Message):
+    """What an agent sees after a reset or a step."""
 
+    grid: list[str] = Field(description="The map as one row of emoji per line, top row first.")
+    cell_types: list[list[CellName]] = Field(description="Names of the cell kinds, cell_types[y][x].")
+    grid_width: int = Field(ge=2, description="Columns of the grid.")
+    grid_height: int = Field(ge=2, description="Rows of the grid.")
     drone_x: Count = Field(description="Column of the drone, 0 at the left.")
     drone_y: Count = Field(description="Row of the drone, 0 at the top.")
+    cell_below: GroundName = Field(description="Kind of the cell below the drone, which the map hides; `pad` charges.")
     battery: float = Field(ge=0, le=1, description="Share of the battery left.")
     battery_steps_remaining: Count = Field(description="Battery units left; in the standard tasks each step costs one.")
     deliveries_total: int = Field(ge=1, description="Parcels to deliver.")
@@ -104,31 +109,15 @@ class EpisodeNumbers(Message):
     current_target: Position | None = Field(
         description="[x, y] of the parcel to deliver next, null when all are delivered. Any other counts as well."
     )
-    step_count: Count = Field(description="Steps taken.")
-    max_steps: int = Field(ge=1, description="Steps after which the episode ends.")
-    reward_total: float = Field(description="Sum of all rewards.")
-    score: Score = Field(description="The graded score as the episode stands; provisional until `done`.")
-    done: bool = Field(description="Whether the episode has ended.")
-
-    def _require_numbers_fit(self, width: int, height: int) -> None:
-        _require_inside("drone_x, drone_y", (self.drone_x, self.drone_y), width, height)
-        _require_inside("current_target", self.current_target, width, height)
-        _require_at_most("deliveries_done", self.deliveries_done, "deliveries_total", self.deliveries_total)
-        _require_at_most("step_count", self.step_count, "max_steps", self.max_steps)
-
-
-class DroneObservation(EpisodeNumbers):
-    """What an agent sees after a reset or a step."""
-
-    grid: list[str] = Field(description="The map as one row of emoji per line, top row first.")
-    cell_types: list[list[CellName]] = Field(description="Names of the cell kinds, cell_types[y][x].")
-    grid_width: int = Field(ge=2, description="Columns of the grid.")
-    grid_height: int = Field(ge=2, description="Rows of the grid.")
-    cell_below: GroundName = Field(description="Kind of the cell below the drone, which the map hides; `pad` charges.")
     distance_to_target: float | None = Field(
         ge=0, description="Manhattan distance to the current target in cells, null when all are delivered."
     )
+    step_count: Count = Field(description="Steps taken.")
+    max_steps: int = Field(ge=1, description="Steps after which the episode ends.")
     reward_last: float = Field(description="Reward of the last step.")
+    reward_total: float = Field(description="Sum of all rewards.")
+    score: Score = Field(description="The graded score as the episode stands; provisional until `done`.")
+    done: bool = Field(description="Whether the episode has ended.")
     message: str = Field(description="What happened last, in words.")
     legend: dict[str, str] = Field(description="What each emoji means.")
 
@@ -140,13 +129,16 @@ class DroneObservation(EpisodeNumbers):
         for y, row in enumerate(self.cell_types):
             emoji = "".join([EMOJI_OF[name] for name in row])
             _require(self.grid[y] == emoji, f"row {y} of grid is {self.grid[y]!r}; cell_types makes it {emoji!r}")
-        self._require_numbers_fit(width, height)
+        _require_inside("drone_x, drone_y", (self.drone_x, self.drone_y), width, height)
         at_drone = self.cell_types[self.drone_y][self.drone_x]
         _require(at_drone == "drone", f"drone_x, drone_y are at a {at_drone} of cell_types")
+        _require_inside("current_target", self.current_target, width, height)
+        _require_at_most("deliveries_done", self.deliveries_done, "deliveries_total", self.deliveries_total)
         below = cast(str | None, self.cell_below)
         seen = sum(row.count("delivered") for row in self.cell_types) + (below == "delivered")
         why = f"cell_types and cell_below {below!r} show {seen} delivered, deliveries_done says {self.deliveries_done}"
         _require(seen == self.deliveries_done or (below is None and seen + 1 == self.deliveries_done), why)
+        _require_at_most("step_count", self.step_count, "max_steps", self.max_steps)
         return self
 
     @classmethod
@@ -240,7 +232,7 @@ class ParcelState(Message):
     delivered: bool
 
 
-class DroneState(EpisodeNumbers):
+class DroneState(Message):
     """The full state of an episode, with the flight so far."""
 
     episode_id: str | None = Field(
@@ -252,8 +244,20 @@ class DroneState(EpisodeNumbers):
     seed: Seed = Field(description="Number of the map.")
     reward_profile: str = Field(description="Id of the reward profile.")
     grid: list[list[Annotated[int, Field(ge=0, lt=len(Cell))]]] = Field(description="Cell ids, grid[y][x].")
+    drone_x: Count = Field(description="Column of the drone.")
+    drone_y: Count = Field(description="Row of the drone.")
+    battery: float = Field(ge=0, le=1, description="Share of the battery left.")
+    battery_steps_remaining: Count = Field(description="Battery units left.")
     battery_capacity: int = Field(ge=1, description="Battery units at the start.")
+    deliveries_total: int = Field(ge=1, description="Parcels to deliver.")
+    deliveries_done: Count = Field(description="Parcels delivered.")
     parcels: list[ParcelState] = Field(description="All parcels, by their index.")
+    current_target: Position | None = Field(description="[x, y] of the current target, null when none is left.")
+    step_count: Count = Field(description="Steps taken.")
+    max_steps: int = Field(ge=1, description="Steps after which the episode ends.")
+    reward_total: float = Field(description="Sum of all rewards.")
+    score: Score = Field(description="The graded score as the episode stands.")
+    done: bool = Field(description="Whether the episode has ended.")
     outcome: OutcomeName = Field(description="How the episode stands.")
     path_history: list[PathPoint] = Field(description="All steps flown, in order; may be left empty.")
 
@@ -262,7 +266,8 @@ class DroneState(EpisodeNumbers):
         _require(bool(self.grid), "grid is empty")
         width, height = len(self.grid[0]), len(self.grid)
         _require_shape("grid", self.grid, width, height)
-        self._require_numbers_fit(width, height)
+        _require_inside("drone_x, drone_y", (self.drone_x, self.drone_y), width, height)
+        _require_inside("current_target", self.current_target, width, height)
         for parcel in self.parcels:
             _require_inside("parcels", (parcel.x, parcel.y), width, height)
         counts = (len(self.parcels), sum(parcel.delivered for parcel in self.parcels))
@@ -271,6 +276,7 @@ class DroneState(EpisodeNumbers):
         units, capacity = self.battery_steps_remaining, self.battery_capacity
         _require_at_most("battery_steps_remaining", units, "battery_capacity", capacity)
         _require(self.battery == units / capacity, f"battery {self.battery} is not {units} / {capacity}")
+        _require_at_most("step_count", self.step_count, "max_steps", self.max_steps)
         _require(self.done == (self.outcome != "flying"), f"done {self.done} contradicts outcome {self.outcome!r}")
         complete = self.deliveries_done == self.deliveries_total
         _require(
