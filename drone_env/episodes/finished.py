@@ -80,7 +80,7 @@ def utc(seconds: float) -> datetime:
 class EpisodeSummary(Message):
     """One finished episode, as its columns in the store tell it, with the optimum of its map."""
 
-    number: int = Field(exclude=True, description="The order of storing; it rises for ever.")
+    number: int = Field(exclude=True, description="The order of storing; it rises forever.")
     id: str
     finished_at: Annotated[float, PlainSerializer(lambda seconds: utc(seconds).isoformat(), return_type=str)] = Field(
         description="UTC, ISO 8601."

@@ -122,7 +122,7 @@ class LiveEpisode:
         flown = self.episode.copy()  # where the step cannot be kept, nothing has changed here
         with self._sessions.store.session(self.session) as row:
             if row.agent != self.pilot or not row.follows(flown):
-                raise SessionGoneError("this session flies another map by now: start a new one")
+                raise SessionGoneError("this session flies another episode by now: start a new one")
             # Another page may have gone on with the same session: then this one catches up.
             alone = len(row.actions) == flown.steps
             if alone:
