@@ -41,6 +41,19 @@ def replacing(path: Path) -> Generator[Path, None, None]:
         temporary.unlink(missing_ok=True)
 
 
+def stamp(path: Path) -> tuple[int, int, int] | None:
+    """What tells a file from the one that stood there before; None where there is none.
+
+    Raises:
+        OSError: if the system does not tell.
+    """
+    try:
+        status = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a file in UTF-8, whole or not at all."""
     with replacing(path) as temporary:
