@@ -77,11 +77,9 @@ def drone_delivery(
     config, chosen = get_task(task), get_prompt(prompt)
     if history < 0:
         raise InvalidValueError(f"history must be 0 or more, got {history}")
-    episode = Episode(config, reward_profile)
     samples: list[Sample] = []
     for seed in split_seeds(split, episodes):
-        episode.reset(seed)
-        messages = first_messages(chosen, episode)
+        messages = first_messages(chosen, Episode(config, reward_profile, seed))
         samples.append(Sample(id=str(seed), input=[_inspects(m) for m in messages], metadata={"seed": seed}))
     return Task(
         dataset=MemoryDataset(samples, name=f"{config.id}-{split}"),

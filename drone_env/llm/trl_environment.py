@@ -123,9 +123,7 @@ def training_maps(task: str = "easy", maps: int = 1000, split: str = "train") ->
         raise MissingPackageError("datasets", "trl") from None
     config = get_task(task)
     seeds = list(split_seeds(split, maps))
-    episode = Episode(config)
-    episode.reset(seeds[0])
-    system, user = first_messages(PROMPT, episode)
+    system, user = first_messages(PROMPT, Episode(config, seed=seeds[0]))
     # What is on the map comes from `reset`.
     prompt = [system, {**user, "content": ""}]
     return Dataset.from_dict({"prompt": [prompt] * len(seeds), "task": [config.id] * len(seeds), "seed": seeds})
