@@ -5,13 +5,9 @@ import threading
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from drone_env.errors import InvalidValueError
-
-if TYPE_CHECKING:
-    from filelock import FileLock
-
 
 PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
 """Where the parts of what is kept lie in the working directory."""
@@ -46,8 +42,9 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def lock_file(path: Path, taken: str, seconds: float = 0.0) -> "FileLock":
-    """A lock that this file stands for, which is made; until it is released, or this process dies, no other gets one.
+@contextmanager
+def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None, None]:
+    """A lock that a file stands for, which is made; no other gets one before the end of the `with` or of this process.
 
     Args:
         path: The file.
@@ -65,13 +62,6 @@ def lock_file(path: Path, taken: str, seconds: float = 0.0) -> "FileLock":
         lock.acquire(poll_interval=0.2)
     except Timeout:
         raise InvalidValueError(taken) from None
-    return lock
-
-
-@contextmanager
-def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None, None]:
-    """`lock_file` for the length of a `with`."""
-    lock = lock_file(path, taken, seconds)
     try:
         yield
     finally:

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from drone_env.commands.arguments import SHORT_NAMES
 from drone_env.core.tasks import get_task
-from drone_env.errors import CheckpointError, InvalidValueError, MissingPackageError
+from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import data_folder
 from drone_env.rl.config import TrainConfig, preset
 
@@ -87,12 +87,8 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
         """
         if resume and fresh:
             raise InvalidValueError("--resume goes on and --fresh starts anew: give one of them")
-        try:
+        with needs("train"):
             from drone_env.rl.run import TrainingRun
-        except ModuleNotFoundError as error:
-            if error.name != "torch":
-                raise
-            raise MissingPackageError("PyTorch", "train") from None
         run = TrainingRun(config, data or data_folder(), results or data_folder("results"), fresh)
         if resume and not run.resumed:
             raise InvalidValueError(f"--resume: there is no checkpoint {run.checkpoint}")

@@ -21,7 +21,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError
+from drone_env.errors import EpisodeError, InvalidValueError, needs
 from drone_env.llm.prompt import FOLDER, below_text, first_messages, read_prompt, repair_text
 from drone_env.models import NAMES, Direction
 
@@ -117,10 +117,8 @@ def training_maps(task: str = "easy", maps: int = 1000, split: str = "train") ->
         InvalidValueError: if `maps` is out of range.
         MissingPackageError: if `datasets`, which comes with TRL, is not installed.
     """
-    try:
+    with needs("trl"):
         from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
-    except ModuleNotFoundError:
-        raise MissingPackageError("datasets", "trl") from None
     config = get_task(task)
     seeds = list(split_seeds(split, maps))
     system, user = first_messages(PROMPT, Episode(config, seed=seeds[0]))

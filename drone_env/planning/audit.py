@@ -34,7 +34,6 @@ from drone_env.errors import InvalidValueError
 from drone_env.planning.map_graph import (
     battery_ranges,
     delivered_set,
-    drain_range,
     put_drone,
     put_parcels,
     require_memory,
@@ -259,7 +258,7 @@ def _maximise(start: Episode, gamma: float) -> tuple[Episode, float]:
     task = start.task
     tables, rewards = tabulate(task), tabulate_rewards(task, start.reward_profile)
     grid, state, parcels = state_arrays(start)
-    lowest, sizes = battery_ranges(start.battery_units, *drain_range(task), task, task.max_steps - start.steps)
+    lowest, sizes = battery_ranges(start)
     shape = (int(sizes.max()), 1 << len(parcels), len(parcels), tables.cells)
     size = int(np.prod(shape, dtype=object)) * (len(sizes) + 32)
     require_memory("the audit", task, size)

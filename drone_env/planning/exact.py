@@ -29,7 +29,6 @@ from drone_env.errors import EpisodeError
 from drone_env.planning.map_graph import (
     MapGraph,
     battery_ranges,
-    drain_range,
     map_graph,
     require_memory,
     waiting_parcels,
@@ -128,8 +127,7 @@ class ExactSolver:
         ends = (task.deliveries + 1) * (task.battery_capacity + 1) * (task.max_steps + 1)
         require_memory("the exact values", task, 12 * ends + 30 * places)
         graph = map_graph(episode)
-        steps_left = task.max_steps - episode.steps
-        lowest, sizes = battery_ranges(episode.battery_units, *drain_range(task), task, steps_left)
+        lowest, sizes = battery_ranges(episode)
         starts = np.concatenate([[0], np.cumsum(sizes)]) * places
         self._scores, ranked = ranked_scores(task)
         require_memory("the exact values", task, int(starts[-1]) * ranked.itemsize)

@@ -183,27 +183,19 @@ def drain_range(task: TaskConfig) -> tuple[int, int]:
     return int(drains.min()), int(drains.max())
 
 
-def battery_ranges(
-    battery: int, least_drain: int, most_drain: int, task: TaskConfig, steps: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """What the battery can hold after each number of steps of a flight that goes on.
-
-    Args:
-        battery: Units at the start.
-        least_drain: The least that one step can drain.
-        most_drain: The most.
-        task: The task.
-        steps: Steps from the start to the last.
+def battery_ranges(episode: Episode) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """What the battery can hold after each of the T steps that are left to an episode, as long as it goes on.
 
     Returns:
-        int64[steps + 1], the lowest number of units above 0; and int64[steps], how many numbers from there on.
+        int64[T + 1], the lowest number of units above 0; and int64[T], how many numbers from there on.
     """
+    least_drain, most_drain = drain_range(episode.task)
     lowest, sizes = [], []
-    low = high = battery
-    for _ in range(steps):
+    low = high = episode.battery_units
+    for _ in range(episode.task.max_steps - episode.steps):
         lowest.append(low)
         sizes.append(max(high - low + 1, 0))
-        low, high = max(low - most_drain, 1), min(high - least_drain, task.battery_capacity)
+        low, high = max(low - most_drain, 1), min(high - least_drain, episode.task.battery_capacity)
     lowest.append(low)
     return np.array(lowest, np.int64), np.array(sizes, np.int64)
 

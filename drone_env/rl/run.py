@@ -12,7 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from drone_env.errors import CheckpointError, MissingPackageError
+from drone_env.errors import CheckpointError, needs
 from drone_env.files import replacing
 from drone_env.rl.checkpoint import export_network, load_checkpoint, save_checkpoint
 from drone_env.rl.config import TrainConfig
@@ -148,10 +148,8 @@ class TrainingRun:
 
     def _tensorboard(self) -> Any:
         """TensorBoard's writer. What it got after the checkpoint is flown again, and so taken back."""
-        try:
+        with needs("train"):
             from torch.utils.tensorboard import SummaryWriter
-        except ImportError:
-            raise MissingPackageError("tensorboard", "train") from None
         folder = self.results / "tensorboard"
         if not self.resumed:
             for old in folder.glob("events.out.tfevents.*"):
