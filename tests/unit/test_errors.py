@@ -11,7 +11,7 @@ import pytest
 from drone_env import errors
 from drone_env.errors import DroneEnvError, MissingPackageError, UnknownNameError
 
-ELSEWHERE = ("client", "llm.desk", "llm.endpoint", "llm.limits", "llm.pilot", "server.problems")
+ELSEWHERE = ("client", "llm.desk", "llm.endpoint", "llm.gate", "server.problems")
 VALUES: dict[str, object] = {
     "status": 418,
     "retried": True,
