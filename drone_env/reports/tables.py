@@ -2,7 +2,11 @@
 
 import sys
 from collections.abc import Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from pydantic_settings import BaseSettings
 
 
 class Table(NamedTuple):
@@ -32,6 +36,16 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table in Markdown; the cells stand in it as they are."""
     lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in (head, *rows)]
     return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
+
+
+def settings_table(settings: "type[BaseSettings]") -> str:
+    """What can be configured by a class, as a table in Markdown."""
+    prefix, rows = settings.model_config.get("env_prefix", ""), list[tuple[str, str, str]]()
+    for name, field in settings.model_fields.items():
+        default = ",".join(field.default) if isinstance(field.default, tuple) else str(field.default or "")
+        shown = "in the package" if Path(default).is_absolute() else f"`{default}`" if default else "-"
+        rows.append((f"`{prefix}{name.upper()}`", shown, f"{field.description}"))
+    return markdown_table(("variable", "default", "meaning"), rows)
 
 
 def print_table(table: Table, width: int, names: int, caption: str | None = None, sections: bool = False) -> None:
