@@ -147,16 +147,13 @@ def generate_city_map(config: str | TaskConfig, rng: Any) -> CityMap:
     state = np.zeros(state_size(tables), np.uint16)
     scatter(tables, view(grid), view(state), seed)
     grid[state[CELL]] = ROAD
-
-    def position(cell: int) -> tuple[int, int]:
-        return tables.columns[cell], tables.rows[cell]
-
+    start, *deliveries = ((tables.columns[cell], tables.rows[cell]) for cell in (state[CELL], *state[PARCELS:]))
     return CityMap(
         task=task,
         seed=seed,
         grid=np.reshape(grid, (task.height, task.width)),
-        start=position(state[CELL]),
-        deliveries=tuple(position(cell) for cell in state[PARCELS:]),
+        start=start,
+        deliveries=tuple(deliveries),
     )
 
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
 
 PROMPT = read_prompt(FOLDER / "tools" / "fly-1.toml")
-STEP = "Position: ({x}, {y}). Battery: {battery} units. Nearest parcel: {target}. Delivered: {done} of {total}."
 
 
 class DroneEnvironment:
@@ -81,17 +80,11 @@ class DroneEnvironment:
         episode.step(Action[direction])
         if episode.ended:
             return episode.message
-        x, y = episode.position
-        state = STEP.format(
-            x=x,
-            y=y,
-            battery=episode.battery_units,
-            target=episode.target,
-            done=episode.deliveries_done,
-            total=episode.task.deliveries,
-        )
         below = below_text(episode.task, NAMES[episode.under])
-        return f"{episode.message} {state}" + (f" {below}." if below else "")
+        return (
+            f"{episode.message} Position: {episode.position}. Battery: {episode.battery_units} units. "
+            f"Nearest parcel: {episode.target}. Delivered: {episode.deliveries_done} of {episode.task.deliveries}."
+        ) + (f" {below}." if below else "")
 
     def get_reward(self) -> float:
         """What the flight paid; one that the model left unfinished as if it waited to its end.

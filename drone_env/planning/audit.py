@@ -287,14 +287,9 @@ def _return(flight: Episode, gamma: float) -> float:
     return sum(reward * gamma**t for t, reward in enumerate(flight.rewards))
 
 
-def stall(start: Episode, solution: Solution) -> tuple[Action, ...]:
-    """Wait at the start until the end."""
-    return (Action.WAIT,) * start.task.max_steps
-
-
-def bump(start: Episode, solution: Solution) -> tuple[Action, ...]:
-    """Fly up to the edge of the city and bump into it until the end."""
-    return (Action.UP,) * start.task.max_steps
+def repeat(action: Action, start: Episode, solution: Solution) -> tuple[Action, ...]:
+    """The same action until the end."""
+    return (action,) * start.task.max_steps
 
 
 def oscillate(start: Episode, solution: Solution) -> tuple[Action, ...]:
@@ -302,7 +297,7 @@ def oscillate(start: Episode, solution: Solution) -> tuple[Action, ...]:
     back = {Action.UP: Action.DOWN, Action.LEFT: Action.RIGHT, Action.DOWN: Action.UP, Action.RIGHT: Action.LEFT}
     there = next((action for action in back if start.action_mask()[action]), None)
     if there is None:
-        return stall(start, solution)
+        return repeat(Action.WAIT, start, solution)
     steps = start.task.max_steps
     return (there, back[there]) * (steps // 2) + (there,) * (steps % 2)
 
@@ -324,5 +319,10 @@ def hover(start: Episode, solution: Solution) -> tuple[Action, ...]:
     return waiting(bisect.bisect_left(range(1, start.task.max_steps + 1), True, key=too_long))
 
 
-HACKS = {"stall": stall, "bump": bump, "oscillate": oscillate, "hover": hover}
+HACKS = {
+    "stall": partial(repeat, Action.WAIT),  # at the start
+    "bump": partial(repeat, Action.UP),  # up to the edge of the city, and into it
+    "oscillate": oscillate,
+    "hover": hover,
+}
 """Flights that earn without working. A new one is one more entry."""
