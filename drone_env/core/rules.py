@@ -8,7 +8,7 @@ from drone_env.core.actions import N_ACTIONS, Event, Outcome
 from drone_env.core.cells import Cell
 from drone_env.core.drone import distance, move, use_battery
 from drone_env.core.grid_generator import scatter
-from drone_env.core.obstacles import collision, flight_event
+from drone_env.core.obstacles import collision
 from drone_env.core.rewards import Rewards, potential_of, reward_of
 from drone_env.core.tables import (
     BATTERY,
@@ -71,7 +71,7 @@ def step(tables: Tables, rewards: Rewards, grid: Buffer, state: Buffer, action: 
     if happened == NONE:
         under = move(grid, state, cell, to)
         cell = to
-        happened = flight_event(tables, under, action)
+        happened = tables.flight_event[under * N_ACTIONS + action]
     far = distance(tables, cell, state[TARGET])
     battery = use_battery(tables, state, under, action)
     closer = (1 + state[DISTANCE] - far) & CLOSER_BITS
