@@ -197,6 +197,7 @@ def _standard(
 ) -> TaskConfig:
     buildings, trees, obstacles = terrain
     rewards: dict[str, Any] = {f"r_{event.name.lower()}": r_other for event in Event if event is not Event.NONE}
+    rewards["r_delivery"] = r_delivery
     return TaskConfig(
         id=f"{short_name}_delivery",
         short_name=short_name,
@@ -209,7 +210,7 @@ def _standard(
         obstacles=obstacles,
         max_steps=steps,
         battery_capacity=steps,
-        **rewards | {"r_delivery": r_delivery},
+        **rewards,
         family="city",
     )
 

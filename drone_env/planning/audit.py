@@ -18,8 +18,8 @@ import numpy as np
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
-from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
-from drone_env.core.cells import Cell
+from drone_env.core.actions import FLYING, N_ACTIONS, Action, Event
+from drone_env.core.cells import DELIVERY_CELL
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import distance
 from drone_env.core.episode import Episode
@@ -41,8 +41,6 @@ from drone_env.planning.map_graph import (
 )
 from drone_env.planning.optimal import Solution, solve_episode
 
-FLYING = int(Outcome.FLYING)
-DELIVERY = int(Cell.DELIVERY)
 TIE = 1e-9
 """Returns count as equal if they differ by less than this share of the largest of them."""
 NOISE = 1e-14
@@ -107,7 +105,7 @@ def audit_kernel(
                 target_cell = state[parcels[target]]
                 for cell in range(tables.cells):
                     under = grid[cell]
-                    if under == DELIVERY or tables.impassable[under]:
+                    if under == DELIVERY_CELL or tables.impassable[under]:
                         continue
                     for units in range(sizes[t]):
                         for action in range(N_ACTIONS):

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
-from drone_env.core.actions import N_ACTIONS, Action, Outcome, check_action
+from drone_env.core.actions import FLYING, N_ACTIONS, Action, check_action
 from drone_env.core.cells import Cell
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import units_left
@@ -26,15 +26,8 @@ from drone_env.core.score import score_of
 from drone_env.core.tables import Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError
-from drone_env.planning.map_graph import (
-    MapGraph,
-    battery_ranges,
-    map_graph,
-    require_memory,
-    waiting_parcels,
-)
+from drone_env.planning.map_graph import MapGraph, battery_ranges, map_graph, require_memory, waiting_parcels
 
-FLYING = int(Outcome.FLYING)
 ANOTHER = "this episode cannot have come from the one that was solved: make a solver of its own"
 
 

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 if TYPE_CHECKING:
     from pydantic_settings import BaseSettings
@@ -42,7 +42,8 @@ def settings_table(settings: "type[BaseSettings]") -> str:
     """What can be configured by a class, as a table in Markdown."""
     prefix, rows = settings.model_config.get("env_prefix", ""), list[tuple[str, str, str]]()
     for name, field in settings.model_fields.items():
-        default = ",".join(field.default) if isinstance(field.default, tuple) else str(field.default or "")
+        several = isinstance(field.default, tuple)
+        default = ",".join(cast(tuple[str, ...], field.default)) if several else str(field.default or "")
         shown = "in the package" if Path(default).is_absolute() else f"`{default}`" if default else "-"
         rows.append((f"`{prefix}{name.upper()}`", shown, f"{field.description}"))
     return markdown_table(("variable", "default", "meaning"), rows)
