@@ -32,7 +32,7 @@ $(VENV)/.dev: $(VENV)/.base
 	@echo "Development tools installed in $$(($$(date +%s) - $$(cat $(VENV)/began))) s"
 	touch $@
 
-# Fly the trained network, compare the agents on every task (no network is shipped for skyline), draw one mission.
+# Fly the trained network, compare the agents on every task (no network is shipped for skyline), draw one flight.
 demo: $(VENV)/.base
 	@echo "== One mission: the trained network over hard map 7 =="
 	@$(BIN)/drone-env fly --task hard --agent pathqnet --seed 7 --picture demo/mission.png

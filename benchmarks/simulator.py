@@ -154,7 +154,7 @@ def batches_of(checkout: Path | None, quick: bool) -> Generator[list[Elsewhere],
 
 
 def unit_of(num_envs: int) -> str:
-    """The CartPole that so many episodes are compared with."""
+    """The CartPole of as many episodes, to compare with."""
     return "CartPole-v1 1" if num_envs == 1 else f"Gymnasium CartPole vector {num_envs}"
 
 

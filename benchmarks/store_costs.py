@@ -26,13 +26,13 @@ class StoreFigures(NamedTuple):
     row_bytes: float
     """Of a session, with the page's share of the rest."""
     sweep_ms: dict[int, float]
-    """Looking for idle sessions among so many, which every process does every 5 s while nobody else writes."""
+    """Looking for idle sessions among this many, which every process does every 5 s while nobody else writes."""
     count_ms: dict[int, float]
-    """Counting so many, which every new session does."""
+    """Counting this many, which every new session does."""
     log_bytes: float
     """Written to SQLite's log for a step."""
     steps_per_second: dict[int, float]
-    """Steps kept per second by so many processes together."""
+    """Steps kept per second by this many processes together."""
     step_us: float
     """CPU time of keeping a step, in one process."""
 

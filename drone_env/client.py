@@ -6,7 +6,7 @@
             observation = client.step("RIGHT")
 
 `DroneDeliveryClient` is the OpenEnv client; it is imported when it is first asked for, because OpenEnv takes seconds.
-`python -m drone_env.client URL` flies one mission as a check.
+`python -m drone_env.client URL` flies one map as a check.
 """
 
 import argparse
@@ -143,7 +143,7 @@ class DroneEnvClient:
         return self._call("GET", f"/grade/{task_name}")
 
     def analyse(self, task_name: str) -> dict[str, Any]:
-        """What the finished episodes of a task come to."""
+        """Figures of the finished episodes of a task."""
         return self._call("GET", f"/analyse/{task_name}")
 
     def path_history(self) -> dict[str, Any]:
@@ -223,8 +223,8 @@ class DroneEnvClient:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly one random mission against a server and say how it went; 0 if all answers came, 1 otherwise."""
-    parser = argparse.ArgumentParser("python -m drone_env.client", description="Check a server by flying a mission.")
+    """Fly one map at random against a server and print the result; 0 if all answers came, 1 otherwise."""
+    parser = argparse.ArgumentParser("python -m drone_env.client", description="Check a server by flying one map.")
     parser.add_argument("url", nargs="?", default=DEFAULT_URL, help="where the server is (%(default)s)")
     parser.add_argument("--task", default="easy_delivery", help="the task to fly (%(default)s)")
     given = parser.parse_args(arguments)

@@ -1,5 +1,6 @@
 """Files that are there whole or not at all."""
 
+import json
 import os
 import threading
 from collections.abc import Generator, Mapping
@@ -14,7 +15,7 @@ PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
 
 
 def data_folder(part: str = "") -> Path:
-    """The folder of what is kept, if a command is not told another, or of a part: `results` or `sweep`.
+    """The folder of what is kept, unless a command names another, or of a part: `results` or `sweep`.
 
     `DRONE_ENV_DATA` names the one folder of all; without it, parts lie in the working directory, as `PLACES` says.
     """
@@ -40,6 +41,11 @@ def write_text(path: Path, text: str) -> None:
     """Write a file in UTF-8, whole or not at all."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Write a JSON file, whole or not at all; a number that JSON does not have is a fault of ours."""
+    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
 @contextmanager

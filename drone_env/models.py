@@ -216,7 +216,7 @@ class PathPoint(Message):
     action: Direction
     x: Count = Field(description="Column of the drone after the step.")
     y: Count = Field(description="Row of the drone after the step.")
-    event: EventName = Field(description="What the step came to, such as `step`, `delivery`, `wall`.")
+    event: EventName = Field(description="What happened in the step, such as `step`, `delivery`, `wall`.")
     reward: float
     battery_steps_remaining: Count = Field(description="Battery units left after the step.")
 

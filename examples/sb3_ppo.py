@@ -44,7 +44,7 @@ model.learn(total_timesteps=args.total_timesteps)
 
 
 class Learned:
-    """The policy as an agent. It samples its actions: a half-trained policy that does not flies to and fro for ever."""
+    """The policy as an agent. It samples its actions: a half-trained policy that does not flies to and fro forever."""
 
     config = {"agent": "sb3_ppo"}  # noqa: RUF012
 

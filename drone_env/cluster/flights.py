@@ -3,7 +3,7 @@
 The desk is an actor on the driver's machine, where the run folder is. It alone writes the transcript, and it alone lets
 requests through, so that concurrency, pace and limits are those of the whole run. A flyer is an actor on each node. A
 flight goes on from an answer only when the desk has acknowledged that it is in the transcript; one whose node dies
-begins anew elsewhere, and finds there what has been paid.
+begins again elsewhere, and finds there what has been paid.
 
 The endpoint's token travels from the driver to each flyer as a value of a call, masked wherever it would be printed:
 not as an argument of an actor's making, and not in a runtime environment, which Ray keeps and shows.
@@ -35,12 +35,12 @@ from drone_env.llm.runner import Observer, RunResult, fly_all, result_of
 from drone_env.llm.transcript import Call, Transcript
 
 TRIES = 10
-"""How often a flight is begun anew whose node dies."""
+"""How often a flight is begun again whose node dies."""
 NEWS_SECONDS = 0.5
 
 
 class News:
-    """What the driver's observer is to be told: the name of a method, and its arguments."""
+    """What the driver's observer is to hear: the name of a method, and its arguments."""
 
     def __init__(self) -> None:
         self.items: list[tuple[Literal["called", "waiting"], tuple[Any, ...]]] = []
@@ -93,7 +93,7 @@ class Flyer:
     """Flies flights of a run on one node, many at once."""
 
     def __init__(self) -> None:
-        # Nothing is handed over here: Ray can make an actor anew only as long as it has what it was made from.
+        # Nothing is handed over here: Ray can restart an actor only as long as it has what it was made from.
         self._caller: Caller | None = None
 
     async def fly(
@@ -117,7 +117,7 @@ async def run_on_nodes(
 ) -> RunResult:
     """What `runner.run` does, on all nodes of the cluster. Inside of `connect` only.
 
-    Requests pass a gate at the desk; the one that is given counts what they come to.
+    Requests pass a gate at the desk; the one that is given counts their tokens and cost.
 
     Raises:
         OSError: if the folder cannot be written to.

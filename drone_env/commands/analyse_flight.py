@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 from drone_env.agents import AGENTS, make_agent
-from drone_env.commands.arguments import SHORT_NAMES, Seed
+from drone_env.commands.arguments import ChosenTask, Seed
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import rollout
 from drone_env.errors import InvalidValueError
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from drone_env.evaluation.analysis import FlightAnalysis
 
 File = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 ChosenAgent = Annotated[str | None, tyro.conf.arg(metavar="|".join(AGENTS))]
 
 STYLES = {

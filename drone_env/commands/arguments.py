@@ -13,6 +13,7 @@ from drone_env.errors import InvalidValueError
 SHORT_NAMES = [task.short_name for task in TASKS.values()]
 
 TaskName = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
+ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 AgentName = Annotated[str, tyro.conf.arg(metavar="|".join(AGENTS))]
 AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
 Split = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]

@@ -4,18 +4,17 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich import box
 from rich.markup import escape
-from rich.table import Table
 
 from drone_env.commands.arguments import Split, TaskName
-from drone_env.commands.printing import print_json, progress_bar, table_console
+from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
+from drone_env.reports.tables import Table, number, print_table, table_console
 
 RewardName = Annotated[str, tyro.conf.arg(metavar=f"{'|'.join(REWARD_PROFILES)}|FILE.toml")]
 
@@ -92,20 +91,16 @@ RETURNS = {
 
 
 def _print(report: dict[str, Any], replay: Path | None) -> None:
-    console = table_console()
+    console = table_console(120)
     shaping = "" if report["shaping_gamma"] is None else f", shaping gamma {report['shaping_gamma']:g}"
     console.print(
         f"{escape(report['reward'])} on {report['task']}, gamma {report['gamma']:g}{shaping}, {report['maps']} maps",
         style="bold",
     )
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("flight")
-    table.add_column("mean return", justify="right")
-    honest = report["mean_returns"]["honest"]
-    for name, value in report["mean_returns"].items():
-        style = "red" if name != "maximiser" and value > honest + 1e-9 else None
-        table.add_row(RETURNS[name], f"{value:.3f}", style=style)
-    console.print(table)
+    returns = report["mean_returns"]
+    rows = [(RETURNS[name], number(value, ".3f")) for name, value in returns.items()]
+    better = [i for i, name in enumerate(returns) if name != "maximiser" and returns[name] > returns["honest"] + 1e-9]
+    print_table(Table("", ("flight", "mean return"), rows), width=120, names=1, alarming=better)
     console.print(
         f"The flight that earns most scores {report['mean_score']:.4f} on average; "
         f"the optimum is {report['mean_optimal_score']:.4f}."

@@ -1,28 +1,24 @@
 """`drone-env evaluate`: agents side by side on the same maps, beside the exact optimum."""
 
 import contextlib
-import json as json_format
 import sys
 from collections.abc import Generator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from drone_env import __version__
-from drone_env.agents import AGENTS
-from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, SeedRange, SplitName, chosen_maps
+from drone_env.commands.arguments import SHORT_NAMES, AgentNames, ClusterAddress, SeedRange, SplitName, chosen_maps
+from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, summarise
 from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
-from drone_env.files import write_text
+from drone_env.files import write_json
 from drone_env.reports.tables import Table, number, percent, print_table, with_margin
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
-AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
 JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
 
 
@@ -95,12 +91,11 @@ def evaluate(
         for t, of_agent in keys.items()
     }
     report = {"package": __version__, "tasks": figures}
-    text = json_format.dumps(report, indent=2) + "\n"
     if json == "-":
-        sys.stdout.write(text)
+        print_json(report)
         return
     if target is not None:
-        write_text(target, text)
+        write_json(target, report)
     _print(report)
 
 
@@ -120,14 +115,10 @@ def _engine(name: str, address: str | None) -> Generator[Engine, None, None]:
 def _fly_all(
     keys: list[EpisodesKey], engine: Engine, folder: ResultsFolder | None
 ) -> dict[EpisodesKey, EpisodeResults]:
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("maps", total=sum(key.seeds[1] - key.seeds[0] for key in keys))
+    with progress_bar("maps", sum(key.seeds[1] - key.seeds[0] for key in keys)) as advance:
 
         def arrived(piece: EpisodeResults) -> None:
-            name = f"{get_task(piece.key.task).short_name} {piece.key.agent}"
-            progress.update(bar, advance=len(piece.seeds), description=name)
+            advance(len(piece.seeds), f"{get_task(piece.key.task).short_name} {piece.key.agent}")
 
         return evaluate_keys(keys, engine, folder, arrived)
 

@@ -31,7 +31,7 @@ def fly(
     Args:
         task: The task, by its short name, id or grader.
         agent: Who flies.
-        seed: Number of the map, 0 to 2^53 - 1. Without one, a train map is drawn at random and its number is told.
+        seed: Number of the map, 0 to 2^53 - 1. Without one, a train map is drawn at random and its number is printed.
         reward_profile: What steps pay.
         render: Show the map after every step.
         picture: Save a picture of the flight to this PNG file at the end.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from drone_env.commands.arguments import SHORT_NAMES, ClusterAddress, ProfileName, SeedRange, SplitName, chosen_maps
+from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName, SeedRange, SplitName, chosen_maps
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError, needs, text_of
@@ -19,7 +19,6 @@ from drone_env.llm.options import Number, Options, Whole
 if TYPE_CHECKING:
     from drone_env.llm.runner import Engine
 
-ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 PromptName = Annotated[str, tyro.conf.arg(metavar="minimal|grid|coordinates|plan")]
 DEFAULTS = Options()
 
@@ -72,7 +71,7 @@ def infer(
         seeds: Fly the maps from A up to and not including B instead of a split's.
         repeats: Flights over each map, for pass^k.
         prompt: The prompt, by its name (the newest version) or id, such as grid-1.
-        history: How many of the last steps are told.
+        history: How many of the last steps the prompt names.
         answers: Ask for plain text, for structured output (JSON schema), or for a tool call.
         stream: Have answers streamed.
         temperature: Sampling temperature.
@@ -200,9 +199,9 @@ def infer(
 
 
 def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "Engine":
-    from drone_env.cluster.connect import LOCAL, connect
+    from drone_env.cluster.connect import connect
 
-    stack.enter_context(connect(LOCAL if address is None else address))
+    stack.enter_context(connect(address))
     from drone_env.cluster.flights import run_on_nodes
 
     return run_on_nodes

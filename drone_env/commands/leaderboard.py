@@ -1,12 +1,12 @@
 """`drone-env leaderboard`: runs of language models side by side."""
 
-import json as json_format
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from drone_env.commands.printing import print_json
 from drone_env.errors import InvalidValueError, needs
 from drone_env.reports.tables import Table, number, percent, print_table, with_margin
 
@@ -39,7 +39,7 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
             "boards": [board._asdict() for board in boards],
             "refused": [{"path": str(run.path), "reason": run.reason} for run in refused],
         }
-        print(json_format.dumps(report, indent=2, allow_nan=False))
+        print_json(report)
     else:
         for board in boards:
             print_table(_table(board), width=140, names=3)

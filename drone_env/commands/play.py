@@ -39,7 +39,7 @@ KEY = re.compile(r"\x1b\[[0-9;]*[A-Za-z~]|\x1bO.|\x1b[^\[O]|[^\x1b]", re.DOTALL)
 
 
 def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName = DEFAULT_PROFILE) -> None:
-    """Fly a mission yourself, against the optimum.
+    """Fly a map yourself, against the optimum.
 
     Arrow keys or w a s d fly, space or . waits, q gives up. Keys can also come from a pipe, one character each.
 

@@ -1,7 +1,6 @@
-"""How several subcommands print: JSON, tables, progress bars."""
+"""How several subcommands print: JSON, progress bars."""
 
 import json
-import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any
@@ -13,11 +12,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 def print_json(report: dict[str, Any]) -> None:
     """A report on standard output; a number that is none in JSON is a fault of ours."""
     print(json.dumps(report, indent=2, allow_nan=False))
-
-
-def table_console(width: int = 120) -> Console:
-    """Where tables are printed: this wide if standard output is no terminal."""
-    return Console(width=None if sys.stdout.isatty() else width, highlight=False)
 
 
 @contextmanager

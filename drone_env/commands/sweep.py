@@ -8,17 +8,16 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from drone_env.commands.arguments import SHORT_NAMES
+from drone_env.commands.arguments import TaskName
 from drone_env.errors import InvalidValueError, MissingPackageError
 from drone_env.files import data_folder
 
-TaskChoice = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
 Values = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(name="set", metavar="NAME=VALUE,VALUE...")]
 
 
 def sweep(
-    task: TaskChoice = "easy",
+    task: TaskName = "easy",
     preset: Literal["fast", "original"] = "fast",
     values: Values = (),
     seeds: int = 3,
@@ -50,7 +49,7 @@ def sweep(
         values: A value of training (`drone-env train --help` has them all) and what to try for it; may be given several
             times, for a grid. With --samples also `lr=loguniform(1e-5,1e-3)` or `gamma=uniform(0.9,0.99)`.
         seeds: Each setting is trained with the seeds from 0 up to this number.
-        samples: Draw so many settings at random instead of trying the whole grid.
+        samples: Draw this many settings at random instead of trying the whole grid.
         samples_seed: Of the drawing.
         early_stopping: Stop the worse half of the settings, each with all its seeds, at a quarter and at half of the
             episodes.
@@ -91,10 +90,10 @@ def sweep(
 
     def show(trial: Any, report: dict[str, Any]) -> None:
         if "failed" in report:
-            told = f"failed: {report['failed']}"
+            message = f"failed: {report['failed']}"
         else:
-            told = f"{report['episodes']} episodes, validation {report['validation']:.4f} of {report['optimum']:.4f}"
-        print(f"{trial.name} ({config.label(trial.setting)}): {told}", file=sys.stderr, flush=True)
+            message = f"{report['episodes']} episodes, validation {report['validation']:.4f} of {report['optimum']:.4f}"
+        print(f"{trial.name} ({config.label(trial.setting)}): {message}", file=sys.stderr, flush=True)
 
     with folder.driving():
         folder.begin(config)
@@ -110,6 +109,6 @@ def sweep(
         figures = sweep_report(folder, config)
         write_report(folder, figures)
     count = figures["trials_by_status"]
-    told = f"{count['finished']} trials finished, {count['stopped']} stopped early, {count['failed']} failed"
-    Console(stderr=True).print(f"{told}; report {folder.path / 'report.md'}")
+    message = f"{count['finished']} trials finished, {count['stopped']} stopped early, {count['failed']} failed"
+    Console(stderr=True).print(f"{message}; report {folder.path / 'report.md'}")
     return 1 if count["failed"] else 0

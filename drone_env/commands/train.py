@@ -81,12 +81,12 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
             task: The task, by its short name, id or grader; `all` for easy, medium and hard, one after the other.
             preset: Which defaults to start from.
             resume: Insist that there is a checkpoint to go on from.
-            fresh: Start anew; a checkpoint that is there is renamed to `TASK.pth.old`.
+            fresh: Start again; a checkpoint that is there is renamed to `TASK.pth.old`.
             data: Folder of checkpoint, network and log; DRONE_ENV_DATA if nothing is said, else data.
             results: Folder of tables and curves; results/ in DRONE_ENV_DATA if nothing is said, else results.
         """
         if resume and fresh:
-            raise InvalidValueError("--resume goes on and --fresh starts anew: give one of them")
+            raise InvalidValueError("--resume goes on and --fresh starts again: give one of them")
         with needs("train"):
             from drone_env.rl.run import TrainingRun
         run = TrainingRun(config, data or data_folder(), results or data_folder("results"), fresh)
@@ -131,7 +131,7 @@ def _train(run: "TrainingRun") -> int:
     if trainer.episodes >= wanted:
         console.print(
             f"{run.checkpoint} has {trainer.episodes} episodes already, and {wanted} were asked for: nothing to do. "
-            f"--episodes {2 * trainer.episodes} goes on from it; --fresh starts anew and keeps it as "
+            f"--episodes {2 * trainer.episodes} goes on from it; --fresh starts again and keeps it as "
             f"{run.checkpoint}.old",
             soft_wrap=True,
         )

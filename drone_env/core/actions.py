@@ -49,7 +49,7 @@ def check_action(action: object) -> int:
 
 
 class Event(IntEnum):
-    """What a step came to. Of several that hold, the first in this order is the step's event."""
+    """What happened in a step. Of several that hold, the first in this order is the step's event."""
 
     DELIVERY = 0
     BATTERY_DEAD = 1

@@ -1,6 +1,6 @@
 """N episodes of one task at once: the functions of `rules`, compiled, in one loop over the episodes.
 
-Every buffer of a `Batch` is overwritten by the next step; whoever keeps one copies it.
+Every buffer of a `Batch` is overwritten by the next step: copy what you keep.
 """
 
 from collections.abc import Mapping, Sequence
@@ -284,7 +284,7 @@ class Batch:
         """Fly one action in each episode and overwrite the buffers.
 
         Args:
-            actions: N integers from 0 to 4. In an episode that is to begin anew its action is not used.
+            actions: N integers from 0 to 4. In an episode that is to begin again its action is not used.
 
         Raises:
             InvalidValueError: if they are not; nothing is flown.

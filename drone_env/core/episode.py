@@ -1,4 +1,4 @@
-"""One episode: holds the state, flies actions by the `rules`, and tells what there is to know."""
+"""One episode: holds the state, flies actions by the `rules`, and answers questions about it."""
 
 import copy
 import secrets
@@ -64,7 +64,7 @@ class EpisodeState:
 
 
 class _NoEpisode:
-    """Stands for the state before the first reset: whoever reads it is told so."""
+    """Stands for the state before the first reset: a reader gets an error."""
 
     def __getitem__(self, index: object) -> Any:
         raise EpisodeError(NOT_STARTED)
@@ -195,7 +195,7 @@ class Episode:
 
     @property
     def event(self) -> Event:
-        """What the last step came to."""
+        """What happened in the last step."""
         return Event(self._state[EVENT])
 
     @property
@@ -261,7 +261,7 @@ class Episode:
 
     @property
     def efficiency_shares(self) -> tuple[float, float, float]:
-        """What each part of the efficiency comes to, 0 to 1, in the order of `score.EFFICIENCY_WEIGHTS`."""
+        """The value of each part of the efficiency, 0 to 1, in the order of `score.EFFICIENCY_WEIGHTS`."""
         return self.deliveries_done / self.task.deliveries, self.battery, 1 - self.steps / self.task.max_steps
 
     @property

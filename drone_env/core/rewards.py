@@ -210,7 +210,7 @@ def reward_of(
         tables: The task's tables.
         rewards: The profile's tables.
         state: The state after the step, its outcome settled.
-        event: What the step came to.
+        event: What happened in the step.
         closer: 2 if the step came closer to the target that was current before it, 1 if it stayed as far, else 0.
         potential_before: The potential of the state before the step.
     """

@@ -1,4 +1,4 @@
-"""An episode flown to its end by whoever acts on what it shows."""
+"""An episode flown to its end by a function that chooses each action."""
 
 from collections.abc import Callable, Iterator
 from typing import SupportsIndex

@@ -1,4 +1,4 @@
-"""An episode put together from what there is to know of it, however it came to stand so."""
+"""An episode put together from its fields, without the steps that led there."""
 
 from collections.abc import Sequence
 

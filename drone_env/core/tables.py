@@ -51,7 +51,7 @@ TARGET = 5
 DISTANCE = 6
 """Manhattan distance to the current target; 0 when none is left."""
 EVENT = 7
-"""What the last step came to (`Event`)."""
+"""What happened in the last step (`Event`)."""
 OUTCOME = 8
 """How the episode stands (`Outcome`)."""
 PARCELS = 9

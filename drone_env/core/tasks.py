@@ -263,7 +263,7 @@ TASKS: dict[str, TaskConfig] = {
 
 
 PAST_TASKS: tuple[TaskConfig, ...] = ()
-"""Earlier versions of tasks: they keep working for ever."""
+"""Earlier versions of tasks: they keep working forever."""
 
 WITHDRAWN = tuple((f"skyline_{level}", 1) for level in ("easy", "medium", "hard"))
 """(id, version) of tasks that were never published on a package index, and that no code draws maps of any more."""
@@ -288,9 +288,9 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
     for task in named:
         if version in (None, task.version):
             return task
-    told = withdrawal(named[0].id, version)
+    message = withdrawal(named[0].id, version)
     unknown = f"version of task {named[0].id!r}", version, [str(task.version) for task in named]
-    raise UnknownNameError(*unknown) if told is None else WithdrawnError(*unknown, told)
+    raise UnknownNameError(*unknown) if message is None else WithdrawnError(*unknown, message)
 
 
 def withdrawal(task_id: object, version: object) -> str | None:

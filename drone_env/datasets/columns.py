@@ -58,7 +58,7 @@ def columns(task: TaskConfig) -> list[Column]:
             "return_to_go", "float64", (), "undiscounted sum of the rewards from here on", lambda f: f.returns_to_go
         ),
         Column("terminated", "bool", (), "whether the step ended the flight", lambda f: f.terminated),
-        Column("event", "string", (), "what the step came to", lambda f: [names[event] for event in f.events[1:]]),
+        Column("event", "string", (), "what happened in the step", lambda f: [names[event] for event in f.events[1:]]),
         Column(
             "score", "float64", (), "graded score after the step, provisional before the end", lambda f: f.scores[1:]
         ),

@@ -30,7 +30,7 @@ def minari_writer(folder: Path, config: DatasetConfig) -> Generator[Write, None,
     """Writes a Minari data set into `minari/<dataset id>` of a folder.
 
     `minari.load_dataset` finds it where the environment variable `MINARI_DATASETS_PATH` names that `minari` folder.
-    `infos` have T + 1 entries, one for each observation, as Minari's own collector writes them; where an entry tells of
+    `infos` have T + 1 entries, one for each observation, as Minari's own collector writes them; where an entry is about
     an action, the last one, after which none was flown, is NaN, False or -1.
 
     Raises:

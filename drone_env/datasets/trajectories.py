@@ -1,4 +1,4 @@
-"""Trajectories: flights with the exact values of every state that they come to."""
+"""Trajectories: flights with the exact values of every state that they reach."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

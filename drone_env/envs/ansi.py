@@ -1,4 +1,4 @@
-"""A mission as text, for terminals and for language models."""
+"""An episode as text, for terminals and for language models."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ SYMBOLS = {int(cell): ROAD if cell == Cell.ROAD else kind.emoji for cell, kind i
 
 
 def draw_text(episode: Episode) -> str:
-    """The mission as lines of text: the grid, how the flight stands, and what happened last.
+    """The episode as lines of text: the grid, how the flight stands, and what happened last.
 
     Args:
         episode: A started episode; it is left as it is.

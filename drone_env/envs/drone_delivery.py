@@ -13,7 +13,7 @@ from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.ansi import draw_text
 from drone_env.envs.registry import check_gym_id
-from drone_env.envs.rendering import draw_mission
+from drone_env.envs.rendering import draw_picture
 from drone_env.envs.spaces import observation_space
 from drone_env.envs.window import Window
 from drone_env.errors import InvalidValueError
@@ -23,7 +23,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
     """Deliver parcels on a generated city grid.
 
     Observation: `{"grid": uint8[H, W], "telemetry": float32[5]}`; cell ids are those of `core.cells.Cell`, the
-    telemetry is drone x/width, y/height, battery, target x/width, y/height. Where the battery does not tell the share
+    telemetry is drone x/width, y/height, battery, target x/width, y/height. Where the battery does not show the share
     of steps left, that follows (float32[6]), and where there are pads, the kind of the cell below the drone, one value
     for each of `core.tasks.TERRAIN` (float32[13]). Actions: 0 UP, 1 DOWN, 2 LEFT, 3 RIGHT, 4 WAIT. All endings are part
     of the task and so `terminated`; nothing here truncates.
@@ -106,7 +106,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         return self.episode.action_mask().astype(np.bool_)
 
     def render(self) -> Any:
-        """The mission as text or picture, according to `render_mode`; None for `human`, which shows it in a window.
+        """The episode as text or picture, according to `render_mode`; None for `human`, which shows it in a window.
 
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
@@ -121,7 +121,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
             raise ResetNeeded("there is nothing to show yet: call reset() before render()")
         if self.render_mode == "ansi":
             return draw_text(self.episode)
-        picture = draw_mission(self.episode)
+        picture = draw_picture(self.episode)
         if self.render_mode == "rgb_array":
             return picture
         self._window.show(picture)

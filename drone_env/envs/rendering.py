@@ -1,4 +1,4 @@
-"""A mission as a picture: the city from above, and beside it a panel that tells how the flight stands."""
+"""An episode as a picture: the city from above, and beside it a panel of how the flight stands."""
 
 import math
 import textwrap
@@ -61,8 +61,8 @@ class Layout(NamedTuple):
         return round(min(max(share * self.cell, self.size / 28), self.size / 6))
 
 
-def draw_mission(episode: Episode, size: int = 720) -> npt.NDArray[np.uint8]:
-    """The mission as a picture; equal episodes give equal pictures. The trail shows the last 400 steps.
+def draw_picture(episode: Episode, size: int = 720) -> npt.NDArray[np.uint8]:
+    """The episode as a picture; equal episodes give equal pictures. The trail shows the last 400 steps.
 
     Args:
         episode: A started episode; it is left as it is.
@@ -79,7 +79,7 @@ def draw_mission(episode: Episode, size: int = 720) -> npt.NDArray[np.uint8]:
 
 
 def save_picture(episode: Episode, path: str | Path, size: int = 720) -> None:
-    """Write the picture of `draw_mission` to a file, in the format that its suffix names; folders are created.
+    """Write the picture of `draw_picture` to a file, in the format that its suffix names; folders are created.
 
     Raises:
         EpisodeError: before the first reset.

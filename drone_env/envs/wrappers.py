@@ -87,7 +87,7 @@ class FlatObservation(gymnasium.ObservationWrapper[Any, int, Observation], gymna
 
 
 class TextObservation(gymnasium.ObservationWrapper[str, int, Observation], gymnasium.utils.RecordConstructorArgs):
-    """The mission as text, for language models and people: the map in emoji with a status line."""
+    """The episode as text, for language models and people: the map in emoji with a status line."""
 
     def __init__(self, env: Env) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
@@ -99,5 +99,5 @@ class TextObservation(gymnasium.ObservationWrapper[str, int, Observation], gymna
         )
 
     def observation(self, observation: Observation) -> str:
-        """The mission as text."""
+        """The episode as text."""
         return draw_text(cast(DroneDeliveryEnv, self.unwrapped).episode)

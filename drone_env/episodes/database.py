@@ -20,7 +20,7 @@ APPLICATION_ID = 0x44726F6E
 MIGRATIONS: tuple[str, ...] = (
     # 1. `record` is the flight as JSON, of whatever format version it was written in (a new one needs a new version
     # here, too, so that older packages refuse the file); the columns beside it are what analyses need. `number` is the
-    # order of storing, and rises for ever. `optima.score` is null where the map is too large to be solved.
+    # order of storing, and rises forever. `optima.score` is null where the map is too large to be solved.
     """
     CREATE TABLE episodes (
         number INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -100,7 +100,7 @@ class Database:
         self._read_lock = threading.Lock()
         self._writing_thread: int | None = None
         with self._errors():
-            # Whoever writes polls by itself: SQLite's own waiting grows to 100 ms, a transaction here lasts 0.1 ms.
+            # Writers poll by themselves: SQLite's own waiting grows to 100 ms, a transaction here lasts 0.1 ms.
             self._writer = self._connect(0)
             try:
                 self._reader = self._connect(busy_seconds)

@@ -76,7 +76,7 @@ class EpisodeRow(NamedTuple):
     """What is known of a finished episode without reading its record: a row of the table, and the optimum."""
 
     number: int
-    """The order of storing; it rises for ever."""
+    """The order of storing; it rises forever."""
     id: str
     finished_at: float
     """When it was stored, in seconds since 1970."""

@@ -31,7 +31,7 @@ class Optima:
         """Have the maps of episodes solved that were never given to the solver; whether there were any.
 
         A task that is being worked on is left to that. Waits for up to `patience` seconds. What goes wrong is logged,
-        and tried anew by the next call: whoever asks gets what is known without.
+        and tried again by the next call, which returns what is known until then.
         """
         unsolved: dict[TaskConfig, list[int]] = {}
         for row in rows:

@@ -1,8 +1,8 @@
-"""A flight as a small file: which map, which actions, and what came of it.
+"""A flight as a small file: which map, which actions, and the result.
 
 The dynamics are deterministic, so task, seed and actions say it all; the results stand beside them to be checked.
 
-Version 1 of the format has no rewards; it is read for ever.
+Version 1 of the format has no rewards; it is read forever.
 """
 
 from collections.abc import Iterator, Sequence

@@ -32,7 +32,7 @@ class SessionRow:
     """One session. Inside `Store.session` its methods note changes, which are kept together when the block ends.
 
     Attributes:
-        id: Names the session; whoever knows it may fly it.
+        id: Names the session; who knows it may fly it.
         task: Id of the task.
         task_version: Version of the task.
         seed: Number of the map.
@@ -148,7 +148,7 @@ class SessionRow:
         return Episode(task, self.reward_profile, self.seed)
 
     def fly(self) -> Episode:
-        """The episode of this session, flown anew from its reset: some microseconds per action. Raises as `begin`."""
+        """The episode of this session, flown again from its reset: some microseconds per action. Raises as `begin`."""
         return self.begin().fly(self.actions)
 
 
@@ -186,7 +186,7 @@ def steady_clock(
 
     Args:
         wall: The machine's time, which people and programs set.
-        steady: Seconds since whenever.
+        steady: Seconds since any start.
     """
     offset = wall() - steady()
     return lambda: steady() + offset

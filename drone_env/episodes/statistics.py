@@ -1,4 +1,4 @@
-"""What the finished episodes of a task come to."""
+"""Figures of the finished episodes of a task."""
 
 import math
 from collections.abc import Sequence

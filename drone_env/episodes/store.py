@@ -59,7 +59,7 @@ class Store:
 
     Args:
         folder: Made where it is missing.
-        clock: What tells the time, in seconds since 1970: by it sessions are idle. None for one that starts at the
+        clock: Gives the time, in seconds since 1970: by it sessions are idle. None for one that starts at the
             machine's time and runs on evenly, whatever that is set to. It never tells less than the newest use of a
             session.
         busy_seconds: For how long to wait while others write.
@@ -90,11 +90,7 @@ class Store:
         self._database.close()
 
     def check(self) -> None:
-        """See whether the file is still where it was opened; every method that writes does so, too.
-
-        Raises:
-            StoreError: if it is not: it can be read, and nothing more is kept.
-        """
+        """See whether the file is still where it was opened; every method that writes does so, too."""
         self._database.check()
 
     def __enter__(self) -> Self:
@@ -208,7 +204,7 @@ class Store:
             number = page[-1][0]
 
     def analysis(self, task: str | TaskConfig, last: int = 1000, patience: float = 0.25) -> Analysis:
-        """What the last episodes of a task come to.
+        """Figures of the last episodes of a task.
 
         The optima that regret needs are solved once per map, in a thread of the store's, and kept; this call waits for
         them for at most `patience` seconds. The maps that are not solved by then are left out of `mean_regret`
@@ -268,14 +264,14 @@ class Store:
         """A session to be changed. Nobody else writes to the store meanwhile: keep the block short, without `await`.
 
         At the end of the block its changes and the finished episodes are kept together; if the block raises, nothing is
-        kept, and an `Episode` that was stepped inside must be flown anew. Entering counts as use.
+        kept, and an `Episode` that was stepped inside must be flown again. Entering counts as use.
 
             with store.session(id) as row:
                 reward = row.step(episode, action)
 
         Args:
             session_id: The session.
-            address: Of a caller who does not name the session; whoever names it has it alone from then on.
+            address: Of a caller who does not name the session; who names it has it alone from then on.
 
         Raises:
             NoSessionError: if there never was such a session, or somebody has named that of the address.

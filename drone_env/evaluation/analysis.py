@@ -76,7 +76,7 @@ class Move:
         step: Its number, from 1.
         action: What was flown.
         position: (x, y) after it.
-        event: What it came to.
+        event: What happened.
         value: V* before it: the highest score that could still be reached.
         regret: What it gave away for good, in score: 0 or more.
         label: The regret in a word.
@@ -105,7 +105,7 @@ class GivingUp:
 
     Attributes:
         value: V* where the flight stopped: the highest score that could still be reached.
-        regret: What giving up gave away, in score: `value` less the score that waiting to the end earns.
+        regret: What giving up gave away, in score: `value` minus the score that waiting to the end earns.
         label: The regret in a word.
         best_actions: All actions with which the flight could have gone on without a loss, by number.
     """
@@ -250,7 +250,7 @@ def analyse_flight(record: EpisodeRecord) -> FlightAnalysis:
         InvalidValueError: if the record does not fit its flight.
         TooLargeError: if the exact values of the map would take too much memory.
     """
-    flown = replay(record, "score")  # regret is in score, whatever the steps paid
+    flown = replay(record, "score")  # regret is in score, not in what the steps paid
     return analyse_actions(Episode(flown.task, flown.reward_profile, flown.seed), flown.actions, record.agent)
 
 

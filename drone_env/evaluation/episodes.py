@@ -41,7 +41,7 @@ class EpisodesKey(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class EpisodeResults:
-    """What came of the episodes of one key, one entry per episode, in the order of the seeds.
+    """The results of the episodes of one key, one entry per episode, in the order of the seeds.
 
     Attributes:
         key: What was flown.
@@ -100,8 +100,8 @@ def config_hash(task: TaskConfig, agent: str) -> str:
     try:
         text = json.dumps({"task": task.rules(), "agent": dict(flies)}, sort_keys=True)
     except (TypeError, ValueError):
-        told = "a mapping of JSON values, of all that decides how it flies"
-        raise InvalidValueError(f"agent {agent!r} must have `config`, {told}; got {flies!r}") from None
+        message = "a mapping of JSON values, of all that decides how it flies"
+        raise InvalidValueError(f"agent {agent!r} must have `config`, {message}; got {flies!r}") from None
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -138,7 +138,7 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
 
 
 PIECE = 1000
-"""Episodes that are flown together by the command line, on whatever engine."""
+"""Episodes that are flown together by the command line, on any engine."""
 
 
 def pieces_of(key: EpisodesKey, size: int = PIECE) -> list[EpisodesKey]:
@@ -172,7 +172,7 @@ def summarise(results: EpisodeResults) -> dict[str, Any]:
     mean score / mean optimal score on the same maps. `mean_excess_steps` counts the steps beyond the optimal flight's,
     over maps that the agent delivered in full; null where there is none.
     """
-    # Sums are correctly rounded: the same figures in whatever order the episodes were flown.
+    # Sums are correctly rounded: the same figures in any order that the episodes were flown.
     mean = fmean(results.scores)
     solved = not np.isnan(results.optimal_scores).any()
     optimal = fmean(results.optimal_scores) if solved else None

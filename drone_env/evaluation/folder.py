@@ -21,7 +21,7 @@ from drone_env.evaluation.episodes import (
     pieces_of,
     run_episodes,
 )
-from drone_env.files import differences, is_begun, replacing, write_text
+from drone_env.files import differences, is_begun, replacing, write_json
 
 Engine = Callable[[Sequence[EpisodesKey]], Iterator[EpisodeResults]]
 """Brings the results of all keys, in any order; bringing one twice does no harm."""
@@ -58,7 +58,7 @@ class ResultsFolder:
             self.package = _begun_by(config_path, config)
         else:
             path.mkdir(parents=True, exist_ok=True)
-            write_text(config_path, json.dumps(config, indent=2) + "\n")
+            write_json(config_path, config)
         self._pieces.mkdir(exist_ok=True)
 
     def load(self, key: EpisodesKey) -> EpisodeResults | None:
@@ -104,7 +104,7 @@ def evaluate_keys(
 ) -> dict[EpisodesKey, EpisodeResults]:
     """The results of each key: what the folder has, and the rest from the engine.
 
-    They are put together in the order of the seeds, so that they are the same in whatever order they arrive.
+    They are put together in the order of the seeds, so that they are the same in any order of arrival.
 
     Args:
         keys: What to fly.

@@ -1,4 +1,4 @@
-"""What a model's answer comes to: actions, or why it is none. Nobody guesses what was meant.
+"""What a model's answer means: actions, or why it is none. Nobody guesses what was meant.
 
 An answer is usable where, apart from its packaging, it is the asked-for actions and nothing else. Packaging is: a
 leading `<think>` block, a Markdown code fence, quotes or emphasis, a full stop, upper or lower case, and a JSON object

@@ -23,7 +23,7 @@ class Caller:
         endpoint: Where requests are sent.
         desk: The desk of the run.
         options: How often a call is tried, and how long is waited.
-        clock: Tells the time, and waits between tries.
+        clock: Gives the time, and waits between tries.
     """
 
     def __init__(

@@ -17,14 +17,14 @@ class CallFailedError(DroneEnvError):
 
 
 class Watcher(Protocol):
-    """Is told what happens."""
+    """Hears what happens."""
 
     def called(self, call: Call) -> None:
         """A call was made."""
         ...
 
     def waiting(self, seconds: float, reason: str) -> None:
-        """A try failed; the next one comes after so many seconds."""
+        """A try failed; the next one comes after this many seconds."""
         ...
 
 
@@ -35,7 +35,7 @@ class Desk:
         config: The run.
         transcript: Every call of it.
         gate: What requests pass.
-        watcher: Is told what happens.
+        watcher: Hears what happens.
     """
 
     def __init__(self, config: RunConfig, transcript: Transcript, gate: Gate, watcher: Watcher) -> None:
@@ -54,7 +54,7 @@ class Desk:
             StoppedError: if the run is being stopped for the sake of another call.
             InvalidValueError: if the transcript holds another request under this key.
         """
-        # A flight that begins anew elsewhere, its process having died, has left its place.
+        # A flight that begins again elsewhere, its process having died, has left its place.
         self._gate.leave(key.flight)
         call = self._transcript.answered.get(key)
         if call is not None:
@@ -107,7 +107,7 @@ class Desk:
         raise CallFailedError(f"{status or 'no answer'}: {reason}")
 
     async def waiting(self, seconds: float, reason: str) -> None:
-        """A try failed; the next one comes after so many seconds."""
+        """A try failed; the next one comes after this many seconds."""
         self._watcher.waiting(seconds, reason)
 
 

@@ -274,10 +274,10 @@ def _error_text(data: bytes) -> str:
     try:
         error: Any = json.loads(data)
         error = error.get("error", error)
-        told = error.get("message")
+        message = error.get("message")
     except (ValueError, AttributeError, RecursionError):
         return text
-    return told if isinstance(told, str) else text
+    return message if isinstance(message, str) else text
 
 
 def _retry_after(headers: httpx.Headers) -> float | None:

@@ -40,7 +40,7 @@ class Pace:
     average so far.
 
     Args:
-        clock: Tells the time, and waits.
+        clock: Gives the time, and waits.
         requests: The most a minute; None for no limit.
         tokens: The same.
     """
@@ -56,7 +56,7 @@ class Pace:
         self._clock = clock
 
     async def turn(self, seconds_left: float) -> float:
-        """Wait until a request may go, at most so many seconds, and return for how many tokens it counts."""
+        """Wait until a request may go, at most this many seconds, and return for how many tokens it counts."""
         async with self._turn:
             ends = self._clock.now() + seconds_left
             while (wait := min(max(self._next_request, self._next_token), ends) - self._clock.now()) > 0:
@@ -67,7 +67,7 @@ class Pace:
             return expected
 
     def used(self, tokens: int | None, expected: float) -> None:
-        """A request for which so many tokens were expected took so many; None where it brought no answer."""
+        """Count what a request took where `expected` tokens were reserved; None where it brought no answer."""
         if tokens is not None:
             self._answers += 1
             self._mean_tokens += (tokens - self._mean_tokens) / self._answers
@@ -94,7 +94,7 @@ class Gate:
 
     Args:
         options: Limits, pace, prices and the most requests at once.
-        clock: Tells the time, and waits.
+        clock: Gives the time, and waits.
 
     Attributes:
         requests, cached: Requests sent, and answers from the cache.
@@ -151,7 +151,7 @@ class Gate:
         """Wait until a request of a flight may be sent, count it, and return the seconds that are left to the run.
 
         Raises:
-            StoppedError: if the run is being stopped, or the flight has begun anew elsewhere.
+            StoppedError: if the run is being stopped, or the flight has begun again elsewhere.
             LimitReachedError: if it must not be sent.
         """
         place = self._places[flight] = _Place()
@@ -177,7 +177,7 @@ class Gate:
         """The request of a flight is over.
 
         Args:
-            flight: Which one; nothing is done where it has begun anew elsewhere.
+            flight: Which one; nothing is done where it has begun again elsewhere.
             tokens: How many its answer took; None where none came.
             overloaded: Whether the endpoint could not keep up.
             pause: Seconds in which it is sent nothing.
@@ -193,7 +193,7 @@ class Gate:
         self.leave(flight)
 
     def leave(self, flight: int) -> None:
-        """The flight begins anew elsewhere, or its request is over: its place is free."""
+        """The flight begins again elsewhere, or its request is over: its place is free."""
         place = self._places.pop(flight, None)
         if place is not None and place.inside:
             self.active -= 1
@@ -242,7 +242,7 @@ class Gate:
 
     def _check_current(self, flight: int, place: _Place) -> None:
         if self._places.get(flight) is not place:
-            raise StoppedError("the flight has begun anew elsewhere")
+            raise StoppedError("the flight has begun again elsewhere")
 
     def _check_limits(self) -> None:
         limits, cost = self.options, self.cost

@@ -44,11 +44,7 @@ class ServerSession:
         await self._agree(episode, self._client.reset, episode.task.id, episode.seed, profile, self._agent)
 
     async def step(self, episode: Episode, action: Action) -> None:
-        """Fly the action that the episode has just flown.
-
-        Raises:
-            InvalidValueError: if the server shows something else than the episode, or does not answer.
-        """
+        """Fly the action that the episode has just flown."""
         await self._agree(episode, self._client.step, action.name)
 
     def close(self) -> None:

@@ -63,7 +63,7 @@ def drone_delivery(
         prompt: The prompt, by its name (the newest version) or id.
         episodes: How many maps.
         split: Whose maps: train, validation or test.
-        history: How many of the last steps are told.
+        history: How many of the last steps the prompt names.
         reward_profile: What steps pay; it changes no score.
 
     Raises:
@@ -95,7 +95,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
     Args:
         task: Id of the task.
         prompt: Id of the prompt.
-        history: How many of the last steps are told.
+        history: How many of the last steps the prompt names.
         reward_profile: What steps pay.
     """
     config, chosen = get_task(task), get_prompt(prompt)
@@ -129,7 +129,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
 
 @scorer(metrics={"score": [mean(), stderr()], "success": [mean(), stderr()], "regret": [mean(), stderr()]})
 def graded() -> Scorer:
-    """The graded score of a flight, whether it delivered everything, and what it lacks to the optimum of its map.
+    """The graded score of a flight, whether it delivered everything, and the optimum of its map minus the score.
 
     An unfinished flight counts as if it waited to its end. Regret is NaN, unscored, where a map is too large to be
     solved. The metadata hold the outcomes of all answers and the record of the flight.

@@ -30,7 +30,7 @@ class Prices:
 
 @dataclass(frozen=True)
 class Options:
-    """How a run is made. Limits hold for the whole run, its earlier parts counted in; only seconds start anew.
+    """How a run is made. Limits hold for the whole run, its earlier parts counted in; only seconds start again.
 
     Requests are counted one by one. Tokens and money are known only when an answer has come: requests under way when
     a limit is reached are still finished and paid.
@@ -44,10 +44,10 @@ class Options:
         requests_per_minute: The most requests a minute, retries counted in, evenly spaced.
         tokens_per_minute: The most tokens a minute. What an answer takes is known when it is there; until then it
             counts as the average so far.
-        max_calls: Stop after so many requests, retries counted in.
-        max_tokens: Stop when so many tokens have been used.
-        max_seconds: Stop after so many seconds.
-        max_cost: Stop when so many US dollars have been spent.
+        max_calls: Stop after this many requests, retries counted in.
+        max_tokens: Stop when this many tokens have been used.
+        max_seconds: Stop after this many seconds.
+        max_cost: Stop when this many US dollars have been spent.
         price_prompt: US dollars per million prompt tokens.
         price_completion: US dollars per million completion tokens.
         cache: Folder of answers that equal requests of other runs share.

@@ -1,4 +1,4 @@
-"""Progress of a run on standard error: a bar in a terminal, a line now and then elsewhere. Waits are always told."""
+"""Progress of a run on standard error: a bar in a terminal, a line now and then elsewhere. Waits are always shown."""
 
 import time
 from collections.abc import Callable
@@ -47,9 +47,9 @@ class ConsoleObserver:
         self._bar = self.progress.add_task(config.task_config.short_name, total=config.flights, figures="")
         self._done = 0
         self._calls = 0
-        self._began = self._told = time.monotonic()
+        self._began = self._line_shown = time.monotonic()
         self._waits = 0
-        self._wait_told = 0.0
+        self._wait_shown = 0.0
 
     def called(self, call: Call) -> None:
         """A call was made."""
@@ -60,8 +60,8 @@ class ConsoleObserver:
         """A try failed and is repeated after a wait."""
         self._waits += 1
         now = time.monotonic()
-        if seconds >= LONG_WAIT or now - self._wait_told >= QUIET_SECONDS:
-            self._wait_told = now
+        if seconds >= LONG_WAIT or now - self._wait_shown >= QUIET_SECONDS:
+            self._wait_shown = now
             self._console.print(f"waiting {seconds:.1f} s, then trying again ({self._waits} so far): {reason}")
 
     def flown(self, flown: PilotedEpisode) -> None:
@@ -77,8 +77,8 @@ class ConsoleObserver:
     def _show(self) -> None:
         now = time.monotonic()
         if self.progress.disable:
-            if now - self._told >= LINE_SECONDS:
-                self._told = now
+            if now - self._line_shown >= LINE_SECONDS:
+                self._line_shown = now
                 self._console.print(
                     f"{self._done} of {self._config.flights} flights, {self._figures(now)}", soft_wrap=True
                 )

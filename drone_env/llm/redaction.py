@@ -47,7 +47,7 @@ def _character(letter: str) -> str:
 def _base64(secret: str, offset: int) -> str:
     """The base64 of the secret behind this many other bytes, in either alphabet, perhaps on several lines.
 
-    Without the digits at its ends that its neighbours decide, too: they tell less than a character.
+    Without the digits at its ends that its neighbours decide, too: they show less than a character.
     """
     coded = base64.b64encode(b"\0" * offset + secret.encode()).decode().rstrip("=")
     first = -(-8 * offset // 6)

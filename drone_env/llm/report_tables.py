@@ -87,7 +87,7 @@ def _configuration(config: dict[str, Any]) -> list[tuple[str, str]]:
         ("model", config["model"]),
         ("endpoint", config["base_url"]),
         ("task", f"{config['task']} version {config['task_version']}, rewards {config['reward_profile']}"),
-        ("prompt", f"{config['prompt']} ({config['prompt_digest']}), last steps told: {config['history']}"),
+        ("prompt", f"{config['prompt']} ({config['prompt_digest']}), last steps shown: {config['history']}"),
         ("answers asked for as", config["answers"] + (", streamed" if config["stream"] else "")),
         ("sampling", sampling or "the endpoint's own"),
     ]

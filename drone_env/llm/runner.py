@@ -26,7 +26,7 @@ EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "inco
 
 
 class Observer(Watcher, Protocol):
-    """Is told what happens in a run."""
+    """Hears what happens in a run."""
 
     def flown(self, flown: PilotedEpisode) -> None:
         """A flight is over."""
@@ -35,7 +35,7 @@ class Observer(Watcher, Protocol):
 
 @dataclass(frozen=True)
 class RunResult:
-    """What came of a run.
+    """The result of a run.
 
     Attributes:
         verdict: `valid`; `stopped` by an endpoint that refuses; `invalid` because too many flights errored;
@@ -80,7 +80,7 @@ async def run(config: RunConfig, folder: RunFolder, token: str | None, gate: Gat
         folder: Its folder.
         token: What authorises; None to send none.
         gate: What its requests pass, which is new.
-        observer: Is told what happens.
+        observer: Hears what happens.
 
     Raises:
         OSError: if the folder cannot be written to.
@@ -113,7 +113,7 @@ async def fly_all(
         config: The run.
         folder: Its folder.
         gate: What its requests pass, or a copy of that.
-        observer: Is told what happens.
+        observer: Hears what happens.
         fly: Flies the flight of a number; raises `StoppedError` where the run is being stopped.
     """
     flights: list[PilotedEpisode] = []
@@ -173,7 +173,7 @@ def mean_over_maps(values: Sequence[tuple[int, float]]) -> float | None:
 
 
 def summary_lines(result: RunResult) -> list[str]:
-    """What came of a run, for people: the verdict, the score of those that count, and how the answers came out."""
+    """The result of a run, for people: the verdict, the score of those that count, and how the answers came out."""
     counted = [flight for flight in result.flights if flight.status != "errored"]
     outcomes = {name: sum(flight.turns.count(name) for flight in result.flights) for name in TURN_KINDS}
     waits = sum(error is not None for flight in result.flights for error in flight.step_errors)

@@ -48,7 +48,7 @@ class DroneEnvironment:
         self._episode = Episode("easy", self._reward_profile)
 
     def reset(self, task: str | None = None, seed: int | None = None, **columns: Any) -> str:
-        """Start a map and tell what there is to see; TRL appends it to the last message of the prompt.
+        """Start a map and say what there is to see; TRL appends it to the last message of the prompt.
 
         Args:
             task: The task: id, short name or grader.

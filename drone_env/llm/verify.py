@@ -38,7 +38,7 @@ class VerifiedRun:
 
 
 def verified_run(path: Path) -> VerifiedRun:
-    """A run, checked: records and results are what the transcript's answers come to under the rules of the world.
+    """A run, checked: records and results follow from the transcript's answers by the rules of the world.
 
     Raises:
         OSError: if a file of it cannot be read.

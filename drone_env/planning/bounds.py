@@ -30,7 +30,7 @@ class Bounds(NamedTuple):
 def bounds(episode: Episode) -> Bounds:
     """Bounds of the optimum from where an episode stands; the episode is left as it is.
 
-    Below: the nearest-target flight, flown to its end. Above: the score if the battery lasted for ever and ended full
+    Below: the nearest-target flight, flown to its end. Above: the score if the battery lasted forever and ended full
     (or, where nothing charges, had lost only the cheapest steps), with all the parcels that the steps left allow on
     the shortest tour.
     """

@@ -100,7 +100,7 @@ def ranked_scores(task: TaskConfig) -> tuple[npt.NDArray[np.float64], npt.NDArra
 
 
 class ExactSolver:
-    """V*, Q*, optimal actions and regrets of every state that an episode can come to.
+    """V*, Q*, optimal actions and regrets of every state that an episode can reach.
 
     Args:
         episode: In flight; it is left as it is. Everything that can still become of it is solved.

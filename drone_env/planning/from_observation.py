@@ -26,7 +26,7 @@ def episode_of(task: TaskConfig, observation: Observation) -> Episode:
 
 
 def hidden_kind(task: TaskConfig, grid: npt.NDArray[np.uint8]) -> int:
-    """The kind of the cell below the drone where no telemetry tells it: the one of which the grid shows too few."""
+    """The kind of the cell below the drone where no telemetry names it: the one of which the grid shows too few."""
     shown = np.bincount(grid, minlength=N_CELL_KINDS)
     if shown[Cell.DELIVERY] + shown[Cell.DELIVERED] < task.deliveries:
         return Cell.DELIVERED

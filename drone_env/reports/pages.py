@@ -1,6 +1,5 @@
 """Pages from the templates beside this module. What is filled in stays text, wherever it comes from."""
 
-import json
 import re
 from collections.abc import Mapping
 from functools import lru_cache
@@ -10,7 +9,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from drone_env.files import write_text
+from drone_env.files import write_json, write_text
 from drone_env.reports.tables import Table, markdown_table, number, percent
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -29,7 +28,8 @@ def write_pages(folder: Path, figures: Mapping[str, Any], pages: Mapping[str, st
     Raises:
         OSError: if they cannot be written.
     """
-    for name, text in {"report.json": json.dumps(figures, indent=2, allow_nan=False) + "\n", **pages}.items():
+    write_json(folder / "report.json", figures)
+    for name, text in pages.items():
         write_text(folder / name, text)
 
 

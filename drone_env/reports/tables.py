@@ -1,9 +1,14 @@
 """Tables of figures, each made once and shown as HTML, as Markdown or on the terminal."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table as RichTable
 
 if TYPE_CHECKING:
     from pydantic_settings import BaseSettings
@@ -49,7 +54,19 @@ def settings_table(settings: "type[BaseSettings]") -> str:
     return markdown_table(("variable", "default", "meaning"), rows)
 
 
-def print_table(table: Table, width: int, names: int, caption: str | None = None, sections: bool = False) -> None:
+def table_console(width: int) -> Console:
+    """Standard output, this many columns wide where it is no terminal."""
+    return Console(width=None if sys.stdout.isatty() else width, highlight=False)
+
+
+def print_table(
+    table: Table,
+    width: int,
+    names: int,
+    caption: str | None = None,
+    sections: bool = False,
+    alarming: Collection[int] = (),
+) -> None:
     """Print a table on standard output.
 
     Args:
@@ -58,17 +75,14 @@ def print_table(table: Table, width: int, names: int, caption: str | None = None
         names: How many of the first columns are names; the others are figures and stand to the right.
         caption: A line below.
         sections: Whether rows with another first cell than the one above stand apart.
+        alarming: Numbers of rows to show in red, from 0.
     """
-    from rich import box
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table as RichTable
-
     shown = RichTable(
         title=escape(table.title), caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
     )
     for i, heading in enumerate(table.head):
         shown.add_column(heading, justify="left" if i < names else "right", no_wrap=i >= names)
-    for row, following in zip(table.rows, [*table.rows[1:], ("",)], strict=True):
-        shown.add_row(*map(escape, row), end_section=sections and row[0] != following[0])
-    Console(width=None if sys.stdout.isatty() else width).print(shown)
+    for i, (row, following) in enumerate(zip(table.rows, [*table.rows[1:], ("",)], strict=True)):
+        end = sections and row[0] != following[0]
+        shown.add_row(*map(escape, row), end_section=end, style="red" if i in alarming else None)
+    table_console(width).print(shown)

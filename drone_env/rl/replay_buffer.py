@@ -66,7 +66,7 @@ class ReplayBuffer:
         rewards: npt.NDArray[np.float64],
         terminated: npt.NDArray[np.bool_],
     ) -> None:
-        """Store one step of all episodes: what was seen, what was done, and what it came to; the oldest row goes."""
+        """Store one step of all episodes: what was seen, what was done, and what came next; the oldest goes."""
         row = self.added % len(self.grids)
         self.grids[row] = grids
         self.telemetry[row] = telemetry

@@ -79,7 +79,7 @@ class TrainingRun:
                 self._seconds = state["seconds"]
             except (CheckpointError, KeyError) as error:
                 why = f"{self.checkpoint} lacks {error}" if isinstance(error, KeyError) else error
-                raise CheckpointError(f"{why}; --fresh starts anew and keeps it as {self.checkpoint}.old") from None
+                raise CheckpointError(f"{why}; --fresh starts again and keeps it as {self.checkpoint}.old") from None
         self.stopped = False
         """Whether the run is to end after the present step, or has."""
 

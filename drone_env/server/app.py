@@ -57,7 +57,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
 
     Args:
         settings: The configuration; None for the environment's.
-        clock: What tells the time in seconds, by which sessions are idle; None for a steady one.
+        clock: Gives the time in seconds, by which sessions are idle; None for a steady one.
 
     Raises:
         InvalidValueError: if a variable of the environment has a value that it cannot have.
@@ -114,7 +114,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
 def _add_page(app: FastAPI, live: LiveSocket) -> None:
     @app.get("/", include_in_schema=False)
     async def page() -> FileResponse:
-        # Whoever opens the page will soon look at what can still be reached, and the first solver compiles for seconds.
+        # An opened page soon shows what can still be reached, and the first solver compiles for seconds.
         live.values.request(get_task(DEFAULT_TASK), 0)
         return FileResponse(PAGE / "index.html")
 
@@ -134,7 +134,7 @@ def _add_page(app: FastAPI, live: LiveSocket) -> None:
 
 
 async def _sweep(shared: Shared, socket: OpenEnvSocket, live: LiveSocket) -> None:
-    """End what is idle, for ever."""
+    """End what is idle, forever."""
     interval = min(SWEEP_SECONDS, shared.settings.idle_seconds / 4)
     failing = ""
     while True:
@@ -151,7 +151,7 @@ async def _sweep(shared: Shared, socket: OpenEnvSocket, live: LiveSocket) -> Non
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Serve until told to stop. Options go before the environment.
+    """Serve until stopped. Options go before the environment.
 
     Args:
         arguments: Those of the command line if None.

@@ -83,7 +83,7 @@ class Frame(Message):
     x: Count
     y: Count
     cell_below: GroundName = Field(description="Kind of the cell below the drone; `pad` charges.")
-    event: EventName | None = Field(description="What the step came to; null in frame 0.")
+    event: EventName | None = Field(description="What happened in the step; null in frame 0.")
     reward: float = Field(description="What the step paid.")
     reward_total: float
     battery: float = Field(ge=0, le=1, description="Share of the battery left.")

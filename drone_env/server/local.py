@@ -70,7 +70,7 @@ def host_name(header: str) -> str:
 
 @lru_cache(maxsize=16)
 def _listening(port: int) -> tuple[str, ...]:
-    """The addresses at which this process listens on a port; empty where the system does not tell."""
+    """The addresses at which this process listens on a port; empty where the system does not say."""
     if not os.path.isdir(OPEN_SOCKETS):
         return ()
     found: list[str] = []

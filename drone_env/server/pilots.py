@@ -1,4 +1,4 @@
-"""Who can fly on the page: the agents, and whoever sits before it."""
+"""Who can fly on the page: the agents, and the person at the page."""
 
 from typing import NamedTuple
 

@@ -23,7 +23,7 @@ class Networks:
     """The networks of the server: for each task the one that is shipped, and the one that was trained here.
 
     The trained one goes before: it answers `/predict`, and tells what the network thinks on the page. A file that is
-    written anew, as training does, is read anew, so nothing has to be restarted. Safe to share between threads.
+    written again, as training does, is read again, so nothing has to be restarted. Safe to share between threads.
 
     Args:
         shipped: Folder of the networks that are shipped, `<task id>_v<version>.npz`.
@@ -87,7 +87,7 @@ class Networks:
         return found
 
     def described(self) -> list[str]:
-        """Which network flies which task, in lines for whoever starts the server; files that are refused, by name."""
+        """Lines for the start of the server: which network flies which task, which files are refused."""
         lines: list[str] = []
         for task in TASKS.values():
             parts: list[str] = []
@@ -135,7 +135,7 @@ def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfi
     """The task that an observation is of, and the observation as agents take it.
 
     Raises:
-        InvalidValueError: if it is of no task of ours, has more battery than its task, or does not tell the cell below
+        InvalidValueError: if it is of no task of ours, has more battery than its task, or lacks the cell below
             the drone in a task with pads.
     """
     shape = (observation.grid_width, observation.grid_height, observation.deliveries_total, observation.max_steps)

@@ -115,7 +115,7 @@ def printable(text: str) -> str:
 
 
 def answer_to(error: Exception, scope: Scope) -> JSONResponse:
-    """The answer that tells what went wrong with a request."""
+    """The answer that says what went wrong with a request."""
     status, code, detail = 500, "internal", FAILED
     headers: Mapping[str, str] | None = None
     errors: list[FieldProblem] = []

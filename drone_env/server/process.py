@@ -25,7 +25,7 @@ RECEIVED, SENT = 16_384, 131_072
 up all others; what is to go would be megabytes for each caller that does not read.
 """
 UNREAD_SECONDS = 75
-"""Linux ends a connection whose other side has taken nothing for so long of what it is sent."""
+"""Linux ends a connection whose other side has taken nothing of what it is sent for this many seconds."""
 CONNECTIONS = 1000
 """Connections of a process, beside one for each session that it may have."""
 STARTUP_FAILED = 3
@@ -35,7 +35,7 @@ OTHER_FILES = 128
 
 
 def run(host: str | None, port: int | None, workers: int | None, data: Path | None) -> None:
-    """Serve until told to stop; what is None comes from the environment.
+    """Serve until stopped; what is None comes from the environment.
 
     Args:
         host: Address to listen on.

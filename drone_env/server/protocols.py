@@ -1,4 +1,4 @@
-"""How a process serves its connections: uvicorn's protocols, with an end for callers that never come to one.
+"""How a process serves its connections: uvicorn's protocols, with an end for callers that never finish.
 
 Requests are parsed by httptools: h11 takes longer for one than flying and storing a step does. But it hands on all that
 can be parsed: one caller that sends requests and reads no answers would fill the memory with them, and a header line
@@ -43,7 +43,7 @@ class Http(HttpToolsProtocol):
         self._in_head = True
         self._head_bytes = 0
         self._body_left = 0
-        # Counted with itself, so that uvicorn, which refuses requests from that number on, never comes to that.
+        # Counted with itself, so that uvicorn, which refuses requests from that number on, never gets there.
         if self.limit_concurrency is not None and len(self.connections) > self.limit_concurrency - 1:
             self._warn_once_in_a_while(self.limit_concurrency - 1)
             transport.write(REFUSED)

@@ -1,4 +1,4 @@
-"""The last requests that were answered: `/terminal_logs` and the page tell them.
+"""The last requests that were answered: `/terminal_logs` and the page show them.
 
 An entry says when, what and how long, never a body, a query, a header or a session.
 """

@@ -123,7 +123,7 @@ class ResetResult(StepResult):
 
 
 class AnalysisAnswer(Analysis):
-    """What the finished episodes of a task come to."""
+    """Figures of the finished episodes of a task."""
 
     status: Literal["Success", "No data"] = Field(description="Whether there are any, in the words of older clients.")
 

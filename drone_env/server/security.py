@@ -26,7 +26,7 @@ ART = Path(__file__).parents[1] / "envs" / "art"
 OPEN_PATHS = {"/health", "/"} | {
     f"/static/{path.relative_to(folder).as_posix()}" for folder in (PAGE, ART) for path in folder.rglob("*.*")
 }
-"""Answered without a token: whoever watches over the process has none, and the page asks for it."""
+"""Answered without a token: programs that watch the process have none, and the page asks for it."""
 POLICY_VIOLATION = 1008
 OFFER = "bearer."
 BODY = "drone_env.body"

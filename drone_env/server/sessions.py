@@ -27,7 +27,7 @@ Show = Callable[[Episode, float | None], str]
 
 
 class _Live:
-    """The episode of a session in this process; its lock is held by whoever uses it."""
+    """The episode of a session in this process; its lock is held by its user."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
@@ -69,7 +69,7 @@ class Sessions:
             options: What to fly.
             address: Of a caller who names none and shares a session with others there who name none. It is used again
                 once it has been flown so. One that has not may be that of a caller who will name it.
-            show: What to tell of the episode.
+            show: Makes the answer from the episode.
 
         Returns:
             The session, and the first observation as JSON.
@@ -82,7 +82,7 @@ class Sessions:
         if address is not None:
             session = self.store.unnamed_session(address)
         if session is not None:
-            # Where it is gone the caller does what the error would tell: open a new one.
+            # Where it is gone the caller does what the error would ask for: open a new one.
             with suppress(NoSessionError, SessionGoneError):
                 return session, self._reset_row(session, options, show, address, flown=address is not None)
         chosen = choose_map(options, None)
@@ -131,7 +131,7 @@ class Sessions:
             after: How many steps the sender knows of. The step that comes after these is flown once, however often it
                 is sent, and the same is returned each time; None flies it in any case.
             address: Of a caller who does not name the session.
-            show: What to tell of the episode.
+            show: Makes the answer from the episode.
 
         Returns:
             The observation after the step as JSON, put together when others may write to the store again.
@@ -148,7 +148,7 @@ class Sessions:
                 if after is None or after == flown:
                     reward = row.step(episode, action.action)
                 elif after == flown - 1 and row.actions[-1] == action.action:
-                    # Flown anew: a step after the end may have been sent meanwhile, and the answer must not tell of it.
+                    # Flown again: a step after the end may have been sent meanwhile, and the answer must not show it.
                     episode = row.fly()
                     reward = episode.reward_last
                 else:

@@ -76,7 +76,7 @@ def load_settings() -> Settings:
             names it and what is allowed.
     """
     if os.environ.get("DRONE_ENV_TOKEN") == "":
-        # Whoever sets it wants a closed server, and would not notice an open one.
+        # Anyone who sets it wants a closed server, and would not notice an open one.
         raise InvalidValueError("DRONE_ENV_TOKEN: is empty; give it a value, or unset it for a server without a token")
     try:
         return Settings()

@@ -39,7 +39,7 @@ class Shared:
 
     Args:
         settings: The configuration.
-        clock: What tells the time, in seconds since 1970; None for the store's own.
+        clock: Gives the time, in seconds since 1970; None for the store's own.
     """
 
     def __init__(self, settings: Settings, clock: Callable[[], float] | None = None) -> None:
@@ -72,7 +72,7 @@ class Shared:
         """
         if self._studies is None:  # made here, in the event loop that it belongs to
             self._studies = anyio.CapacityLimiter(STUDIES)
-        # Counted here: whoever has just come does not wait at the limiter yet.
+        # Counted here: a newcomer does not wait at the limiter yet.
         if self._studying >= STUDIES + WAITING_STUDIES:
             raise RequestError(503, "busy", f"{WAITING_STUDIES} flights are waiting to be looked at: try again later")
         self._studying += 1

@@ -89,7 +89,7 @@ def test_a_mission_that_is_ended_elsewhere_starts_anew_and_a_page_that_goes_ends
     expect(where).to_have_text("Step 0 of 160")
     httpx.delete(f"{server.url}/session", headers={"X-Session-Id": sessions[0]}).raise_for_status()
     step.click()
-    expect(page.locator("#toasts")).to_contain_text("it starts anew")
+    expect(page.locator("#toasts")).to_contain_text("it starts again")
     until(page, lambda: len(sessions) == 2)
     step.click()
     expect(where).to_have_text("Step 1 of 160")

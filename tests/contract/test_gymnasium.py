@@ -15,7 +15,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
-from drone_env.envs.rendering import draw_mission
+from drone_env.envs.rendering import draw_picture
 from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, TextObservation, WithOptimum
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.planning.optimal import solve
@@ -277,7 +277,7 @@ def test_human_mode_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def assert_shown() -> None:
         shown = pygame.surfarray.array3d(pygame.display.get_surface()).transpose(1, 0, 2)
-        assert np.array_equal(shown, draw_mission(env.unwrapped.episode))
+        assert np.array_equal(shown, draw_picture(env.unwrapped.episode))
 
     try:
         env.reset(seed=1)

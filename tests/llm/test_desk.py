@@ -56,7 +56,7 @@ def test_a_flight_that_begins_anew_frees_its_place(tmp_path: Path) -> None:
         await asyncio.sleep(0)
         await desk.known(waiting, "x", "y")
         await desk.known(lost, "x", "y")
-        with pytest.raises(StoppedError, match="begun anew"):
+        with pytest.raises(StoppedError, match="begun again"):
             await orphan
         for flight in (0, 1):
             await asyncio.wait_for(desk.acquire(flight), 60)

@@ -16,7 +16,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.envs import figures, rendering
 from drone_env.envs.ansi import ROAD, TARGET, WAY, draw_text, draw_tour
-from drone_env.envs.rendering import PANEL, TEXT, draw_mission, save_picture
+from drone_env.envs.rendering import PANEL, TEXT, draw_picture, save_picture
 from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.planning.greedy import greedy_action
 from tests.toy import toy_episode
@@ -88,7 +88,7 @@ class TestPicture:
         ids=lambda value: getattr(value, "id", value),
     )
     def test_shape_and_type(self, task: TaskConfig, size: int) -> None:
-        picture = draw_mission(fresh(task), size)
+        picture = draw_picture(fresh(task), size)
         height, width, channels = picture.shape
         assert (height, channels) == (size, 3)
         assert width % 2 == 0
@@ -96,33 +96,33 @@ class TestPicture:
         assert width < 2.6 * size
 
     def test_equal_episodes_give_equal_pictures(self) -> None:
-        first = draw_mission(fly(fresh("hard", 3), 12))
+        first = draw_picture(fly(fresh("hard", 3), 12))
         rendering._city.cache_clear()
         figures.draw_figure.cache_clear()
-        assert np.array_equal(first, draw_mission(fly(fresh("hard", 3), 12)))
+        assert np.array_equal(first, draw_picture(fly(fresh("hard", 3), 12)))
 
     def test_leaves_the_episode_as_it_is(self) -> None:
         episode = fly(fresh("hard"), 9)
         before = episode.get_state()
-        draw_mission(episode, 200)
+        draw_picture(episode, 200)
         draw_text(episode)
         assert episode.get_state() == before
 
     def test_belongs_to_the_caller(self) -> None:
         episode = fresh()
-        picture = draw_mission(episode, 200)
+        picture = draw_picture(episode, 200)
         kept = picture.copy()
         picture[:] = 0
-        assert np.array_equal(draw_mission(episode, 200), kept)
+        assert np.array_equal(draw_picture(episode, 200), kept)
 
     def test_shows_the_map_after_a_reset_without_seed(self) -> None:
         episode = fly(fresh("medium", 4), 5)
         seed = episode.reset()
-        assert np.array_equal(draw_mission(episode, 200), draw_mission(fresh("medium", seed), 200))
+        assert np.array_equal(draw_picture(episode, 200), draw_picture(fresh("medium", seed), 200))
 
     def test_every_kind_of_cell_looks_different(self) -> None:
         episode = fresh(replace(HARD, id="pads", pads=3))
-        picture = draw_mission(episode)
+        picture = draw_picture(episode)
         grid = episode.grid()
         looks = {}
         for kind in (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERY, Cell.PAD, Cell.DRONE):
@@ -136,33 +136,33 @@ class TestPicture:
         episode = fresh(EMPTY)
         x, y = episode.position
         action, to_x = (Action.RIGHT, x + 1) if x < 5 else (Action.LEFT, x - 1)
-        before = draw_mission(episode)
+        before = draw_picture(episode)
         assert count(cell_of(before, episode, x, y), "hull") > 50
         assert count(cell_of(before, episode, to_x, y), "hull") == 0
         episode.step(action)
-        after = draw_mission(episode)
+        after = draw_picture(episode)
         assert count(cell_of(after, episode, x, y), "hull") == 0
         assert count(cell_of(after, episode, to_x, y), "hull") > 50
 
     def test_target_is_marked_and_only_while_there_is_one(self) -> None:
         episode = fresh()
         layout = rendering._layout(EASY, 720)
-        assert count(draw_mission(episode)[:, : layout.city], "target") > 300
+        assert count(draw_picture(episode)[:, : layout.city], "target") > 300
         assert fly(episode).success
-        marks = count(draw_mission(episode)[:, : layout.city], "target")
+        marks = count(draw_picture(episode)[:, : layout.city], "target")
         assert marks < 150, "only the lamps of the drone have this colour"
 
     def test_delivered_parcel_turns_into_a_tick(self) -> None:
         episode = fresh("medium", 3)
         x, y = episode.target or (-1, -1)
-        waiting = cell_of(draw_mission(episode), episode, x, y)
+        waiting = cell_of(draw_picture(episode), episode, x, y)
         assert count(waiting, "box") > 20
         assert count(waiting, "done") == 0
         while episode.deliveries_done == 0:
             fly(episode, 1)
         fly(episode, 4)
         assert episode.position != (x, y)
-        delivered = cell_of(draw_mission(episode), episode, x, y)
+        delivered = cell_of(draw_picture(episode), episode, x, y)
         assert count(delivered, "box") == 0
         assert count(delivered, "done") > 20
 
@@ -173,7 +173,7 @@ class TestPicture:
             x, y = episode.position
             for action in (*actions, *actions):
                 episode.step(action)
-            flights.append((draw_mission(episode), episode))
+            flights.append((draw_picture(episode), episode))
         (first, episode), (second, other) = flights
         assert episode.position == other.position == (x + 2, y + 2)
         assert episode.message == other.message
@@ -183,7 +183,7 @@ class TestPicture:
 
     def test_trail_leads_from_the_start_to_the_drone_and_fades(self) -> None:
         episode, x, y = flown_right(6)
-        picture = draw_mission(episode)
+        picture = draw_picture(episode)
         assert all(has_trail(picture, episode, x + i + 0.6, y) for i in range(6))
         assert not has_trail(picture, episode, x + 3, (y + 1) % 10)
         assert cell_of(picture, episode, x + 1, y).min() > cell_of(picture, episode, x + 4, y).min()
@@ -191,13 +191,13 @@ class TestPicture:
     def test_trail_of_a_long_flight_is_limited(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(rendering, "MAX_TRAIL", 2)
         episode, x, y = flown_right(6)
-        picture = draw_mission(episode)
+        picture = draw_picture(episode)
         assert has_trail(picture, episode, x + 5, y)
         assert not has_trail(picture, episode, x + 2, y)
 
     def test_impassable_cells_are_marked(self) -> None:
         marked = fresh(replace(EASY, impassable=frozenset({Cell.BUILDING})))
-        before, after = draw_mission(fresh()), draw_mission(marked)
+        before, after = draw_picture(fresh()), draw_picture(marked)
         layout = rendering._layout(EASY, 720)
         for (y, x), kind in np.ndenumerate(marked.grid()):
             column, row = (round(value) for value in layout.centre(x, y))
@@ -210,19 +210,19 @@ class TestPicture:
         episode = fresh(task)
         for _ in range(used):
             episode.step(Action.WAIT)
-        panel = panel_of(draw_mission(episode), episode)
+        panel = panel_of(draw_picture(episode), episode)
         assert {name for name in ("good", "fair", "low") if count(panel, name) > 200} == {colour}
 
     def test_panel_follows_the_flight(self) -> None:
         episode = fresh("hard", 5)
-        seen = {panel_of(draw_mission(episode, 300), episode).tobytes()}
+        seen = {panel_of(draw_picture(episode, 300), episode).tobytes()}
         for steps in range(2, 12):
-            seen.add(panel_of(draw_mission(fly(episode, 1), 300), episode).tobytes())
+            seen.add(panel_of(draw_picture(fly(episode, 1), 300), episode).tobytes())
             assert len(seen) == steps
 
     def test_outcome_is_shown(self) -> None:
         waited = fly(fresh(replace(EMPTY, max_steps=1)))
-        assert count(panel_of(draw_mission(waited), waited), "fair") > 2000
+        assert count(panel_of(draw_picture(waited), waited), "fair") > 2000
 
     @pytest.mark.parametrize("deliveries", [1, 16])
     @pytest.mark.parametrize("size", [480, 720])
@@ -237,7 +237,7 @@ class TestPicture:
         )
         episode = fresh(task, 2**53 - 1)
         left = rendering._layout(task, size).city
-        picture = draw_mission(episode, size)
+        picture = draw_picture(episode, size)
         unit = size / 100
         beside = np.s_[left + math.ceil((TEXT + 3.7) * unit) : left + math.floor((PANEL - 3.6) * unit)]
         margin = picture[size // 14 : -size // 14, beside]
@@ -247,10 +247,10 @@ class TestPicture:
     @pytest.mark.parametrize("size", [0, 63, 4097, -720])
     def test_size_out_of_range_is_refused(self, size: int) -> None:
         with pytest.raises(InvalidValueError, match="size must be 64 to 4096"):
-            draw_mission(fresh(), size)
+            draw_picture(fresh(), size)
 
     def test_needs_a_reset(self, tmp_path: Path) -> None:
-        for draw in (draw_mission, draw_text, lambda episode: save_picture(episode, tmp_path / "a.png")):
+        for draw in (draw_picture, draw_text, lambda episode: save_picture(episode, tmp_path / "a.png")):
             with pytest.raises(EpisodeError, match="reset"):
                 draw(Episode())
         assert list(tmp_path.iterdir()) == []
@@ -268,7 +268,7 @@ class TestSaving:
             save_picture(episode, name, size=128)
             with Image.open(path) as image:
                 assert image.format == "PNG"
-                assert np.array_equal(np.asarray(image), draw_mission(episode, 128))
+                assert np.array_equal(np.asarray(image), draw_picture(episode, 128))
             path.unlink()
 
     def test_unknown_format_is_refused(self, tmp_path: Path) -> None:

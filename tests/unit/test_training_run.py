@@ -152,7 +152,7 @@ def test_the_command_trains_and_leaves_what_it_says(
     assert main(["train", "--episodes", "20"]) == 0
     told = capsys.readouterr().err
     assert "easy.pth has 40 episodes already, and 20 were asked for: nothing to do. --episodes 80 goes on" in told
-    assert "--fresh starts anew" in told
+    assert "--fresh starts again" in told
     assert (tmp_path / "data/easy.pth").read_bytes() == written
     assert main([*TRAIN, "--episodes", "50"]) == 0
     assert "going on from data/easy.pth: 40 of 50 episodes" in " ".join(capsys.readouterr().err.split())

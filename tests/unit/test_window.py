@@ -13,7 +13,7 @@ from gymnasium.error import DependencyNotInstalled
 
 from drone_env.core.episode import Episode
 from drone_env.envs.ansi import draw_text
-from drone_env.envs.rendering import draw_mission
+from drone_env.envs.rendering import draw_picture
 from drone_env.envs.window import Window
 from drone_env.installer import install_command
 
@@ -40,7 +40,7 @@ class TestWindow:
         window = Window(fps=1000)
         assert not window.is_open
         assert not pygame.display.get_init()
-        picture = draw_mission(fresh(), 200)
+        picture = draw_picture(fresh(), 200)
         for view in (picture, picture[::2, ::-2]):
             window.show(view)
             assert window.is_open
@@ -88,5 +88,5 @@ class TestWindow:
 
     def test_pictures_and_text_need_no_pygame(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "pygame", None)
-        assert draw_mission(fresh(), 100).any()
+        assert draw_picture(fresh(), 100).any()
         assert draw_text(fresh())

@@ -44,7 +44,7 @@ class TrialState(Message):
     """How a trial stands."""
 
     status: Literal["unfinished", "finished", "failed"] = "unfinished"
-    rungs: dict[str, float] = Field(default_factory=dict, description="Best validation score by so many episodes.")
+    rungs: dict[str, float] = Field(default_factory=dict, description="Best validation score by number of episodes.")
     episodes: Count = 0
     steps: Count = 0
     updates: Count = 0
@@ -145,7 +145,7 @@ class SweepFolder:
         _write(self.folder(trial) / STATE, state)
 
     def note_part(self, trial: Trial, episodes: int) -> None:
-        """Note that this process takes the trial up, with so many episodes flown."""
+        """Note that this process takes the trial up, with this many episodes flown."""
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
         part = {"at": now, "host": socket.gethostname(), "pid": os.getpid(), "episodes": episodes}
         with (self.folder(trial) / PARTS).open("a", encoding="utf-8") as file:

@@ -3,7 +3,7 @@
 Jamieson and Talwalkar, "Non-stochastic best arm identification and hyperparameter optimization", AISTATS 2016. At a
 quarter and at half of the episodes all seeds of all settings still in are waited for, and the better half of the
 settings, by the mean over its seeds, goes on. A setting goes on or stops with all of its seeds: to stop single trials
-would stop the unlucky seeds and keep the lucky ones, and the mean over those that are left would tell of luck. As all
+would stop the unlucky seeds and keep the lucky ones, and the mean over those that are left would show luck. As all
 are waited for, the decision depends on nothing but the values: not on how many train side by side, nor on what died.
 """
 

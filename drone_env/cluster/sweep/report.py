@@ -18,7 +18,7 @@ def sweep_report(folder: SweepFolder, config: SweepConfig) -> dict[str, Any]:
 
     `test` of a setting is over the seeds that finished: mean score and ratio to the optimum of the same test maps,
     each with the 95 % bootstrap interval over seeds and maps. Settings that were stopped early have none, and are
-    told by their validation scores where they were stopped; they come after the others. A trial that failed counts in
+    ranked by their validation scores where they were stopped; they come after the others. A trial that failed counts in
     nothing, and its setting says how many seeds are behind its figures.
     """
     decisions = folder.stopped()

@@ -55,7 +55,7 @@ def parse_axis(text: str) -> Axis:
 
 
 def settings_of(texts: Sequence[str], samples: int | None = None, samples_seed: int = 0) -> list[Setting]:
-    """The settings: the whole grid, or so many drawn at random, of which those that come twice count once.
+    """The settings: the whole grid, or this many drawn at random, of which those that come twice count once.
 
     Raises:
         UnknownNameError: if training knows no such value.

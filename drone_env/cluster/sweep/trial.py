@@ -1,4 +1,4 @@
-"""What a worker does: train one trial up to so many episodes, and judge the network when it is finished.
+"""What a worker does: train one trial up to this many episodes, and judge the network when it is finished.
 
 A trial's own checkpoint is all that it goes on from, so it does not matter who trains it, or how often a worker dies.
 """
@@ -70,13 +70,13 @@ def network_digest(path: Path) -> str:
 
 
 def best_until(history: Sequence[Progress], episodes: int) -> float:
-    """The best validation score on the log up to its first line at or after so many episodes."""
+    """The best validation score on the log up to its first line at or after this many episodes."""
     first = next((i for i, line in enumerate(history) if line.episode >= episodes), len(history))
     return max((line.validation for line in history[: first + 1] if not math.isnan(line.validation)), default=-math.inf)
 
 
 def _train(run: TrainingRun, until: int) -> Iterator[dict[str, Any]]:
-    """Train to the first line of the log at or after so many episodes; not at all where that is done."""
+    """Train to the first line of the log at or after this many episodes; not at all where that is done."""
     history, every = run.trainer.history, run.config.validation_every
     if run.trainer.episodes >= run.config.episodes or (history and history[-1].episode >= until):
         return

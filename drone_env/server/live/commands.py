@@ -19,8 +19,8 @@ def _say_the_range(value: Any, check: ValidatorFunctionWrapHandler) -> int:
         return check(value)
     except ValidationError:
         # People come here by links that they have written themselves.
-        told = "the number of a map is a whole number from 0 to {most}"
-        raise PydanticCustomError("seed", told, {"most": MAX_SEED}) from None
+        message = "the number of a map is a whole number from 0 to {most}"
+        raise PydanticCustomError("seed", message, {"most": MAX_SEED}) from None
 
 
 MapNumber = Annotated[Seed, WrapValidator(_say_the_range)]

@@ -86,9 +86,9 @@ class LiveEpisode:
             EpisodeError: if an agent flies this episode, or it has ended.
         """
         if self.pilot != HUMAN:
-            raise EpisodeError(f"{self.pilot} flies this mission: start one with the pilot {HUMAN!r} to fly yourself")
+            raise EpisodeError(f"{self.pilot} flies this episode: start one with the pilot {HUMAN!r} to fly yourself")
         if self.episode.ended:
-            raise EpisodeError("this mission has ended: start another")
+            raise EpisodeError("this episode has ended: start another")
         return self._fly(Action[direction])
 
     def reachable(self) -> list[float] | None:
@@ -122,7 +122,7 @@ class LiveEpisode:
         flown = self.episode.copy()  # where the step cannot be kept, nothing has changed here
         with self._sessions.store.session(self.session) as row:
             if row.agent != self.pilot or not row.follows(flown):
-                raise SessionGoneError("this session flies another mission by now: start a new one")
+                raise SessionGoneError("this session flies another episode by now: start a new one")
             # Another page may have gone on with the same session: then this one catches up.
             alone = len(row.actions) == flown.steps
             if alone:

@@ -70,7 +70,7 @@ class LiveSocket:
                 self.pages.discard(page)
 
     def keep_sessions(self) -> None:
-        """Count the sessions of all open pages as used: whoever looks at a flight may pause it for long.
+        """Count the sessions of all open pages as used: a flight that is looked at may be paused for long.
 
         Raises:
             StoreError: if the store could not be written.
@@ -94,7 +94,7 @@ class Page:
         self._socket = socket
         self._shared = shared
         self._values = values
-        self._told_end: set[LiveEpisode] = set()
+        self._end_sent: set[LiveEpisode] = set()
         self._flying = asyncio.Lock()
         self._changed = asyncio.Event()
         self._solving = anyio.CancelScope()
@@ -184,11 +184,11 @@ class Page:
         kept = {live.session for live, _ in opened}
         left = [live for live in self.episodes if live.session not in kept]
         self.episodes = [live for live, _ in opened]
-        self._told_end.clear()
+        self._end_sent.clear()
         await self._set_playing(False)
         await run_in_threadpool(_end_all, left)
-        told = {"missions": [shown for _, shown in opened], "number": asked}
-        await self._send({"type": "missions", **told, "playing": self.playing, "speed": self.speed})
+        message = {"missions": [shown for _, shown in opened], "number": asked}
+        await self._send({"type": "missions", **message, "playing": self.playing, "speed": self.speed})
         await self._tell([])
         self._tasks.start_soon(self._answering, self._tell_values, self.episodes)
 
@@ -198,8 +198,8 @@ class Page:
         if frames:
             await self._send({"type": "frames", "frames": frames})
         for number, live in enumerate(self.episodes):
-            if live.episode.ended and live not in self._told_end:
-                self._told_end.add(live)
+            if live.episode.ended and live not in self._end_sent:
+                self._end_sent.add(live)
                 for row in await run_in_threadpool(self._shared.store.listed, 1, episode_id=live.episode_id):
                     await self._send({"type": "ended", "mission": number, "episode": EpisodeSummary.of(row)})
                 await self._send_values(number, live)
@@ -228,7 +228,7 @@ class Page:
         await self._send({"type": "playing", "playing": playing, "speed": self.speed})
 
     async def _play(self) -> None:
-        """Let the episodes fly while they are to, for ever."""
+        """Let the episodes fly while they are to, forever."""
         clock = asyncio.get_running_loop().time
         ticked = 0.0
         while True:
@@ -274,7 +274,7 @@ def _problem(error: Exception) -> dict[str, str]:
     """What a page receives of an error."""
     status, code = (503, "unavailable") if isinstance(error, OSError) else status_of(error, "")
     if status == 500:
-        # Unforeseen: a page that lost its connection for it would come back, and meet it again, for ever.
+        # Unforeseen: a page that lost its connection for it would come back and meet it again, forever.
         log.error("/live failed", exc_info=error)
     return {"code": code, "detail": FAILED if status == 500 else printable(str(error))}
 

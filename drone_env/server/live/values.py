@@ -31,7 +31,7 @@ class ExactValues:
         self._pending: dict[Map, Future[None]] = {}
         self._waiting: Counter[Map] = Counter()
         self._lock = threading.Lock()
-        # One thread: whoever flies goes before whoever looks on.
+        # One thread: flying goes before looking on.
         self._thread = ThreadPoolExecutor(1, "drone_env-values")
 
     def request(self, task: TaskConfig, seed: int) -> Future[None] | None:
@@ -50,7 +50,7 @@ class ExactValues:
         One that nobody waits for any more is not begun.
 
         Raises:
-            RequestError: if it failed for another reason, which has been logged; the next call tries anew.
+            RequestError: if it failed for another reason, which has been logged; the next call tries again.
         """
         key = (task, seed)
         with self._lock:
@@ -93,7 +93,7 @@ class ExactValues:
             log.exception("what can be reached on map %d of %s could not be worked out", key[1], key[0].id)
             raise RequestError(503, "no_values", UNSOLVED) from error
         finally:
-            # Whatever went wrong: who asks next has it tried anew.
+            # Whatever went wrong: the next call tries again.
             self._keep(key, solver)
 
     def _keep(self, key: Map, solver: "ExactSolver | None") -> None:

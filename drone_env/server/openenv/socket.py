@@ -1,6 +1,6 @@
 """OpenEnv's WebSocket: one session per connection, speaking the protocol of OpenEnv's own server.
 
-That server would do, but for what it does with frames that nobody planned for (a list ends the session, 16 MiB are
+That server would do, except for what it does with frames that nobody planned for (a list ends the session, 16 MiB are
 read, unknown options are dropped without a word), with idle sessions (the slot is freed, the socket is not), and with
 time: it validates every observation twice, in a thread of its own. The frames are the same, and the tests hold both
 servers side by side.
@@ -52,7 +52,7 @@ class OpenEnvSocket:
 
     Args:
         shared: The parts of the server.
-        clock: What tells the time in seconds, since whenever.
+        clock: Gives the time in seconds since any start.
     """
 
     def __init__(self, shared: Shared, clock: Callable[[], float] = time.monotonic) -> None:

@@ -1,4 +1,4 @@
-"""The routes that fly: reset, step, and what there is to know about the session's episode."""
+"""The routes that fly: reset, step, and the state of the session's episode."""
 
 from typing import Annotated, Any
 
@@ -114,7 +114,7 @@ def solution(shared: SharedParts, caller: CallerOf, answer: Response) -> Solutio
     with shared.sessions.reading(caller.session(shared, answer)) as (_, episode):
         task, seed, score, ended = episode.task, episode.seed, episode.score, episode.ended
     if not ended:
-        raise RequestError(409, "in_flight", "the best flight is told when the episode has ended")
+        raise RequestError(409, "in_flight", "the best flight is shown once the episode has ended")
     best, path = best_flight(task, seed)
     return SolutionAnswer(
         task=task.id,

@@ -1,4 +1,4 @@
-"""The routes that look back: finished episodes, what they come to, and the logs."""
+"""The routes that look back: finished episodes, their figures, and the logs."""
 
 import asyncio
 from collections.abc import AsyncGenerator
@@ -41,7 +41,7 @@ class Requests(Message):
 
 @router.get("/analyse/{task_name}", responses=answers(404, 422, 503))
 def analyse(shared: SharedParts, task_name: str) -> AnalysisAnswer:
-    """What the finished episodes of a task come to."""
+    """Figures of the finished episodes of a task."""
     found = shared.store.analysis(task_name)
     return AnalysisAnswer(**dict(found), status="Success" if found.episodes else "No data")
 

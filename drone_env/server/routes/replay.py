@@ -79,7 +79,7 @@ async def annotate(shared: SharedParts, record: Record) -> Response:
     def analysed() -> Response:
         analysis = analyse_flight(record)
         best, path = best_flight(analysis.task, analysis.seed)
-        told = AnalysedFlight(
+        message = AnalysedFlight(
             score=analysis.score,
             optimal_score=analysis.optimum,
             regret=analysis.regret,
@@ -90,7 +90,7 @@ async def annotate(shared: SharedParts, record: Record) -> Response:
             optimal_actions=[DIRECTIONS[action] for action in best.actions],
             optimal_path=path,
         )
-        return _json(told)
+        return _json(message)
 
     return await shared.study(analysed)
 

@@ -18,13 +18,13 @@ from drone_env.server.state import LONGEST_ID, SESSION_ERRORS, Caller, CallerOf,
 
 STEP_HEADER = "X-Step-Count"
 LONGEST_COUNT = 9
-"""Digits of a count of steps; no task has so many."""
+"""Digits of a count of steps; no task has that many."""
 
 
 class PlainSteps(APIRoute):
     """Flies steps in which nothing is wrong, and which name their session, in the thread for steps.
 
-    FastAPI reads all others: it tells what is wrong with them.
+    FastAPI reads all others: it says what is wrong with them.
     """
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:

@@ -5,7 +5,7 @@ export class Emitter {
     this.listeners = new Map();
   }
 
-  /** Calls f whenever this is told; returns a function that ends that. */
+  /** Calls f at every event; returns a function that ends that. */
   on(type, f) {
     if (!this.listeners.has(type)) this.listeners.set(type, new Set());
     this.listeners.get(type).add(f);

@@ -213,7 +213,7 @@ export class Fleet extends Emitter {
     const asked = this.asked;
     this.asked = null;
     if (asked !== "start" && code === "session_gone") {
-      toast("The server has ended that flight meanwhile: it starts anew.");
+      toast("The server has ended that flight meanwhile: it starts again.");
       this.start({}, { play: this.playAfterStart || this.playing });
       return;
     }

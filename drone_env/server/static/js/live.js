@@ -30,7 +30,7 @@ export class Live extends Emitter {
     this.socket = null;
   }
 
-  /** Connects, or connects anew at once. */
+  /** Connects, or connects again at once. */
   connect() {
     clearTimeout(this.timer);
     clearTimeout(this.steady);

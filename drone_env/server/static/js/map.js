@@ -66,7 +66,7 @@ export class CityMap {
     nextFrame(this.draw);
   }
 
-  /** Draws the city anew, too: another flight, size or theme. */
+  /** Draws the city again, too: another flight, size or theme. */
   reload() {
     this.stale = true;
     const { mission } = this.player;
@@ -141,6 +141,6 @@ function describe(mission) {
   const parcels = `${mission.parcels.length} ${mission.parcels.length === 1 ? "parcel" : "parcels"}`;
   return (
     `City map of ${title(mission.short_name)}, ${mission.width} by ${mission.height} cells, map ${mission.seed}, ` +
-    `${parcels}. The events are told below.`
+    `${parcels}. The events are listed below.`
   );
 }

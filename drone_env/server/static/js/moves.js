@@ -9,7 +9,7 @@ const LABELS = { best: "best", good: "good", inaccuracy: "inaccuracies", mistake
 /**
  * @param {HTMLElement} root Filled with the list.
  * @param {import("./player.js").Player} player Its `annotation` is listed; a click on a move seeks there.
- * @returns {() => void} Draws it anew, with the move that is shown in sight: for a list that was hidden.
+ * @returns {() => void} Draws it again, with the move that is shown in sight: for a list that was hidden.
  */
 export function mountMoves(root, player) {
   const summary = el("div.accuracy");
