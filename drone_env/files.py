@@ -6,13 +6,9 @@ import threading
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from drone_env.errors import InvalidValueError
-
-if TYPE_CHECKING:
-    from filelock import FileLock
-
 
 PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
 """Where the parts of what is kept lie in the working directory."""
@@ -65,8 +61,9 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
     write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
-def lock_file(path: Path, taken: str, seconds: float = 0.0) -> "FileLock":
-    """A lock that this file stands for, which is made; until it is released, or this process dies, no other gets one.
+@contextmanager
+def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None, None]:
+    """A lock that a file stands for, which is made; no other gets one before the end of the `with` or of this process.
 
     Args:
         path: The file.
@@ -84,13 +81,6 @@ def lock_file(path: Path, taken: str, seconds: float = 0.0) -> "FileLock":
         lock.acquire(poll_interval=0.2)
     except Timeout:
         raise InvalidValueError(taken) from None
-    return lock
-
-
-@contextmanager
-def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None, None]:
-    """`lock_file` for the length of a `with`."""
-    lock = lock_file(path, taken, seconds)
     try:
         yield
     finally:
