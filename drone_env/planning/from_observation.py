@@ -10,7 +10,7 @@ from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.planning.greedy import drone_positions
 
 
-def episode_of(task: TaskConfig, observation: Observation) -> Episode:
+def episode_of(task: TaskConfig, observation: Observation, reward_profile: str = "score") -> Episode:
     """An episode that shows this observation. Parcels are numbered in reading order, its seed is 0."""
     ground = np.ravel(observation["grid"]).copy()
     telemetry = observation["telemetry"].tolist()
@@ -21,8 +21,7 @@ def episode_of(task: TaskConfig, observation: Observation) -> Episode:
     ground[drone] = TERRAIN[telemetry[6:].index(1)] if len(telemetry) > 6 else hidden_kind(task, ground)
     kinds = (Cell.DELIVERY, False), (Cell.DELIVERED, True)
     parcels = [(cell, delivered) for kind, delivered in kinds for cell in np.flatnonzero(ground == kind).tolist()]
-    steps = task.max_steps - left
-    return standing_episode(task, ground, drone, battery, steps, parcels)
+    return standing_episode(task, ground, drone, battery, task.max_steps - left, parcels, reward_profile)
 
 
 def hidden_kind(task: TaskConfig, grid: npt.NDArray[np.uint8]) -> int:
