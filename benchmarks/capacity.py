@@ -147,11 +147,7 @@ def episode_bytes(task: str, count: int) -> float:
 
 def _episode_bytes(task: str, count: int) -> float:
     def flown(seed: int) -> Episode:
-        episode = Episode(task)
-        episode.reset(seed)
-        for step in range(STEPS):
-            episode.step(step % 4)
-        return episode
+        return Episode(task, seed=seed).fly(step % 4 for step in range(STEPS))
 
     warm = [flown(seed) for seed in range(50)]
     before = memory_of([os.getpid()])

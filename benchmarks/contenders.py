@@ -160,8 +160,7 @@ def alone(name: str) -> Contender:
 
 def bare_alone(task: str) -> Contender:
     """`Episode.step` in plain Python; it makes no observation."""
-    episode = drone_env.Episode(task)
-    episode.reset(0)
+    episode = drone_env.Episode(task, seed=0)
 
     def step(action: int) -> None:
         if episode.ended:

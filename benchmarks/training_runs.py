@@ -46,17 +46,15 @@ def train(task: TaskConfig, seed: int, threads: int, folder: Path) -> dict[str, 
         return json.loads(finished.read_text(encoding="utf-8"))
     config = dataclasses.replace(preset("fast", task.short_name), seed=seed, num_threads=threads)
     run = TrainingRun(config, folder, folder)
-
-    def show(progress: Any) -> None:
-        if progress.episode % config.validation_every == 0:
-            print(
-                f"{task.short_name} seed {seed}: {progress.episode}/{config.episodes} episodes, {run.seconds:.0f} s, "
-                f"{progress.validation:.4f} of {progress.validation_optimum:.4f}",
-                file=sys.stderr,
-                flush=True,
-            )
-
-    run.train(show)
+    with run.stopping_on_interrupt():
+        for line in run.train():
+            if line.episode % config.validation_every == 0:
+                print(
+                    f"{task.short_name} seed {seed}: {line.episode}/{config.episodes} episodes, {run.seconds:.0f} s, "
+                    f"{line.validation:.4f} of {line.validation_optimum:.4f}",
+                    file=sys.stderr,
+                    flush=True,
+                )
     if run.stopped:
         raise SystemExit(130)
     trainer = run.trainer

@@ -6,13 +6,9 @@ import threading
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from drone_env.errors import InvalidValueError
-
-if TYPE_CHECKING:
-    from filelock import FileLock
-
 
 PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
 """Where the parts of what is kept lie in the working directory."""
@@ -41,6 +37,19 @@ def replacing(path: Path) -> Generator[Path, None, None]:
         temporary.unlink(missing_ok=True)
 
 
+def stamp(path: Path) -> tuple[int, int, int] | None:
+    """What tells a file from the one that stood there before; None where there is none.
+
+    Raises:
+        OSError: if the system does not tell.
+    """
+    try:
+        status = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a file in UTF-8, whole or not at all."""
     with replacing(path) as temporary:
@@ -52,8 +61,9 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
     write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
-def lock_file(path: Path, taken: str, seconds: float = 0.0) -> "FileLock":
-    """A lock that this file stands for, which is made; until it is released, or this process dies, no other gets one.
+@contextmanager
+def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None, None]:
+    """A lock that a file stands for, which is made; no other gets one before the end of the `with` or of this process.
 
     Args:
         path: The file.
@@ -71,13 +81,6 @@ def lock_file(path: Path, taken: str, seconds: float = 0.0) -> "FileLock":
         lock.acquire(poll_interval=0.2)
     except Timeout:
         raise InvalidValueError(taken) from None
-    return lock
-
-
-@contextmanager
-def locked(path: Path, taken: str, seconds: float = 0.0) -> Generator[None, None, None]:
-    """`lock_file` for the length of a `with`."""
-    lock = lock_file(path, taken, seconds)
     try:
         yield
     finally:

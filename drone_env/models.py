@@ -14,10 +14,13 @@ from typing_extensions import Self
 from drone_env.core.actions import Action
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
+from drone_env.core.seeds import N_SEEDS
 from drone_env.errors import InvalidValueError, text_of
 
 Direction = Literal["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
 Count = Annotated[int, Field(ge=0)]
+MAX_SEED = N_SEEDS - 1
+Seed = Annotated[int, Field(ge=0, le=MAX_SEED)]
 CellName = Literal["road", "building", "tree", "obstacle", "delivery", "delivered", "drone", "unknown", "pad"]
 GroundName = Literal["road", "building", "tree", "obstacle", "delivery", "delivered", "pad"]
 """The kinds that can lie below the drone: `tasks.TERRAIN` in words."""
@@ -238,7 +241,7 @@ class DroneState(Message):
     )
     task_name: str = Field(description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
-    seed: int = Field(ge=0, lt=2**53, description="Number of the map.")
+    seed: Seed = Field(description="Number of the map.")
     reward_profile: str = Field(description="Id of the reward profile.")
     grid: list[list[Annotated[int, Field(ge=0, lt=len(Cell))]]] = Field(description="Cell ids, grid[y][x].")
     drone_x: Count = Field(description="Column of the drone.")

@@ -56,10 +56,8 @@ def figures(task: TaskConfig) -> str:
 
 def picture(task: TaskConfig) -> None:
     """Draw a best flight over the first test map."""
-    episode = Episode(task)
-    episode.reset(split_seeds("test", 1)[0])
-    for action in solve(task, episode.seed).actions:
-        episode.step(action)
+    seed = split_seeds("test", 1)[0]
+    episode = Episode(task, seed=seed).fly(solve(task, seed).actions)
     save_picture(episode, DOCS / "images" / f"{task.id}.png", 480)
 
 

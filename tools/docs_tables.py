@@ -12,9 +12,9 @@ from docs_imports import diagram
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.llm import settings as of_models
-from drone_env.reports.tables import markdown_table
-from drone_env.server import settings as of_server
+from drone_env.llm.settings import InferenceSettings, models_table
+from drone_env.reports.tables import markdown_table, settings_table
+from drone_env.server.settings import Settings
 
 DOCS = Path(__file__).parents[1] / "docs"
 STANDARD = [task for task in TASKS.values() if task.battery_capacity == task.max_steps]
@@ -110,9 +110,9 @@ def tables() -> dict[tuple[str, str], str]:
         ("rules.md", "kinds"): kinds(),
         ("rules.md", "standard tasks"): standard_tasks(),
         ("gymnasium.md", "environments"): environments(),
-        ("configuration.md", "settings of the server"): of_server.settings_table(),
-        ("configuration.md", "settings of language models"): of_models.settings_table(),
-        ("llm.md", "models"): of_models.models_table(),
+        ("configuration.md", "settings of the server"): settings_table(Settings),
+        ("configuration.md", "settings of language models"): settings_table(InferenceSettings),
+        ("llm.md", "models"): models_table(),
         **of_tasks,
     }
 

@@ -10,7 +10,7 @@ from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode, Observation
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.from_observation import episode_of
-from drone_env.planning.greedy import positions
+from drone_env.planning.greedy import drone_positions
 from drone_env.planning.optimal import best_actions
 
 TARGET_TELEMETRY = (3, 4)
@@ -67,7 +67,7 @@ class OptimalAgent:
         """The same where a best flight is a tour: all are planned together."""
         from drone_env.planning.tours import plan_tours  # compiles, which only batches are worth
 
-        drones, _ = positions(self._task, telemetry)
+        drones = drone_positions(self._task, telemetry)
         _, y, x = np.nonzero(grids == Cell.DELIVERY)
         parcels = np.stack([x, y], axis=1).reshape(len(grids), self._task.deliveries, 2)
         budgets = np.rint(telemetry[:, 2] * self._task.battery_capacity).astype(np.int64)

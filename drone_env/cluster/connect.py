@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from drone_env.errors import ClusterError, InvalidValueError, MissingPackageError
+from drone_env.errors import ClusterError, InvalidValueError, needs
 
 log = logging.getLogger(__name__)
 
@@ -53,13 +53,9 @@ def connect(address: str | None = None, cpus: int | None = None) -> Generator[No
     if address == LOCAL and not _has_token():
         # Ray keeps the first token that it has read as long as the process lives.
         os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
-    try:
+    with needs("cluster"):
         import ray
         from ray.exceptions import AuthenticationError, RayError
-    except ModuleNotFoundError as error:
-        if error.name != "ray":
-            raise
-        raise MissingPackageError("ray", "cluster") from None
     if ray.is_initialized():
         raise InvalidValueError("this process is connected to a cluster already")
     _news_to_standard_error()

@@ -20,8 +20,9 @@ from pydantic import SecretStr
 from ray.exceptions import RayError, RayTaskError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from drone_env.cluster.jobs import failure
 from drone_env.cluster.nodes import Driver, check_node, this_driver
-from drone_env.errors import ClusterError, DroneEnvError
+from drone_env.errors import ClusterError
 from drone_env.llm.caller import Caller
 from drone_env.llm.config import RunConfig
 from drone_env.llm.desk import Desk
@@ -186,9 +187,6 @@ async def _result(reference: Awaitable[Any]) -> Any:
     try:
         return await reference
     except RayTaskError as error:
-        cause: Any = error.cause
-        if isinstance(cause, (DroneEnvError, OSError)):
-            raise cause from None
-        raise ClusterError(f"a node failed: {error}") from None
+        raise failure(error) from None
     except RayError as error:
         raise ClusterError(f"a part of the run was lost: {error}") from None

@@ -41,7 +41,7 @@ def run_jobs(
     Raises:
         ClusterError: if no node offers the CPUs of a job, a node has another package than this one, or a job fails with
             an error from outside of this package.
-        DroneEnvError: what `work` raises.
+        DroneEnvError, OSError: what `work` raises.
     """
     check_cpus(cpus)
     remote: Any = ray.remote(num_cpus=cpus, max_retries=0, num_returns="streaming")(_work_on_node)
@@ -62,10 +62,7 @@ def run_jobs(
                 del under_way[stream]
                 continue
             except RayTaskError as error:
-                cause: Any = error.cause
-                if isinstance(cause, DroneEnvError):
-                    raise cause from None
-                raise ClusterError(f"a job failed on a node: {error}") from None
+                raise failure(error) from None
             except RayError as error:
                 del under_way[stream]
                 deaths[job] += 1
@@ -75,6 +72,12 @@ def run_jobs(
                     lost(job, error)
                 continue
             yield job, brought
+
+
+def failure(error: RayTaskError) -> Exception:
+    """What went wrong on a node: an error of this package or of its machine as it is, any other as `ClusterError`."""
+    cause: Any = error.cause
+    return cause if isinstance(cause, (DroneEnvError, OSError)) else ClusterError(f"a node failed: {error}")
 
 
 def _work_on_node(driver: Driver, work: Work, job: Any) -> Iterator[Any]:

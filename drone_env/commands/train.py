@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from drone_env.commands.arguments import SHORT_NAMES
 from drone_env.core.tasks import get_task
-from drone_env.errors import CheckpointError, InvalidValueError, MissingPackageError
+from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import data_folder
 from drone_env.rl.config import TrainConfig, preset
 
@@ -87,12 +87,8 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
         """
         if resume and fresh:
             raise InvalidValueError("--resume goes on and --fresh starts again: give one of them")
-        try:
+        with needs("train"):
             from drone_env.rl.run import TrainingRun
-        except ModuleNotFoundError as error:
-            if error.name != "torch":
-                raise
-            raise MissingPackageError("PyTorch", "train") from None
         run = TrainingRun(config, data or data_folder(), results or data_folder("results"), fresh)
         if resume and not run.resumed:
             raise InvalidValueError(f"--resume: there is no checkpoint {run.checkpoint}")
@@ -142,12 +138,12 @@ def _train(run: "TrainingRun") -> int:
         return 0
     if run.resumed:
         console.print(f"going on from {run.checkpoint}: {begun} of {wanted} episodes")
-    with Progress(*COLUMNS, console=console, disable=not console.is_terminal) as progress:
+    bars = Progress(*COLUMNS, console=console, disable=not console.is_terminal)
+    with bars as progress, run.stopping_on_interrupt():
         bar = progress.add_task(trainer.task.short_name, total=wanted, completed=begun, figures="")
         clock, steps = progress.get_time, trainer.steps
         started = clock()
-
-        def show(line: Any) -> None:
+        for line in run.train():
             rate = (line.steps - steps) / max(clock() - started, 1e-9)
             figures = (
                 f"{rate:.0f} steps/s  epsilon {line.epsilon:.2f}  loss {figure(line.loss, 5)}  "
@@ -156,8 +152,6 @@ def _train(run: "TrainingRun") -> int:
             progress.update(bar, completed=line.episode, figures=figures)
             if not console.is_terminal and line.episode % run.config.validation_every == 0:
                 print(f"{line.episode}/{wanted} episodes  {figures}", file=sys.stderr, flush=True)
-
-        run.train(show)
     if run.stopped:
         console.print(f"stopped after {trainer.episodes} episodes; the same command goes on from {run.checkpoint}")
         return 130

@@ -76,6 +76,10 @@ class Outcome(IntEnum):
     OUT_OF_STEPS = 3
 
 
+FLYING = int(Outcome.FLYING)
+"""A plain integer, as compiled code takes it; so are those of `cells` and `obstacles`."""
+
+
 MESSAGES = {
     Event.NONE: "Ready for take-off: {total} to deliver.",
     Event.DELIVERY: "Delivered: {done} of {total}.",

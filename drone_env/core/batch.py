@@ -12,7 +12,7 @@ import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
-from drone_env.core.actions import ALLOWED_ACTIONS, N_ACTIONS, Event, Outcome, integer
+from drone_env.core.actions import ALLOWED_ACTIONS, FLYING, N_ACTIONS, Event, integer
 from drone_env.core.compile_cache import compiled_once, tell_before_compiling
 from drone_env.core.fetching import fetch_early
 from drone_env.core.observation import open_actions, write_own_telemetry, write_target_telemetry, write_telemetry
@@ -26,7 +26,6 @@ from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.core.threads import require_threads
 from drone_env.errors import EpisodeError, InvalidValueError
 
-FLYING = int(Outcome.FLYING)
 DELIVERED = int(Event.DELIVERY)
 ACTION_BITS = 7
 """Changes no action from 0 to 4, and tells the compiler that none is below zero."""

@@ -1,10 +1,8 @@
 """The drone itself: how it moves over the grid and what that costs the battery."""
 
 from drone_env.core.actions import N_ACTIONS
-from drone_env.core.cells import Cell
+from drone_env.core.cells import DRONE_CELL
 from drone_env.core.tables import BATTERY, CELL, UNDER, Buffer, Tables
-
-DRONE = int(Cell.DRONE)
 
 
 def move(grid: Buffer, state: Buffer, cell: int, to: int) -> int:
@@ -13,7 +11,7 @@ def move(grid: Buffer, state: Buffer, cell: int, to: int) -> int:
     under = grid[to]
     state[CELL] = to
     state[UNDER] = under
-    grid[to] = DRONE
+    grid[to] = DRONE_CELL
     return under
 
 

@@ -7,21 +7,17 @@ from typing import Any, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.cells import Cell
+from drone_env.core.cells import DELIVERY_CELL, DRONE_CELL, ROAD_CELL
 from drone_env.core.seeds import SPLITS, check_seed, map_key, next_key, two_halves, uniform_below
 from drone_env.core.tables import CELL, INDEX_BITS, PARCELS, UNDER, Buffer, Tables, interpreted, state_size, view
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 
-ROAD = int(Cell.ROAD)
-DRONE = int(Cell.DRONE)
-DELIVERY = int(Cell.DELIVERY)
-
 
 def draw_road(tables: Tables, grid: Buffer, key: int) -> tuple[int, int]:
     """A cell that is still road, drawn uniformly, and the generator's state after the draw."""
     cell = uniform_below(key, tables.cells) & INDEX_BITS
-    while grid[cell] != ROAD:
+    while grid[cell] != ROAD_CELL:
         key = next_key(key)
         cell = uniform_below(key, tables.cells) & INDEX_BITS
     return cell, next_key(key)
@@ -30,11 +26,11 @@ def draw_road(tables: Tables, grid: Buffer, key: int) -> tuple[int, int]:
 def place_anywhere(tables: Tables, grid: Buffer, state: Buffer, key: int) -> None:
     """Place the deliveries, then the terrain, each on a cell drawn again until it is still road."""
     for cell in range(tables.cells):
-        grid[cell] = ROAD
-    grid[state[CELL]] = DRONE
+        grid[cell] = ROAD_CELL
+    grid[state[CELL]] = DRONE_CELL
     for i in range(tables.deliveries):
         cell, key = draw_road(tables, grid, key)
-        grid[cell] = DELIVERY
+        grid[cell] = DELIVERY_CELL
         state[PARCELS + i] = cell
     for kind in tables.drawn_kinds:
         cell, key = draw_road(tables, grid, key)
@@ -82,13 +78,13 @@ def place_along_streets(tables: Tables, grid: Buffer, state: Buffer, key: int) -
         key = next_key(key)
         move_parcel(tables, state, cell, along[end])
         grid[along[end]] = grid[cell]
-        grid[cell] = DELIVERY
+        grid[cell] = DELIVERY_CELL
         state[PARCELS + i] = cell
     # Where the start is, something may stand now: it belongs on the street cell that was left out of the list.
     left_out = tables.city_cells[city + tables.blocks]
     move_parcel(tables, state, start, left_out)
     grid[left_out] = grid[start]
-    grid[start] = DRONE
+    grid[start] = DRONE_CELL
 
 
 def move_parcel(tables: Tables, state: Buffer, cell: int, to: int) -> None:
@@ -102,7 +98,7 @@ def scatter(tables: Tables, grid: Buffer, state: Buffer, seed: int) -> None:
     """Write map `seed` into `grid` and `state`: start, deliveries and each kind of terrain, all on distinct cells."""
     key = next_key(map_key(tables.key, seed))
     state[CELL] = uniform_below(key, tables.cells)
-    state[UNDER] = ROAD
+    state[UNDER] = ROAD_CELL
     if tables.street_spacing == 0:
         place_anywhere(tables, grid, state, next_key(key))
     else:
@@ -146,7 +142,7 @@ def generate_city_map(config: str | TaskConfig, rng: Any) -> CityMap:
     grid = np.zeros(tables.cells, np.uint8)
     state = np.zeros(state_size(tables), np.uint16)
     scatter(tables, view(grid), view(state), seed)
-    grid[state[CELL]] = ROAD
+    grid[state[CELL]] = ROAD_CELL
 
     def position(cell: int) -> tuple[int, int]:
         return tables.columns[cell], tables.rows[cell]

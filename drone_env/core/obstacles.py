@@ -1,6 +1,6 @@
-"""Collisions: what a move runs into, and what the drone is above."""
+"""Collisions: what a move runs into."""
 
-from drone_env.core.actions import N_ACTIONS, Event
+from drone_env.core.actions import Event
 from drone_env.core.tables import NOWHERE, Buffer, Tables
 
 WALL = int(Event.WALL)
@@ -15,8 +15,3 @@ def collision(tables: Tables, grid: Buffer, to: int) -> int:
     if tables.any_impassable and tables.impassable[grid[to]]:
         return BLOCKED
     return NONE
-
-
-def flight_event(tables: Tables, under: int, action: int) -> int:
-    """The event of an action that nothing stopped: by the terrain below the drone, else waiting or flying."""
-    return tables.flight_event[under * N_ACTIONS + action]

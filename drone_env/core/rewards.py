@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drone_env.core.actions import N_EVENTS, Event, Outcome
+from drone_env.core.actions import FLYING, N_EVENTS, Event
 from drone_env.core.score import score
 from drone_env.core.tables import (
     DELIVERIES_DONE,
@@ -28,7 +28,6 @@ DEFAULT_PROFILE = "aligned"
 ORIGINAL_PROFILE = "tiered"
 """The same where the project's first version set it: over HTTP and OpenEnv, in `fly`, `infer` and `inference.py`."""
 
-FLYING = int(Outcome.FLYING)
 STRIDE = 2 * MAX_SIDE
 """Entries of a potential's table per number of deliveries: a distance is below it."""
 MAX_REWARD = 1_000_000

@@ -4,11 +4,11 @@ These functions, and the ones that they call, are the only place where the rules
 single episode (`episode.Episode`) and compiled by Numba (`compiled`), with the same bits as a result.
 """
 
-from drone_env.core.actions import N_ACTIONS, Event, Outcome
-from drone_env.core.cells import Cell
+from drone_env.core.actions import FLYING, N_ACTIONS, Event, Outcome
+from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL
 from drone_env.core.drone import distance, move, use_battery
 from drone_env.core.grid_generator import scatter
-from drone_env.core.obstacles import collision, flight_event
+from drone_env.core.obstacles import NONE, collision
 from drone_env.core.rewards import Rewards, potential_of, reward_of
 from drone_env.core.tables import (
     BATTERY,
@@ -30,14 +30,9 @@ from drone_env.core.tables import (
 CLOSER_BITS = 3
 """Changes nothing from 0 to 2, and tells the compiler that none is below zero."""
 
-DELIVERY_CELL = int(Cell.DELIVERY)
-DELIVERED_CELL = int(Cell.DELIVERED)
-
 DELIVERY = int(Event.DELIVERY)
 DEAD = int(Event.BATTERY_DEAD)
-NONE = int(Event.NONE)
 
-FLYING = int(Outcome.FLYING)
 DELIVERED = int(Outcome.DELIVERED)
 BATTERY_DEAD = int(Outcome.BATTERY_DEAD)
 OUT_OF_STEPS = int(Outcome.OUT_OF_STEPS)
@@ -71,7 +66,7 @@ def step(tables: Tables, rewards: Rewards, grid: Buffer, state: Buffer, action: 
     if happened == NONE:
         under = move(grid, state, cell, to)
         cell = to
-        happened = flight_event(tables, under, action)
+        happened = tables.flight_event[under * N_ACTIONS + action]
     far = distance(tables, cell, state[TARGET])
     battery = use_battery(tables, state, under, action)
     closer = (1 + state[DISTANCE] - far) & CLOSER_BITS

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
+from drone_env.core.actions import Event
 from drone_env.core.cells import Cell
 from drone_env.errors import InvalidTaskError, UnknownNameError, WithdrawnError
 
@@ -195,6 +196,8 @@ def _standard(
     r_other: float,
 ) -> TaskConfig:
     buildings, trees, obstacles = terrain
+    rewards: dict[str, Any] = {f"r_{event.name.lower()}": r_other for event in Event if event is not Event.NONE}
+    rewards["r_delivery"] = r_delivery
     return TaskConfig(
         id=f"{short_name}_delivery",
         short_name=short_name,
@@ -207,15 +210,7 @@ def _standard(
         obstacles=obstacles,
         max_steps=steps,
         battery_capacity=steps,
-        r_delivery=r_delivery,
-        r_battery_dead=r_other,
-        r_wall=r_other,
-        r_blocked=r_other,
-        r_obstacle=r_other,
-        r_building=r_other,
-        r_tree=r_other,
-        r_wait=r_other,
-        r_step=r_other,
+        **rewards,
         family="city",
     )
 

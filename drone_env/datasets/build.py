@@ -1,20 +1,21 @@
 """`build_dataset`: from a configuration to a folder."""
 
+import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from drone_env.datasets.card import card
+from drone_env.datasets.columns import columns
 from drone_env.datasets.config import DatasetConfig
-from drone_env.datasets.minari_writer import MinariWriter
-from drone_env.datasets.parquet_writer import ParquetWriter
-from drone_env.datasets.trajectories import Trajectory, fly_map
-from drone_env.errors import InvalidValueError, UnknownNameError
+from drone_env.datasets.minari_writer import FOLDER, dataset_id, minari_writer
+from drone_env.datasets.parquet_writer import FILE, parquet_writer
+from drone_env.datasets.trajectories import Trajectory, Write, fly_map
+from drone_env.errors import InvalidValueError, UnknownNameError, needs
 
-WRITERS: dict[str, Callable[[Path, DatasetConfig], ParquetWriter | MinariWriter]] = {
-    "parquet": ParquetWriter,
-    "minari": MinariWriter,
+WRITERS: dict[str, Callable[[Path, DatasetConfig], AbstractContextManager[Write]]] = {
+    "parquet": parquet_writer,
+    "minari": minari_writer,
 }
 
 ROWS_PER_GROUP = 1 << 14
@@ -61,7 +62,7 @@ def build_dataset(
         folder = Path(temporary) / "dataset"
         folder.mkdir()
         rows = _write(config, folder, formats, rows_per_group, on_map)
-        (folder / "README.md").write_text(card(config, tuple(formats), rows), encoding="utf-8")
+        (folder / "README.md").write_text(_card(config, tuple(formats), rows), encoding="utf-8")
         if out.exists():
             out.rmdir()
         folder.rename(out)
@@ -71,15 +72,33 @@ def build_dataset(
 def _write(
     config: DatasetConfig, folder: Path, formats: Sequence[str], rows_per_group: int, on_map: Callable[[], object]
 ) -> int:
-    rows = episodes = 0
+    rows = 0
     with ExitStack() as stack:
-        writers = [stack.enter_context(closing(WRITERS[name](folder, config))) for name in dict.fromkeys(formats)]
+        writers = [stack.enter_context(WRITERS[name](folder, config)) for name in dict.fromkeys(formats)]
         for batch in _batches(_fly_all(config, on_map), rows_per_group):
-            for writer in writers:
-                writer.write(episodes, batch)
-            episodes += len(batch)
+            for write in writers:
+                write(batch)
             rows += sum(trajectory.steps for trajectory in batch)
     return rows
+
+
+def _card(config: DatasetConfig, formats: tuple[str, ...], rows: int) -> str:
+    """The page that says what the data set holds: Markdown with the front matter that data set hubs read."""
+    with needs("data"):
+        from drone_env.reports.pages import render
+
+    return render(
+        "dataset.md",
+        config=config,
+        task=config.task,
+        columns=columns(config.task),
+        formats=formats,
+        rows=rows,
+        parquet=FILE,
+        minari=FOLDER,
+        dataset_id=dataset_id(config),
+        about=json.dumps(config.as_json(), indent=2),
+    )
 
 
 def _fly_all(config: DatasetConfig, on_map: Callable[[], object]) -> Iterator[Trajectory]:

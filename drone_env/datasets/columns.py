@@ -29,7 +29,7 @@ class Column:
 
 
 def columns(task: TaskConfig) -> list[Column]:
-    """The columns of a task's data sets, in order; the writer adds `episode` in front."""
+    """The columns of a task's data sets, in order."""
     actions = (N_ACTIONS,)
     cells = ", ".join(f"{int(cell)} {cell.name.lower()}" for cell in Cell)
     telemetry = "x/width, y/height, battery share, target x/width, target y/height"
@@ -38,6 +38,7 @@ def columns(task: TaskConfig) -> list[Column]:
     telemetry += f", 1 for the kind of the cell below the drone of {ground}" if task.telemetry_size > 6 else ""
     names = [event.name.lower() for event in Event]
     return [
+        Column("episode", "int64", (), "number of the flight, from 0", lambda f: f.number),
         Column("task", "string", (), "id of the task", lambda _: task.id),
         Column("task_version", "int32", (), "version of the task", lambda _: task.version),
         Column("seed", "int64", (), "number of the map", lambda f: f.seed),

@@ -1,6 +1,7 @@
 """A data set as Minari keeps it: whole episodes of T steps and T + 1 observations, in HDF5."""
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.datasets.config import DatasetConfig
-from drone_env.datasets.trajectories import Trajectory
+from drone_env.datasets.trajectories import Trajectory, Write
 from drone_env.errors import MissingPackageError
 from drone_env.installer import DISTRIBUTION
 
@@ -24,7 +25,8 @@ def dataset_id(config: DatasetConfig) -> str:
     return f"drone_delivery_{config.task.short_name}-v{config.task.version}"
 
 
-class MinariWriter:
+@contextmanager
+def minari_writer(folder: Path, config: DatasetConfig) -> Generator[Write, None, None]:
     """Writes a Minari data set into `minari/<dataset id>` of a folder.
 
     `minari.load_dataset` finds it where the environment variable `MINARI_DATASETS_PATH` names that `minari` folder.
@@ -34,73 +36,70 @@ class MinariWriter:
     Raises:
         MissingPackageError: if Minari from 0.5.4 on or h5py is not installed.
     """
+    try:
+        import h5py  # noqa: F401  # pyright: ignore[reportUnusedImport] - Minari asks for it only when it writes
+        import minari
+        from minari.data_collector import EpisodeBuffer
+        from minari.dataset.minari_storage import MinariStorage
+        from packaging.version import Version
+    except ImportError as error:
+        raise MissingPackageError(NEEDED, "data") from error
+    if Version(minari.__version__) < Version(OLDEST):
+        raise MissingPackageError(f"{NEEDED} (but {minari.__version__})", "data")
+    # Declared to take lists, which it does not need: arrays are written faster.
+    buffer: Any = EpisodeBuffer
+    env = gymnasium.make(config.task.gym_id, reward_profile=config.reward_profile)
+    # Minari reads a relative path as relative to itself when it adds up sizes.
+    home = folder.resolve() / FOLDER / dataset_id(config)
+    home.mkdir(parents=True)
+    storage = MinariStorage.new(
+        home / "data",
+        observation_space=env.observation_space,
+        action_space=env.action_space,
+        env_spec=env.spec,
+        data_format="hdf5",
+        jpeg_encoding=False,
+    )
+    about = config.as_json()
+    storage.update_metadata(
+        {
+            "dataset_id": dataset_id(config),
+            "minari_version": minari.__version__,
+            "algorithm_name": f"{', '.join(config.agents)} (epsilon {config.epsilon:g})",
+            "description": "Flights with the exact V*, Q* and regret of every step, in infos.",
+            "requirements": [f"{DISTRIBUTION}>={about['package_version']}"],
+            "drone_env": about,
+        }
+    )
 
-    def __init__(self, folder: Path, config: DatasetConfig) -> None:
-        try:
-            import h5py  # noqa: F401  # pyright: ignore[reportUnusedImport] - Minari asks for it only when it writes
-            import minari
-            from minari.data_collector import EpisodeBuffer
-            from minari.dataset.minari_storage import MinariStorage
-            from packaging.version import Version
-        except ImportError as error:
-            raise MissingPackageError(NEEDED, "data") from error
-        if Version(minari.__version__) < Version(OLDEST):
-            raise MissingPackageError(f"{NEEDED} (but {minari.__version__})", "data")
-        # Declared to take lists, which it does not need: arrays are written faster.
-        self._buffer: Any = EpisodeBuffer
-        env = gymnasium.make(config.task.gym_id, reward_profile=config.reward_profile)
-        # Minari reads a relative path as relative to itself when it adds up sizes.
-        home = folder.resolve() / FOLDER / dataset_id(config)
-        home.mkdir(parents=True)
-        self._storage = MinariStorage.new(
-            home / "data",
-            observation_space=env.observation_space,
-            action_space=env.action_space,
-            env_spec=env.spec,
-            data_format="hdf5",
-            jpeg_encoding=False,
-        )
-        about = config.as_json()
-        self._storage.update_metadata(
-            {
-                "dataset_id": dataset_id(config),
-                "minari_version": minari.__version__,
-                "algorithm_name": f"{', '.join(config.agents)} (epsilon {config.epsilon:g})",
-                "description": "Flights with the exact V*, Q* and regret of every step, in infos.",
-                "requirements": [f"{DISTRIBUTION}>={about['package_version']}"],
-                "drone_env": about,
-            }
-        )
+    def write(trajectories: Sequence[Trajectory]) -> None:
+        storage.update_episodes(buffer(**_episode(trajectory)) for trajectory in trajectories)
+        numbers = [trajectory.number for trajectory in trajectories]
+        storage.update_episode_metadata([_about(trajectory) for trajectory in trajectories], numbers)
 
-    def write(self, first_episode: int, trajectories: Sequence[Trajectory]) -> None:
-        """Append flights, numbered from `first_episode` on."""
-        numbers = range(first_episode, first_episode + len(trajectories))
-        self._storage.update_episodes(map(self._buffer_of, numbers, trajectories))
-        self._storage.update_episode_metadata([_about(trajectory) for trajectory in trajectories], numbers)
+    yield write
 
-    def close(self) -> None:
-        """Nothing is left open between two writes."""
 
-    def _buffer_of(self, number: int, trajectory: Trajectory) -> Any:
-        return self._buffer(
-            id=number,
-            seed=trajectory.seed,
-            observations={"grid": trajectory.grids, "telemetry": trajectory.telemetry},
-            actions=trajectory.actions.astype(np.int64),
-            rewards=trajectory.rewards,
-            terminations=trajectory.terminated,
-            truncations=np.zeros(trajectory.steps, np.bool_),
-            infos={
-                "action_mask": trajectory.action_masks,
-                "score": trajectory.scores,
-                "event": trajectory.events,
-                "value": trajectory.values,
-                "q_values": np.concatenate([trajectory.q_values, np.full((1, N_ACTIONS), np.nan)]),
-                "regret": np.append(trajectory.regrets, np.nan),
-                "optimal_actions": np.concatenate([trajectory.optimal_actions, np.zeros((1, N_ACTIONS), np.bool_)]),
-                "agent_action": np.append(trajectory.agent_actions, np.int8(-1)),
-            },
-        )
+def _episode(trajectory: Trajectory) -> dict[str, Any]:
+    return {
+        "id": trajectory.number,
+        "seed": trajectory.seed,
+        "observations": {"grid": trajectory.grids, "telemetry": trajectory.telemetry},
+        "actions": trajectory.actions.astype(np.int64),
+        "rewards": trajectory.rewards,
+        "terminations": trajectory.terminated,
+        "truncations": np.zeros(trajectory.steps, np.bool_),
+        "infos": {
+            "action_mask": trajectory.action_masks,
+            "score": trajectory.scores,
+            "event": trajectory.events,
+            "value": trajectory.values,
+            "q_values": np.concatenate([trajectory.q_values, np.full((1, N_ACTIONS), np.nan)]),
+            "regret": np.append(trajectory.regrets, np.nan),
+            "optimal_actions": np.concatenate([trajectory.optimal_actions, np.zeros((1, N_ACTIONS), np.bool_)]),
+            "agent_action": np.append(trajectory.agent_actions, np.int8(-1)),
+        },
+    }
 
 
 def _about(trajectory: Trajectory) -> dict[str, Any]:

@@ -1,12 +1,12 @@
 """Trajectories: flights with the exact values of every state that they reach."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents import Agent, make_agent
+from drone_env.agents import make_agent
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import choices
@@ -20,6 +20,7 @@ class Trajectory:
     """One flight to its end: T steps, T + 1 states.
 
     Attributes:
+        number: Which flight of the data set it is, from 0.
         seed: The map.
         agent: Who flew.
         grids: uint8[T + 1, H, W] of cell ids.
@@ -34,6 +35,7 @@ class Trajectory:
         q_values: float64[T, 5], Q*: the highest score that can still be reached after each action.
     """
 
+    number: int
     seed: int
     agent: str
     grids: npt.NDArray[np.uint8]
@@ -73,6 +75,10 @@ class Trajectory:
         return np.cumsum(self.rewards[::-1])[::-1]
 
 
+Write = Callable[[Sequence[Trajectory]], None]
+"""Appends flights to a file."""
+
+
 def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
     """The flights of all agents over one map, which is solved once.
 
@@ -81,8 +87,9 @@ def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
     """
     start = Episode(config.task, config.reward_profile, seed)
     solver = ExactSolver(start)
-    for name in config.agents:
-        yield _fly(start.copy(), solver, make_agent(name, config.task), name, config.epsilon)
+    first = (seed - config.seeds.start) * len(config.agents)
+    for number, name in enumerate(config.agents, first):
+        yield _fly(number, start.copy(), solver, name, config.epsilon)
 
 
 def chance(agent: str, seed: int) -> Iterator[tuple[float, int]]:
@@ -98,7 +105,8 @@ def chance(agent: str, seed: int) -> Iterator[tuple[float, int]]:
         yield share, uniform_below(key, N_ACTIONS)
 
 
-def _fly(episode: Episode, solver: ExactSolver, agent: Agent, name: str, epsilon: float) -> Trajectory:
+def _fly(number: int, episode: Episode, solver: ExactSolver, name: str, epsilon: float) -> Trajectory:
+    agent = make_agent(name, episode.task)
     agent.reset(episode.seed)
     states, values, chosen = [_state(episode)], list[npt.NDArray[np.float64]](), list[int]()
     for wish, (share, action) in zip(choices(episode, agent.act), chance(name, episode.seed), strict=False):
@@ -109,6 +117,7 @@ def _fly(episode: Episode, solver: ExactSolver, agent: Agent, name: str, epsilon
     grids, telemetry, action_masks, scores, events = map(np.array, zip(*states, strict=True))
     q_values = np.array(values)
     return Trajectory(
+        number=number,
         seed=episode.seed,
         agent=name,
         grids=grids,

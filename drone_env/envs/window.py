@@ -18,12 +18,10 @@ class Window:
 
     Args:
         fps: Pictures per second at most; `show` waits as long as that takes.
-        caption: The title of the window.
     """
 
-    def __init__(self, fps: int = 8, caption: str = "Drone delivery") -> None:
+    def __init__(self, fps: int = 8) -> None:
         self.fps = fps
-        self.caption = caption
         self._pygame: ModuleType | None = None
         self._clock: Any = None
         self._dismissed = False
@@ -71,6 +69,6 @@ class Window:
         except ImportError as error:
             raise DependencyNotInstalled(f"pygame is not installed: {how_to_install('human')}") from error
         pygame.display.init()
-        pygame.display.set_caption(self.caption)
+        pygame.display.set_caption("Drone delivery")
         self._pygame, self._clock = pygame, pygame.time.Clock()
         return pygame

@@ -52,17 +52,20 @@ def one_hot(grid: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     return (grid == np.arange(N_CELL_KINDS, dtype=np.uint8)[:, None, None]).view(np.uint8)
 
 
+def planes_space(env: Env) -> spaces.Dict:
+    """The space of observations whose grid is one-hot planes."""
+    inner = cast(spaces.Dict, env.observation_space)
+    shape = (N_CELL_KINDS, *cast(tuple[int, int], inner["grid"].shape))
+    return spaces.Dict({"grid": spaces.Box(0, 1, shape, np.uint8), "telemetry": inner["telemetry"]})
+
+
 class OneHotPlanes(gymnasium.ObservationWrapper[Any, int, Observation], gymnasium.utils.RecordConstructorArgs):
     """`grid` becomes one-hot planes for convolutional networks: uint8[kinds, H, W]; `telemetry` stays."""
 
     def __init__(self, env: Env) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        inner = cast(spaces.Dict, env.observation_space)
-        height, width = cast(tuple[int, int], inner["grid"].shape)
-        self.observation_space = spaces.Dict(
-            {"grid": spaces.Box(0, 1, (N_CELL_KINDS, height, width), np.uint8), "telemetry": inner["telemetry"]}
-        )
+        self.observation_space = planes_space(env)
 
     def observation(self, observation: Observation) -> dict[str, npt.NDArray[Any]]:
         """The observation with planes for a grid."""
@@ -75,10 +78,7 @@ class FlatObservation(gymnasium.ObservationWrapper[Any, int, Observation], gymna
     def __init__(self, env: Env) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        inner = cast(spaces.Dict, env.observation_space)
-        cells = int(np.prod(cast(tuple[int, int], inner["grid"].shape)))
-        telemetry = cast(tuple[int], inner["telemetry"].shape)[0]
-        self.observation_space = spaces.Box(0.0, 1.0, (N_CELL_KINDS * cells + telemetry,), np.float32)
+        self.observation_space = cast(spaces.Box, spaces.flatten_space(planes_space(env)))
 
     def observation(self, observation: Observation) -> npt.NDArray[np.float32]:
         """The observation as one vector."""

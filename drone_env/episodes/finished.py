@@ -3,9 +3,9 @@
 import sqlite3
 from collections.abc import Sequence
 from datetime import datetime, timezone
-from typing import Any, NamedTuple, cast
+from typing import Annotated, Any, cast
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, PlainSerializer, TypeAdapter, ValidationError, computed_field
 from typing_extensions import Self
 
 from drone_env.core.episode import Episode
@@ -13,7 +13,7 @@ from drone_env.core.rewards import get_reward_profile
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.record import AgentLabel, EpisodeRecord, parse_record, record_of
 from drone_env.errors import EpisodeError, InvalidValueError
-from drone_env.models import DIRECTIONS, Count, Message, OutcomeName
+from drone_env.models import DIRECTIONS, Count, Message, OutcomeName, Score, Seed
 
 AGENT_LABEL: TypeAdapter[str] = TypeAdapter(AgentLabel)
 
@@ -72,39 +72,60 @@ def check_agent(agent: str) -> str:
         ) from None
 
 
-class EpisodeRow(NamedTuple):
-    """What is known of a finished episode without reading its record: a row of the table, and the optimum."""
+def utc(seconds: float) -> datetime:
+    """A time that the store keeps, in seconds since 1970."""
+    return datetime.fromtimestamp(seconds, timezone.utc)
 
-    number: int
-    """The order of storing; it rises forever."""
+
+class EpisodeSummary(Message):
+    """One finished episode, as its columns in the store tell it, with the optimum of its map."""
+
+    number: int = Field(exclude=True, description="The order of storing; it rises forever.")
     id: str
-    finished_at: float
-    """When it was stored, in seconds since 1970."""
+    finished_at: Annotated[float, PlainSerializer(lambda seconds: utc(seconds).isoformat(), return_type=str)] = Field(
+        description="UTC, ISO 8601."
+    )
     task: str
     task_version: int
-    seed: int
+    seed: Seed
     reward_profile: str
     agent: str
-    actions: str
-    """One digit per action."""
-    deliveries: int
-    deliveries_total: int
-    steps: int
+    actions: str = Field(exclude=True, description="One digit per action.")
+    deliveries: Count
+    deliveries_total: Count
+    steps: Count
     reward_total: float
-    score: float
-    outcome: OutcomeName
-    solved: bool
-    """Whether its map has been given to the solver."""
-    optimum: float | None
-    """The optimum of its map, None while it is not known, the task is not registered, or the map is too large."""
+    score: Score
+    outcome: str
+    solved: bool = Field(exclude=True, strict=False, description="Whether its map has been given to the solver.")
+    optimal_score: Score | None = Field(description="The optimum of its map; null where it is not known.")
+
+    @computed_field
+    @property
+    def success(self) -> bool:
+        """Whether all parcels were delivered."""
+        return self.outcome == "delivered"
+
+    @computed_field
+    @property
+    def regret(self) -> Annotated[float, Field(ge=0)] | None:
+        """optimal_score - score."""
+        return None if self.optimal_score is None else self.optimal_score - self.score
+
+    @classmethod
+    def of(cls, row: Sequence[Any]) -> Self:
+        """The summary of a row that `SELECT_ROWS` gives."""
+        return cls(**dict(zip(SELECTED, row, strict=True)))
 
 
-COLUMNS = EpisodeRow._fields[:-2]
+SELECTED = list(EpisodeSummary.model_fields)
+COLUMNS = SELECTED[:-2]
 SELECT_ROWS = (
     f"SELECT {', '.join([f'e.{name}' for name in COLUMNS])}, o.task IS NOT NULL, o.score "
     "FROM episodes e LEFT JOIN optima o USING (task, task_version, seed)"
 )
-SELECT_STORED = "SELECT number, id, finished_at, steps, deliveries_total, reward_total, outcome, record FROM episodes"
+STORED = list(StoredEpisode.model_fields)
+SELECT_STORED = f"SELECT number, {', '.join(STORED)} FROM episodes"
 
 
 def selection(
@@ -142,16 +163,11 @@ def stored_episode(row: Sequence[Any], store: object) -> tuple[int, StoredEpisod
     Raises:
         InvalidValueError: if its record cannot be read.
     """
-    number, episode_id, finished_at, steps, deliveries_total, reward_total, outcome, record = row
-    return number, StoredEpisode(
-        id=episode_id,
-        finished_at=utc(finished_at),
-        steps=steps,
-        deliveries_total=deliveries_total,
-        reward_total=reward_total,
-        outcome=outcome,
-        record=parse_record(record, f"episode {episode_id} of {store}"),
-    )
+    number, *values = row
+    kept = dict(zip(STORED, values, strict=True))
+    kept["finished_at"] = utc(kept["finished_at"])
+    kept["record"] = parse_record(kept["record"], f"episode {kept['id']} of {store}")
+    return number, StoredEpisode(**kept)
 
 
 def insert_episode(connection: sqlite3.Connection, stored: StoredEpisode) -> None:
@@ -168,8 +184,3 @@ def insert_episode(connection: sqlite3.Connection, stored: StoredEpisode) -> Non
     connection.execute(
         f"INSERT INTO episodes ({', '.join(columns)}) VALUES ({places}) ON CONFLICT (id) DO NOTHING", values
     )
-
-
-def utc(seconds: float) -> datetime:
-    """A time that the store keeps, in seconds since 1970."""
-    return datetime.fromtimestamp(seconds, timezone.utc)

@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.episodes.database import Database
-from drone_env.episodes.finished import EpisodeRow
+from drone_env.episodes.finished import EpisodeSummary
 from drone_env.errors import StoreError, UnknownNameError
 from drone_env.planning.optimal import best_of
 
@@ -27,7 +27,7 @@ class Optima:
         self._lock = threading.Lock()
         self._jobs: dict[TaskConfig, Future[None]] = {}
 
-    def solve_maps_of(self, rows: Iterable[EpisodeRow], patience: float) -> bool:
+    def solve_maps_of(self, rows: Iterable[EpisodeSummary], patience: float) -> bool:
         """Have the maps of episodes solved that were never given to the solver; whether there were any.
 
         A task that is being worked on is left to that. Waits for up to `patience` seconds. What goes wrong is logged,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pydantic import Field
 
 from drone_env.core.actions import Action
-from drone_env.episodes.finished import EpisodeRow
+from drone_env.episodes.finished import EpisodeSummary
 from drone_env.models import Count, Direction, Message
 
 
@@ -36,7 +36,7 @@ class Analysis(Message):
     regret_episodes: Count = Field(description="Episodes whose optimum is known; the others are being solved.")
 
 
-def analyse(task: str, total: int, rows: Sequence[EpisodeRow]) -> Analysis:
+def analyse(task: str, total: int, rows: Sequence[EpisodeSummary]) -> Analysis:
     """The figures of the newest episodes of a task.
 
     Args:
@@ -44,11 +44,10 @@ def analyse(task: str, total: int, rows: Sequence[EpisodeRow]) -> Analysis:
         total: Finished episodes of this task in the store.
         rows: The newest of them, newest first.
     """
-    wins = [row.outcome == "delivered" for row in rows]
+    wins = [row.success for row in rows]
     half = len(rows) // 2
-    steps = sum(row.steps for row in rows)
-    counts = {action: sum(row.actions.count(str(int(action))) for row in rows) for action in Action}
-    regrets = [row.optimum - row.score for row in rows if row.optimum is not None]
+    flown = "".join([row.actions for row in rows])
+    regrets = [row.regret for row in rows if row.regret is not None]
     return Analysis(
         task=task,
         episodes_total=total,
@@ -61,7 +60,7 @@ def analyse(task: str, total: int, rows: Sequence[EpisodeRow]) -> Analysis:
         average_steps=_mean([row.steps for row in rows]),
         average_deliveries=_mean([row.deliveries for row in rows]),
         deliveries=sum(row.deliveries for row in rows),
-        action_distribution={action.name: count / steps if steps else 0.0 for action, count in counts.items()},
+        action_distribution={action.name: flown.count(str(int(action))) / max(len(flown), 1) for action in Action},
         mean_regret=_mean(regrets),
         regret_episodes=len(regrets),
     )

@@ -19,7 +19,7 @@ from drone_env.episodes.database import BUSY_SECONDS, Database
 from drone_env.episodes.finished import (
     SELECT_ROWS,
     SELECT_STORED,
-    EpisodeRow,
+    EpisodeSummary,
     StoredEpisode,
     check_agent,
     insert_episode,
@@ -167,7 +167,7 @@ class Store:
         after: int | None = None,
         episode_id: str | None = None,
         patience: float = 0.25,
-    ) -> list[EpisodeRow]:
+    ) -> list[EpisodeSummary]:
         """The last `n` finished episodes with the optima of their maps, newest first.
 
         Optima that are not known yet are solved as for `analysis`; those of tasks that are not registered stay unknown.
@@ -370,8 +370,8 @@ class Store:
         with self._database.reading() as connection:
             return connection.execute(query, values).fetchall()
 
-    def _rows(self, where: str, values: tuple[object, ...]) -> list[EpisodeRow]:
-        return [EpisodeRow._make(row) for row in self._read(f"{SELECT_ROWS} {where}", values)]
+    def _rows(self, where: str, values: tuple[object, ...]) -> list[EpisodeSummary]:
+        return [EpisodeSummary.of(row) for row in self._read(f"{SELECT_ROWS} {where}", values)]
 
     def _stored(self, where: str, values: tuple[object, ...]) -> list[tuple[int, StoredEpisode]]:
         rows = self._read(f"{SELECT_STORED} {where}", values)

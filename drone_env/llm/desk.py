@@ -5,7 +5,7 @@ from typing import NoReturn, Protocol
 from urllib.parse import urlsplit
 
 from drone_env.errors import DroneEnvError, EndpointError, InvalidValueError
-from drone_env.files import replacing
+from drone_env.files import write_text
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig
 from drone_env.llm.gate import Gate
@@ -142,8 +142,7 @@ class AnswerCache:
         """
         path = self._path(key)
         path.parent.mkdir(exist_ok=True)
-        with replacing(path) as temporary:
-            temporary.write_text(answer.model_dump_json(), encoding="utf-8")
+        write_text(path, answer.model_dump_json())
 
     def _path(self, key: str) -> Path:
         return self._folder / key[:2] / f"{key}.json"

@@ -136,7 +136,7 @@ class Endpoint:
             data = await _read(response)
         if not response.is_success:
             raise self._refusal(response, data)
-        fields = _streamed(data) if self._stream else _answer([json.loads(data)], "message")
+        fields = _streamed(data) if self._stream else _answer([_json(data)], "message")
         if fields["finish_reason"] is None and self._stream:
             raise TryFailedError(0, "the stream ended before the answer did", retried=True)
         texts = {name: value for name, value in fields.items() if isinstance(value, str)}
@@ -221,7 +221,7 @@ def _streamed(data: bytes) -> dict[str, Any]:
     # Behind the last end of a line stands what was cut off.
     lines = data[: data.rfind(b"\n") + 1].splitlines()
     events = [line.removeprefix(b"data:").strip() for line in lines if line.startswith(b"data:")]
-    return _answer([json.loads(event) for event in events if event not in (b"", b"[DONE]")], "delta")
+    return _answer([_json(event) for event in events if event not in (b"", b"[DONE]")], "delta")
 
 
 def _answer(completions: Sequence[Any], part: str) -> dict[str, Any]:
@@ -260,6 +260,13 @@ def _answer(completions: Sequence[Any], part: str) -> dict[str, Any]:
     counts = {name: usage.get(name) for name in ("prompt_tokens", "completion_tokens")}
     counted = {name: n if type(n) is int and 0 <= n < MOST_TOKENS else None for name, n in counts.items()}
     return {**joined, "text": joined["text"] or "", **last, **counted}
+
+
+def _json(data: bytes) -> Any:
+    try:
+        return json.loads(data)
+    except ValueError:
+        raise ValueError(f"JSON was expected, got {data.decode(errors='replace')}") from None
 
 
 def _text(value: Any) -> str | None:

@@ -16,7 +16,7 @@ from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.episodes.record import record_of
-from drone_env.errors import InvalidValueError, MissingPackageError
+from drone_env.errors import InvalidValueError, needs
 from drone_env.llm.answers import Answer, Reading, read_answer
 from drone_env.llm.gate import LimitReachedError
 from drone_env.llm.pilot import PilotedEpisode, fly
@@ -26,7 +26,7 @@ from drone_env.llm.runner import MOST_ERRORED, log_text
 from drone_env.llm.transcript import CallKey
 from drone_env.planning.optimal import best_of
 
-try:
+with needs("inspect"):
     import anyio
     from inspect_ai import Task, task  # pyright: ignore[reportMissingImports]
     from inspect_ai.dataset import MemoryDataset, Sample  # pyright: ignore[reportMissingImports]
@@ -41,10 +41,6 @@ try:
     from inspect_ai.scorer import Score, Scorer, Target, mean, scorer, stderr  # pyright: ignore[reportMissingImports]
     from inspect_ai.solver import Generate, Solver, TaskState, solver  # pyright: ignore[reportMissingImports]
     from inspect_ai.util import LimitExceededError  # pyright: ignore[reportMissingImports]
-except ModuleNotFoundError as error:
-    if error.name not in ("anyio", "inspect_ai"):
-        raise
-    raise MissingPackageError("inspect_ai", "inspect") from None
 
 ROLES = {"system": ChatMessageSystem, "user": ChatMessageUser, "assistant": ChatMessageAssistant}
 FINISH_REASONS = {"max_tokens": "length", "model_length": "length"}
@@ -77,11 +73,9 @@ def drone_delivery(
     config, chosen = get_task(task), get_prompt(prompt)
     if history < 0:
         raise InvalidValueError(f"history must be 0 or more, got {history}")
-    episode = Episode(config, reward_profile)
     samples: list[Sample] = []
     for seed in split_seeds(split, episodes):
-        episode.reset(seed)
-        messages = first_messages(chosen, episode)
+        messages = first_messages(chosen, Episode(config, reward_profile, seed))
         samples.append(Sample(id=str(seed), input=[_inspects(m) for m in messages], metadata={"seed": seed}))
     return Task(
         dataset=MemoryDataset(samples, name=f"{config.id}-{split}"),

@@ -1,7 +1,7 @@
 """Runs side by side: only those that were checked, are whole, and flew the same maps are ranked against each other."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,12 +59,8 @@ def leaderboard(paths: Iterable[Path]) -> tuple[list[Board], list[Refused]]:
         task = f"{config.task} version {config.task_version}"
         maps = f"maps {config.seeds[0]} to {config.seeds[1] - 1} ({config.split})"
         boards[task, maps].append({"path": str(path), **figures})
-    return [Board(*key, _ranked(rows)) for key, rows in sorted(boards.items())], refused
+    return [Board(*key, sorted(rows, key=_merit, reverse=True)) for key, rows in sorted(boards.items())], refused
 
 
-def _ranked(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    def key(row: dict[str, Any]) -> tuple[float, float]:
-        normalised = row["normalised"]
-        return (float("-inf") if normalised is None else normalised, row["score"])
-
-    return sorted(rows, key=key, reverse=True)
+def _merit(row: dict[str, Any]) -> tuple[float, float]:
+    return float("-inf") if row["normalised"] is None else row["normalised"], row["score"]

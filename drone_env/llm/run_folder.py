@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from pydantic import Field
@@ -10,7 +11,7 @@ from typing_extensions import Self
 from drone_env.episodes.record import record_of
 from drone_env.episodes.store import Store
 from drone_env.errors import InvalidValueError
-from drone_env.files import is_begun, lock_file, write_text
+from drone_env.files import is_begun, locked, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
 from drone_env.llm.pilot import PilotedEpisode, Status
@@ -71,8 +72,8 @@ class RunFolder:
         if resume and not begun:
             raise InvalidValueError(f"there is no run in {path} to resume")
         path.mkdir(parents=True, exist_ok=True)
-        self._lock = lock_file(path / "lock", f"another process is working on the run in {path}")
-        try:
+        with ExitStack() as opened:
+            opened.enter_context(locked(path / "lock", f"another process is working on the run in {path}"))
             if config_path.exists():
                 before = load_config(path)
                 changed = before.differences(config)
@@ -80,9 +81,7 @@ class RunFolder:
                     raise InvalidValueError(f"the run in {path} has another configuration: {'; '.join(changed)}")
             else:
                 write_text(config_path, config.model_dump_json(indent=2) + "\n")
-        except BaseException:
-            self.close()
-            raise
+            self._opened = opened.pop_all()
 
     def write_flights(self, flights: Sequence[PilotedEpisode], agent: str) -> None:
         """Write the records and the results of flights, in their order; each file is there whole or not at all.
@@ -111,7 +110,7 @@ class RunFolder:
 
     def close(self) -> None:
         """Let other processes in."""
-        self._lock.release()
+        self._opened.close()
 
 
 def load_config(path: Path) -> RunConfig:

@@ -158,14 +158,6 @@ def token_for(settings: InferenceSettings, url: str) -> str | None:
     return token
 
 
-def settings_table() -> str:
-    """The settings as a table in Markdown."""
-    fields = InferenceSettings.model_fields.items()
-    defaults = {name: "-" if field.default is None else f"`{field.default}`" for name, field in fields}
-    rows = [(f"`{name.upper()}`", defaults[name], f"{field.description}") for name, field in fields]
-    return markdown_table(("variable", "default", "meaning"), rows)
-
-
 def models_table() -> str:
     """The supported models as a table in Markdown."""
     rows = [(f"`{model}`", *rest) for model, *rest in SUPPORTED_MODELS]

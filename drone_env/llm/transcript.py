@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 
 from drone_env.errors import InvalidValueError
-from drone_env.files import lock_file
+from drone_env.files import locked
 from drone_env.llm.answers import Answer
 from drone_env.llm.prompt import ChatMessage
 from drone_env.models import Count, Message
@@ -81,12 +81,11 @@ class Transcript:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.calls: list[Call] = []
-        self._lock = lock_file(path.with_suffix(".lock"), f"another process writes to {path}")
-        with ExitStack() as on_error:
-            on_error.callback(self._lock.release)
-            self._file = on_error.enter_context(path.open("ab+", buffering=0))
+        with ExitStack() as opened:
+            opened.enter_context(locked(path.with_suffix(".lock"), f"another process writes to {path}"))
+            self._file = opened.enter_context(path.open("ab+", buffering=0))
             self._read()
-            on_error.pop_all()
+            self._opened = opened.pop_all()
         self.answered = {call.key: call for call in self.calls if call.answer is not None}
 
     def append(self, call: Call) -> None:
@@ -109,8 +108,7 @@ class Transcript:
         """Put all on the disk and close the file."""
         if not self._file.closed:
             os.fsync(self._file.fileno())
-            self._file.close()
-            self._lock.release()
+            self._opened.close()
 
     def _read(self) -> None:
         end = 0

@@ -21,7 +21,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.errors import EpisodeError, InvalidValueError, MissingPackageError
+from drone_env.errors import EpisodeError, InvalidValueError, needs
 from drone_env.llm.prompt import FOLDER, below_text, first_messages, read_prompt, repair_text
 from drone_env.models import NAMES, Direction
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
 
 PROMPT = read_prompt(FOLDER / "tools" / "fly-1.toml")
-STEP = "Position: ({x}, {y}). Battery: {battery} units. Nearest parcel: {target}. Delivered: {done} of {total}."
 
 
 class DroneEnvironment:
@@ -81,17 +80,11 @@ class DroneEnvironment:
         episode.step(Action[direction])
         if episode.ended:
             return episode.message
-        x, y = episode.position
-        state = STEP.format(
-            x=x,
-            y=y,
-            battery=episode.battery_units,
-            target=episode.target,
-            done=episode.deliveries_done,
-            total=episode.task.deliveries,
-        )
         below = below_text(episode.task, NAMES[episode.under])
-        return f"{episode.message} {state}" + (f" {below}." if below else "")
+        return (
+            f"{episode.message} Position: {episode.position}. Battery: {episode.battery_units} units. "
+            f"Nearest parcel: {episode.target}. Delivered: {episode.deliveries_done} of {episode.task.deliveries}."
+        ) + (f" {below}." if below else "")
 
     def get_reward(self) -> float:
         """What the flight paid; one that the model left unfinished as if it waited to its end.
@@ -117,15 +110,11 @@ def training_maps(task: str = "easy", maps: int = 1000, split: str = "train") ->
         InvalidValueError: if `maps` is out of range.
         MissingPackageError: if `datasets`, which comes with TRL, is not installed.
     """
-    try:
+    with needs("trl"):
         from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
-    except ModuleNotFoundError:
-        raise MissingPackageError("datasets", "trl") from None
     config = get_task(task)
     seeds = list(split_seeds(split, maps))
-    episode = Episode(config)
-    episode.reset(seeds[0])
-    system, user = first_messages(PROMPT, episode)
+    system, user = first_messages(PROMPT, Episode(config, seed=seeds[0]))
     # What is on the map comes from `reset`.
     prompt = [system, {**user, "content": ""}]
     return Dataset.from_dict({"prompt": [prompt] * len(seeds), "task": [config.id] * len(seeds), "seed": seeds})

@@ -18,8 +18,8 @@ import numpy as np
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
-from drone_env.core.actions import N_ACTIONS, Action, Event, Outcome
-from drone_env.core.cells import Cell
+from drone_env.core.actions import FLYING, N_ACTIONS, Action, Event
+from drone_env.core.cells import DELIVERY_CELL
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import distance
 from drone_env.core.episode import Episode
@@ -34,7 +34,6 @@ from drone_env.errors import InvalidValueError
 from drone_env.planning.map_graph import (
     battery_ranges,
     delivered_set,
-    drain_range,
     put_drone,
     put_parcels,
     require_memory,
@@ -42,8 +41,6 @@ from drone_env.planning.map_graph import (
 )
 from drone_env.planning.optimal import Solution, solve_episode
 
-FLYING = int(Outcome.FLYING)
-DELIVERY = int(Cell.DELIVERY)
 TIE = 1e-9
 """Returns count as equal if they differ by less than this share of the largest of them."""
 NOISE = 1e-14
@@ -108,7 +105,7 @@ def audit_kernel(
                 target_cell = state[parcels[target]]
                 for cell in range(tables.cells):
                     under = grid[cell]
-                    if under == DELIVERY or tables.impassable[under]:
+                    if under == DELIVERY_CELL or tables.impassable[under]:
                         continue
                     for units in range(sizes[t]):
                         for action in range(N_ACTIONS):
@@ -259,7 +256,7 @@ def _maximise(start: Episode, gamma: float) -> tuple[Episode, float]:
     task = start.task
     tables, rewards = tabulate(task), tabulate_rewards(task, start.reward_profile)
     grid, state, parcels = state_arrays(start)
-    lowest, sizes = battery_ranges(start.battery_units, *drain_range(task), task, task.max_steps - start.steps)
+    lowest, sizes = battery_ranges(start)
     shape = (int(sizes.max()), 1 << len(parcels), len(parcels), tables.cells)
     size = int(np.prod(shape, dtype=object)) * (len(sizes) + 32)
     require_memory("the audit", task, size)
@@ -288,14 +285,9 @@ def _return(flight: Episode, gamma: float) -> float:
     return sum(reward * gamma**t for t, reward in enumerate(flight.rewards))
 
 
-def stall(start: Episode, solution: Solution) -> tuple[Action, ...]:
-    """Wait at the start until the end."""
-    return (Action.WAIT,) * start.task.max_steps
-
-
-def bump(start: Episode, solution: Solution) -> tuple[Action, ...]:
-    """Fly up to the edge of the city and bump into it until the end."""
-    return (Action.UP,) * start.task.max_steps
+def repeat(action: Action, start: Episode, solution: Solution) -> tuple[Action, ...]:
+    """The same action until the end."""
+    return (action,) * start.task.max_steps
 
 
 def oscillate(start: Episode, solution: Solution) -> tuple[Action, ...]:
@@ -303,7 +295,7 @@ def oscillate(start: Episode, solution: Solution) -> tuple[Action, ...]:
     back = {Action.UP: Action.DOWN, Action.LEFT: Action.RIGHT, Action.DOWN: Action.UP, Action.RIGHT: Action.LEFT}
     there = next((action for action in back if start.action_mask()[action]), None)
     if there is None:
-        return stall(start, solution)
+        return repeat(Action.WAIT, start, solution)
     steps = start.task.max_steps
     return (there, back[there]) * (steps // 2) + (there,) * (steps % 2)
 
@@ -325,5 +317,10 @@ def hover(start: Episode, solution: Solution) -> tuple[Action, ...]:
     return waiting(bisect.bisect_left(range(1, start.task.max_steps + 1), True, key=too_long))
 
 
-HACKS = {"stall": stall, "bump": bump, "oscillate": oscillate, "hover": hover}
+HACKS = {
+    "stall": partial(repeat, Action.WAIT),  # at the start
+    "bump": partial(repeat, Action.UP),  # up to the edge of the city, and into it
+    "oscillate": oscillate,
+    "hover": hover,
+}
 """Flights that earn without working. A new one is one more entry."""

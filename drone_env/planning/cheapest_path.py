@@ -10,15 +10,13 @@ import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
-from drone_env.core.actions import N_ACTIONS, Action, Event
-from drone_env.core.cells import Cell
+from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.cells import DELIVERY_CELL
 from drone_env.core.compile_cache import compiled_once
-from drone_env.core.obstacles import collision
+from drone_env.core.obstacles import NONE, collision
 from drone_env.core.tables import Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 
-DELIVERY = int(Cell.DELIVERY)
-FREE = int(Event.NONE)
 WAIT = int(Action.WAIT)
 UNREACHED = 1 << 40
 STEP_COST = 1
@@ -50,7 +48,7 @@ def cheapest_action(tables: Tables, grid: Any, start: int, costs: Any, first: An
                 continue
             for action in range(WAIT):
                 to = tables.moves[cell * N_ACTIONS + action]
-                if collision(tables, grid, to) != FREE:
+                if collision(tables, grid, to) != NONE:
                     continue
                 cost = costs[cell] + tables.drain[grid[to] * N_ACTIONS + action] * UNIT_COST + STEP_COST  # pyright: ignore[reportUnknownVariableType]
                 if cost < costs[to]:
@@ -59,7 +57,7 @@ def cheapest_action(tables: Tables, grid: Any, start: int, costs: Any, first: An
                     changed = True
     best = -1
     for cell in range(tables.cells):
-        if grid[cell] == DELIVERY and costs[cell] < UNREACHED and (best < 0 or costs[cell] < costs[best]):
+        if grid[cell] == DELIVERY_CELL and costs[cell] < UNREACHED and (best < 0 or costs[cell] < costs[best]):
             best = cell
     return WAIT if best < 0 else first[best]
 

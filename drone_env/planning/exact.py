@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
-from drone_env.core.actions import N_ACTIONS, Action, Outcome, check_action
+from drone_env.core.actions import FLYING, N_ACTIONS, Action, check_action
 from drone_env.core.cells import Cell
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import units_left
@@ -26,16 +26,8 @@ from drone_env.core.score import score_of
 from drone_env.core.tables import Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError
-from drone_env.planning.map_graph import (
-    MapGraph,
-    battery_ranges,
-    drain_range,
-    map_graph,
-    require_memory,
-    waiting_parcels,
-)
+from drone_env.planning.map_graph import MapGraph, battery_ranges, map_graph, require_memory, waiting_parcels
 
-FLYING = int(Outcome.FLYING)
 ANOTHER = "this episode cannot have come from the one that was solved: make a solver of its own"
 
 
@@ -128,8 +120,7 @@ class ExactSolver:
         ends = (task.deliveries + 1) * (task.battery_capacity + 1) * (task.max_steps + 1)
         require_memory("the exact values", task, 12 * ends + 30 * places)
         graph = map_graph(episode)
-        steps_left = task.max_steps - episode.steps
-        lowest, sizes = battery_ranges(episode.battery_units, *drain_range(task), task, steps_left)
+        lowest, sizes = battery_ranges(episode)
         starts = np.concatenate([[0], np.cumsum(sizes)]) * places
         self._scores, ranked = ranked_scores(task)
         require_memory("the exact values", task, int(starts[-1]) * ranked.itemsize)

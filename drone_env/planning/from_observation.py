@@ -7,22 +7,21 @@ from drone_env.core.cells import N_CELL_KINDS, Cell
 from drone_env.core.episode import Episode, Observation
 from drone_env.core.standing import standing_episode
 from drone_env.core.tasks import TERRAIN, TaskConfig
-from drone_env.planning.greedy import positions
+from drone_env.planning.greedy import drone_positions
 
 
 def episode_of(task: TaskConfig, observation: Observation, reward_profile: str = "score") -> Episode:
     """An episode that shows this observation. Parcels are numbered in reading order, its seed is 0."""
     ground = np.ravel(observation["grid"]).copy()
     telemetry = observation["telemetry"].tolist()
-    x, y = positions(task, observation["telemetry"][None])[0][0].tolist()
+    x, y = drone_positions(task, observation["telemetry"][None])[0].tolist()
     drone = y * task.width + x
     battery = round(telemetry[2] * task.battery_capacity)
     left = round(telemetry[5] * task.max_steps) if len(telemetry) > 5 else battery
     ground[drone] = TERRAIN[telemetry[6:].index(1)] if len(telemetry) > 6 else hidden_kind(task, ground)
     kinds = (Cell.DELIVERY, False), (Cell.DELIVERED, True)
     parcels = [(cell, delivered) for kind, delivered in kinds for cell in np.flatnonzero(ground == kind).tolist()]
-    steps = task.max_steps - left
-    return standing_episode(task, ground, drone, battery, steps, parcels, reward_profile)
+    return standing_episode(task, ground, drone, battery, task.max_steps - left, parcels, reward_profile)
 
 
 def hidden_kind(task: TaskConfig, grid: npt.NDArray[np.uint8]) -> int:

@@ -4,17 +4,23 @@ Where terrain costs or blocks, the nearest target is the one that is cheapest to
 what the battery still holds nor where it could be charged.
 """
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.paths import towards
+
+UP, LEFT, WAIT = int(Action.UP), int(Action.LEFT), int(Action.WAIT)
+"""The opposite of UP and LEFT is the action after it."""
 
 
 def greedy_action(task: TaskConfig, observation: Observation) -> Action:
     """The next action towards the nearest target; WAIT when nothing is left."""
+    if task.uniform:
+        return Action(straight(observation["telemetry"].tolist()))
     return Action(int(greedy_actions(task, observation["grid"][None], observation["telemetry"][None])[0]))
 
 
@@ -22,18 +28,24 @@ def greedy_actions(
     task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.int64]:
     """The same for N episodes: int64[N] from grids uint8[N, H, W] and telemetry float32[N, telemetry_size]."""
-    drones, targets = positions(task, telemetry)
     if task.uniform:
-        return towards(drones, targets)
+        return straight(telemetry.T)
     from drone_env.planning.cheapest_path import cheapest_actions  # compiles, which only these tasks are worth
 
-    return cheapest_actions(task, grids, drones)
+    return cheapest_actions(task, grids, drone_positions(task, telemetry))
 
 
-def positions(
-    task: TaskConfig, telemetry: npt.NDArray[np.float32]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """(x, y) of drones and of their current targets, int64[N, 2] each, from telemetry float32[N, telemetry_size]."""
-    sides = np.array([task.width, task.height])
-    drones, targets = (np.rint(telemetry[:, i : i + 2] * sides).astype(np.int64) for i in (0, 3))
-    return drones, targets
+def straight(telemetry: Any) -> Any:
+    """The action along the row to the target, then along the column; WAIT above it.
+
+    Of one telemetry as a list it is a plain integer, of float32[telemetry_size, N] it is int64[N].
+    """
+    x, y, _, to_x, to_y, *_ = telemetry
+    in_column, in_row = x == to_x, y == to_y
+    column_action = (1 - in_row) * (UP + (to_y > y)) + in_row * WAIT
+    return (1 - in_column) * (LEFT + (to_x > x)) + in_column * column_action
+
+
+def drone_positions(task: TaskConfig, telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+    """(x, y) of drones, int64[N, 2], from telemetry float32[N, telemetry_size]."""
+    return np.rint(telemetry[:, :2] * np.array([task.width, task.height])).astype(np.int64)

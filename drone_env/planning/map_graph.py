@@ -12,8 +12,8 @@ import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
-from drone_env.core.actions import N_ACTIONS, Outcome
-from drone_env.core.cells import Cell
+from drone_env.core.actions import FLYING, N_ACTIONS
+from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, DRONE_CELL, Cell
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile, Rewards, tabulate_rewards
@@ -32,11 +32,6 @@ from drone_env.core.tables import (
 )
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError
-
-FLYING = int(Outcome.FLYING)
-DRONE = int(Cell.DRONE)
-DELIVERY = int(Cell.DELIVERY)
-DELIVERED = int(Cell.DELIVERED)
 
 MAX_BYTES = 1 << 30
 """Working memory that a planner may take for one map."""
@@ -58,10 +53,10 @@ def put_parcels(tables: Tables, grid: Any, state: Any, parcels: Any, delivered: 
         if delivered >> i & 1:
             state[parcels[i]] = cell + DELIVERED_FLAG
             state[DELIVERIES_DONE] += 1
-            grid[cell] = DELIVERED
+            grid[cell] = DELIVERED_CELL
         else:
             state[parcels[i]] = cell
-            grid[cell] = DELIVERY
+            grid[cell] = DELIVERY_CELL
 
 
 def put_drone(tables: Tables, grid: Any, state: Any, cell: int, steps: int, battery: int) -> None:
@@ -71,7 +66,7 @@ def put_drone(tables: Tables, grid: Any, state: Any, cell: int, steps: int, batt
     state[STEPS] = steps
     state[BATTERY] = battery
     state[OUTCOME] = FLYING
-    grid[cell] = DRONE
+    grid[cell] = DRONE_CELL
 
 
 def delivered_set(state: Any, parcels: Any) -> int:
@@ -97,7 +92,7 @@ def explore(tables: Tables, rewards: Rewards, grid: Any, state: Any, parcels: An
     for delivered in range((1 << len(parcels)) - 1):
         for cell in range(tables.cells):
             put_parcels(tables, grid, state, parcels, delivered)
-            if grid[cell] == DELIVERY or tables.impassable[grid[cell]]:
+            if grid[cell] == DELIVERY_CELL or tables.impassable[grid[cell]]:
                 continue
             under = grid[cell]
             place = delivered * tables.cells + cell
@@ -183,27 +178,19 @@ def drain_range(task: TaskConfig) -> tuple[int, int]:
     return int(drains.min()), int(drains.max())
 
 
-def battery_ranges(
-    battery: int, least_drain: int, most_drain: int, task: TaskConfig, steps: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """What the battery can hold after each number of steps of a flight that goes on.
-
-    Args:
-        battery: Units at the start.
-        least_drain: The least that one step can drain.
-        most_drain: The most.
-        task: The task.
-        steps: Steps from the start to the last.
+def battery_ranges(episode: Episode) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """What the battery can hold after each of the T steps that are left to an episode, as long as it goes on.
 
     Returns:
-        int64[steps + 1], the lowest number of units above 0; and int64[steps], how many numbers from there on.
+        int64[T + 1], the lowest number of units above 0; and int64[T], how many numbers from there on.
     """
+    least_drain, most_drain = drain_range(episode.task)
     lowest, sizes = [], []
-    low = high = battery
-    for _ in range(steps):
+    low = high = episode.battery_units
+    for _ in range(episode.task.max_steps - episode.steps):
         lowest.append(low)
         sizes.append(max(high - low + 1, 0))
-        low, high = max(low - most_drain, 1), min(high - least_drain, task.battery_capacity)
+        low, high = max(low - most_drain, 1), min(high - least_drain, episode.task.battery_capacity)
     lowest.append(low)
     return np.array(lowest, np.int64), np.array(sizes, np.int64)
 

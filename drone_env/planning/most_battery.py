@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from drone_env.core import compiled
-from drone_env.core.actions import N_ACTIONS, Action, Outcome
+from drone_env.core.actions import FLYING, N_ACTIONS, Action
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import units_left
 from drone_env.core.episode import Episode
@@ -19,8 +19,6 @@ from drone_env.core.score import score_of
 from drone_env.core.tables import Tables
 from drone_env.errors import UnsupportedTaskError
 from drone_env.planning.map_graph import map_graph, require_memory, waiting_parcels
-
-FLYING = int(Outcome.FLYING)
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)

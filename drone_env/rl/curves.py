@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from drone_env.errors import MissingPackageError
+from drone_env.errors import needs
 from drone_env.rl.trainer import Progress
 
 CURVES = {
@@ -23,10 +23,8 @@ def draw_curves(runs: Mapping[str, Sequence[Progress]], title: str, folder: Path
         MissingPackageError: if Matplotlib is missing.
         OSError: if a file cannot be written.
     """
-    try:
+    with needs("train"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingPackageError("matplotlib", "train") from None
     folder.mkdir(parents=True, exist_ok=True)
     for name, label in CURVES.items():
         figure: Any = Figure(figsize=(7, 4), layout="constrained")

@@ -4,16 +4,15 @@ import csv
 import math
 import signal
 import sys
-import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from drone_env.errors import CheckpointError, MissingPackageError
+from drone_env.errors import CheckpointError, needs
 from drone_env.files import replacing
 from drone_env.rl.checkpoint import export_network, load_checkpoint, save_checkpoint
 from drone_env.rl.config import TrainConfig
@@ -84,18 +83,17 @@ class TrainingRun:
         self.stopped = False
         """Whether the run is to end after the present step, or has."""
 
-    def train(self, show: Callable[[Progress], None]) -> None:
-        """Train to the end, or until `stopped` is set, as Ctrl-C does: the run then saves and ends after that step.
+    def train(self) -> Iterator[Progress]:
+        """Train to the end, or until `stopped` is set: the run then saves and ends after that step.
 
-        Args:
-            show: Called with every line of the log.
+        Yields every line of the log when it is written.
         """
         config, trainer = self.config, self.trainer
         for folder in (self.log.parent, self.results):
             folder.mkdir(parents=True, exist_ok=True)
         self._since = self._clock()
         saved_at, saved_episodes = self._since if self.resumed else None, trainer.episodes
-        with self._tensorboard() as board, self._log_file() as log, self._stopping_on_interrupt():
+        with self._tensorboard() as board, self._log_file() as log:
             for lines in trainer.train():
                 late = saved_at is None or self._clock() - saved_at >= config.checkpoint_seconds
                 if late and trainer.episodes - saved_episodes >= config.checkpoint_episodes:
@@ -107,7 +105,7 @@ class TrainingRun:
                     for name, value in asdict(line).items():
                         if name != "episode" and not math.isnan(value):
                             board.add_scalar(name, value, line.episode)
-                    show(line)
+                    yield line
                 if self.stopped:
                     break
         self.save()
@@ -150,10 +148,8 @@ class TrainingRun:
 
     def _tensorboard(self) -> Any:
         """TensorBoard's writer. What it got after the checkpoint is flown again, and so taken back."""
-        try:
+        with needs("train"):
             from torch.utils.tensorboard import SummaryWriter
-        except ImportError:
-            raise MissingPackageError("tensorboard", "train") from None
         folder = self.results / "tensorboard"
         if not self.resumed:
             for old in folder.glob("events.out.tfevents.*"):
@@ -161,16 +157,15 @@ class TrainingRun:
         return SummaryWriter(folder, purge_step=self.trainer.episodes + 1)
 
     @contextmanager
-    def _stopping_on_interrupt(self) -> Generator[None, None, None]:
+    def stopping_on_interrupt(self) -> Generator[None, None, None]:
+        """Inside of the `with`, Ctrl-C sets `stopped`, and a second one ends at once. For the main thread."""
+
         def stop(signum: int, frame: FrameType | None) -> None:
             if self.stopped:
                 raise KeyboardInterrupt
             self.stopped = True
             print("\nstopping after this step; once more to stop at once", file=sys.stderr)
 
-        if threading.current_thread() is not threading.main_thread():
-            yield  # signals reach the main thread alone, and whoever runs there decides
-            return
         before = signal.signal(signal.SIGINT, stop)
         try:
             yield

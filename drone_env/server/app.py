@@ -81,7 +81,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
             sweeper.cancel()
             with suppress(asyncio.CancelledError):
                 await sweeper
-            await run_in_threadpool(live.close)
+            await run_in_threadpool(live.values.close)
             await run_in_threadpool(shared.close)
 
     app = FastAPI(

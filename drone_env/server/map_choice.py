@@ -1,10 +1,9 @@
 """Which map a reset chooses, and what its steps pay; splits are named `task/split`."""
 
 import secrets
-from typing import NamedTuple
 
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import ORIGINAL_PROFILE, RewardProfile, get_reward_profile
+from drone_env.core.rewards import ORIGINAL_PROFILE, get_reward_profile
 from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
@@ -13,25 +12,8 @@ from drone_env.server.schemas import ResetOptions
 DEFAULT_TASK = "easy_delivery"
 
 
-class MapChoice(NamedTuple):
-    """Which map to fly, and what steps pay."""
-
-    task: TaskConfig
-    seed: int
-    reward_profile: RewardProfile
-
-    @property
-    def names(self) -> tuple[str, int, int, str]:
-        """Task, its version, seed and reward profile, as a session's row names them."""
-        return self.task.id, self.task.version, self.seed, self.reward_profile.id
-
-    def episode(self) -> Episode:
-        """An episode on the map, reset."""
-        return Episode(self.task, self.reward_profile, self.seed)
-
-
-def choose_map(options: ResetOptions, last_seed: int | None, task: str = DEFAULT_TASK) -> MapChoice:
-    """What a reset asks for.
+def start_episode(options: ResetOptions, last_seed: int | None, task: str = DEFAULT_TASK) -> Episode:
+    """The episode that a reset asks for, at its start.
 
     Args:
         options: The reset.
@@ -46,13 +28,14 @@ def choose_map(options: ResetOptions, last_seed: int | None, task: str = DEFAULT
     profile = get_reward_profile(options.reward_profile or ORIGINAL_PROFILE)
     if options.split is not None and options.index is not None:
         try:
-            return MapChoice(*find_map(options.split, options.index), profile)
+            known, seed = find_map(options.split, options.index)
         except IndexError as error:
             raise InvalidValueError(str(error)) from None
+        return Episode(known, profile, seed)
     seed = options.seed
     if seed is None:
         seed = secrets.randbelow(SPLITS["train"].stop) if last_seed is None else next_seed(last_seed)
-    return MapChoice(get_task(options.task_name or task), seed, profile)
+    return Episode(options.task_name or task, profile, seed)
 
 
 def split_names() -> list[str]:

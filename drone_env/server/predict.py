@@ -11,6 +11,7 @@ from drone_env.core.episode import Observation
 from drone_env.core.observation import telemetry_of
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
+from drone_env.files import stamp
 from drone_env.models import DIRECTIONS, NAMES, DroneObservation
 from drone_env.server.problems import RequestError
 from drone_env.server.schemas import ModelInfo, Prediction, PredictRequest
@@ -112,23 +113,20 @@ class Networks:
         """What flies by a file as it is now; what is wrong with it; None where there is none."""
         file = self._file(source, task)
         try:
-            status = file.stat()
-        except (FileNotFoundError, NotADirectoryError):
-            return None
+            now = stamp(file)
+            if now is None:
+                return None
+            with self._lock:
+                read = self._read.get(file)
+                if read is None or read[0] != now:
+                    try:
+                        found = PathQNetAgent(task, file)
+                    except CheckpointError as error:
+                        found = error
+                    read = self._read[file] = (now, found)
+                return read[1]
         except OSError as error:
             return CheckpointError(f"{file} cannot be read: {error}")
-        now = (status.st_ino, status.st_size, status.st_mtime_ns)
-        with self._lock:
-            read = self._read.get(file)
-            if read is None or read[0] != now:
-                try:
-                    found = PathQNetAgent(task, file)
-                except CheckpointError as error:
-                    found = error
-                except OSError as error:
-                    found = CheckpointError(f"{file} cannot be read: {error}")
-                read = self._read[file] = (now, found)
-            return read[1]
 
 
 def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfig, Observation]:

@@ -8,11 +8,11 @@ from typing_extensions import Self
 
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
-from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig
-from drone_env.episodes.finished import EpisodeRow, check_agent, utc
+from drone_env.episodes.finished import EpisodeSummary, check_agent
 from drone_env.episodes.statistics import Analysis
 from drone_env.models import (
+    MAX_SEED,
     Count,
     Direction,
     DroneAction,
@@ -22,9 +22,9 @@ from drone_env.models import (
     PathPoint,
     Position,
     Score,
+    Seed,
 )
 
-MAX_SEED = N_SEEDS - 1
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
 STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
 
@@ -32,9 +32,6 @@ STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
 def examples(values: list[JsonValue]) -> Any:
     """Examples of a body, as its documentation shows them."""
     return {str(value): {"value": value} for value in values}
-
-
-Seed = Annotated[int, Field(ge=0, le=MAX_SEED)]
 
 
 # What the store takes: an episode must not fail to be kept when it has been flown.
@@ -275,38 +272,6 @@ class Health(Message):
 
     status: Literal["healthy"] = "healthy"
     version: str = Field(description="Version of the package.")
-
-
-class EpisodeSummary(Message):
-    """One finished episode."""
-
-    id: str
-    finished_at: str = Field(description="UTC, ISO 8601.")
-    task: str
-    task_version: int
-    seed: Seed
-    agent: str
-    reward_profile: str
-    steps: Count
-    deliveries: Count
-    deliveries_total: Count
-    reward_total: float
-    score: Score
-    success: bool
-    outcome: str
-    optimal_score: Score | None = Field(description="The optimum of its map; null where it is not known.")
-    regret: float | None = Field(ge=0, description="optimal_score - score.")
-
-    @classmethod
-    def of(cls, row: EpisodeRow) -> Self:
-        """The summary of a finished episode."""
-        known: dict[str, Any] = row._asdict() | {
-            "finished_at": utc(row.finished_at).isoformat(),
-            "success": row.outcome == "delivered",
-            "optimal_score": row.optimum,
-            "regret": None if row.optimum is None else row.optimum - row.score,
-        }
-        return cls(**{name: known[name] for name in cls.model_fields})
 
 
 class EpisodeSummaries(Message):

@@ -12,13 +12,14 @@ from pathlib import Path
 
 from fastapi import FastAPI
 from starlette.datastructures import Headers
+from starlette.requests import ClientDisconnect, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drone_env.errors import InvalidValueError
+from drone_env.server.incoming import parse_json
 from drone_env.server.local import host_name, is_local_name, listens_on_loopback
 from drone_env.server.problems import RequestError, answer_to
 from drone_env.server.settings import Settings
-from drone_env.server.strict_json import parse_json
 
 PAGE = Path(__file__).with_name("static")
 ART = Path(__file__).parents[1] / "envs" / "art"
@@ -173,19 +174,16 @@ class JsonBodies:
             await self.app(scope, receive, send)
             return
         body = bytearray()
-        more = True
         try:
-            while more:
-                message = await receive()
-                if message["type"] == "http.disconnect":
-                    return
-                body += message.get("body", b"")
-                more = message.get("more_body", False)
+            async for piece in Request(scope, receive).stream():
+                body += piece
                 if len(body) > self.max_bytes:
                     detail = f"a body may have {self.max_bytes} bytes"
                     raise RequestError(413, "too_large", detail, {"Connection": "close"})
             if body:
                 scope[BODY] = _parsed(body, headers)
+        except ClientDisconnect:
+            return
         except RequestError as error:
             await answer_to(error, scope)(scope, receive, send)
             return

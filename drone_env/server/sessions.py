@@ -10,11 +10,11 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 
 from drone_env.core.episode import Episode
-from drone_env.episodes.sessions import SessionRow
+from drone_env.episodes.sessions import SessionRow, flight_of
 from drone_env.episodes.store import Store
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import DroneAction
-from drone_env.server.map_choice import choose_map
+from drone_env.server.map_choice import start_episode
 from drone_env.server.observation_json import flat_json
 from drone_env.server.schemas import ResetOptions
 
@@ -85,8 +85,8 @@ class Sessions:
             # Where it is gone the caller does what the error would ask for: open a new one.
             with suppress(NoSessionError, SessionGoneError):
                 return session, self._reset_row(session, options, show, address, flown=address is not None)
-        chosen = choose_map(options, None)
-        wanted = *chosen.names, options.agent or ANONYMOUS, self.capacity, address
+        episode = start_episode(options, None)
+        wanted = *flight_of(episode), options.agent or ANONYMOUS, self.capacity, address
         try:
             opened = self.store.open_session(*wanted)
         except CapacityError:
@@ -96,7 +96,6 @@ class Sessions:
                 return session, self._reset_row(session, options, show, address)
             else:
                 raise
-        episode = chosen.episode()
         first = show(episode, None)
         live = self._entry(opened)
         with live.lock:
@@ -110,9 +109,8 @@ class Sessions:
             with self._changing(live, session, address) as row:
                 if flown and not row.actions:
                     raise NoSessionError("nobody has flown this session yet")
-                chosen = choose_map(options, row.seed)
-                row.reset(*chosen.names, options.agent)
-                episode = live.episode = chosen.episode()
+                episode = live.episode = start_episode(options, row.seed)
+                row.reset(*flight_of(episode), options.agent)
             return show(episode, None)
 
     def step(

@@ -3,14 +3,13 @@
 import os
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated
 
 from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from drone_env.agents.pathqnet import WEIGHTS
 from drone_env.errors import InvalidValueError, text_of
-from drone_env.reports.tables import markdown_table
 
 Listed = Annotated[tuple[str, ...], NoDecode]
 """Comma-separated in the environment."""
@@ -91,20 +90,3 @@ def misspelt_variables() -> dict[str, str]:
     found = [name for name in os.environ if name.startswith("DRONE_ENV_") and name not in known]
     close = {name: get_close_matches(name, known, 1, 0.9) for name in found}
     return {name: matches[0] for name, matches in close.items() if matches}
-
-
-def settings_table() -> str:
-    """The settings as a table in Markdown."""
-    fields = Settings.model_fields.items()
-    rows = [
-        (f"`DRONE_ENV_{name.upper()}`", _shown(name, field.default), f"{field.description}") for name, field in fields
-    ]
-    return markdown_table(("variable", "default", "meaning"), rows)
-
-
-def _shown(name: str, default: object) -> str:
-    if default is None or default == ():
-        return "-"
-    if name == "weights":
-        return "the networks that are shipped"
-    return f"`{','.join(cast(tuple[str, ...], default))}`" if isinstance(default, tuple) else f"`{default}`"

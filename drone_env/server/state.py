@@ -4,13 +4,14 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Annotated, NamedTuple, TypeVar
 
 import anyio.to_thread
 from fastapi import Depends, Header, Request, Response
 from typing_extensions import Self
 
-from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.store import Store
 from drone_env.planning.optimal import best_of
 from drone_env.server.local import local_address
@@ -52,17 +53,6 @@ class Shared:
         """Flies the steps of HTTP sessions while the server runs. One thread: the store has one writer anyway."""
         self._studies: anyio.CapacityLimiter | None = None
         self._studying = 0
-        self._warm: set[TaskConfig] = set()
-
-    def warm_up(self, task: str | TaskConfig) -> None:
-        """Have what solves a task compiled in the background, once: nobody should wait for that at the end.
-
-        Only tasks where terrain costs or blocks need that.
-        """
-        known = get_task(task)
-        if not known.uniform and known not in self._warm:
-            self._warm.add(known)
-            threading.Thread(target=best_of, args=(known, 0), name="drone_env-warm-up", daemon=True).start()
 
     async def study(self, work: Callable[[], Found]) -> Found:
         """Do what takes long in a thread that no other request needs, a few at a time.
@@ -121,6 +111,16 @@ class Shared:
             self._sessions.store.close()
             self._sessions = None
         self._studies = None
+
+
+@cache
+def warm_up(task: TaskConfig) -> None:
+    """Have what solves a task compiled in the background, once: nobody should wait for that at the end.
+
+    Only tasks where terrain costs or blocks need that.
+    """
+    if not task.uniform:
+        threading.Thread(target=best_of, args=(task, 0), name="drone_env-warm-up", daemon=True).start()
 
 
 async def shared_of(request: Request) -> Shared:

@@ -3,6 +3,8 @@
 from collections import deque
 from pathlib import Path
 
+from drone_env.files import stamp
+
 FILE_NAME = "train.log"
 TAIL_BYTES = 256 * 1024
 
@@ -16,19 +18,12 @@ class TrainLog:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / FILE_NAME
-        self._seen: object = None
+        self._seen: object = False
 
     def has_changed(self) -> bool:
         """Whether it is another one than at the last call; true at the first."""
-        try:
-            status = self.path.stat()
-        except FileNotFoundError:
-            now: object = False
-        else:
-            now = (status.st_ino, status.st_size, status.st_mtime_ns)
-        changed = now != self._seen
-        self._seen = now
-        return changed
+        before, self._seen = self._seen, stamp(self.path)
+        return self._seen != before
 
     def tail(self, lines: int) -> list[str]:
         """Its last lines, oldest first; none where there is no file. Reads at most its last 256 KiB."""

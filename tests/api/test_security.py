@@ -11,9 +11,9 @@ from starlette.websockets import WebSocketDisconnect
 
 from drone_env.errors import InvalidValueError
 from drone_env.server.app import create_app
+from drone_env.server.incoming import MAX_DEPTH, _unique, parse_json
 from drone_env.server.security import JsonBodies
 from drone_env.server.settings import Settings, load_settings, misspelt_variables
-from drone_env.server.strict_json import MAX_DEPTH, _unique, parse_json
 
 JSON = {"Content-Type": "application/json"}
 

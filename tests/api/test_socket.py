@@ -19,6 +19,7 @@ from drone_env.episodes.store import FILE_NAME
 from drone_env.models import observation_fields
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
+from drone_env.server.observation_json import openenv_json
 from drone_env.server.openenv.session import Session
 from drone_env.server.openenv.socket import OpenEnvSocket
 from drone_env.server.schemas import ResetOptions
@@ -264,5 +265,5 @@ def test_the_fast_json_of_an_observation_is_that_of_its_fields(task: str) -> Non
         for action in (0, 2, 4, 1, 3, 3, 0):
             reward = session.episode.step(action)
             expected = openenv_result(observation_fields(session.episode), reward)
-            assert session.result(reward) == to_json(expected).decode()
-    assert json.loads(session.result(None))["reward"] is None
+            assert openenv_json(session.episode, reward) == to_json(expected).decode()
+    assert json.loads(openenv_json(session.episode, None))["reward"] is None

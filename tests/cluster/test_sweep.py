@@ -29,10 +29,6 @@ def sweep_of(*sets: str, seeds: int = 1, early_stopping: bool = True) -> SweepCo
     return make_config("easy", "fast", settings_of([*SMALL, *sets]), seeds, 1, early_stopping, 20)
 
 
-def do_nothing(*_: object) -> None:
-    """A callback."""
-
-
 # What is tried
 
 
@@ -155,7 +151,7 @@ def test_a_trial_that_fails_is_reported_with_its_error_and_counts_in_nothing(tmp
     (broken / "easy.pth").write_bytes(b"not a checkpoint")
     told: list[dict[str, Any]] = []
     for trial in config.trials():
-        train_trial(folder, trial, 20, 60, told.append)
+        told += train_trial(folder.path, 20, 60, trial)
     assert ["cut short" in result["failed"] for result in told if "failed" in result] == [True]
     assert is_done(folder, config)
     figures = sweep_report(folder, config)
@@ -169,12 +165,12 @@ def test_a_trial_that_fails_is_reported_with_its_error_and_counts_in_nothing(tmp
     # It is not tried again unless somebody says so, and what is finished stays as it is.
     finished = folder.state(Trial(0, 0))
     for trial in config.trials():
-        train_trial(folder, trial, 20, 60, do_nothing)
+        assert not list(train_trial(folder.path, 20, 60, trial))
     assert [len(folder.parts(trial)) for trial in config.trials()] == [1, 0]
     retry_failed(folder, config)
     (broken / "easy.pth").unlink()
     assert outstanding(folder, config, 20) == [Trial(0, 1)]
-    train_trial(folder, Trial(0, 1), 20, 60, do_nothing)
+    assert list(train_trial(folder.path, 20, 60, Trial(0, 1)))
     assert folder.state(Trial(0, 1)).status == "finished"
     assert folder.state(Trial(0, 0)) == finished
 

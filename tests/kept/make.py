@@ -269,7 +269,7 @@ def make_data_set(folder: Path) -> dict[str, Any]:
                 episode.step(action)
             exact = {"optimum": float(flight.values[0]), "q_values": flight.q_values.tolist()}
             flights.append({**flight_of(episode, flight.agent), **exact})
-    return {"columns": ["episode", *(column.name for column in columns(task))], "flights": flights}
+    return {"columns": [column.name for column in columns(task)], "flights": flights}
 
 
 def make(folder: Path) -> None:

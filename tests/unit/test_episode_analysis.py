@@ -7,7 +7,7 @@ import pytest
 
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes import optima
-from drone_env.episodes.finished import EpisodeRow
+from drone_env.episodes.finished import EpisodeSummary
 from drone_env.episodes.statistics import analyse
 from drone_env.episodes.store import Store
 from drone_env.models import OutcomeName
@@ -106,19 +106,19 @@ def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog:
     with store._database.writing() as connection:
         connection.execute("CREATE TRIGGER full BEFORE INSERT ON optima BEGIN SELECT RAISE(ABORT, 'disk is full'); END")
     (listed,) = store.listed(9, patience=240)
-    assert (listed.id, listed.solved, listed.optimum) == (store.latest(1)[0].id, False, None)
+    assert (listed.id, listed.solved, listed.optimal_score) == (store.latest(1)[0].id, False, None)
     analysis = store.analysis("easy", patience=240)
     assert (analysis.episodes, analysis.regret_episodes, analysis.mean_regret) == (1, 0, None)
     assert caplog.text.count("optima of easy_delivery could not be solved or kept: store ") == 2
     with store._database.writing() as connection:
         connection.execute("DROP TRIGGER full")
-    assert store.listed(9, patience=240)[0].optimum == solve("easy", 7).score
+    assert store.listed(9, patience=240)[0].optimal_score == solve("easy", 7).score
 
 
-def row(score: float, outcome: OutcomeName, actions: str, solved: bool, optimum: float | None) -> EpisodeRow:
+def row(score: float, outcome: OutcomeName, actions: str, solved: bool, optimum: float | None) -> EpisodeSummary:
     done, steps = int(outcome == "delivered"), len(actions)
     flight = ("easy_delivery", 1, 7, "tiered", "someone", actions, done, 1, steps, 1.0, score, outcome)
-    return EpisodeRow(1, "0123456789abcdef", 0.0, *flight, solved, optimum)
+    return EpisodeSummary.of((1, "0123456789abcdef", 0.0, *flight, solved, optimum))
 
 
 def test_maps_too_large_to_be_solved_are_left_out_of_regret() -> None:

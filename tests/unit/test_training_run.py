@@ -60,7 +60,7 @@ def saved_at(run: TrainingRun) -> list[tuple[int, int]]:
     """The (steps, episodes) at which a run saves, which it is then made to do."""
     kept: list[tuple[int, int]] = []
     run.save = lambda: kept.append((run.trainer.steps, run.trainer.episodes))  # type: ignore[method-assign]
-    run.train(lambda _: None)
+    list(run.train())
     return kept
 
 
@@ -88,21 +88,14 @@ def test_checkpoints_are_so_many_episodes_and_seconds_apart_but_for_the_first(tm
         assert saved(episodes, seconds) == [*expected, steps[-1]]
 
 
-class Killed(Exception):  # noqa: N818
-    """What ends a run here, without its saving anything."""
-
-
 @pytest.mark.feature("L5")
 def test_what_the_log_has_told_is_not_lost_by_a_kill(tmp_path: Path) -> None:
     """The settings are those of `train.py --episodes 500`, but for what takes long."""
     config = replace(preset("fast", "easy", 500), validation_maps=5, validation_every=500, steps_per_update=1e9)
 
-    def kill(line: Progress) -> None:
+    for line in TrainingRun(config, tmp_path, tmp_path / "results").train():
         if line.episode >= 60:
-            raise Killed
-
-    with pytest.raises(Killed):
-        TrainingRun(config, tmp_path, tmp_path / "results").train(kill)
+            break  # as a kill, without its saving anything
     assert TrainingRun(config, tmp_path, tmp_path / "results").trainer.episodes >= 50
 
 
@@ -340,13 +333,15 @@ def test_interrupted_twice_it_ends_at_once(tmp_path: Path) -> None:
     run = run_in(tmp_path)
     asked = []
 
-    def show(_: Progress) -> None:
-        for _ in range(2):
-            asked.append(run.stopped)
-            signal.raise_signal(signal.SIGINT)
+    def train() -> None:
+        with run.stopping_on_interrupt():
+            for _ in run.train():
+                for _ in range(2):
+                    asked.append(run.stopped)
+                    signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        run.train(show)
+        train()
     assert asked == [False, True]
     assert not run.checkpoint.exists()
     assert signal.getsignal(signal.SIGINT) is before
@@ -356,12 +351,11 @@ def test_interrupted_twice_it_ends_at_once(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("no_curves")
 def test_the_log_grows_and_begins_anew_with_what_the_checkpoint_holds(tmp_path: Path) -> None:
     run = run_in(tmp_path, episodes=10)
-    lengths: list[int] = []
-    run.train(lambda _: lengths.append((tmp_path / "train.log").read_text().count("\n")))
+    lengths = [(tmp_path / "train.log").read_text().count("\n") for _ in run.train()]
     assert lengths == [1, 2]  # each line is there for others when it is told
     first = [log_line(line) for line in run.trainer.history]
     (tmp_path / "train.log").write_text("flown after the checkpoint\n")
     run = run_in(tmp_path, episodes=15, final_learning_rate=1e-5)
-    run.train(lambda _: None)
+    list(run.train())
     assert (tmp_path / "train.log").read_text().splitlines() == [*first, log_line(run.trainer.history[-1])]
     assert [asdict(line)["episode"] for line in run.trainer.history] == [5, 10, 15]

@@ -10,7 +10,7 @@ from typing import Any
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import SweepFolder
 from drone_env.cluster.sweep.halving import decide, remaining, rungs
-from drone_env.cluster.sweep.trial import train_on_node
+from drone_env.cluster.sweep.trial import train_trial
 
 TRIES = 4
 """How often a trial is taken up whose worker dies."""
@@ -37,7 +37,7 @@ def drive(
     from drone_env.cluster.jobs import run_jobs  # needs Ray, and the other functions here do not
 
     for until in (*rungs(config), _end(config)):
-        train = partial(train_on_node, str(folder.path.resolve()), until, checkpoint_seconds)
+        train = partial(train_trial, folder.path.resolve(), until, checkpoint_seconds)
         give_up, trials = partial(_give_up, folder), outstanding(folder, config, until)
         for trial, report in run_jobs(train, trials, TRIES, give_up, config.cpus_per_trial, concurrent):
             show(trial, report)

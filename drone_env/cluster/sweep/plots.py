@@ -21,10 +21,10 @@ def draw_plots(figures: dict[str, Any], folder: Path) -> None:
     _save(_scores(figures), folder / "scores.png")
 
 
-def _figure(width: float, height: float) -> tuple[Any, Any]:
+def _figure(height: float) -> tuple[Any, Any]:
     from matplotlib.figure import Figure
 
-    figure: Any = Figure(figsize=(width, height), layout="constrained")
+    figure: Any = Figure(figsize=(8, height), layout="constrained")
     axes: Any = figure.add_subplot()
     axes.spines[["top", "right"]].set_visible(False)
     return figure, axes
@@ -35,7 +35,7 @@ def _curves(figures: dict[str, Any]) -> Any:
 
     Only episodes at which every seed of the setting was validated; settings in the order of the report.
     """
-    figure, axes = _figure(8, 4.6 + 0.2 * min(len(figures["settings"]), MOST_CURVES))
+    figure, axes = _figure(4.6 + 0.2 * min(len(figures["settings"]), MOST_CURVES))
     for colour, of in zip(COLOURS, figures["settings"][:MOST_CURVES], strict=False):
         curves = [dict(t["curve"]) for t in figures["trials"] if t["setting"] == of["setting"] and t["curve"]]
         if not curves:
@@ -61,7 +61,7 @@ def _curves(figures: dict[str, Any]) -> Any:
 def _scores(figures: dict[str, Any]) -> Any:
     """Test scores of the settings that finished, with their intervals, and the scores of their seeds."""
     shown = [of for of in figures["settings"] if of["test"]]
-    figure, axes = _figure(8, 1.9 + 0.45 * max(len(shown), 1))
+    figure, axes = _figure(1.9 + 0.45 * max(len(shown), 1))
     for row, of in enumerate(shown):
         test = of["test"]
         low, high = test["score"]["ci95"]

@@ -6,10 +6,8 @@ A trial's own checkpoint is all that it goes on from, so it does not matter who 
 import hashlib
 import math
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -23,11 +21,12 @@ from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.rl.run import TrainingRun
 from drone_env.rl.trainer import Progress
 
-Report = Callable[[dict[str, Any]], None]
 
+def train_trial(out: Path, until: int, checkpoint_seconds: float, trial: Trial) -> Iterator[dict[str, Any]]:
+    """Train a trial up to a rung, or to its end, and write how it stands. What is done already is not done again.
 
-def train_on_node(out: str, until: int, checkpoint_seconds: float, trial: Trial) -> Iterator[dict[str, Any]]:
-    """Train a trial in a thread of this worker; yields what it reports, at every validation and at the end.
+    Yields `episodes`, `validation` and `optimum` at every validation; `failed`, the error, where training goes wrong:
+    that is the trial's result.
 
     Args:
         out: The sweep's folder.
@@ -38,31 +37,9 @@ def train_on_node(out: str, until: int, checkpoint_seconds: float, trial: Trial)
     Raises:
         InvalidValueError: if this machine does not see the sweep's folder, or another process trains the trial.
     """
-    folder = SweepFolder(Path(out))
+    folder = SweepFolder(out)
     if not folder.path.is_dir():
         raise InvalidValueError(f"this machine has no {folder.path}: a sweep's folder lies where all machines see it")
-    reports: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
-    with ThreadPoolExecutor(1) as thread:
-        training = thread.submit(train_trial, folder, trial, until, checkpoint_seconds, reports.put)
-        training.add_done_callback(lambda _: reports.put(None))
-        while (report := reports.get()) is not None:
-            yield report
-        training.result()
-
-
-def train_trial(folder: SweepFolder, trial: Trial, until: int, checkpoint_seconds: float, report: Report) -> None:
-    """Train a trial up to a rung, or to its end, and write how it stands. What is done already is not done again.
-
-    Whatever goes wrong in training is the trial's result, with its error.
-
-    Args:
-        folder: The sweep's folder.
-        trial: Which trial.
-        until: How many episodes.
-        checkpoint_seconds: Seconds between two checkpoints.
-        report: Called with `episodes`, `validation` and `optimum` at every validation; with `failed`, the error, where
-            training goes wrong.
-    """
     place = folder.folder(trial)
     with folder.training(trial):
         state = folder.state(trial)
@@ -72,7 +49,7 @@ def train_trial(folder: SweepFolder, trial: Trial, until: int, checkpoint_second
         try:
             run = TrainingRun(config.training(trial, checkpoint_seconds), place, place)
             folder.note_part(trial, run.trainer.episodes)
-            _train(run, until, report)
+            yield from _train(run, until)
             state = _state(run, state, until)
             if run.trainer.episodes >= run.config.episodes:
                 state = _judged(state, config, run)
@@ -81,7 +58,7 @@ def train_trial(folder: SweepFolder, trial: Trial, until: int, checkpoint_second
             state = folder.state(trial).model_copy(update={"status": "failed", "error": last})
         folder.set_state(trial, state)
         if state.status == "failed":
-            report({"failed": state.error})
+            yield {"failed": state.error}
 
 
 def network_digest(path: Path) -> str:
@@ -98,24 +75,19 @@ def best_until(history: Sequence[Progress], episodes: int) -> float:
     return max((line.validation for line in history[: first + 1] if not math.isnan(line.validation)), default=-math.inf)
 
 
-def _train(run: TrainingRun, until: int, report: Report) -> None:
+def _train(run: TrainingRun, until: int) -> Iterator[dict[str, Any]]:
     """Train to the first line of the log at or after this many episodes; not at all where that is done."""
     history, every = run.trainer.history, run.config.validation_every
     if run.trainer.episodes >= run.config.episodes or (history and history[-1].episode >= until):
         return
     reported = run.trainer.episodes
-
-    def show(line: Progress) -> None:
-        nonlocal reported
+    for line in run.train():
         if run.stopped:
-            return  # a line of the same step as the last that is wanted
+            continue  # a line of the same step as the last that is wanted
         if line.episode // every > reported // every or line.episode >= until:
             reported = line.episode
-            report({"episodes": line.episode, "validation": line.validation, "optimum": line.validation_optimum})
-        if line.episode >= until:
-            run.stopped = True
-
-    run.train(show)
+            yield {"episodes": line.episode, "validation": line.validation, "optimum": line.validation_optimum}
+        run.stopped = line.episode >= until
 
 
 def _state(run: TrainingRun, before: TrialState, until: int) -> TrialState:

@@ -6,10 +6,9 @@ from pydantic import Field, TypeAdapter, ValidationError, ValidatorFunctionWrapH
 from pydantic_core import PydanticCustomError
 
 from drone_env.errors import InvalidValueError, text_of
-from drone_env.models import Direction, Message
-from drone_env.server.schemas import MAX_SEED, Seed
+from drone_env.models import MAX_SEED, Direction, Message, Seed
+from drone_env.server.incoming import parse_json
 from drone_env.server.state import LONGEST_ID
-from drone_env.server.strict_json import parse_json
 
 MOST_EPISODES = 4
 
@@ -57,16 +56,10 @@ class Play(Message):
     speed: float | None = Field(default=None, ge=0.5, le=60, description="Steps per second.")
 
 
-class Pause(Message):
-    """Stop them."""
+class Plain(Message):
+    """Stop them; have each that flies by itself fly one step; give the flights up."""
 
-    type: Literal["pause"]
-
-
-class Step(Message):
-    """One step of every pilot that flies by itself."""
-
-    type: Literal["step"]
+    type: Literal["pause", "step", "end"]
 
 
 class Fly(Message):
@@ -77,12 +70,6 @@ class Fly(Message):
     mission: int = Field(default=0, ge=0, lt=MOST_EPISODES)
 
 
-class End(Message):
-    """Give the flights up."""
-
-    type: Literal["end"]
-
-
 class Subscribe(Message):
     """Which news to send beside the flights; replaces the choice before."""
 
@@ -90,7 +77,7 @@ class Subscribe(Message):
     topics: list[Topic] = Field(max_length=3)
 
 
-Command = Start | Attach | Play | Pause | Step | Fly | End | Subscribe
+Command = Start | Attach | Play | Plain | Fly | Subscribe
 _COMMAND: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discriminator="type")])
 
 

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from drone_env.server.live.commands import Topic
-from drone_env.server.schemas import EpisodeSummary
 from drone_env.server.state import Shared
 from drone_env.server.train_log import TrainLog
 
@@ -44,4 +43,4 @@ class Feed:
             found = self._shared.store.listed(EPISODES, after=self._episode)
             if found or self._episode is None:
                 self._episode = found[0].number if found else 0
-                yield {"type": "episodes", "episodes": [EpisodeSummary.of(row) for row in found]}
+                yield {"type": "episodes", "episodes": found}

@@ -20,21 +20,21 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from drone_env.core.tasks import get_task
 from drone_env.errors import UnknownNameError
 from drone_env.server.frames import Frame, ShownEpisode
-from drone_env.server.live.commands import Attach, End, Fly, Pause, Play, Start, Step, Subscribe, parse_command
+from drone_env.server.incoming import TRY_LATER, received
+from drone_env.server.live.commands import Attach, Fly, Plain, Play, Start, Subscribe, parse_command
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.live.feeds import Feed
 from drone_env.server.live.values import ExactValues
-from drone_env.server.map_choice import choose_map
+from drone_env.server.map_choice import start_episode
 from drone_env.server.pilots import agent_of
 from drone_env.server.problems import FAILED, printable, status_of
-from drone_env.server.schemas import EpisodeSummary, ResetOptions
+from drone_env.server.schemas import ResetOptions
 from drone_env.server.state import Shared
 
 log = logging.getLogger(__name__)
 
 PROTOCOL = "drone-env"
 """The subprotocol that browsers offer beside `bearer.TOKEN`: they cannot send headers with a WebSocket."""
-TOO_BIG, TRY_LATER = 1009, 1013
 SPEED = 6.0
 FEED_SECONDS = 0.25
 Opened = list[tuple[LiveEpisode, ShownEpisode]]
@@ -79,10 +79,6 @@ class LiveSocket:
         if sessions:
             self.shared.store.touch_sessions(sessions)
 
-    def close(self) -> None:
-        """Stop solving maps."""
-        self.values.close()
-
 
 class Page:
     """One open page: its episodes, and whether they are flying."""
@@ -109,17 +105,8 @@ class Page:
                 tasks.start_soon(work)
 
     async def _listen(self) -> None:
-        while True:
-            message = await self._socket.receive()
-            if message["type"] == "websocket.disconnect":
-                break
-            text = message.get("text") or ""
-            if len(text.encode("utf-8", "surrogatepass")) > self._shared.settings.max_bytes:
-                await self._socket.close(TOO_BIG, f"a frame may have {self._shared.settings.max_bytes} bytes")
-                break
-            await self._answering(self._obey, text)
-            # Where more has come already, nothing above needs to wait: others get their turn.
-            await asyncio.sleep(0)
+        async for text in received(self._socket, self._shared.settings.max_bytes):
+            await self._answering(self._obey, text or "")
         self._tasks.cancel_scope.cancel()
 
     async def _answering(self, act: Callable[..., Any], *arguments: Any, silent: bool = False) -> bool:
@@ -138,12 +125,12 @@ class Page:
             match command:
                 case Subscribe(topics=topics):
                     self._feed = Feed(self._shared, topics) if topics else None
-                case Pause():
+                case Plain(type="pause"):
                     await self._set_playing(False)
                 case Play(speed=speed):
                     self.speed = speed or self.speed
                     await self._set_playing(any(live.automatic for live in self.episodes))
-                case Step():
+                case Plain(type="step"):
                     await self._tell(await run_in_threadpool(self._step_all))
                 case Fly(mission=number, direction=direction):
                     if number >= len(self.episodes):
@@ -153,7 +140,7 @@ class Page:
                     await self._replace(await run_in_threadpool(self._start, command), command.number)
                 case Attach():
                     await self._replace(await run_in_threadpool(self._attach, command.sessions), command.number)
-                case End():
+                case Plain():  # "end"
                     await self._replace([], None)
 
     def _start(self, command: Start) -> Opened:
@@ -162,7 +149,7 @@ class Page:
             agent_of(pilot, task, self._shared.networks)  # says why it cannot fly before anything is opened
         last = self.episodes[0].episode if self.episodes and self.episodes[0].episode.task == task else None
         options = ResetOptions(task_name=task.id, seed=command.seed, reward_profile=command.reward_profile)
-        seed = choose_map(options, None if last is None else last.seed).seed
+        seed = start_episode(options, None if last is None else last.seed).seed
         opened: Opened = []
         try:
             for pilot in command.pilots:
@@ -201,7 +188,7 @@ class Page:
             if live.episode.ended and live not in self._end_sent:
                 self._end_sent.add(live)
                 for row in await run_in_threadpool(self._shared.store.listed, 1, episode_id=live.episode_id):
-                    await self._send({"type": "ended", "mission": number, "episode": EpisodeSummary.of(row)})
+                    await self._send({"type": "ended", "mission": number, "episode": row})
                 await self._send_values(number, live)
 
     async def _tell_values(self, episodes: Sequence[LiveEpisode]) -> None:

@@ -7,8 +7,7 @@ from pydantic import Field
 
 from drone_env.core.episode import Episode
 from drone_env.models import DroneObservation, DroneState
-from drone_env.server.map_choice import DEFAULT_TASK, choose_map
-from drone_env.server.observation_json import openenv_json
+from drone_env.server.map_choice import DEFAULT_TASK, start_episode
 from drone_env.server.schemas import ResetOptions
 
 ENV_NAME = "drone-env"
@@ -51,17 +50,10 @@ class Session:
             InvalidValueError: if the split has no such map.
         """
         last = self.episode.seed if self.episode.started else None
-        chosen = choose_map(options, last, self.default_task)
-        if chosen.task != self.episode.task:
-            self.episode = Episode(chosen.task)
-        self.episode.reset(chosen.seed, chosen.reward_profile)
+        self.episode = start_episode(options, last, self.default_task)
         self.episode_id = options.episode_id if options.episode_id is not None else str(uuid.uuid4())
         self.agent = options.agent
         self.stored = False
-
-    def result(self, reward: float | None) -> str:
-        """The JSON of the episode now, with what the last step paid (None after a reset)."""
-        return openenv_json(self.episode, reward)
 
     def state(self) -> DroneState:
         """The full state."""

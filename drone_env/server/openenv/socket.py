@@ -19,16 +19,17 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.errors import DroneEnvError, InvalidValueError, text_of, wrong_parts
+from drone_env.server.incoming import TRY_LATER, parse_json, received
+from drone_env.server.observation_json import openenv_json
 from drone_env.server.openenv.session import Session
 from drone_env.server.problems import printable
 from drone_env.server.schemas import ResetOptions, WireAction
 from drone_env.server.sessions import ANONYMOUS
 from drone_env.server.state import Shared
-from drone_env.server.strict_json import parse_json
 
 log = logging.getLogger(__name__)
 
-NORMAL, GOING_AWAY, TOO_BIG, TRY_LATER = 1000, 1001, 1009, 1013
+NORMAL, GOING_AWAY = 1000, 1001
 ALLOWED_TYPES = "reset, step, state, close, mcp"
 
 
@@ -84,16 +85,11 @@ class OpenEnvSocket:
                 self.touched.pop(socket, None)
 
     async def _serve(self, socket: WebSocket) -> None:
-        session, max_bytes = Session(), self.shared.settings.max_bytes
-        while True:
-            message = await socket.receive()
-            if message["type"] == "websocket.disconnect" or socket not in self.touched:
-                return  # gone, or closed as idle
+        session = Session()
+        async for text in received(socket, self.shared.settings.max_bytes):
+            if socket not in self.touched:
+                return  # closed as idle
             self.touched[socket] = self._clock()
-            text = message.get("text")
-            if len(message.get("bytes") or (text or "").encode("utf-8", "surrogatepass")) > max_bytes:
-                await socket.close(TOO_BIG, f"a frame may have {max_bytes} bytes")
-                return
             try:
                 if text is None:
                     raise RefusedError("INVALID_JSON", "send text frames with JSON")
@@ -107,8 +103,6 @@ class OpenEnvSocket:
                 return
             await socket.send_text(answer)
             self.touched[socket] = self._clock()
-            # Where more has come already, nothing above needs to wait: others get their turn.
-            await asyncio.sleep(0)
 
     async def _answer(self, session: Session, text: str) -> str | None:
         """The answer to a frame, None where it asks to close.
@@ -132,7 +126,7 @@ class OpenEnvSocket:
                 return await self._step(session, data)
             if kind == "reset":
                 session.reset(ResetOptions.model_validate(data))
-                return _frame("observation", session.result(None))
+                return _frame("observation", openenv_json(session.episode, None))
             if kind == "state":
                 return _frame("state", session.state().model_dump_json())
         except ValidationError as error:
@@ -160,7 +154,7 @@ class OpenEnvSocket:
             keep, agent = self.shared.store.add_episode, session.agent or ANONYMOUS
             await asyncio.get_running_loop().run_in_executor(self.shared.steps, keep, episode, agent)
             session.stored = True
-        return _frame("observation", session.result(reward))
+        return _frame("observation", openenv_json(episode, reward))
 
     async def close_idle(self) -> None:
         """Close the sockets that were idle for too long."""

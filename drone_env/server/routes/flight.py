@@ -24,7 +24,7 @@ from drone_env.server.schemas import (
     SolutionAnswer,
     examples,
 )
-from drone_env.server.state import COOKIE, HEADER, SESSION_ERRORS, SHARED_HEADER, CallerOf, SharedParts
+from drone_env.server.state import COOKIE, HEADER, SESSION_ERRORS, SHARED_HEADER, CallerOf, SharedParts, warm_up
 
 router = APIRouter(tags=["flight"])
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
@@ -64,7 +64,7 @@ def reset(
     session, first = shared.sessions.reset(caller.named, options, caller.address, show)
     flown = options.task_name or (options.split or "").partition("/")[0]
     if flown:
-        shared.warm_up(flown)
+        warm_up(get_task(flown))
     # Built from the rules, so it is not validated again; the tests hold it against the documented models.
     response = Response(f'{first[:-1]},"session_id":{to_json(session).decode()}}}', media_type="application/json")
     caller.tell(session, response)

@@ -11,15 +11,13 @@ from sse_starlette import EventSourceResponse
 
 from drone_env.core.tasks import get_task
 from drone_env.episodes.record import EpisodeRecord
-from drone_env.models import Message
+from drone_env.models import MAX_SEED, Message
 from drone_env.server.problems import answers
 from drone_env.server.request_log import LoggedRequest, RequestLog
 from drone_env.server.schemas import (
-    MAX_SEED,
     AnalysisAnswer,
     EpisodePage,
     EpisodeSummaries,
-    EpisodeSummary,
     History,
     LogLines,
 )
@@ -49,7 +47,7 @@ def analyse(shared: SharedParts, task_name: str) -> AnalysisAnswer:
 @router.get("/memory_logs", responses=answers(503))
 def memory_logs(shared: SharedParts) -> EpisodeSummaries:
     """The last 5 finished episodes, newest first."""
-    return EpisodeSummaries(episodes=[EpisodeSummary.of(row) for row in shared.store.listed(SUMMARIES)])
+    return EpisodeSummaries(episodes=shared.store.listed(SUMMARIES))
 
 
 @router.get("/episodes", responses=answers(404, 422, 503))
@@ -63,9 +61,7 @@ def episodes(
     """Finished episodes, newest first."""
     found = shared.store.listed(limit + 1, task, agent, before)
     page = found[:limit]
-    return EpisodePage(
-        episodes=[EpisodeSummary.of(row) for row in page], next=page[-1].number if len(found) > limit else None
-    )
+    return EpisodePage(episodes=page, next=page[-1].number if len(found) > limit else None)
 
 
 @router.get("/episodes/{episode_id}", responses=answers(404, 422, 503))
@@ -78,10 +74,10 @@ def episode(shared: SharedParts, episode_id: str) -> EpisodeRecord:
 def history(shared: SharedParts, task_name: str, last: Annotated[int, Query(ge=1, le=1000)] = 200) -> History:
     """The last finished episodes of a task, for charts."""
     found = shared.store.listed(last, task_name)[::-1]
-    wins = [row.outcome == "delivered" for row in found]
+    wins = [episode.success for episode in found]
     return History(
         task=get_task(task_name).id,
-        episodes=[EpisodeSummary.of(row) for row in found],
+        episodes=found,
         rolling_success=[sum(wins[max(0, end - ROLLING) : end]) / min(ROLLING, end) for end in range(1, len(wins) + 1)],
     )
 

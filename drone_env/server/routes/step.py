@@ -16,7 +16,7 @@ from drone_env.server.security import BODY
 from drone_env.server.sessions import Show
 from drone_env.server.state import LONGEST_ID, SESSION_ERRORS, Caller, CallerOf, SharedParts
 
-STEP_HEADER = "X-Step-Count"
+STEP_HEADER = "x-step-count"
 LONGEST_COUNT = 9
 """Digits of a count of steps; no task has that many."""
 
