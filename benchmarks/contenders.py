@@ -3,15 +3,17 @@
 import time
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from numpy_reference import NumpyBatch, check, make_pool
 
 import drone_env
 from drone_env.core.batch import Batch
+
+if TYPE_CHECKING:
+    from numpy_reference import NumpyBatch
 
 WINDOWS = 1021
 """Random actions are windows into one long array: no two steps of one episode repeat each other's for long."""
@@ -64,7 +66,7 @@ def repeat(step: Callable[[Any], Any], actions: list[Any]) -> Callable[[int], No
     return run
 
 
-def spread_out(batch: Batch | NumpyBatch, maps: npt.NDArray[Any], actions: list[Any]) -> None:
+def spread_out(batch: "Batch | NumpyBatch", maps: npt.NDArray[Any], actions: list[Any]) -> None:
     """Reset the episodes at different times, so that they also end at different times."""
     batch.reset(maps)
     period = 2 * WINDOWS // 10
@@ -121,6 +123,8 @@ def vector(task: str, num_envs: int, mode: str, copy: bool) -> Contender:
 def numpy_rules(task: str, num_envs: int) -> Contender:
     """The same rules in NumPy, once it has been seen that they are the same."""
     config = drone_env.get_task(task)
+    from numpy_reference import NumpyBatch, check, make_pool  # another checkout may have other tables
+
     pool = make_pool(config, 4096)
     check(config, pool)
     batch = NumpyBatch(config, num_envs, pool)
