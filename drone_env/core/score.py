@@ -13,8 +13,9 @@ def score_of(tables: Tables, deliveries_done: int, battery: int, steps: int) -> 
     rounded division of integers, so equal flights have equal scores to the last bit.
     """
     total, capacity, max_steps = tables.deliveries, tables.capacity, tables.max_steps
+    needs_all = tables.efficiency_needs_all  # read here: inside the condition it costs a compiled step 4 %
     tenths = 8 * deliveries_done * capacity * max_steps
-    if deliveries_done == total or not tables.efficiency_needs_all:
+    if deliveries_done == total or not needs_all:
         tenths += total * (battery * max_steps + (max_steps - steps) * capacity)
     return min(max(tenths / (10 * total * capacity * max_steps), LOWEST), HIGHEST)
 
