@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drone_env.agents import make_agent
-from drone_env.agents.greedy import GreedyAgent
-from drone_env.core.actions import Action, Event
-from drone_env.core.batch import Batch
+from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
@@ -358,50 +355,3 @@ def test_an_episode_is_rebuilt_from_its_observation(task: str) -> None:
             assert sorted(rebuilt.parcels) == sorted(episode.parcels)
             assert rebuilt.score == episode.score
             episode.step(draw.randrange(5))
-
-
-class TestGreedy:
-    @pytest.mark.parametrize(
-        ("drawing", "units", "path"),
-        [
-            # Over the building costs units + 1, round it 4.
-            (["...", "@B0"], 2, "RR"),
-            (["...", "@B0"], 4, "URRD"),
-            # Equally much battery: fewer steps.
-            (["...", "@B0"], 3, "RR"),
-            # The parcel that is two steps away costs 10; the one that is five away costs 5.
-            (["BBBBBB", "0B@...", "BBBBB1"], 9, "RRRD"),
-            # Of equally cheap ones the first in reading order.
-            (["....B", "1.@.0"], 9, "LL"),
-            (["..1.B", ".....", "0.@.2"], 9, "UU"),
-            # Impassable obstacles are flown round.
-            (["@O0", ".O.", "..."], 1, "DDRRUU"),
-            # Walled in there is nothing to fly to.
-            (["@O0", "OO.", "..."], 1, "WWW"),
-        ],
-    )
-    def test_flies_the_cheapest_way(self, drawing: list[str], units: int, path: str) -> None:
-        drains = {"drain": ((Cell.BUILDING, units),), "impassable": frozenset({Cell.OBSTACLE})}
-        episode = toy_episode(drawing, max_steps=40, **drains)
-        agent = make_agent("greedy", episode.task)
-        agent.reset(0)
-        flown = ""
-        while len(flown) < len(path):
-            flown += letters([Action(agent.act(episode.observation()))])
-            fly(episode, flown[-1])
-        assert flown == path
-        assert episode.event == (Event.WAIT if "W" in path else Event.DELIVERY)
-
-    @pytest.mark.parametrize("task", SKYLINE)
-    def test_chooses_together_as_it_does_alone(self, task: str) -> None:
-        seeds = np.array(split_seeds("test", MAPS // 3), np.int64)
-        agent, batch = GreedyAgent(get_task(task)), Batch(task, len(seeds), same_step=True)
-        batch.reset(seeds)
-        agent.reset_batch(seeds)
-        draw = np.random.default_rng(0)
-        for _ in range(25):
-            chosen = agent.act_batch(batch.grids, batch.telemetry)
-            for i in range(len(seeds)):
-                assert agent.act({"grid": batch.grids[i], "telemetry": batch.telemetry[i]}) == chosen[i]
-            deviates = draw.random(len(seeds)) < 0.3
-            batch.step(np.where(deviates, draw.integers(5, size=len(seeds)), chosen))
