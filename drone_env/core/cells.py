@@ -38,5 +38,5 @@ CELL_KINDS: dict[Cell, CellKind] = {
     Cell.PAD: CellKind("pad", "🔋", "waiting here charges the battery"),
 }
 N_CELL_KINDS = len(CELL_KINDS)
-ROAD_CELL, DELIVERY_CELL = int(Cell.ROAD), int(Cell.DELIVERY)
+ROAD_CELL, DELIVERY_CELL, PAD_CELL = int(Cell.ROAD), int(Cell.DELIVERY), int(Cell.PAD)
 DELIVERED_CELL, DRONE_CELL = int(Cell.DELIVERED), int(Cell.DRONE)
