@@ -98,20 +98,21 @@ def row_after(legs: Legs, delivered: int, done: int, stop: int, units: int) -> i
     return row_of(legs, delivered | 1 << stop, stop, units)
 
 
-def raise_row(ranks: Any, row: int, after: int, steps: int) -> bool:
-    """Raise a row to what another promises so many steps later; whether that changed any rank."""
-    raised = False
-    for left in range(steps, ranks.shape[1]):
-        raised |= ranks[after, left - steps] > ranks[row, left]
-        ranks[row, left] = max(ranks[row, left], ranks[after, left - steps])
-    return raised
+def raise_row(ranks: Any, row: int, after: int, steps: int) -> None:
+    """Raise a row to what another promises so many steps later."""
+    if steps >= ranks.shape[1]:
+        return
+    # Slices, for indices that may be below zero are not vectorised: that is five times slower.
+    later = ranks[row, steps:]
+    promised = ranks[after, : len(later)]
+    for left in range(len(later)):
+        later[left] = max(later[left], promised[left])
 
 
 def raise_by_ways(
     legs: Legs, delivered: int, done: int, ways: Ways, base: int, units: int, row: int, first: int, behind: int
-) -> bool:
+) -> None:
     """Raise the row of a drone with so many units by the ways to the stops from `first` on and before `behind`."""
-    raised = False
     for stop in range(first, behind):
         if stop < legs.parcels and delivered >> stop & 1:
             continue
@@ -119,8 +120,7 @@ def raise_by_ways(
             left = units - ways.units[base + stop, k]
             if arrives(legs, stop, left):
                 after = row_after(legs, delivered, done, stop, left)
-                raised |= raise_row(legs.ranks, row, after, ways.steps[base + stop, k])
-    return raised
+                raise_row(legs.ranks, row, after, ways.steps[base + stop, k])
 
 
 def begin_row(legs: Legs, done: int, units: int, row: int) -> None:
@@ -130,7 +130,17 @@ def begin_row(legs: Legs, done: int, units: int, row: int) -> None:
         legs.ranks[row, left] = legs.ranks[end, left]
 
 
-for function in (end_row, row_of, mark_delivered, arrives, row_after, raise_row, raise_by_ways, begin_row):
+def sum_at_pads(legs: Legs, delivered: int) -> int:
+    """The sum of all ranks of drones that stand at pads: it changes when any of them is raised."""
+    first, behind = row_of(legs, delivered, legs.parcels, 0), row_of(legs, delivered, len(legs.stops), 0)
+    total = 0
+    for row in range(first, behind):
+        for rank in legs.ranks[row]:
+            total += rank
+    return total
+
+
+for function in (end_row, row_of, mark_delivered, arrives, row_after, raise_row, raise_by_ways, begin_row, sum_at_pads):
     register_jitable(**compiled.OPTIONS)(function)
 register_jitable(units_left)
 
@@ -157,17 +167,17 @@ def value_kernel(legs: Legs, ways: Ways, rounds: Rounds) -> None:
                 row = row_of(legs, delivered, pad, units)
                 begin_row(legs, done, units, row)
                 raise_by_ways(legs, delivered, done, ways, base, units, row, 0, n)
-        changed = stops > n
-        while changed:
-            changed = False
+        before, reached = -1, sum_at_pads(legs, delivered)
+        while before != reached:
             for pad in range(n, stops):
                 base = (pad - n + 1) * stops
                 for units in range(legs.most, 0, -1):
                     row = row_of(legs, delivered, pad, units)
                     charged = units_left(legs.tables, units, -charge)
                     if charged > units:
-                        changed |= raise_row(legs.ranks, row, row_of(legs, delivered, pad, charged), 1)
-                    changed |= raise_by_ways(legs, delivered, done, ways, base, units, row, n, stops)
+                        raise_row(legs.ranks, row, row_of(legs, delivered, pad, charged), 1)
+                    raise_by_ways(legs, delivered, done, ways, base, units, row, n, stops)
+            before, reached = reached, sum_at_pads(legs, delivered)
         for parcel in range(n):
             if delivered >> parcel & 1:
                 find_ways(

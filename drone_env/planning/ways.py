@@ -90,7 +90,9 @@ def find_ways(
         base: Where the entries of this cell begin.
         rounds: Working memory.
     """
-    fewest, action_of, reached_in, last, reached = rounds
+    fewest, action_of, reached_in = rounds.fewest, rounds.action, rounds.reached_in
+    last: Any = rounds.last
+    reached: Any = rounds.next
     for cell in range(tables.cells):
         fewest[cell] = UNREACHED
         reached_in[cell] = 0
@@ -107,10 +109,10 @@ def find_ways(
             if ground[cell] == DELIVERY_CELL and cell != start:
                 continue
             for action in range(N_MOVES):
-                to = int(tables.moves[cell * N_ACTIONS + action])
+                to = tables.moves[cell * N_ACTIONS + action]
                 if collision(tables, ground, to) != NONE:
                     continue
-                units = int(last[1, k] + counts * tables.drain[ground[to] * N_ACTIONS + action])
+                units = last[1, k] + counts * tables.drain[ground[to] * N_ACTIONS + action]
                 if units >= fewest[to] or (units >= most and ground[to] != DELIVERY_CELL):
                     continue
                 if reached_in[to] != steps:
