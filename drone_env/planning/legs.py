@@ -241,7 +241,13 @@ def rank_kernel(legs: Legs, states: Any, ways: Ways, rounds: Rounds, ranks: Any)
 
 @compiled_once(**compiled.OPTIONS)
 def flight_kernel(legs: Legs, cell: int, units: int, steps: int, ways: Ways, rounds: Rounds, actions: Any) -> int:
-    """Write the actions of a best flight from where nothing is delivered yet, int64[steps], and return how many."""
+    """Write the actions of a best flight from where nothing is delivered yet, int64[steps], and return how many.
+
+    Of all best flights it is one that takes the fewest steps.
+    """
+    best, _ = best_option(legs, 0, cell, units, steps, ways, rounds)
+    while steps > 0 and best_option(legs, 0, cell, units, steps - 1, ways, rounds)[0] == best:
+        steps -= 1
     delivered, flown = 0, 0
     while units > 0 and steps > 0 and delivered < (1 << legs.parcels) - 1:
         _, action = best_option(legs, delivered, cell, units, steps, ways, rounds)

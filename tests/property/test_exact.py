@@ -14,10 +14,11 @@ from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning import most_battery, optimal
+from drone_env.planning import optimal
 from drone_env.planning.exact import ExactSolver
 from drone_env.planning.legs import LegSolver, covers
 from drone_env.planning.solver import Solver
+from tests import most_battery
 from tests.brute_force import BruteForce
 from tests.property.test_episode import BLOCKING, DRAINED
 from tests.toy import TOY
