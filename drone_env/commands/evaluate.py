@@ -9,17 +9,23 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from drone_env import __version__
+from drone_env.agents import NETWORK_AGENTS
+from drone_env.agents.weights_file import network_of
 from drone_env.commands.arguments import SHORT_NAMES, AgentNames, ClusterAddress, SeedRange, SplitName, chosen_maps
 from drone_env.commands.printing import print_json, progress_bar
-from drone_env.core.tasks import TASKS, get_task
-from drone_env.errors import InvalidValueError
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
 from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, summarise
 from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
 from drone_env.files import write_json
 from drone_env.reports.tables import Table, number, percent, print_table, with_margin
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
+CHOICE = "|".join(NETWORK_AGENTS)
 JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
+
+Cell = EpisodesKey | CheckpointError | UnsupportedTaskError
+"""What an agent is to fly of a task, or why it cannot."""
 
 
 def evaluate(
@@ -39,7 +45,7 @@ def evaluate(
     Prints a table; a progress bar goes to standard error. Score: graded, 0.01 to 0.99, with its 95 % confidence
     interval. Ratio: mean score / mean optimal score. Regret: mean of optimum less score. Excess: steps beyond the
     optimal flight, on delivered maps; below zero where the best flight takes its time to charge. docs/quoting.md says
-    what of it to quote.
+    what of it to quote. An agent that cannot fly one of several tasks has a row of dashes there, and the reason below.
 
     Example: drone-env evaluate --task hard --agents greedy optimal --episodes 100 --json results.json
 
@@ -49,7 +55,8 @@ def evaluate(
         split: Whose first maps to fly: test if nothing is said. Training never touches validation and test.
         episodes: How many maps of the split, 1000 if nothing is said.
         seeds: Fly the maps from A up to and not including B instead of a split's.
-        checkpoint: Fly `pathqnet` by the network in this file (.npz) instead of the shipped one.
+        checkpoint: Fly by the network in this file (.npz) instead of the shipped one: `pathqnet`, or `tournet`, as the
+            file says.
         json: Write the figures to this file; - prints only the JSON on standard output.
         out: Keep the results of each 1,000 maps in this folder as they arrive; the same command goes on from there.
         engine: Fly in this process, or on a Ray cluster (extra `cluster`); the figures are the same.
@@ -60,18 +67,17 @@ def evaluate(
     if not task or not agents:
         raise InvalidValueError("--task and --agents take one name or more")
     if checkpoint is not None:
-        if "pathqnet" not in agents:
-            raise InvalidValueError("--checkpoint is the network of the agent pathqnet: name it with --agents")
-        agents = tuple(f"pathqnet:{checkpoint}" if agent == "pathqnet" else agent for agent in agents)
+        agents = _by_checkpoint(agents, checkpoint)
     target = None if json in (None, "-") else Path(json)
     if target is not None and (not target.name or target.is_dir() or not target.parent.is_dir()):
         raise InvalidValueError(f"--json takes - or a file in a folder that exists, got {json!r}")
     named = [t for name in task for t in (TASKS.values() if name == "all" else [get_task(name)])]
-    keys = {t: {agent: episodes_key(t, agent, maps, chosen_split) for agent in agents} for t in dict.fromkeys(named)}
+    cells = {t: {agent: _cell(t, agent, maps, chosen_split) for agent in agents} for t in dict.fromkeys(named)}
+    _check_that_some_fly(cells)
 
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
-    all_keys = [key for of_agent in keys.values() for key in of_agent.values()]
+    all_keys = [cell for row in cells.values() for cell in row.values() if isinstance(cell, EpisodesKey)]
     folder = None if out is None else ResultsFolder(out, all_keys)
     try:
         with _engine(engine, address) as chosen_engine:
@@ -80,15 +86,20 @@ def evaluate(
         if out is not None:
             print(f"interrupted; to go on, give the same options with --out {out}", file=sys.stderr)
         raise
+    summaries = {key: summarise(of_key) for key, of_key in results.items()}
+    nothing = dict.fromkeys(summaries[all_keys[0]])
     figures = {
         t.id: {
             "version": t.version,
             "split": chosen_split,
             "seeds": [maps.start, maps.stop],
             "episodes": len(maps),
-            "agents": {agent: summarise(results[key]) for agent, key in of_agent.items()},
+            "agents": {
+                agent: summaries[cell] if isinstance(cell, EpisodesKey) else {**nothing, "unsupported": str(cell)}
+                for agent, cell in row.items()
+            },
         }
-        for t, of_agent in keys.items()
+        for t, row in cells.items()
     }
     report = {"package": __version__, "tasks": figures}
     if json == "-":
@@ -97,6 +108,43 @@ def evaluate(
     if target is not None:
         write_json(target, report)
     _print(report)
+
+
+def _cell(task: TaskConfig, agent: str, maps: range, split: str) -> Cell:
+    try:
+        return episodes_key(task, agent, maps, split)
+    except UnsupportedTaskError as error:
+        return error
+    except CheckpointError as error:
+        if not _names_file(agent):
+            raise  # a file of the package is damaged
+        return error
+
+
+def _check_that_some_fly(cells: dict[TaskConfig, dict[str, Cell]]) -> None:
+    """Somebody must fly something, and a network's file that is named must fit a task: else raise the first reason."""
+    agents = [*next(iter(cells.values()))]
+    for judged in (agents, *([agent] for agent in agents if _names_file(agent))):
+        all_cells = [row[agent] for row in cells.values() for agent in judged]
+        reasons = [cell for cell in all_cells if not isinstance(cell, EpisodesKey)]
+        if len(reasons) == len(all_cells):
+            raise reasons[0]
+
+
+def _names_file(agent: str) -> bool:
+    """Whether an agent flies by a file that was named."""
+    return agent.partition(":")[0] in NETWORK_AGENTS and ":" in agent
+
+
+def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:
+    """The agents, those that can fly by the network in a file by that one."""
+    if not set(agents) & set(NETWORK_AGENTS):
+        raise InvalidValueError(f"--checkpoint is the network of an agent: name it with --agents {CHOICE}")
+    network = network_of(file)
+    fits = [name for name, agent in NETWORK_AGENTS.items() if agent.network == network]
+    if not set(agents) & set(fits):
+        raise InvalidValueError(f"{file} is the network of {'|'.join(fits) or network}: name it with --agents")
+    return tuple(f"{agent}:{file}" if agent in fits else agent for agent in agents)
 
 
 @contextlib.contextmanager
@@ -145,3 +193,7 @@ def _print(report: dict[str, Any]) -> None:
     caption = f"{stop - start:,} maps a task, split {flown['split']}, seeds {start} to {stop - 1}"
     table = Table("Graded score beside the exact optimum of the same maps", head, rows)
     print_table(table, width=120, names=2, caption=caption, sections=True)
+    for task_id, of_task in report["tasks"].items():
+        for agent, figures in of_task["agents"].items():
+            if "unsupported" in figures:
+                print(f"{get_task(task_id).short_name}, {agent}: {figures['unsupported']}")

@@ -27,7 +27,7 @@ CHECKSUM_BYTES = hashlib.sha256().digest_size
 def digest_of_sources(package: Path = PACKAGE) -> str:
     """A hash of all that our compiled functions are made from; empty where no sources are there to be read."""
     digest = hashlib.sha256()
-    files = [file for part in ("core", "planning") for file in sorted((package / part).glob("*.py"))]
+    files = [file for part in ("core", "planning", "agents", "rl") for file in sorted((package / part).glob("*.py"))]
     for file in files:
         content = file.read_bytes()
         digest.update(f"{file.parent.name}/{file.name} {len(content)}\n".encode() + content)

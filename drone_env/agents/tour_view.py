@@ -1,0 +1,314 @@
+"""What the tour network sees of a state: tokens, the edges between them, and the options to choose from.
+
+Token 0 is the drone; then come the parcels that wait and the pads. An option is one undominated way to one of them
+(`planning.ways`), or one WAIT on the pad below. All features are ratios of units to the battery's capacity and of steps
+to `max_steps`: no coordinates, so that maps of any size look alike.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable  # pyright: ignore
+
+from drone_env.core import compiled
+from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.cells import PAD_CELL
+from drone_env.core.drone import units_left
+from drone_env.core.tables import Tables
+from drone_env.planning.ways import UNREACHED, Rounds, Ways, find_ways
+
+WAIT = int(Action.WAIT)
+FAR = 1.5
+"""Stands for what cannot be reached, in capacities or in eighths of `max_steps`."""
+STEP_SCALE = 8.0
+"""Steps count for less than units: what a leg takes is brought to the same size."""
+
+# The features, by where they stand. Units are in capacities of the battery, steps in eighths of `max_steps`, what may
+# be true or not is 1 or 0. The numbers and their meaning are frozen: weights depend on them.
+
+TOKEN_FEATURES = 22
+IS_DRONE, IS_PARCEL, IS_PAD = 0, 1, 2
+HERE = 3
+"""Whether the drone is above this pad."""
+CHEAP_UNITS, CHEAP_STEPS, FAST_STEPS = 4, 5, 6
+"""From the drone: units and steps of the cheapest way, steps of the fastest."""
+REACHED = 7
+"""Whether there is a way that the battery has the units for; 0 for the pad that the drone is above."""
+ARRIVAL = 8
+"""Units left after the cheapest way."""
+TO_PAD, TO_PARCEL = 9, 10
+"""Units of the cheapest way from here to the nearest other pad and parcel; the drone has the first alone."""
+SPARE, SAFE = 11, 12
+"""`ARRIVAL` less the units to the nearest pad, which none needs on a pad or when the last parcel is delivered; whether
+some are left."""
+UNITS, LEFT, WAITING, LAST_PARCEL, CHARGE, SMALL_BATTERY, SHORT_TIME, TWO_PARCELS, PADS = range(13, TOKEN_FEATURES)
+"""The same on each token: units left; steps left / `max_steps`; parcels that wait / 5; whether one does; units of a
+charge; 10 / capacity; 40 / `max_steps`; whether two parcels wait; pads / 5."""
+
+EDGE_FEATURES = 10
+OUT_UNITS, OUT_STEPS, OUT_FAST_STEPS = 0, 1, 2
+"""From the first token to the second: units and steps of the cheapest way, steps of the fastest."""
+BACK_UNITS, BACK_STEPS = 3, 4
+"""The other way round. What leads to or from the drone is what leads from it, both ways."""
+OUT_ARRIVAL, OUT_REACHES = 5, 6
+"""`ARRIVAL` at the first less the units from there to the second; whether some are left."""
+BACK_ARRIVAL, BACK_REACHES = 7, 8
+"""The other way round."""
+WITHIN_CAPACITY = 9
+"""Whether a full battery lasts from the first to the second."""
+
+OPTION_FEATURES = 9
+DRAINED, TAKEN = 0, 1
+"""Units, below zero for a charge, and steps."""
+AFTER = 2
+"""Units left."""
+AFTER_SPARE, AFTER_SAFE = 3, 4
+"""As `SPARE` and `SAFE`, after this way."""
+CHARGES = 5
+"""Whether it is a charge."""
+MORE_UNITS, MORE_STEPS = 6, 7
+"""Units beyond those of the cheapest way to the same stop, steps beyond those of the fastest."""
+LEFT_AFTER = 8
+"""Steps left / `max_steps`."""
+
+
+class Distances(NamedTuple):
+    """From each stop (first axis) to each: int32[N, N], `UNREACHED` where nothing leads. Parcels do not end a way."""
+
+    cheap_units: Any
+    """Units of the cheapest way."""
+    cheap_steps: Any
+    """Its steps."""
+    fast_steps: Any
+    """Steps of the fastest way."""
+
+
+class View(NamedTuple):
+    """Views of M states of one task with N stops, and all their options, one after another."""
+
+    tokens: Any
+    """float32[M, N + 1, 22]"""
+    present: Any
+    """bool[M, N + 1], whether there is such a token."""
+    edges: Any
+    """float32[M, N + 1, N + 1, 10], from the first token to the second."""
+    begins: Any
+    """int64[M + 1], where the options of each state begin."""
+    token: Any
+    """int32[options], the token that each leads to."""
+    features: Any
+    """float32[options, 9]"""
+    numbers: Any
+    """int32[options, 3]: units (below zero for a charge), steps, first action."""
+
+
+def make_distances(stops: int) -> Distances:
+    """Room for the distances between this many stops."""
+    return Distances(*np.zeros((3, stops, stops), np.int32))
+
+
+def make_view(states: int, stops: int, options: int) -> View:
+    """Room for this many views and options in all."""
+    return View(
+        np.zeros((states, stops + 1, TOKEN_FEATURES), np.float32),
+        np.zeros((states, stops + 1), np.bool_),
+        np.zeros((states, stops + 1, stops + 1, EDGE_FEATURES), np.float32),
+        np.zeros(states + 1, np.int64),
+        np.zeros(options, np.int32),
+        np.zeros((options, OPTION_FEATURES), np.float32),
+        np.zeros((options, 3), np.int32),
+    )
+
+
+def find_distances(
+    tables: Tables,
+    ground: Any,
+    stops: Any,
+    counts: int,
+    stop_at: Any,
+    distances: Distances,
+    ways: Ways,
+    rounds: Rounds,
+) -> None:
+    """Find the distances between all stops, on a ground where no parcel waits."""
+    cheap_units, cheap_steps, fast_steps = distances
+    for i in range(len(stops)):
+        find_ways(tables, ground, stops[i], tables.capacity, counts, stop_at, ways, 0, rounds)
+        for j in range(len(stops)):
+            n = ways.count[j]
+            if i == j:
+                cheap_units[i, j] = cheap_steps[i, j] = fast_steps[i, j] = 0
+            elif n == 0:
+                cheap_units[i, j] = cheap_steps[i, j] = fast_steps[i, j] = UNREACHED
+            else:
+                cheap_steps[i, j] = ways.steps[j, n - 1]
+                cheap_units[i, j] = ways.units[j, n - 1] if counts else cheap_steps[i, j]
+                fast_steps[i, j] = ways.steps[j, 0]
+
+
+def write_view(
+    tables: Tables,
+    stops: Any,
+    parcels: int,
+    delivered: int,
+    cell: int,
+    units: int,
+    left: int,
+    counts: int,
+    distances: Distances,
+    ways: Ways,
+    view: View,
+    m: int,
+) -> None:
+    """Write the view of one state, whose ways have been found, behind the m that stand there.
+
+    Args:
+        tables: The task's tables.
+        stops: int64[N], the cells of the parcels and pads.
+        parcels: How many of them are parcels: the first.
+        delivered: Bit i for parcel i.
+        cell: Where the drone is.
+        units: Battery units left.
+        left: Steps left.
+        counts: 1 if units count beside steps.
+        distances: Between the stops.
+        ways: From the drone to the stops.
+        view: Receives it.
+        m: How many views stand there.
+    """
+    capacity, max_steps = np.float32(tables.capacity), np.float32(tables.max_steps)
+    per_step = np.float32(STEP_SCALE) / max_steps
+    cheap_units, cheap_steps, fast_steps = distances
+    n = len(stops)
+    tokens, present, edges = view.tokens, view.present, view.edges
+    charge = -tables.drain[PAD_CELL * N_ACTIONS + WAIT]
+    waiting = 0
+    for i in range(parcels):
+        waiting += 1 - (delivered >> i & 1)
+    option = view.begins[m]
+    for f in range(TOKEN_FEATURES):
+        tokens[m, 0, f] = 0.0
+    present[m, 0] = True
+    tokens[m, 0, IS_DRONE] = 1.0
+    home = UNREACHED
+    for i in range(n):
+        t = i + 1
+        present[m, t] = i >= parcels or not (delivered >> i & 1)
+        for f in range(TOKEN_FEATURES):
+            tokens[m, t, f] = 0.0
+        if not present[m, t]:
+            continue
+        next_pad = next_parcel = UNREACHED
+        for j in range(n):
+            if j != i and (j >= parcels or not (delivered >> j & 1)):
+                if j >= parcels:
+                    next_pad = min(next_pad, cheap_units[i, j])
+                else:
+                    next_parcel = min(next_parcel, cheap_units[i, j])
+        to_pad = np.float32(next_pad) / capacity if next_pad < UNREACHED else np.float32(FAR)
+        safe = np.float32(0.0) if i >= parcels or waiting == 1 else to_pad
+        tokens[m, t, IS_PARCEL] = i < parcels
+        tokens[m, t, IS_PAD] = i >= parcels
+        tokens[m, t, TO_PAD] = to_pad
+        tokens[m, t, TO_PARCEL] = np.float32(next_parcel) / capacity if next_parcel < UNREACHED else np.float32(FAR)
+        here = stops[i] == cell
+        k_ways = ways.count[i]
+        if here:
+            tokens[m, t, HERE] = 1.0
+            home = 0
+            charged = units_left(tables, units, -charge)
+            tokens[m, t, ARRIVAL] = units / capacity
+            if charged > units and left > 0:
+                view.token[option] = t
+                view.numbers[option, 0], view.numbers[option, 1] = units - charged, 1
+                view.numbers[option, 2] = WAIT
+                for f in range(OPTION_FEATURES):
+                    view.features[option, f] = 0.0
+                view.features[option, DRAINED] = (units - charged) / capacity
+                view.features[option, TAKEN] = per_step
+                view.features[option, AFTER] = view.features[option, AFTER_SPARE] = charged / capacity
+                view.features[option, AFTER_SAFE] = view.features[option, CHARGES] = 1.0
+                view.features[option, LEFT_AFTER] = (left - 1) / max_steps
+                option += 1
+        elif k_ways == 0:
+            tokens[m, t, CHEAP_UNITS] = tokens[m, t, CHEAP_STEPS] = tokens[m, t, FAST_STEPS] = FAR
+        else:
+            last = k_ways - 1
+            cheapest = ways.units[i, last] if counts else ways.steps[i, last]
+            fastest = ways.steps[i, 0]
+            if i >= parcels:
+                home = min(home, cheapest)
+            tokens[m, t, CHEAP_UNITS] = cheapest / capacity
+            tokens[m, t, CHEAP_STEPS] = ways.steps[i, last] * per_step
+            tokens[m, t, FAST_STEPS] = fastest * per_step
+            tokens[m, t, REACHED] = 1.0
+            tokens[m, t, ARRIVAL] = (units - cheapest) / capacity
+            for k in range(k_ways):
+                drained = ways.units[i, k] if counts else ways.steps[i, k]
+                steps = ways.steps[i, k]
+                if drained > units or (drained == units and i >= parcels) or steps > left:
+                    continue
+                view.token[option] = t
+                view.numbers[option, 0], view.numbers[option, 1] = drained, steps
+                view.numbers[option, 2] = ways.first[i, k]
+                view.features[option, DRAINED] = drained / capacity
+                view.features[option, TAKEN] = steps * per_step
+                view.features[option, AFTER] = (units - drained) / capacity
+                view.features[option, AFTER_SPARE] = (units - drained) / capacity - safe
+                view.features[option, AFTER_SAFE] = view.features[option, AFTER_SPARE] > 0.0
+                view.features[option, CHARGES] = 0.0
+                view.features[option, MORE_UNITS] = (drained - cheapest) / capacity
+                view.features[option, MORE_STEPS] = (steps - fastest) * per_step
+                view.features[option, LEFT_AFTER] = (left - steps) / max_steps
+                option += 1
+        tokens[m, t, SPARE] = tokens[m, t, ARRIVAL] - safe
+        tokens[m, t, SAFE] = tokens[m, t, SPARE] > 0.0
+    tokens[m, 0, TO_PAD] = np.float32(home) / capacity if home < UNREACHED else np.float32(FAR)
+    view.begins[m + 1] = option
+    for t in range(n + 1):
+        if present[m, t]:
+            tokens[m, t, UNITS] = units / capacity
+            tokens[m, t, LEFT] = left / max_steps
+            tokens[m, t, WAITING] = waiting / np.float32(5.0)
+            tokens[m, t, LAST_PARCEL] = waiting == 1
+            tokens[m, t, CHARGE] = charge / capacity
+            tokens[m, t, SMALL_BATTERY] = np.float32(10.0) / capacity
+            tokens[m, t, SHORT_TIME] = np.float32(40.0) / max_steps
+            tokens[m, t, TWO_PARCELS] = waiting == 2
+            tokens[m, t, PADS] = (n - parcels) / np.float32(5.0)
+    for s in range(n + 1):
+        arrival = tokens[m, s, ARRIVAL] if s > 0 else np.float32(units) / capacity
+        for t in range(n + 1):
+            for f in range(EDGE_FEATURES):
+                edges[m, s, t, f] = 0.0
+            if s == t or not present[m, s] or not present[m, t]:
+                continue
+            if s == 0 or t == 0:
+                stop = s + t
+                out_units = back_units = tokens[m, stop, CHEAP_UNITS]
+                out_steps = back_steps = tokens[m, stop, CHEAP_STEPS]
+                fastest_steps = tokens[m, stop, FAST_STEPS]
+            else:
+                out_units = back_units = out_steps = back_steps = fastest_steps = np.float32(FAR)
+                if cheap_units[s - 1, t - 1] < UNREACHED:
+                    out_units = np.float32(cheap_units[s - 1, t - 1]) / capacity
+                    out_steps = np.float32(cheap_steps[s - 1, t - 1]) * per_step
+                    fastest_steps = np.float32(fast_steps[s - 1, t - 1]) * per_step
+                if cheap_units[t - 1, s - 1] < UNREACHED:
+                    back_units = np.float32(cheap_units[t - 1, s - 1]) / capacity
+                    back_steps = np.float32(cheap_steps[t - 1, s - 1]) * per_step
+            back_arrival = tokens[m, t, ARRIVAL] if t > 0 else np.float32(units) / capacity
+            edges[m, s, t, OUT_UNITS] = out_units
+            edges[m, s, t, OUT_STEPS] = out_steps
+            edges[m, s, t, OUT_FAST_STEPS] = fastest_steps
+            edges[m, s, t, BACK_UNITS] = back_units
+            edges[m, s, t, BACK_STEPS] = back_steps
+            edges[m, s, t, OUT_ARRIVAL] = arrival - out_units
+            edges[m, s, t, OUT_REACHES] = arrival - out_units > 0.0
+            edges[m, s, t, BACK_ARRIVAL] = back_arrival - back_units
+            edges[m, s, t, BACK_REACHES] = back_arrival - back_units > 0.0
+            edges[m, s, t, WITHIN_CAPACITY] = out_units < 1.0
+
+
+for function in (find_distances, write_view):
+    register_jitable(**compiled.OPTIONS)(function)
