@@ -11,7 +11,7 @@ import contextlib
 import dataclasses
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ from drone_env.envs.wrappers import one_hot
 from drone_env.rl.config import preset
 from drone_env.rl.model import PathQNet
 from drone_env.rl.trainer import Trainer
-from drone_env.rl.validation import Validator, Values
+from drone_env.rl.validation import Validator
 
 SHARES = (0.95, 0.99, 0.995)
 SECONDS = 2.0
@@ -57,21 +57,32 @@ class ReachedError(Exception):
 
 
 class Watch:
-    """Notes when the shares are reached.
+    """Validates now and then, and notes when the shares are reached.
 
     Args:
         validator: Flies the maps.
         limit: Seconds of computing after which the run is ended.
+        shares: Of the optimum; where there are some and all are reached, the run is ended, too.
+        every: Seconds of computing between two validations.
     """
 
-    def __init__(self, validator: Validator, limit: float) -> None:
-        self.validator, self.limit = validator, limit
+    def __init__(
+        self, validator: Validator, limit: float, shares: Sequence[float] = SHARES, every: float = SECONDS
+    ) -> None:
+        self.validator, self.limit, self.shares, self.every = validator, limit, shares, every
         self.reached: dict[float, tuple[float, float, int]] = {}
+        self.curve: list[tuple[float, int, float, float]] = []
+        """Seconds of computing, steps, share of the optimum and of the maps on which everything was delivered."""
         self.best = 0.0
         self._cpu, self._wall = time.process_time(), time.perf_counter()
-        self._next = SECONDS
+        self._next = every
 
-    def look(self, values: Values, steps: int) -> None:
+    @property
+    def spent(self) -> float:
+        """Seconds of computing so far, less those of validation."""
+        return time.process_time() - self._cpu
+
+    def look(self, values: Callable[..., Any], steps: int) -> None:
         """Validate if it is time to; `steps` have been flown.
 
         Raises:
@@ -81,17 +92,18 @@ class Watch:
         if cpu - self._cpu < self._next:
             return
         spent = cpu - self._cpu
-        validation = self.validator.validate(values)
+        validation = self.validator.validate(lambda grids, seen: values(grids, seen).argmax(axis=1))
         share = validation.score / validation.optimum
+        self.curve.append((spent, steps, share, validation.success))
         self.best = max(self.best, share)
-        for wanted in SHARES:
+        for wanted in self.shares:
             if share >= wanted and wanted not in self.reached:
                 self.reached[wanted] = spent, wall - self._wall, steps
-        if len(self.reached) == len(SHARES) or spent >= self.limit:
+        if (self.shares and len(self.reached) == len(self.shares)) or spent >= self.limit:
             raise ReachedError
         self._cpu += time.process_time() - cpu
         self._wall += time.perf_counter() - wall
-        self._next = spent + SECONDS
+        self._next = min(spent + self.every, self.limit)
 
 
 class PathQNetFeatures(BaseFeaturesExtractor):

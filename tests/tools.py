@@ -17,7 +17,7 @@ from drone_env import installer
 
 PACKAGES = {"chromium": "chromium", "nginx": "nginx-light", "ss": "iproute2"}
 """Debian's packages of the programs that tests need."""
-LEFT_OUT = ("pyright", "ray", "stable_baselines3", "tensorboard", "torch")
+LEFT_OUT = ("pyright", "ray", "sb3_contrib", "stable_baselines3", "tensorboard", "torch")
 """The large packages that tests need and `uv sync` leaves out; the extra `dev` brings them."""
 ABSENT = [name for name in LEFT_OUT if find_spec(name) is None]
 

@@ -24,7 +24,7 @@ class OptimalAgent(PlannedAgent):
 
     def __init__(self, task: TaskConfig) -> None:
         super().__init__(task)
-        self.config: Mapping[str, object] = {"agent": "optimal", "version": 1}
+        self.config: Mapping[str, object] = {"agent": "optimal", "version": 2}
 
     def plan(self, episode: Episode) -> list[Action]:
         """The actions of a best flight."""

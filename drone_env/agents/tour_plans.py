@@ -44,13 +44,13 @@ class Flights(NamedTuple):
 class Choices(NamedTuple):
     """The options of M states, those of one behind those of another."""
 
-    begins: npt.NDArray[np.int64]
+    begins: Any
     """int64[M + 1], where those of each state begin."""
-    options: npt.NDArray[np.int32]
+    options: Any
     """int32[options, 4]: token, units, steps, first action."""
-    logits: npt.NDArray[np.float32]
+    logits: Any
     """float32[options]"""
-    best: npt.NDArray[np.int64]
+    best: Any
     """int64[M], the number of the best option of each, -1 where there is none."""
 
 
@@ -180,17 +180,19 @@ class TourPlanner:
         grids, states = grids[which], states[which].astype(np.int64)
         grids[np.arange(len(grids)), states[:, CELL]] = states[:, UNDER]
         drones = np.stack([states[:, CELL], states[:, BATTERY], self._tables.max_steps - states[:, STEPS]], axis=1)
-        begins, options, logits, best = [np.zeros(1, np.int64)], [], [], []
+        parts: list[Choices] = []
+        begin = 0
         for i in range(0, len(grids), self._viewer.most):
             some = slice(i, i + self._viewer.most)
             view = self._viewer.views(grids[some], drones[some])
             of_view, _ = self._network(view)
             first = best_options(view, of_view)
-            best.append(np.where(first < 0, -1, first + begins[-1][-1]))
-            begins.append(view.begins[1:] + begins[-1][-1])
-            options.append(np.column_stack([view.token, view.numbers]))
-            logits.append(of_view)
-        return Choices(*(np.concatenate(parts) for parts in (begins, options, logits, best))), of.ravel()
+            options = np.column_stack([view.token, view.numbers])
+            best = np.where(first < 0, -1, first + begin)
+            parts.append(Choices(view.begins[:-1] + begin, options, of_view, best))
+            begin += len(options)
+        begins, *others = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return Choices(np.append(begins, begin), *others), of.ravel()
 
 
 def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any) -> npt.NDArray[np.int64]:

@@ -13,8 +13,8 @@ from drone_env.agents import NETWORK_AGENTS
 from drone_env.agents.weights_file import network_of
 from drone_env.commands.arguments import SHORT_NAMES, AgentNames, ClusterAddress, SeedRange, SplitName, chosen_maps
 from drone_env.commands.printing import print_json, progress_bar
-from drone_env.core.tasks import TASKS, get_task
-from drone_env.errors import InvalidValueError
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
 from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, summarise
 from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
 from drone_env.files import write_json
@@ -23,6 +23,9 @@ from drone_env.reports.tables import Table, number, percent, print_table, with_m
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
 CHOICE = "|".join(NETWORK_AGENTS)
 JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
+
+Cell = EpisodesKey | CheckpointError | UnsupportedTaskError
+"""What an agent is to fly of a task, or why it cannot."""
 
 
 def evaluate(
@@ -42,7 +45,7 @@ def evaluate(
     Prints a table; a progress bar goes to standard error. Score: graded, 0.01 to 0.99, with its 95 % confidence
     interval. Ratio: mean score / mean optimal score. Regret: mean of optimum less score. Excess: steps beyond the
     optimal flight, on delivered maps; below zero where the best flight takes its time to charge. docs/quoting.md says
-    what of it to quote.
+    what of it to quote. An agent that cannot fly one of several tasks has a row of dashes there, and the reason below.
 
     Example: drone-env evaluate --task hard --agents greedy optimal --episodes 100 --json results.json
 
@@ -69,11 +72,12 @@ def evaluate(
     if target is not None and (not target.name or target.is_dir() or not target.parent.is_dir()):
         raise InvalidValueError(f"--json takes - or a file in a folder that exists, got {json!r}")
     named = [t for name in task for t in (TASKS.values() if name == "all" else [get_task(name)])]
-    keys = {t: {agent: episodes_key(t, agent, maps, chosen_split) for agent in agents} for t in dict.fromkeys(named)}
+    cells = {t: {agent: _cell(t, agent, maps, chosen_split) for agent in agents} for t in dict.fromkeys(named)}
+    _check_that_some_fly(cells)
 
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
-    all_keys = [key for of_agent in keys.values() for key in of_agent.values()]
+    all_keys = [cell for row in cells.values() for cell in row.values() if isinstance(cell, EpisodesKey)]
     folder = None if out is None else ResultsFolder(out, all_keys)
     try:
         with _engine(engine, address) as chosen_engine:
@@ -82,15 +86,20 @@ def evaluate(
         if out is not None:
             print(f"interrupted; to go on, give the same options with --out {out}", file=sys.stderr)
         raise
+    summaries = {key: summarise(of_key) for key, of_key in results.items()}
+    nothing = dict.fromkeys(summaries[all_keys[0]])
     figures = {
         t.id: {
             "version": t.version,
             "split": chosen_split,
             "seeds": [maps.start, maps.stop],
             "episodes": len(maps),
-            "agents": {agent: summarise(results[key]) for agent, key in of_agent.items()},
+            "agents": {
+                agent: summaries[cell] if isinstance(cell, EpisodesKey) else {**nothing, "unsupported": str(cell)}
+                for agent, cell in row.items()
+            },
         }
-        for t, of_agent in keys.items()
+        for t, row in cells.items()
     }
     report = {"package": __version__, "tasks": figures}
     if json == "-":
@@ -99,6 +108,32 @@ def evaluate(
     if target is not None:
         write_json(target, report)
     _print(report)
+
+
+def _cell(task: TaskConfig, agent: str, maps: range, split: str) -> Cell:
+    try:
+        return episodes_key(task, agent, maps, split)
+    except UnsupportedTaskError as error:
+        return error
+    except CheckpointError as error:
+        if not _names_file(agent):
+            raise  # a file of the package is damaged
+        return error
+
+
+def _check_that_some_fly(cells: dict[TaskConfig, dict[str, Cell]]) -> None:
+    """Somebody must fly something, and a network's file that is named must fit a task: else raise the first reason."""
+    agents = [*next(iter(cells.values()))]
+    for judged in (agents, *([agent] for agent in agents if _names_file(agent))):
+        all_cells = [row[agent] for row in cells.values() for agent in judged]
+        reasons = [cell for cell in all_cells if not isinstance(cell, EpisodesKey)]
+        if len(reasons) == len(all_cells):
+            raise reasons[0]
+
+
+def _names_file(agent: str) -> bool:
+    """Whether an agent flies by a file that was named."""
+    return agent.partition(":")[0] in NETWORK_AGENTS and ":" in agent
 
 
 def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:
@@ -158,3 +193,7 @@ def _print(report: dict[str, Any]) -> None:
     caption = f"{stop - start:,} maps a task, split {flown['split']}, seeds {start} to {stop - 1}"
     table = Table("Graded score beside the exact optimum of the same maps", head, rows)
     print_table(table, width=120, names=2, caption=caption, sections=True)
+    for task_id, of_task in report["tasks"].items():
+        for agent, figures in of_task["agents"].items():
+            if "unsupported" in figures:
+                print(f"{get_task(task_id).short_name}, {agent}: {figures['unsupported']}")

@@ -13,12 +13,14 @@ import pytest
 from PIL import Image
 
 from drone_env import __version__
+from drone_env.agents import pathqnet
+from drone_env.agents.pathqnet import shipped_network
 from drone_env.cli import main
 from drone_env.commands.play import split_keys
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.tasks import TASKS
+from drone_env.core.tasks import TASKS, get_task
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.planning.optimal import solve
 
@@ -137,6 +139,60 @@ def test_the_table_shows_every_figure_in_its_column(tmp_path: Path, capsys: pyte
         assert re.search(r"\s+".join(map(re.escape, cells)) + r"\s", out), cells
     assert "hard v1  greedy" in out
     assert "4 maps a task, split custom, seeds 3 to 6" in out
+
+
+def test_an_agent_that_cannot_fly_a_task_leaves_its_row_empty_and_says_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maps, file = ["--seeds", "3:5", "--out", str(tmp_path / "results")], tmp_path / "figures.json"
+    tasks, agents = ["--task", "skyline_easy", "easy"], ["--agents", "pathqnet", "greedy"]
+    assert main(["evaluate", *tasks, *agents, *maps, "--json", str(file)]) == 0
+    out = capsys.readouterr().out
+    row = r"skyline_easy v2 +pathqnet" + r" +-" * 7 + r" *\n"
+    assert re.search(row, out)
+    assert out.splitlines()[-1].startswith(
+        "skyline_easy, pathqnet: no network is shipped for 'skyline_easy': train one"
+    )
+    report = json.loads(file.read_text())["tasks"]
+    skyline, easy = (report[task]["agents"] for task in ("skyline_easy", "easy_delivery"))
+    assert list(skyline) == ["pathqnet", "greedy"]
+    why = skyline["pathqnet"].pop("unsupported")
+    assert why.startswith("no network is shipped")
+    assert skyline["pathqnet"] == dict.fromkeys(skyline["greedy"])
+    assert "unsupported" not in skyline["greedy"]
+    assert easy["pathqnet"] == summarise(run_episodes(episodes_key("easy", "pathqnet", range(3, 5))))
+    # The folder knows of what is flown, and goes on with it.
+    assert main(["evaluate", *tasks, *agents, *maps, "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["tasks"]["skyline_easy"]["agents"]["pathqnet"]["unsupported"] == why
+
+
+def test_where_nobody_flies_anything_the_reason_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    tasks = ["skyline_easy", "skyline_medium"]
+    assert main(["evaluate", "--task", *tasks, "--agents", "pathqnet", "--episodes", "2"]) == 2
+    assert "no network is shipped for 'skyline_easy'" in capsys.readouterr().err
+
+
+def test_a_named_network_must_fit_one_of_the_tasks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    network = str(shipped_network(get_task("easy")))
+    given = ["--agents", "greedy", "pathqnet", "--checkpoint", network, "--seeds", "3:4"]
+    assert main(["evaluate", "--task", "skyline_easy", "easy", *given, "--json", "-"]) == 0
+    tasks = json.loads(capsys.readouterr().out)["tasks"]
+    assert "takes 5 values of telemetry" in tasks["skyline_easy"]["agents"][f"pathqnet:{network}"]["unsupported"]
+    assert "unsupported" not in tasks["easy_delivery"]["agents"][f"pathqnet:{network}"]
+    assert main(["evaluate", "--task", "skyline_easy", "skyline_hard", *given]) == 2
+    assert "takes 5 values of telemetry, and 'skyline_easy' has 13" in " ".join(capsys.readouterr().err.split())
+    (tmp_path / "none.npz").write_text("no network")
+    assert main(["evaluate", *given[:4], str(tmp_path / "none.npz"), *given[5:]]) == 2
+    assert "is not an exported network" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_damaged_network_of_the_package_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(pathqnet, "WEIGHTS", tmp_path)
+    (tmp_path / "easy_delivery_v1.npz").write_text("no network")
+    assert main(["evaluate", "--task", "easy", "--agents", "greedy", "pathqnet", "--seeds", "3:4"]) == 2
+    assert "is not an exported network" in " ".join(capsys.readouterr().err.split())
 
 
 def test_solve_shows_the_optimum(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,91 @@
+"""The peers of benchmarks/peers.py: what they see of the masks, and a run from its first second to its figures."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drone_env.agents import AGENTS
+from drone_env.core.tasks import get_task
+from drone_env.envs.sb3 import DroneDeliveryVecEnv
+from drone_env.errors import InvalidValueError
+from drone_env.rl.validation import Validation, Values
+from tests.package.installed import ROOT
+
+
+@pytest.fixture
+def peers(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import peers
+
+    before = dict(AGENTS)
+    yield peers
+    AGENTS.clear()
+    AGENTS.update(before)
+
+
+@pytest.mark.parametrize("task", ["easy", "skyline_easy", "skyline_hard"])
+def test_the_masks_of_a_peer_are_those_of_its_environment(task: str, peers: ModuleType) -> None:
+    env = DroneDeliveryVecEnv(task, 64)
+    env.seed(7)
+    env.reset()
+    random = np.random.default_rng(1)
+    for _ in range(40):
+        expected = env.action_masks()
+        assert np.array_equal(peers.masks(get_task(task), env.batch.grids, env.batch.telemetry), expected)
+        env.step(random.integers(0, 5, 64))
+    assert not expected.all()
+
+
+def test_the_policy_that_was_best_in_validation_is_the_one_that_flies(
+    peers: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(peers, "VALIDATIONS", 4)
+    task, seen, shares = get_task("skyline_easy"), [], iter([0.1, 0.7, 0.3, 0.2, *[0.1] * 100])
+    batch = DroneDeliveryVecEnv(task, 8).batch
+    batch.reset(np.arange(8))
+
+    class Scripted:
+        """Says that the second policy is the best, and keeps what each would do."""
+
+        def validate(self, values: Values) -> Validation:
+            seen.append(values(batch.grids, batch.telemetry))
+            return Validation(next(shares), 1.0, 0.0)
+
+    peer, watch = peers.train(task, "MaskablePPO", peers.RECIPES["wide"] | {"n_steps": 4}, 3, 1.0, Scripted())
+    assert len(watch.curve) == len(seen) >= 3
+    flown = peer.values(batch.grids, batch.telemetry)
+    assert np.array_equal(flown, seen[1])
+    assert not np.array_equal(flown, seen[-1])
+    assert (flown.argmax(axis=1) == peer.act_batch(batch.grids, batch.telemetry)).all()
+    assert (np.exp(flown)[~batch.action_masks.astype(bool)] < 1e-6).all()
+
+
+@pytest.mark.parametrize(("algorithm", "recipe"), [("PPO", "dense"), ("MaskablePPO", "wide")])
+def test_a_finished_run_is_read_and_not_repeated(
+    algorithm: str, recipe: str, peers: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(peers, "VALIDATION_MAPS", 5)
+    monkeypatch.setattr(peers, "VALIDATIONS", 4)
+    monkeypatch.setattr("training_runs.MAPS", 7)
+    task = get_task("skyline_easy")
+
+    def run() -> dict[str, Any]:
+        return peers.run(task, algorithm, recipe, 3, 1.0, False, tmp_path)
+
+    result = run()
+    assert result["curve"]["cpu_seconds"][-1] == result["cpu_seconds"] >= 1
+    assert result["steps"] % 256 == 0
+    assert result["best_validation"] == max(result["curve"]["share"])
+    assert 0 < result["test"]["score_ratio"] < 1
+    (file,) = tmp_path.iterdir()
+    file.write_text(json.dumps(result | {"steps": 1}))
+    assert run()["steps"] == 1
+    monkeypatch.setitem(peers.RECIPES, recipe, {"num_envs": 8})
+    with pytest.raises(InvalidValueError, match="was trained with other settings"):
+        run()
+    assert peers.row(result).count("|") == peers.HEADER.splitlines()[0].count("|")
