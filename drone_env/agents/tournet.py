@@ -83,10 +83,20 @@ class TournetAgent:
     def _choose(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         view = self._viewer(grids, telemetry)
         choices, _ = self._network(view)
-        actions = np.full(len(grids), Action.WAIT, np.int64)
-        options = best_options(view, choices)
-        actions[options >= 0] = view.numbers[options[options >= 0], 2]
-        return actions
+        return first_actions(view, choices)
+
+
+def first_actions(view: "View", choices: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+    """The first action of the best option of each view, int64[M]; WAIT where there is none.
+
+    Args:
+        view: Of M states.
+        choices: float32[options], the logits.
+    """
+    actions = np.full(len(view.begins) - 1, Action.WAIT, np.int64)
+    options = best_options(view, choices)
+    actions[options >= 0] = view.numbers[options[options >= 0], 2]
+    return actions
 
 
 def best_options(view: "View", choices: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:

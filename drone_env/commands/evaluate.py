@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from drone_env import __version__
-from drone_env.agents import NETWORK_AGENTS
+from drone_env.agents import NETWORK_AGENTS, network_file
 from drone_env.agents.weights_file import network_of
 from drone_env.commands.arguments import SHORT_NAMES, AgentNames, ClusterAddress, SeedRange, SplitName, chosen_maps
 from drone_env.commands.printing import print_json, progress_bar
@@ -116,7 +116,7 @@ def _cell(task: TaskConfig, agent: str, maps: range, split: str) -> Cell:
     except UnsupportedTaskError as error:
         return error
     except CheckpointError as error:
-        if not _names_file(agent):
+        if network_file(agent) is None:
             raise  # a file of the package is damaged
         return error
 
@@ -124,16 +124,11 @@ def _cell(task: TaskConfig, agent: str, maps: range, split: str) -> Cell:
 def _check_that_some_fly(cells: dict[TaskConfig, dict[str, Cell]]) -> None:
     """Somebody must fly something, and a network's file that is named must fit a task: else raise the first reason."""
     agents = [*next(iter(cells.values()))]
-    for judged in (agents, *([agent] for agent in agents if _names_file(agent))):
+    for judged in (agents, *([agent] for agent in agents if network_file(agent))):
         all_cells = [row[agent] for row in cells.values() for agent in judged]
         reasons = [cell for cell in all_cells if not isinstance(cell, EpisodesKey)]
         if len(reasons) == len(all_cells):
             raise reasons[0]
-
-
-def _names_file(agent: str) -> bool:
-    """Whether an agent flies by a file that was named."""
-    return agent.partition(":")[0] in NETWORK_AGENTS and ":" in agent
 
 
 def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:
