@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, logsigmoid
 
 from drone_env.agents.tour_view import View
 from drone_env.agents.tour_viewer import Viewer
-from drone_env.agents.tournet import first_actions
+from drone_env.agents.tournet import choose
 from drone_env.core.seeds import SPLITS
 from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
 from drone_env.rl.lessons import COMPLETE, Lessons, Teacher
@@ -207,7 +208,7 @@ class TourTrainer(Learner):
     def _losses_of(self, batch: "Batch") -> tuple[Tensor, Tensor, Tensor]:
         """Cross-entropy of the choices, expected regret, and cross-entropy of the completions: means over a batch."""
         preference, completion = self.online(*batch.inputs)
-        logits = batch.table(preference + 2 * logsigmoid(completion), -math.inf)
+        logits = batch.table(chosen_by(preference, completion), -math.inf)
         values = batch.table(batch.values, -math.inf)
         regrets = values.amax(1, keepdim=True) - values
         wanted = (-regrets / self.config.temperature).softmax(1)
@@ -245,15 +246,15 @@ class TourTrainer(Learner):
     def validate(self) -> None:
         """Fly the validation maps of each task with the average of the weights."""
         for name, validator in self._validators.items():
-            viewer = self._viewers[name]
-            flown = validator.validate(lambda grids, telemetry, see=viewer: self._act(see(grids, telemetry)))
+            flown = validator.validate(partial(choose, self._viewers[name], self._judged))
             self.shares[name] = flown.score / flown.optimum
 
-    def _act(self, view: View) -> npt.NDArray[np.int64]:
+    def _judged(self, view: View) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """What the average of the weights says of each option."""
         batch = Batch(view, np.zeros(len(view.token), np.float32))
         with torch.no_grad():
             preference, completion = self.average(*batch.inputs)
-        return first_actions(view, (preference + 2 * logsigmoid(completion)).numpy())
+        return chosen_by(preference, completion).numpy(), completion.numpy()
 
     def get_state(self) -> dict[str, Any]:
         """Everything that the run needs to go on, as tensors and plain values."""
@@ -321,6 +322,11 @@ class TourTrainer(Learner):
 
 
 LEARNED = ("online", "average", "optimizer")
+
+
+def chosen_by(preference: Tensor, completion: Tensor) -> Tensor:
+    """The logits of the choice: an option after which the mission can hardly be completed is hardly chosen."""
+    return preference + 2 * logsigmoid(completion)
 
 
 class Batch:
