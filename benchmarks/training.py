@@ -29,7 +29,7 @@ from drone_env.envs.wrappers import one_hot
 from drone_env.rl.config import preset
 from drone_env.rl.model import PathQNet
 from drone_env.rl.trainer import Trainer
-from drone_env.rl.validation import Validator, Values
+from drone_env.rl.validation import Validator
 
 SHARES = (0.95, 0.99, 0.995)
 SECONDS = 2.0
@@ -82,7 +82,7 @@ class Watch:
         """Seconds of computing so far, less those of validation."""
         return time.process_time() - self._cpu
 
-    def look(self, values: Values, steps: int) -> None:
+    def look(self, values: Callable[..., Any], steps: int) -> None:
         """Validate if it is time to; `steps` have been flown.
 
         Raises:
@@ -92,7 +92,7 @@ class Watch:
         if cpu - self._cpu < self._next:
             return
         spent = cpu - self._cpu
-        validation = self.validator.validate(values)
+        validation = self.validator.validate(lambda grids, seen: values(grids, seen).argmax(axis=1))
         share = validation.score / validation.optimum
         self.curve.append((spent, steps, share, validation.success))
         self.best = max(self.best, share)

@@ -25,6 +25,7 @@ from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.files import replacing
 from drone_env.rl.config import preset
 from drone_env.rl.run import TrainingRun
+from drone_env.rl.trainer import Trainer
 
 ROOT = Path(__file__).resolve().parent.parent
 MAPS = 1000
@@ -45,7 +46,7 @@ def train(task: TaskConfig, seed: int, threads: int, folder: Path) -> dict[str, 
     if finished.exists():
         return json.loads(finished.read_text(encoding="utf-8"))
     config = dataclasses.replace(preset("fast", task.short_name), seed=seed, num_threads=threads)
-    run = TrainingRun(config, folder, folder)
+    run = TrainingRun(Trainer(config), folder, folder)
     with run.stopping_on_interrupt():
         for line in run.train():
             if line.episode % config.validation_every == 0:

@@ -137,7 +137,7 @@ def write_curves() -> None:
         shares = [f"{last.success:.1%}", f"{last.validation:.4f}", f"{last.validation_optimum:.4f}"]
         rows.append([f"`{reward}`", f"{last.reward:.2f}", f"{last.length:.1f}", *shares])
         print(rows[-1], file=sys.stderr)
-    draw_curves(histories, CURVES, DOCS / "images" / "training")
+    draw_curves(histories, CURVES, Trainer.curves, DOCS / "images" / "training")
     REWARD.write_text(put(REWARD.read_text(encoding="utf-8"), "curves", table(rows)), encoding="utf-8")
 
 

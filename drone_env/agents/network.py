@@ -1,33 +1,22 @@
 """PathQNet without PyTorch: the same network in NumPy, from an exported file.
 
-The file is NumPy's `.npz`: one array per parameter, under PyTorch's names, and `metadata`, JSON text. A single map
-takes some hundred microseconds, and no inference library has to be installed.
+A single map takes some hundred microseconds, and no inference library has to be installed.
 """
 
-import hashlib
-import json
-import math
-import stat
-import struct
-import tokenize
-import zlib
 from functools import lru_cache
-from io import BytesIO
 from pathlib import Path
-from typing import Any, cast
-from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from drone_env.agents.weights_file import PATHQNET, Array, Shapes, Weights, read_weights
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import N_CELL_KINDS
-from drone_env.errors import CheckpointError
 
 POOLED = 4
 EPSILON = 1e-5
 """What PyTorch's LayerNorm adds to the variance."""
-Array = npt.NDArray[np.float32]
 MAP_FEATURES = 64
 SHAPES: dict[str, tuple[int, ...]] = {
     "encoder.embedding.weight": (N_CELL_KINDS, 8),
@@ -44,27 +33,17 @@ SHAPES.update(
     {name.replace("weight", "bias"): shape[:1] for name, shape in SHAPES.items() if name != "encoder.embedding.weight"}
 )
 """The parameters of a network, here and in `rl.model`; a layer has a bias for each of its outputs."""
-MOST_BYTES = 1 << 20
-"""More than three times what a network takes, packed or not. No more than that is ever read or unpacked."""
-LARGEST = 100.0
-"""No parameter lies beyond it: those that were trained stay below 3, and up to it no value can overflow."""
-UNREADABLE = (ValueError, TypeError, BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError,
-              RecursionError, MemoryError, OverflowError, SyntaxError, tokenize.TokenError)  # fmt: skip
-"""What is raised over a malformed archive, array or JSON. Sizes are checked before, so memory is that of the parser."""
 
 
 class Network:
     """The values of the five actions: float32[B, 5] from grids uint8[B, H, W] and telemetry float32[B, telemetry_size].
 
     Args:
-        parameters: The arrays of the exported file.
-        metadata: What the file says about its making; `telemetry_size` is among it.
-        digest: First 16 digits of the SHA-256 of the file.
+        weights: What the exported file holds; `telemetry_size` is among the metadata.
     """
 
-    def __init__(self, parameters: dict[str, Array], metadata: dict[str, Any], digest: str) -> None:
-        self.metadata = metadata
-        self.digest = digest
+    def __init__(self, weights: Weights) -> None:
+        parameters, self.metadata, self.digest = weights
         self.parameters = parameters
         embedding, weight = parameters["encoder.embedding.weight"], parameters["encoder.conv1.weight"]
         # The first convolution only ever sees embeddings, so it is nine table lookups. The last row is the padding.
@@ -112,77 +91,19 @@ def pooling(size: int) -> Array:
 
 
 def load_network(path: Path) -> Network:
-    """Read an exported network. Whatever the file says of itself, no more than `MOST_BYTES` are unpacked.
+    """Read an exported network.
 
     Raises:
         OSError: if the file cannot be read.
-        CheckpointError: if it is not an exported network; the message says why.
+        CheckpointError: if it is not an exported network, or of what is withdrawn; the message says why.
     """
-    try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise ValueError("it is no file")
-        with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-        return Network(*_unpacked(content), hashlib.sha256(content).hexdigest()[:16])
-    except UNREADABLE as error:
-        why = str(error) or type(error).__name__
-        raise CheckpointError(f"{path} is not an exported network (.npz, beside the checkpoint): {why}") from None
+    return Network(read_weights(path, PATHQNET, _shapes))
 
 
-def _unpacked(content: bytes) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Parameters and metadata of a file.
-
-    Raises:
-        UNREADABLE: if it is not an exported network.
-    """
-    if len(content) > MOST_BYTES:
-        raise ValueError(f"it has more than {MOST_BYTES} bytes")
-    with ZipFile(BytesIO(content)) as archive:
-        entries = archive.infolist()
-        if sorted(entry.filename for entry in entries) != sorted(f"{name}.npy" for name in (*SHAPES, "metadata")):
-            raise ValueError("it does not hold the parameters of a network and its metadata, and nothing else")
-        declared = sum(entry.file_size for entry in entries)
-        if declared > MOST_BYTES:
-            raise ValueError(f"unpacked it would have {declared} bytes, and a network has at most {MOST_BYTES}")
-        arrays: dict[str, npt.NDArray[Any]] = {}
-        for entry in entries:
-            if entry.flag_bits & 1 or entry.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
-                raise ValueError(f"{entry.filename} is encrypted, or packed in a way that NumPy does not write")
-            with archive.open(entry) as opened:
-                # Bounded: unpacked without a number, an entry that lies about its size would be unpacked whole.
-                arrays[entry.filename.removesuffix(".npy")] = _array(opened.read(entry.file_size + 1))
-    metadata = _metadata(arrays.pop("metadata"))
-    for name, array in arrays.items():
-        rows, *rest = SHAPES[name]
-        shape = (rows, *rest) if name != "head.0.weight" else (rows, MAP_FEATURES + metadata["telemetry_size"])
-        if array.dtype != np.float32 or array.shape != shape:
-            raise ValueError(f"{name} is {array.dtype}{list(array.shape)} instead of float32{list(shape)}")
-        if not (np.abs(array) <= LARGEST).all():
-            raise ValueError(f"{name} has values that are no numbers, or beyond {LARGEST:g}")
-    return arrays, metadata
-
-
-def _array(content: bytes) -> npt.NDArray[Any]:
-    """The array in an entry. NumPy's own reader makes room for as many values as the header claims."""
-    file = BytesIO(content)
-    version = np.lib.format.read_magic(file)
-    if version != (1, 0):
-        raise ValueError(f"it has arrays of version {version}, and networks are written with those of (1, 0)")
-    shape, by_columns, dtype = np.lib.format.read_array_header_1_0(file)
-    values = np.frombuffer(content[file.tell() :], dtype)
-    if values.shape != (math.prod(shape),):
-        raise ValueError(f"an array of {list(shape)} values has {len(values)}")
-    return values.reshape(shape, order="F" if by_columns else "C").copy()
-
-
-def _metadata(array: npt.NDArray[Any]) -> dict[str, Any]:
-    if array.shape != () or array.dtype.kind != "U":
-        raise ValueError("its metadata are no text")
-    metadata = json.loads(str(array))
-    if not isinstance(metadata, dict):
-        raise ValueError("its metadata are no JSON object")
-    metadata = cast(dict[str, Any], metadata)
+def _shapes(metadata: dict[str, Any]) -> Shapes:
+    """The shapes of the parameters of a network that was trained so."""
     telemetry_size = metadata.get("telemetry_size")
     if type(telemetry_size) is not int or not 0 < telemetry_size <= MAP_FEATURES:
         raise ValueError("its metadata do not say telemetry_size, the number of values that it takes beside the map")
-    return metadata
+    rows, inputs = SHAPES["head.0.weight"]
+    return SHAPES | {"head.0.weight": (rows, inputs + telemetry_size)}

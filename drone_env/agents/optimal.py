@@ -25,7 +25,7 @@ class OptimalAgent:
     """
 
     def __init__(self, task: TaskConfig) -> None:
-        self.config: Mapping[str, object] = {"agent": "optimal", "version": 1}
+        self.config: Mapping[str, object] = {"agent": "optimal", "version": 2}
         self._task = task
         self._plan: list[Action] = []
         self._expected: Episode | None = None

@@ -7,11 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents.network import load_network
+from drone_env.agents.weights_file import WEIGHTS
 from drone_env.core.episode import Observation
-from drone_env.core.tasks import TaskConfig, withdrawal
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError, UnsupportedTaskError
-
-WEIGHTS = Path(__file__).parents[1] / "weights"
 
 
 def shipped_network(task: TaskConfig) -> Path:
@@ -44,11 +43,7 @@ class PathQNetAgent:
                 f"its file with --checkpoint (data/{task.short_name}.npz)"
             )
         self._network = load_network(path)
-        trained = self._network.metadata
-        withdrawn = withdrawal(trained.get("task"), trained.get("task_version"))
-        if withdrawn is not None:
-            raise CheckpointError(f"{path} was trained on what there is no more: {withdrawn}")
-        takes = trained["telemetry_size"]
+        takes = self._network.metadata["telemetry_size"]
         if takes != task.telemetry_size:
             raise CheckpointError(
                 f"{path} takes {takes} values of telemetry, and {task.id!r} has {task.telemetry_size}"

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import ray
 
-from drone_env.agents import NETWORK_PREFIX
+from drone_env.agents import network_file
 from drone_env.cluster.jobs import run_jobs
 from drone_env.errors import ClusterError
 from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, run_episodes
@@ -21,15 +21,15 @@ TRIES = 11
 def fly_on_nodes(keys: Sequence[EpisodesKey]) -> Iterator[EpisodeResults]:
     """The results of all keys in the order in which they arrive. Inside of `connect` only.
 
-    A node that dies has its pieces flown again elsewhere. The network of `pathqnet:FILE` travels as it is: nodes need
+    A node that dies has its pieces flown again elsewhere. The network of `NAME:FILE` travels as it is: nodes need
     not have the file.
 
     Raises:
         ClusterError: if no node offers a CPU, one has another package than this one, or a piece was lost on every try.
         DroneEnvError: what `run_episodes` raises.
     """
-    files = {key.agent for key in keys if key.agent.startswith(NETWORK_PREFIX)}
-    networks = {agent: ray.put(Path(agent.removeprefix(NETWORK_PREFIX)).read_bytes()) for agent in files}
+    files = {key.agent: network_file(key.agent) for key in keys}
+    networks = {name: ray.put(named[1].read_bytes()) for name, named in files.items() if named is not None}
     for key, results in run_jobs(partial(_fly, networks), keys, TRIES, _lost):
         yield dataclasses.replace(results, key=key)
 
@@ -45,4 +45,5 @@ def _fly(networks: Mapping[str, Any], key: EpisodesKey) -> Iterator[EpisodeResul
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "network.npz"
         file.write_bytes(cast(Any, ray).get(networks[key.agent]))
-        yield run_episodes(key._replace(agent=f"{NETWORK_PREFIX}{file}"))
+        agent = key.agent.partition(":")[0]
+        yield run_episodes(key._replace(agent=f"{agent}:{file}"))

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from drone_env import __version__
-from drone_env.agents import NETWORK_PREFIX
+from drone_env.agents import NETWORK_AGENTS
+from drone_env.agents.weights_file import network_of
 from drone_env.commands.arguments import SHORT_NAMES, AgentNames, ClusterAddress, SeedRange, SplitName, chosen_maps
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
@@ -20,6 +21,7 @@ from drone_env.files import write_json
 from drone_env.reports.tables import Table, number, percent, print_table, with_margin
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
+CHOICE = "|".join(NETWORK_AGENTS)
 JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
 
 Cell = EpisodesKey | CheckpointError | UnsupportedTaskError
@@ -53,7 +55,8 @@ def evaluate(
         split: Whose first maps to fly: test if nothing is said. Training never touches validation and test.
         episodes: How many maps of the split, 1000 if nothing is said.
         seeds: Fly the maps from A up to and not including B instead of a split's.
-        checkpoint: Fly `pathqnet` by the network in this file (.npz) instead of the shipped one.
+        checkpoint: Fly by the network in this file (.npz) instead of the shipped one: `pathqnet`, or `tournet`, as the
+            file says.
         json: Write the figures to this file; - prints only the JSON on standard output.
         out: Keep the results of each 1,000 maps in this folder as they arrive; the same command goes on from there.
         engine: Fly in this process, or on a Ray cluster (extra `cluster`); the figures are the same.
@@ -64,9 +67,7 @@ def evaluate(
     if not task or not agents:
         raise InvalidValueError("--task and --agents take one name or more")
     if checkpoint is not None:
-        if "pathqnet" not in agents:
-            raise InvalidValueError("--checkpoint is the network of the agent pathqnet: name it with --agents")
-        agents = tuple(f"{NETWORK_PREFIX}{checkpoint}" if agent == "pathqnet" else agent for agent in agents)
+        agents = _by_checkpoint(agents, checkpoint)
     target = None if json in (None, "-") else Path(json)
     if target is not None and (not target.name or target.is_dir() or not target.parent.is_dir()):
         raise InvalidValueError(f"--json takes - or a file in a folder that exists, got {json!r}")
@@ -115,7 +116,7 @@ def _cell(task: TaskConfig, agent: str, maps: range, split: str) -> Cell:
     except UnsupportedTaskError as error:
         return error
     except CheckpointError as error:
-        if not agent.startswith(NETWORK_PREFIX):
+        if not _names_file(agent):
             raise  # a file of the package is damaged
         return error
 
@@ -123,11 +124,27 @@ def _cell(task: TaskConfig, agent: str, maps: range, split: str) -> Cell:
 def _check_that_some_fly(cells: dict[TaskConfig, dict[str, Cell]]) -> None:
     """Somebody must fly something, and a network's file that is named must fit a task: else raise the first reason."""
     agents = [*next(iter(cells.values()))]
-    for judged in (agents, *([agent] for agent in agents if agent.startswith(NETWORK_PREFIX))):
+    for judged in (agents, *([agent] for agent in agents if _names_file(agent))):
         all_cells = [row[agent] for row in cells.values() for agent in judged]
         reasons = [cell for cell in all_cells if not isinstance(cell, EpisodesKey)]
         if len(reasons) == len(all_cells):
             raise reasons[0]
+
+
+def _names_file(agent: str) -> bool:
+    """Whether an agent flies by a file that was named."""
+    return agent.partition(":")[0] in NETWORK_AGENTS and ":" in agent
+
+
+def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:
+    """The agents, those that can fly by the network in a file by that one."""
+    if not set(agents) & set(NETWORK_AGENTS):
+        raise InvalidValueError(f"--checkpoint is the network of an agent: name it with --agents {CHOICE}")
+    network = network_of(file)
+    fits = [name for name, agent in NETWORK_AGENTS.items() if agent.network == network]
+    if not set(agents) & set(fits):
+        raise InvalidValueError(f"{file} is the network of {'|'.join(fits) or network}: name it with --agents")
+    return tuple(f"{agent}:{file}" if agent in fits else agent for agent in agents)
 
 
 @contextlib.contextmanager

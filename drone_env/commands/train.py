@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
 from rich.console import Console
@@ -16,13 +16,15 @@ from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import data_folder
 from drone_env.rl.config import TrainConfig, preset
+from drone_env.rl.tour_config import TourConfig
 
 if TYPE_CHECKING:
-    from drone_env.rl.run import TrainingRun
+    from drone_env.rl.learner import Learner
 
-ALL = ("easy", "medium", "hard")
-"""What `--task all` stands for."""
+STANDARD = ("easy", "medium", "hard")
+"""What `--task all` stands for where each task has a network of its own."""
 TaskOrAll = Annotated[str, tyro.conf.arg(metavar="|".join([*SHORT_NAMES, "all"]))]
+Network = Literal["pathqnet", "tournet"]
 
 COLUMNS = (
     TextColumn("{task.description}"),
@@ -40,8 +42,18 @@ class Settings(TrainConfig):
     task: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "easy"
 
 
+@dataclass(frozen=True)
+class TourSettings(TourConfig):
+    """How to train one network for the task that the command names, or for all."""
+
+    task: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "all"
+
+
+AnySettings = TypeVar("AnySettings", Settings, TourSettings)
+
+
 def train_commands(arguments: Sequence[str]) -> Iterator[Callable[..., int]]:
-    """The subcommand for each task to train, its defaults being those of what the arguments name.
+    """The subcommand for each training, its defaults being those of what the arguments name.
 
     Args:
         arguments: Of the command line; those of another subcommand name nothing.
@@ -51,13 +63,17 @@ def train_commands(arguments: Sequence[str]) -> Iterator[Callable[..., int]]:
         InvalidValueError: if there is no such preset, or no such number of episodes.
     """
     named = _named(arguments if arguments[:1] == ["train"] else [])
-    for task in ALL if named.task == "all" else [named.task or "easy"]:
+    if named.network == "tournet":
+        yield _tour_command(_tour_defaults(named.task or "all", named))
+        return
+    for task in STANDARD if named.task == "all" else [named.task or "easy"]:
         yield _train_command(_defaults(task, named))
 
 
 def _train_command(defaults: Settings) -> Callable[..., int]:
     def train(
         config: Annotated[Settings, tyro.conf.arg(name="")] = defaults,
+        network: Network = "pathqnet",
         task: TaskOrAll = "easy",
         preset: Literal["fast", "original"] = "fast",
         resume: bool = False,
@@ -72,12 +88,15 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
         `drone-env evaluate --agents pathqnet --checkpoint data/TASK.npz`.
 
         The defaults below are those of the preset for the task and the number of episodes. `original` has the
-        hyperparameters of the first version of this project, `fast` those that were found to learn fastest.
+        hyperparameters of the first version of this project, `fast` those that were found to learn fastest. With
+        `--network tournet` there are others: `drone-env train --network tournet --help`.
 
         Example: drone-env train --task hard
 
         Args:
             config: How to train.
+            network: What to train: `pathqnet` learns the values of actions on one task from its rewards, `tournet`
+                learns which parcel or pad to fly to next from exact values, on all tasks at once.
             task: The task, by its short name, id or grader; `all` for easy, medium and hard, one after the other.
             preset: Which defaults to start from.
             resume: Insist that there is a checkpoint to go on from.
@@ -85,14 +104,44 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
             data: Folder of checkpoint, network and log; DRONE_ENV_DATA if nothing is said, else data.
             results: Folder of tables and curves; results/ in DRONE_ENV_DATA if nothing is said, else results.
         """
-        if resume and fresh:
-            raise InvalidValueError("--resume goes on and --fresh starts again: give one of them")
         with needs("train"):
-            from drone_env.rl.run import TrainingRun
-        run = TrainingRun(config, data or data_folder(), results or data_folder("results"), fresh)
-        if resume and not run.resumed:
-            raise InvalidValueError(f"--resume: there is no checkpoint {run.checkpoint}")
-        return _train(run)
+            from drone_env.rl.trainer import Trainer
+        return _train(lambda: Trainer(config), resume, fresh, data, results)
+
+    return train
+
+
+def _tour_command(defaults: TourSettings) -> Callable[..., int]:
+    def train(
+        config: Annotated[TourSettings, tyro.conf.arg(name="")] = defaults,
+        network: Network = "tournet",
+        task: TaskOrAll = "all",
+        resume: bool = False,
+        fresh: bool = False,
+        data: Path | None = None,
+        results: Path | None = None,
+    ) -> int:
+        """Train a tour network, and judge it against the exact optimum while it learns.
+
+        It is distilled: it learns from the exact value of each option (`drone_env.planning.legs`), on maps of the train
+        split. Goes on from `data/tournet.pth` if that is there, with its settings; Ctrl-C saves it and ends. Next to it
+        stands the network, `data/tournet.npz`: `drone-env evaluate --agents tournet --checkpoint data/tournet.npz`
+        flies it. A network for one task is `tournet_TASK` instead of `tournet`.
+
+        Example: drone-env train --network tournet --task all
+
+        Args:
+            config: How to train.
+            network: What to train: `tournet`.
+            task: `all` for one network that flies every task, or one task.
+            resume: Insist that there is a checkpoint to go on from.
+            fresh: Start again; a checkpoint that is there is renamed to `tournet.pth.old`.
+            data: Folder of checkpoint, network and log; DRONE_ENV_DATA if nothing is said, else data.
+            results: Folder of tables and curves; results/ in DRONE_ENV_DATA if nothing is said, else results.
+        """
+        with needs("train"):
+            from drone_env.rl.tour_trainer import TourTrainer
+        return _train(lambda: TourTrainer(config), resume, fresh, data, results)
 
     return train
 
@@ -100,7 +149,7 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
 def _named(arguments: Sequence[str]) -> argparse.Namespace:
     """What the defaults depend on. Whatever is wrong with it, tyro says."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for flag in ("--task", "--preset", "--episodes", "--data"):
+    for flag in ("--network", "--task", "--preset", "--episodes", "--data"):
         parser.add_argument(flag, nargs="?")
     parser.add_argument("--fresh", action=argparse.BooleanOptionalAction)
     return parser.parse_known_args(arguments)[0]
@@ -108,58 +157,64 @@ def _named(arguments: Sequence[str]) -> argparse.Namespace:
 
 def _defaults(task: str, named: argparse.Namespace) -> Settings:
     episodes = int(named.episodes) if named.episodes and named.episodes.isdecimal() else None
-    defaults = vars(preset(named.preset or "fast", task, episodes))
-    checkpoint = Path(named.data or data_folder()) / f"{get_task(task).short_name}.pth"
-    if named.preset or named.fresh or not checkpoint.exists():
-        return Settings(**defaults)
+    defaults = Settings(**vars(preset(named.preset or "fast", task, episodes)))
     # How many fly side by side follows from how many were asked for at first, which is forgotten by now.
+    return defaults if named.preset else _as_before(defaults, get_task(task).short_name, named)
+
+
+def _tour_defaults(task: str, named: argparse.Namespace) -> TourSettings:
+    defaults = TourSettings(task=task)
+    return _as_before(defaults, defaults.name, named)
+
+
+def _as_before(defaults: AnySettings, name: str, named: argparse.Namespace) -> AnySettings:
+    """The settings of the checkpoint that the training will go on from, where there is one."""
+    checkpoint = Path(named.data or data_folder()) / f"{name}.pth"
+    if named.fresh or not checkpoint.exists():
+        return defaults
     try:
         from drone_env.rl.checkpoint import load_checkpoint
 
         kept = load_checkpoint(checkpoint)["config"]
-        names = [field.name for field in fields(TrainConfig) if field.name != "task" and field.name in kept]
-        return Settings(**defaults | {name: kept[name] for name in names})
+        names = [field.name for field in fields(defaults) if field.name != "task" and field.name in kept]
+        return type(defaults)(**vars(defaults) | {name: kept[name] for name in names})
     except (CheckpointError, OSError, ModuleNotFoundError, KeyError, TypeError, InvalidValueError):
-        return Settings(**defaults)  # `TrainingRun` says what is wrong with it, or what is missing
+        return defaults  # `TrainingRun` says what is wrong with it, or what is missing
 
 
-def _train(run: "TrainingRun") -> int:
-    from drone_env.rl.run import figure
+def _train(make: "Callable[[], Learner]", resume: bool, fresh: bool, data: Path | None, results: Path | None) -> int:
+    from drone_env.rl.run import TrainingRun
 
-    trainer, console = run.trainer, Console(stderr=True)
-    wanted, begun = run.config.episodes, trainer.episodes
-    if trainer.episodes >= wanted:
+    if resume and fresh:
+        raise InvalidValueError("--resume goes on and --fresh starts again: give one of them")
+    run = TrainingRun(make(), data or data_folder(), results or data_folder("results"), fresh)
+    if resume and not run.resumed:
+        raise InvalidValueError(f"--resume: there is no checkpoint {run.checkpoint}")
+    trainer, unit, console = run.trainer, run.trainer.unit, Console(stderr=True)
+    wanted, begun = trainer.wanted, trainer.done
+    if begun >= wanted:
         console.print(
-            f"{run.checkpoint} has {trainer.episodes} episodes already, and {wanted} were asked for: nothing to do. "
-            f"--episodes {2 * trainer.episodes} goes on from it; --fresh starts again and keeps it as "
-            f"{run.checkpoint}.old",
+            f"{run.checkpoint} has {begun} {unit} already, and {wanted} were asked for: nothing to do. "
+            f"{trainer.how_to_go_on}--fresh starts again and keeps it as {run.checkpoint}.old",
             soft_wrap=True,
         )
         return 0
     if run.resumed:
-        console.print(f"going on from {run.checkpoint}: {begun} of {wanted} episodes")
+        console.print(f"going on from {run.checkpoint}: {begun} of {wanted} {unit}")
     bars = Progress(*COLUMNS, console=console, disable=not console.is_terminal)
     with bars as progress, run.stopping_on_interrupt():
-        bar = progress.add_task(trainer.task.short_name, total=wanted, completed=begun, figures="")
-        clock, steps = progress.get_time, trainer.steps
+        bar = progress.add_task(trainer.name, total=wanted, completed=begun, figures="")
+        clock, work = progress.get_time, trainer.worked
         started = clock()
         for line in run.train():
-            rate = (line.steps - steps) / max(clock() - started, 1e-9)
-            figures = (
-                f"{rate:.0f} steps/s  epsilon {line.epsilon:.2f}  loss {figure(line.loss, 5)}  "
-                f"validation {figure(line.validation, 4)} of {line.validation_optimum:.4f}"
-            )
-            progress.update(bar, completed=line.episode, figures=figures)
-            if not console.is_terminal and line.episode % run.config.validation_every == 0:
-                print(f"{line.episode}/{wanted} episodes  {figures}", file=sys.stderr, flush=True)
+            rate = (getattr(line, trainer.work) - work) / max(clock() - started, 1e-9)
+            figures = f"{rate:.0f} {trainer.work}/s  {trainer.figures(line)}"
+            progress.update(bar, completed=trainer.done, figures=figures)
+            if not console.is_terminal and trainer.done % trainer.validation_every == 0:
+                print(f"{trainer.done}/{wanted} {unit}  {figures}", file=sys.stderr, flush=True)
     if run.stopped:
-        console.print(f"stopped after {trainer.episodes} episodes; the same command goes on from {run.checkpoint}")
+        console.print(f"stopped after {trainer.done} {unit}; the same command goes on from {run.checkpoint}")
         return 130
-    console.print(
-        f"trained: {trainer.best_score:.4f} of {trainer.validator.optimum:.4f} on the validation maps; "
-        f"network {run.network}, curves {run.results}"
-    )
-    console.print(
-        f"next: drone-env evaluate --task {trainer.task.short_name} --agents greedy pathqnet --checkpoint {run.network}"
-    )
+    console.print(f"trained: {trainer.result} on the validation maps; network {run.network}, curves {run.results}")
+    console.print(f"next: drone-env evaluate {trainer.judged_by} --checkpoint {run.network}")
     return 0

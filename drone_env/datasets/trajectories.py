@@ -12,7 +12,8 @@ from drone_env.core.episode import Episode
 from drone_env.core.rollout import choices
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.datasets.config import DatasetConfig
-from drone_env.planning.exact import ExactSolver
+from drone_env.planning.solver import Solver
+from drone_env.planning.solvers import solver_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +87,7 @@ def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
         TooLargeError: if the exact values of the map would take too much memory.
     """
     start = Episode(config.task, config.reward_profile, seed)
-    solver = ExactSolver(start)
+    solver = solver_of(start)
     first = (seed - config.seeds.start) * len(config.agents)
     for number, name in enumerate(config.agents, first):
         yield _fly(number, start.copy(), solver, name, config.epsilon)
@@ -105,7 +106,7 @@ def chance(agent: str, seed: int) -> Iterator[tuple[float, int]]:
         yield share, uniform_below(key, N_ACTIONS)
 
 
-def _fly(number: int, episode: Episode, solver: ExactSolver, name: str, epsilon: float) -> Trajectory:
+def _fly(number: int, episode: Episode, solver: Solver, name: str, epsilon: float) -> Trajectory:
     agent = make_agent(name, episode.task)
     agent.reset(episode.seed)
     states, values, chosen = [_state(episode)], list[npt.NDArray[np.float64]](), list[int]()

@@ -2,7 +2,7 @@
 
     regret(move) = V*(before it) - V*(after it)
 
-V* is the highest score that can still be reached (`planning.exact`), and after the end of a flight the score itself.
+V* is the highest score that can still be reached (`planning.solver`), and after the end of a flight the score itself.
 V*(after a) and Q*(before, a) are the same float, since values are only compared and never summed. So every regret is
 the difference of two neighbours in `FlightAnalysis.values`, and along the flight the regrets telescope: taken as exact
 numbers they add up to optimum - score, with nothing left over. As floats each is rounded once, so their sum may be off
@@ -267,9 +267,9 @@ def analyse_actions(start: Episode, actions: Iterable[int], agent: str) -> Fligh
         InvalidValueError: if an action is not an integer from 0 to 4.
         TooLargeError: if the exact values of the map would take too much memory.
     """
-    from drone_env.planning.exact import ExactSolver  # loads Numba
+    from drone_env.planning.solvers import solver_of  # loads Numba
 
-    solver = ExactSolver(start)
+    solver = solver_of(start)
     flight = start.copy()
     moves: list[Move] = []
     for action in actions:

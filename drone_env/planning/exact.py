@@ -1,13 +1,8 @@
 """The exact value of every state: dynamic programming backwards over (steps, battery, delivered set, cell).
 
-Bellman, "Dynamic Programming", 1957. The graded score is paid once, at the end, and is not discounted, so the value of
-a state is the highest score that can still be reached from it: V*(s) = max over a of V*(step(s, a)). Only maxima are
-taken, never sums, so values equal scores to the last bit. It covers every mechanic of `TaskConfig`.
-
-A value is kept as the rank of a score among all scores that the task knows, which takes two bytes instead of eight.
+It covers every mechanic of `TaskConfig`; where `legs` covers a task too, that takes a hundredth of the time and less.
 """
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,29 +10,13 @@ import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
-from drone_env.core.actions import FLYING, N_ACTIONS, Action, check_action
-from drone_env.core.cells import Cell
+from drone_env.core.actions import FLYING, N_ACTIONS
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import units_left
 from drone_env.core.episode import Episode
-from drone_env.core.rollout import rollout
 from drone_env.core.rules import outcome_of
-from drone_env.core.score import score_of
-from drone_env.core.tables import Tables, tabulate
-from drone_env.core.tasks import TaskConfig
-from drone_env.errors import EpisodeError
-from drone_env.planning.map_graph import MapGraph, battery_ranges, map_graph, require_memory, waiting_parcels
-
-ANOTHER = "this episode cannot have come from the one that was solved: make a solver of its own"
-
-
-@compiled_once(nogil=True, **compiled.OPTIONS)
-def score_kernel(tables: Tables, scores: Any) -> None:
-    """Write the score of every end into float64[deliveries + 1, capacity + 1, max_steps + 1]."""
-    for deliveries in range(scores.shape[0]):
-        for battery in range(scores.shape[1]):
-            for steps in range(scores.shape[2]):
-                scores[deliveries, battery, steps] = score_of(tables, deliveries, battery, steps)
+from drone_env.planning.map_graph import MapGraph, map_graph, require_memory
+from drone_env.planning.solver import Solver, ranked_scores
 
 
 class Values(NamedTuple):
@@ -87,20 +66,8 @@ def value_kernel(values: Values) -> None:
                 values.ranks[starts[t] + j * places + place] = best
 
 
-@lru_cache(maxsize=16)
-def ranked_scores(task: TaskConfig) -> tuple[npt.NDArray[np.float64], npt.NDArray[Any]]:
-    """All scores of a task in rising order, and in it the rank of each end.
-
-    The ranks are an array [deliveries + 1, capacity + 1, max_steps + 1].
-    """
-    scores = np.zeros((task.deliveries + 1, task.battery_capacity + 1, task.max_steps + 1))
-    score_kernel(tabulate(task), scores)
-    unique, ranks = np.unique(scores, return_inverse=True)
-    return unique, np.reshape(ranks, scores.shape).astype(np.uint16 if len(unique) <= 1 << 16 else np.uint32)
-
-
-class ExactSolver:
-    """V*, Q*, optimal actions and regrets of every state that an episode can reach.
+class ExactSolver(Solver):
+    """The values of every state, worked out for each state. It covers every task.
 
     Args:
         episode: In flight; it is left as it is. Everything that can still become of it is solved.
@@ -111,21 +78,16 @@ class ExactSolver:
     """
 
     def __init__(self, episode: Episode) -> None:
-        if episode.ended:
-            raise EpisodeError("the episode has ended: there is nothing left to solve")
+        super().__init__(episode)
         task = episode.task
-        self._start, self._unflown = episode.copy(), _unflown(episode)
-        self._waiting = waiting_parcels(episode)
         places = task.width * task.height << len(self._waiting)
-        ends = (task.deliveries + 1) * (task.battery_capacity + 1) * (task.max_steps + 1)
-        require_memory("the exact values", task, 12 * ends + 30 * places)
-        graph = map_graph(episode)
-        lowest, sizes = battery_ranges(episode)
+        require_memory("the exact values", task, 30 * places)
+        self._scores, ends = ranked_scores(task)
+        lowest, sizes = self._battery_ranges
         starts = np.concatenate([[0], np.cumsum(sizes)]) * places
-        self._scores, ranked = ranked_scores(task)
-        require_memory("the exact values", task, int(starts[-1]) * ranked.itemsize)
-        ranks = np.zeros(int(starts[-1]), ranked.dtype)
-        self._values = Values(graph, ranked, lowest, starts, episode.steps, ranks)
+        require_memory("the exact values", task, int(starts[-1]) * ends.itemsize)
+        ranks = np.zeros(int(starts[-1]), ends.dtype)
+        self._values = Values(map_graph(episode), ends, lowest, starts, episode.steps, ranks)
         value_kernel(self._values)
 
     @property
@@ -133,77 +95,8 @@ class ExactSolver:
         """Memory that the values take."""
         return self._values.ranks.nbytes
 
-    def q_values(self, episode: Episode) -> npt.NDArray[np.float64]:
-        """Q*, float64[5]: the highest score that can still be reached after each action.
-
-        Raises:
-            EpisodeError: if the episode has ended, or cannot have come from the one that was solved.
-        """
-        place, t = self._locate(episode), episode.steps - self._values.first_step
-        after = [rank_after(self._values, t, episode.battery_units, place, action) for action in range(N_ACTIONS)]
-        return self._scores[after]
-
-    def value(self, episode: Episode) -> float:
-        """V*: the highest score that can still be reached; after the end, the score.
-
-        Raises:
-            EpisodeError: if the episode cannot have come from the one that was solved.
-        """
-        return episode.score if episode.ended else float(self.q_values(episode).max())
-
-    def optimal_actions(self, episode: Episode) -> tuple[Action, ...]:
-        """All actions after which the highest score can still be reached; raises as `q_values`."""
-        values = self.q_values(episode)
-        return tuple(Action(int(action)) for action in np.flatnonzero(values == values.max()))
-
-    def regret(self, episode: Episode, action: int) -> float:
-        """V*(s) - Q*(s, a): what an action gives away for good, in score.
-
-        Raises:
-            InvalidValueError: if the action is not an integer from 0 to 4.
-            EpisodeError: as `q_values`.
-        """
-        number = check_action(action)
-        values = self.q_values(episode)
-        return float(values.max() - values[number])
-
-    def best_actions(self) -> list[Action]:
-        """One best sequence of actions, from where the solved episode stood to its end.
-
-        Of equally good actions the lowest number, so it is the same in every run.
-        """
-        flight = self._start.copy()
-        rollout(flight, lambda _: self.optimal_actions(flight)[0])
-        return [step.action for step in flight.path[len(self._start.actions) :]]
-
-    def _locate(self, episode: Episode) -> int:
-        """The place of an episode."""
-        if episode.ended:
-            raise EpisodeError("the episode has ended: there is no action left to value")
-        if (episode.task, episode.seed) != (self._start.task, self._start.seed):
-            raise EpisodeError(ANOTHER)
-        graph, _, lowest, starts, first_step, _ = self._values
-        waiting, t = waiting_parcels(episode), episode.steps - first_step
-        delivered = sum(1 << k for k, parcel in enumerate(self._waiting) if parcel not in waiting)
-        place = delivered * graph.tables.cells + episode.cell
-        possible = (
-            t >= 0
-            and np.array_equal(_unflown(episode), self._unflown)
-            and set(waiting) <= set(self._waiting)
-            and graph.leads_to[place, 0] >= 0
-            and 0 <= episode.battery_units - lowest[t] < (starts[t + 1] - starts[t]) // len(graph.leads_to)
-        )
-        if not possible:
-            raise EpisodeError(ANOTHER)
-        return place
-
-
-def _unflown(episode: Episode) -> npt.NDArray[np.int64]:
-    """What no flight changes: the map with neither drone nor deliveries, and where each parcel lies or lay."""
-    grid = episode.grid()
-    x, y = episode.position
-    grid[y, x] = episode.under
-    parcels = [(x, y) for x, y, _ in episode.parcels]
-    for x, y in parcels:
-        grid[y, x] = Cell.DELIVERY
-    return np.append(grid, parcels)
+    def _values_after(self, episode: Episode, delivered: int) -> npt.NDArray[np.float64]:
+        t = episode.steps - self._values.first_step
+        place = delivered * self._values.graph.tables.cells + episode.cell
+        ranks = [rank_after(self._values, t, episode.battery_units, place, action) for action in range(N_ACTIONS)]
+        return self._scores[ranks]

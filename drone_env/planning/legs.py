@@ -9,6 +9,7 @@ It covers the tasks where a mission that fails is worth its parcels alone, and t
 A value is kept as the rank of a score among all scores that the task knows, as in `exact`.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,10 +21,13 @@ from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import units_left
+from drone_env.core.episode import Episode
 from drone_env.core.tables import Tables, tabulate
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.exact import ranked_scores
-from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways
+from drone_env.errors import UnsupportedTaskError
+from drone_env.planning.map_graph import require_memory, state_arrays
+from drone_env.planning.solver import Solver, ranked_scores
+from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways, most_ways
 
 WAIT = int(Action.WAIT)
 
@@ -76,38 +80,47 @@ def mark_delivered(legs: Legs, delivered: int) -> int:
     return done
 
 
+def arrives(legs: Legs, stop: int, units: int) -> bool:
+    """Whether a drone flies on at a pad, or delivers a parcel, that a way reaches with so many units left.
+
+    A parcel is delivered if some are left before the step to it, even if that drains more: `units` is below 0 then.
+    """
+    return units > (-legs.tables.drain[DELIVERY_CELL * N_ACTIONS] if stop < legs.parcels else 0)
+
+
 def row_after(legs: Legs, delivered: int, done: int, stop: int, units: int) -> int:
-    """The row of a drone that arrives at a stop with so many units left."""
+    """The row of a drone that `arrives` at a stop with so many units left."""
     if stop >= legs.parcels:
-        return row_of(legs, delivered, stop, units) if units > 0 else end_row(legs, done, 0)
+        return row_of(legs, delivered, stop, units)
+    units = max(units, 0)
     if done + 1 == legs.parcels or units == 0:
         return end_row(legs, done + 1, units)
     return row_of(legs, delivered | 1 << stop, stop, units)
 
 
-def raise_row(ranks: Any, row: int, after: int, steps: int) -> bool:
-    """Raise a row to what another promises so many steps later; whether that changed any rank."""
-    raised = False
-    for left in range(steps, ranks.shape[1]):
-        raised |= ranks[after, left - steps] > ranks[row, left]
-        ranks[row, left] = max(ranks[row, left], ranks[after, left - steps])
-    return raised
+def raise_row(ranks: Any, row: int, after: int, steps: int) -> None:
+    """Raise a row to what another promises so many steps later."""
+    if steps >= ranks.shape[1]:
+        return
+    # Slices, for indices that may be below zero are not vectorised: that is five times slower.
+    later = ranks[row, steps:]
+    promised = ranks[after, : len(later)]
+    for left in range(len(later)):
+        later[left] = max(later[left], promised[left])
 
 
 def raise_by_ways(
     legs: Legs, delivered: int, done: int, ways: Ways, base: int, units: int, row: int, first: int, behind: int
-) -> bool:
+) -> None:
     """Raise the row of a drone with so many units by the ways to the stops from `first` on and before `behind`."""
-    raised = False
     for stop in range(first, behind):
         if stop < legs.parcels and delivered >> stop & 1:
             continue
         for k in range(ways.count[base + stop]):
             left = units - ways.units[base + stop, k]
-            if left >= 0:
+            if arrives(legs, stop, left):
                 after = row_after(legs, delivered, done, stop, left)
-                raised |= raise_row(legs.ranks, row, after, ways.steps[base + stop, k])
-    return raised
+                raise_row(legs.ranks, row, after, ways.steps[base + stop, k])
 
 
 def begin_row(legs: Legs, done: int, units: int, row: int) -> None:
@@ -117,7 +130,17 @@ def begin_row(legs: Legs, done: int, units: int, row: int) -> None:
         legs.ranks[row, left] = legs.ranks[end, left]
 
 
-for function in (end_row, row_of, mark_delivered, row_after, raise_row, raise_by_ways, begin_row):
+def sum_at_pads(legs: Legs, delivered: int) -> int:
+    """The sum of all ranks of drones that stand at pads: it changes when any of them is raised."""
+    first, behind = row_of(legs, delivered, legs.parcels, 0), row_of(legs, delivered, len(legs.stops), 0)
+    total = 0
+    for row in range(first, behind):
+        for rank in legs.ranks[row]:
+            total += rank
+    return total
+
+
+for function in (end_row, row_of, mark_delivered, arrives, row_after, raise_row, raise_by_ways, begin_row, sum_at_pads):
     register_jitable(**compiled.OPTIONS)(function)
 register_jitable(units_left)
 
@@ -137,22 +160,24 @@ def value_kernel(legs: Legs, ways: Ways, rounds: Rounds) -> None:
         done = mark_delivered(legs, delivered)
         for pad in range(n, stops):
             base = (pad - n + 1) * stops
-            find_ways(legs.tables, legs.ground, legs.stops[pad], legs.most, legs.counts, legs.stop_at, ways, base, rounds)
+            find_ways(
+                legs.tables, legs.ground, legs.stops[pad], legs.most, legs.counts, legs.stop_at, ways, base, rounds
+            )
             for units in range(1, legs.most + 1):
                 row = row_of(legs, delivered, pad, units)
                 begin_row(legs, done, units, row)
                 raise_by_ways(legs, delivered, done, ways, base, units, row, 0, n)
-        changed = stops > n
-        while changed:
-            changed = False
+        before, reached = -1, sum_at_pads(legs, delivered)
+        while before != reached:
             for pad in range(n, stops):
                 base = (pad - n + 1) * stops
                 for units in range(legs.most, 0, -1):
                     row = row_of(legs, delivered, pad, units)
                     charged = units_left(legs.tables, units, -charge)
                     if charged > units:
-                        changed |= raise_row(legs.ranks, row, row_of(legs, delivered, pad, charged), 1)
-                    changed |= raise_by_ways(legs, delivered, done, ways, base, units, row, n, stops)
+                        raise_row(legs.ranks, row, row_of(legs, delivered, pad, charged), 1)
+                    raise_by_ways(legs, delivered, done, ways, base, units, row, n, stops)
+            before, reached = reached, sum_at_pads(legs, delivered)
         for parcel in range(n):
             if delivered >> parcel & 1:
                 find_ways(
@@ -164,57 +189,198 @@ def value_kernel(legs: Legs, ways: Ways, rounds: Rounds) -> None:
                     raise_by_ways(legs, delivered, done, ways, 0, units, row, 0, stops)
 
 
-@compiled_once(nogil=True, **compiled.OPTIONS)
-def rank_kernel(legs: Legs, delivered: int, cell: int, units: int, steps: int, ways: Ways, rounds: Rounds) -> Any:
-    """The rank of the highest score that a drone can still reach from any cell."""
+def best_option(
+    legs: Legs, delivered: int, cell: int, units: int, steps: int, ways: Ways, rounds: Rounds
+) -> tuple[Any, int]:
+    """The rank of the highest score that a drone in flight can still reach from any cell, and an action towards it.
+
+    The action is -1 where ending here and now is worth as much. Of options that are worth the same it is the first
+    one's, in the order of stops and of their ways; charging comes last.
+    """
     done = mark_delivered(legs, delivered)
     find_ways(legs.tables, legs.ground, cell, units, legs.counts, legs.stop_at, ways, 0, rounds)
-    best = legs.ranks[end_row(legs, done, units), steps]
-    at = legs.stop_at[cell]
-    if at >= legs.parcels:
-        return max(best, legs.ranks[row_of(legs, delivered, at, units), steps])
+    best, action = legs.ranks[end_row(legs, done, units), steps], -1
     for stop in range(len(legs.stops)):
+        if stop < legs.parcels and delivered >> stop & 1:
+            continue
         for k in range(ways.count[stop]):
             left = steps - ways.steps[stop, k]
-            if left >= 0 and not (stop < legs.parcels and delivered >> stop & 1):
-                best = max(
-                    best, legs.ranks[row_after(legs, delivered, done, stop, units - ways.units[stop, k]), left]
-                )
-    return best
+            if left < 0:
+                break
+            rank = legs.ranks[row_after(legs, delivered, done, stop, units - ways.units[stop, k]), left]
+            if rank > best:
+                best, action = rank, ways.first[stop, k]
+    at = legs.stop_at[cell]
+    if at >= legs.parcels and steps > 0:
+        charged = units_left(legs.tables, units, int(legs.tables.drain[PAD_CELL * N_ACTIONS + WAIT]))
+        rank = legs.ranks[row_of(legs, delivered, at, charged), steps - 1]
+        if rank > best:
+            best, action = rank, WAIT
+    return best, action
 
 
-class Solved:
-    """prototype"""
+register_jitable(**compiled.OPTIONS)(best_option)
 
-    def __init__(self, task: TaskConfig, ground: npt.NDArray[np.uint8], parcels: list[int], done: int, battery: int, left: int):
-        tables = tabulate(task)
-        scores, ranked = ranked_scores(task)
-        self.scores = scores
-        counts = counts_units(task)
-        pads = np.flatnonzero(ground == PAD_CELL) if counts and task.charge_rate else np.zeros(0, np.int64)
-        stops = np.concatenate([np.array(parcels, np.int64), pads])
-        stop_at = np.full(tables.cells, NO_STOP, np.int32)
-        stop_at[stops] = np.arange(len(stops))
-        n = len(parcels)
-        if counts:
-            self.units, self.left = task.battery_capacity, left
-            ends = np.empty((n + 1, task.battery_capacity + 1, left + 1), ranked.dtype)
-            ends[:n] = ranked[done : done + n, 0, task.max_steps][:, None, None]
-            ends[n] = ranked[task.deliveries, :, task.max_steps - left :][:, ::-1]
-        else:
-            m = min(battery, left)
-            self.units, self.left = 1, m
-            ends = np.empty((n + 1, 2, m + 1), ranked.dtype)
-            ends[:n] = ranked[done : done + n, battery - m, task.max_steps - left + m][:, None, None]
-            later = np.arange(m + 1)
-            ends[n] = ranked[task.deliveries, later + battery - m, task.max_steps - left + m - later]
-        rows = ((n + 1) + (len(stops) << n)) * (self.units + 1)
-        ranks = np.zeros((rows, self.left + 1), ranked.dtype)
-        ranks[: (n + 1) * (self.units + 1)] = ends.reshape(-1, self.left + 1)
-        self.legs = Legs(tables, int(counts), ground.copy(), stops, stop_at, n, self.units, ranks)
-        self.ways, self.rounds = make_ways(task, len(stops) * (len(pads) + 1)), make_rounds(task)
+
+# These two hold Python's lock: threads that ask the same solver share its working memory.
+@compiled_once(**compiled.OPTIONS)
+def rank_kernel(legs: Legs, states: Any, ways: Ways, rounds: Rounds, ranks: Any) -> None:
+    """Write the rank of the highest score that can still be reached from each state.
+
+    Args:
+        legs: The map, its ranks filled in.
+        states: int64[N, 4]: set delivered, cell, units and steps left, as `clock` counts them.
+        ways: Working memory.
+        rounds: Working memory.
+        ranks: Receives them, int64[N].
+    """
+    for k in range(len(states)):
+        delivered, cell, units, steps = states[k]
+        ranks[k], _ = best_option(legs, delivered, cell, units, steps, ways, rounds)
+
+
+@compiled_once(**compiled.OPTIONS)
+def flight_kernel(legs: Legs, cell: int, units: int, steps: int, ways: Ways, rounds: Rounds, actions: Any) -> int:
+    """Write the actions of a best flight from where nothing is delivered yet, int64[steps], and return how many.
+
+    Of all best flights it is one that takes the fewest steps.
+    """
+    best, _ = best_option(legs, 0, cell, units, steps, ways, rounds)
+    while steps > 0 and best_option(legs, 0, cell, units, steps - 1, ways, rounds)[0] == best:
+        steps -= 1
+    delivered, flown = 0, 0
+    while units > 0 and steps > 0 and delivered < (1 << legs.parcels) - 1:
+        _, action = best_option(legs, delivered, cell, units, steps, ways, rounds)
+        if action < 0:
+            break
+        actions[flown] = action
+        flown, steps = flown + 1, steps - 1
+        if action != WAIT:
+            cell = legs.tables.moves[cell * N_ACTIONS + action]
+        units = units_left(legs.tables, units, legs.counts * legs.tables.drain[legs.ground[cell] * N_ACTIONS + action])
+        if legs.ground[cell] == DELIVERY_CELL:
+            delivered |= 1 << legs.stop_at[cell]
+    return flown
+
+
+def clock(task: TaskConfig, battery: int, left: int) -> tuple[int, int]:
+    """Units and steps left as the kernels count them, of a drone with so many of the battery and so many steps left."""
+    return (battery, left) if counts_units(task) else (1, min(battery, left))
+
+
+def make_legs(
+    task: TaskConfig, ground: npt.NDArray[np.uint8], parcels: Sequence[int], done: int, battery: int, left: int
+) -> Legs:
+    """One map from a state of flight on; `value_kernel` fills in its ranks.
+
+    Args:
+        task: The task.
+        ground: uint8[cells], the kind of each cell, without the drone.
+        parcels: The cells of the parcels that wait.
+        done: How many others have been delivered.
+        battery: Units left.
+        left: Steps left.
+
+    Raises:
+        UnsupportedTaskError: if `covers` says no.
+        TooLargeError: if the ranks would take more memory than `map_graph.MAX_BYTES`.
+    """
+    if not covers(task):
+        raise UnsupportedTaskError(
+            f"task {task.id!r}: values are found by legs where every step costs the same, or where efficiency needs all"
+        )
+    counts, n = counts_units(task), len(parcels)
+    pads = np.flatnonzero(ground == PAD_CELL) if counts and task.charge_rate else np.zeros(0, np.int64)
+    stops = np.concatenate([np.array(parcels, np.int64), pads])
+    units, steps = (task.battery_capacity, left) if counts else clock(task, battery, left)
+    rows = (n + 1 + (len(stops) << n)) * (units + 1)
+    require_memory("the exact values", task, 2 * rows * (steps + 1))
+    _, ranked = ranked_scores(task)
+    require_memory("the exact values", task, ranked.itemsize * rows * (steps + 1))
+    ranks = np.zeros((rows, steps + 1), ranked.dtype)
+    ends = np.reshape(ranks[: (n + 1) * (units + 1)], (n + 1, units + 1, steps + 1))
+    later = np.arange(steps + 1)
+    if counts:
+        ends[:n] = ranked[done : done + n, 0, task.max_steps][:, None, None]
+        ends[n] = ranked[task.deliveries][:, task.max_steps - later]
+    else:
+        # What battery and steps left differ by stays as it is.
+        ends[:n] = ranked[done : done + n, battery - steps, task.max_steps - left + steps][:, None, None]
+        ends[n] = ranked[task.deliveries, battery - steps + later, task.max_steps - left + steps - later]
+    tables = tabulate(task)
+    stop_at = np.full(tables.cells, NO_STOP, np.int32)
+    stop_at[stops] = np.arange(len(stops))
+    return Legs(tables, int(counts), ground.copy(), stops, stop_at, n, units, ranks)
+
+
+def working_memory(task: TaskConfig, legs: Legs) -> tuple[Ways, Rounds]:
+    """Working memory of the kernels.
+
+    Raises:
+        TooLargeError: if it would take more than `map_graph.MAX_BYTES`.
+    """
+    stops = len(legs.stops)
+    ways = stops * (stops - legs.parcels + 1)
+    require_memory("the ways over", task, 12 * ways * most_ways(task))
+    return make_ways(task, ways), make_rounds(task)
+
+
+class LegSolver(Solver):
+    """The values of every state, worked out for those at parcels and pads.
+
+    Attributes:
+        legs: The map as the kernels see it, its ranks filled in.
+        scores: float64, the score of each rank.
+        ways: Working memory of the kernels.
+        rounds: Working memory of the kernels.
+
+    Args:
+        episode: In flight; it is left as it is. Everything that can still become of it is solved.
+
+    Raises:
+        EpisodeError: if the episode has not begun, or has ended.
+        UnsupportedTaskError: if `covers` says no.
+        TooLargeError: if that would take more memory than `map_graph.MAX_BYTES`.
+    """
+
+    def __init__(self, episode: Episode) -> None:
+        super().__init__(episode)
+        task = episode.task
+        ground, state, entries = state_arrays(episode)
+        parcels, left = state[entries].tolist(), task.max_steps - episode.steps
+        self.legs = make_legs(task, ground, parcels, episode.deliveries_done, episode.battery_units, left)
+        self.scores, _ = ranked_scores(task)
+        self.ways, self.rounds = working_memory(task, self.legs)
         value_kernel(self.legs, self.ways, self.rounds)
 
-    def value(self, delivered, cell, battery, left):
-        units = battery if self.legs.counts else 1
-        return self.scores[rank_kernel(self.legs, delivered, cell, units, left, self.ways, self.rounds)]
+    @property
+    def nbytes(self) -> int:
+        """Memory that the values take."""
+        return self.legs.ranks.nbytes + sum(array.nbytes for array in self.ways)
+
+    def _values_after(self, episode: Episode, delivered: int) -> npt.NDArray[np.float64]:
+        values, states = np.zeros(N_ACTIONS), np.zeros((N_ACTIONS, 4), np.int64)
+        flying = np.zeros(N_ACTIONS, np.bool_)
+        for action in Action:
+            after = episode.copy()
+            after.step(action)
+            values[action], flying[action] = after.score, not after.ended
+            stop = self.legs.stop_at[after.cell]
+            came = after.deliveries_done > episode.deliveries_done
+            units, steps = clock(after.task, after.battery_units, after.task.max_steps - after.steps)
+            states[action] = delivered | 1 << stop if came else delivered, after.cell, units, steps
+        ranks = np.zeros(int(flying.sum()), np.int64)
+        rank_kernel(self.legs, states[flying], self.ways, self.rounds, ranks)
+        values[flying] = self.scores[ranks]
+        return values
+
+    def best_actions(self) -> list[Action]:
+        """One best sequence of actions, from where the solved episode stood; the same in every run.
+
+        At its end there may be nothing left but to wait.
+        """
+        start = self._start
+        units, steps = clock(start.task, start.battery_units, start.task.max_steps - start.steps)
+        actions = np.zeros(steps, np.int64)
+        flown = flight_kernel(self.legs, start.cell, units, steps, self.ways, self.rounds, actions)
+        return [Action(action) for action in actions[:flown].tolist()]

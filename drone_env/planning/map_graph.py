@@ -154,7 +154,7 @@ def map_graph(episode: Episode) -> MapGraph:
     places = tables.cells << len(parcels)
     leads_to = np.full((places, N_ACTIONS), -1, np.int32)
     drain = np.zeros((places, N_ACTIONS), np.int16)
-    explore(tables, tabulate_rewards(task, _UNPAID), grid, state, parcels, leads_to, drain)
+    explore(tables, tabulate_rewards(task, UNPAID), grid, state, parcels, leads_to, drain)
     done = [task.deliveries - len(parcels) + delivered.bit_count() for delivered in range(1 << len(parcels))]
     return MapGraph(tables, leads_to, drain, np.array(done, np.int64))
 
@@ -195,4 +195,4 @@ def battery_ranges(episode: Episode) -> tuple[npt.NDArray[np.int64], npt.NDArray
     return np.array(lowest, np.int64), np.array(sizes, np.int64)
 
 
-_UNPAID = RewardProfile(id="none", summary="nothing")
+UNPAID = RewardProfile(id="none", summary="nothing")

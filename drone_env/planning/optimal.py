@@ -1,11 +1,10 @@
-"""The exact optimum of a map, by the fastest of three planners that covers its task.
+"""The exact optimum of a map, by the fastest planner that covers its task.
 
 - Where every step costs one battery unit and nothing blocks the way, the score grows with each parcel, and with all
   parcels delivered it falls with each step; an episode that does not deliver all lasts until the battery or the steps
   run out, so then only the number of parcels counts. The best flight is therefore the shortest path over all parcels
   if it fits into the budget of steps, else any path over as many parcels as fit: `shortest_tour`.
-- Where more battery never hurts: `most_battery`.
-- Everywhere else: `exact`, which also knows the value of every other state.
+- Everywhere else: the solver of `solvers`, which knows the value of every other state as well.
 """
 
 from collections.abc import Sequence
@@ -85,14 +84,10 @@ def best_actions(episode: Episode) -> list[Action]:
         waiting = [(x, y) for x, y, delivered in episode.parcels if not delivered]
         budget = min(episode.battery_units, episode.task.max_steps - episode.steps)
         return tour_actions(episode.position, shortest_tour(episode.position, waiting, budget))
-    # These compile, which nobody should wait for who does not need them.
-    if episode.task.efficiency_needs_all:
-        from drone_env.planning import most_battery
+    # It compiles, which nobody should wait for who does not need it.
+    from drone_env.planning.solvers import solver_of
 
-        return most_battery.best_actions(episode)
-    from drone_env.planning.exact import ExactSolver
-
-    return ExactSolver(episode).best_actions()
+    return solver_of(episode).best_actions()
 
 
 def tour_actions(start: Position, tour: Sequence[Position]) -> list[Action]:

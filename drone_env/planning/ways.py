@@ -1,4 +1,4 @@
-"""The ways over a map that are worth flying: from one cell to stops (parcels and pads), each undominated pair of units and steps.
+"""The ways over a map that are worth flying, from one cell to stops (parcels and pads).
 
 A way that costs fewer battery units may take more steps, and the other way round; one that is no better in either is
 never worth flying. Labels are corrected in rounds, one step a round (Bellman, "On a routing problem", 1958; two
@@ -22,13 +22,15 @@ NO_STOP = -1
 
 
 class Ways(NamedTuple):
-    """The ways to N stops, from one cell or from several, in the order of rising steps and falling units: the first is the fastest,
-    the last the cheapest."""
+    """The ways to N stops, from one cell or from several: all undominated pairs of units and steps.
+
+    They are in the order of rising steps and falling units: the first is the fastest, the last the cheapest.
+    """
 
     count: Any
     """int64[N], how many there are."""
     units: Any
-    """int32[N, most ways], battery units that they drain."""
+    """int32[N, most ways], battery units that they drain; the last step may ask for more than is left."""
     steps: Any
     """int32[N, most ways], the steps that they take."""
     first: Any
@@ -52,9 +54,13 @@ class Rounds(NamedTuple):
 
 def make_ways(task: TaskConfig, stops: int) -> Ways:
     """Room for the ways to this many stops."""
+    return Ways(np.zeros(stops, np.int64), *np.zeros((3, stops, most_ways(task)), np.int32))
+
+
+def most_ways(task: TaskConfig) -> int:
+    """How many ways to one stop there can be."""
     # Of n ways each takes a step more and a unit less than the one before.
-    most = min(task.battery_capacity + 1, task.width * task.height) if counts_units(task) else 1
-    return Ways(np.zeros(stops, np.int64), *np.zeros((3, stops, most), np.int32))
+    return min(task.battery_capacity + 1, task.width * task.height) if counts_units(task) else 1
 
 
 def make_rounds(task: TaskConfig) -> Rounds:
@@ -77,14 +83,16 @@ def find_ways(
         tables: The task's tables.
         ground: uint8[cells], the kind of each cell, without the drone; a parcel waits where it is `Cell.DELIVERY`.
         start: The cell that they begin at.
-        most: Units that a way may drain.
+        most: Units of the drone: a way leaves some of them, or takes the last with the step to a parcel that waits.
         counts: 1 if units count, 0 if only steps do: a way then drains none.
         stop_at: int32[cells], the number of the stop at each cell, or `NO_STOP`.
         ways: Receives them, those to stop i at entry `base` + i.
         base: Where the entries of this cell begin.
         rounds: Working memory.
     """
-    fewest, action_of, reached_in, last, reached = rounds
+    fewest, action_of, reached_in = rounds.fewest, rounds.action, rounds.reached_in
+    last: Any = rounds.last
+    reached: Any = rounds.next
     for cell in range(tables.cells):
         fewest[cell] = UNREACHED
         reached_in[cell] = 0
@@ -105,7 +113,7 @@ def find_ways(
                 if collision(tables, ground, to) != NONE:
                     continue
                 units = last[1, k] + counts * tables.drain[ground[to] * N_ACTIONS + action]
-                if units > most or units >= fewest[to]:
+                if units >= fewest[to] or (units >= most and ground[to] != DELIVERY_CELL):
                     continue
                 if reached_in[to] != steps:
                     reached_in[to] = steps

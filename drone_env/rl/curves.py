@@ -1,23 +1,21 @@
 """The curves of training runs as pictures."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from drone_env.errors import needs
-from drone_env.rl.trainer import Progress
-
-CURVES = {
-    "reward": "mean reward of an episode",
-    "length": "mean steps of an episode",
-    "loss": "loss",
-    "epsilon": "share of random actions",
-    "validation": "score on validation maps",
-}
 
 
-def draw_curves(runs: Mapping[str, Sequence[Progress]], title: str, folder: Path) -> None:
-    """Draw each curve of `CURVES` over the episodes, one line per run, into `folder/<name>.png`.
+def draw_curves(runs: Mapping[str, Sequence[Any]], title: str, curves: Mapping[str, str], folder: Path) -> None:
+    """Draw curves over the first field of the log's lines, one line per run, into `folder/<name>.png`.
+
+    Args:
+        runs: The lines of each run's log, dataclasses, by its name.
+        title: Of every curve.
+        curves: The fields to draw, and what they are.
+        folder: Made if it is missing.
 
     Raises:
         MissingPackageError: if Matplotlib is missing.
@@ -26,16 +24,19 @@ def draw_curves(runs: Mapping[str, Sequence[Progress]], title: str, folder: Path
     with needs("train"):
         from matplotlib.figure import Figure
     folder.mkdir(parents=True, exist_ok=True)
-    for name, label in CURVES.items():
+    counted = next(field.name for field in fields(next(iter(runs.values()))[0]))
+    for name, label in curves.items():
         figure: Any = Figure(figsize=(7, 4), layout="constrained")
         axes: Any = figure.add_subplot()
         for run, history in runs.items():
-            axes.plot([line.episode for line in history], [getattr(line, name) for line in history], label=run)
+            axes.plot(
+                [getattr(line, counted) for line in history], [getattr(line, name) for line in history], label=run
+            )
         if name == "validation":
-            history = next(iter(runs.values()))
-            axes.axhline(history[-1].validation_optimum, color="black", linestyle="--", label="exact optimum")
+            optimum = next(iter(runs.values()))[-1].validation_optimum
+            axes.axhline(optimum, color="black", linestyle="--", label="exact optimum")
             axes.set_ylim(0, 1)
-        axes.set(xlabel="episodes", ylabel=label, title=title)
+        axes.set(xlabel=f"{counted}s", ylabel=label, title=title)
         axes.grid(alpha=0.3)
         axes.legend()
         figure.savefig(folder / f"{name}.png", dpi=120)

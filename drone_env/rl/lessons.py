@@ -1,13 +1,14 @@
-"""Lessons for a tour network: states of flights with the exact value of each of their options.
+"""Lessons for a tour network: states of flights, with the exact value of each of their options.
 
-The labels are those of `planning.legs`. Flights follow the best options, others at times, and begin at the start of a map or
-anywhere on it. A choice that would lose the mission is labelled but not flown, and a flight ends where the mission
-cannot be completed any more: states are drawn where decisions matter. What is drawn depends on the seed of the map alone.
+The values are those of `planning.legs`. Flights begin at the start of a map or anywhere on it; they follow the best
+options and at times others. A choice that would lose the mission is labelled but not flown, so flights stay where
+decisions matter. Which states are drawn depends on the seeds of the maps alone: not on the network that learns.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.agents.tour_view import (
@@ -19,82 +20,128 @@ from drone_env.agents.tour_view import (
     write_view,
 )
 from drone_env.core import compiled
-from drone_env.core.actions import FLYING, N_ACTIONS, Action
-from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
+from drone_env.core.actions import FLYING, Action
+from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
 from drone_env.core.compile_cache import compiled_once
-from drone_env.core.rewards import RewardProfile, tabulate_rewards
+from drone_env.core.rewards import Rewards, tabulate_rewards
 from drone_env.core.rules import choose_target, reset, step
-from drone_env.core.seeds import GOLDEN, MASK32, mix64, next_key, uniform_below, wrap64
-from drone_env.core.tables import BATTERY, CELL, DELIVERED_FLAG, OUTCOME, PARCELS, STEPS, UNDER, state_size, tabulate
+from drone_env.core.seeds import GOLDEN, mix64, next_key, uniform_below
+from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER, Tables, state_size, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.exact import ranked_scores
-from drone_env.planning.legs import Legs, end_row, mark_delivered, row_after, row_of, value_kernel
-from drone_env.planning.map_graph import delivered_set, put_drone, put_parcels
-from drone_env.planning.ways import NO_STOP, counts_units, find_ways, make_rounds, make_ways
+from drone_env.planning.legs import Legs, mark_delivered, row_after, row_of, value_kernel
+from drone_env.planning.map_graph import UNPAID, delivered_set, put_drone, put_parcels
+from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways
 
 WAIT = int(Action.WAIT)
 COMPLETE = 0.8 - 1e-9
-"""Scores from here on are those of whole missions."""
+"""Values from here on are those of whole missions."""
+FROM_START, OTHER, NEARLY_BEST, GOES_ON = 40, 35, 20, 85
+"""In percent: flights that begin at the start; choices that are not the best; those of them that cost at most `NEAR`;
+how often a flight goes on along its way instead of choosing anew."""
+NEAR = 0.02
+KEPT_BEGUN, KEPT_ON_THE_WAY, KEPT_LOST = 75, 20, 10
+"""In percent, the states that are kept: where a way begins, on the way, and once the mission cannot be completed."""
 
 
-class Keep(NamedTuple):
-    """What is kept of the states of one chunk."""
+class World(NamedTuple):
+    """What the maps of a task are drawn into."""
 
-    view: View
-    values: Any
-    """float32[options]"""
-
-
-def option_rank(legs: Legs, delivered: int, done: int, view: View, option: int, units: int, left: int) -> int:
-    """The rank of an option of a state."""
-    stop = view.token[option] - 1
-    after = units - view.numbers[option, 0] if legs.counts else 1
-    left_after = left - view.numbers[option, 1]
-    if view.numbers[option, 0] < 0:
-        return legs.ranks[row_of(legs, delivered, stop, after), left_after]
-    return legs.ranks[row_after(legs, delivered, done, stop, after), left_after]
+    tables: Tables
+    rewards: Rewards
+    grid: Any
+    """uint8[cells]"""
+    state: Any
+    """uint16[state size]"""
+    parcels: Any
+    """int64[deliveries], the entries of `state` that hold the parcels."""
 
 
-register_jitable(**compiled.OPTIONS)(option_rank)
+def place_stops(world: World, legs: Legs) -> None:
+    """Write the map that stands in the world, without its drone, into the legs."""
+    for cell in range(world.tables.cells):
+        legs.stop_at[cell] = NO_STOP
+        legs.ground[cell] = world.grid[cell]
+    stop = legs.parcels
+    for cell in range(world.tables.cells):
+        if stop < len(legs.stops) and world.grid[cell] == PAD_CELL:
+            legs.stops[stop] = cell
+            stop += 1
+    for i in range(legs.parcels):
+        legs.stops[i] = world.state[PARCELS + i]
+    for i in range(len(legs.stops)):
+        legs.stop_at[legs.stops[i]] = i
+
+
+def option_row(legs: Legs, delivered: int, done: int, view: View, option: int, units: int) -> int:
+    """The row of `legs.ranks` that an option leads to, `view.numbers[option, 1]` steps later."""
+    stop, drained = view.token[option] - 1, view.numbers[option, 0]
+    after = units - drained if legs.counts else 1
+    if drained < 0:
+        return row_of(legs, delivered, stop, after)
+    return row_after(legs, delivered, done, stop, after)
+
+
+def find_option(view: View, m: int, token: int, units: int, steps: int) -> int:
+    """The option of state m that leads to a token by a way of these units and steps; -1 if there is none."""
+    for option in range(view.begins[m], view.begins[m + 1]):
+        if view.token[option] == token and view.numbers[option, 0] == units and view.numbers[option, 1] == steps:
+            return option
+    return -1
+
+
+for function in (place_stops, option_row, find_option):
+    register_jitable(**compiled.OPTIONS)(function)
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
 def lesson_kernel(
-    tables: Any, rewards: Any, legs: Legs, scores: Any, grid: Any, state: Any, parcel_entries: Any, distances: Any,
-    ways: Any, rounds: Any, seeds: Any, per_map: int, view: View, values: Any, weights: Any,
+    world: World,
+    legs: Legs,
+    scores: Any,
+    distances: Distances,
+    ways: Ways,
+    rounds: Rounds,
+    seeds: Any,
+    per_map: int,
+    view: View,
+    values: Any,
 ) -> int:
-    """Fill `view` with states of the maps of `seeds`; returns how many."""
-    m = 0
-    n = legs.parcels
+    """Draw up to `per_map` states of each map.
+
+    Args:
+        world: Working memory.
+        legs: Working memory; its ends are those of a whole episode.
+        scores: float64[ranks], the score of each rank.
+        distances: Working memory.
+        ways: Working memory.
+        rounds: Working memory.
+        seeds: int64[maps]
+        per_map: States of each map.
+        view: Receives the states.
+        values: float32[options], receives the value of each option.
+
+    Returns:
+        How many states there are.
+    """
+    tables, rewards, grid, state, parcels = world
+    m, n = 0, legs.parcels
     view.begins[0] = 0
     for seed in seeds:
         reset(tables, grid, state, seed)
-        grid[state[CELL]] = state[UNDER]
         start = state[CELL] * 1
-        for cell in range(tables.cells):
-            legs.stop_at[cell] = NO_STOP
-            legs.ground[cell] = grid[cell]
-        for i in range(n):
-            legs.stops[i] = state[PARCELS + i]
-        pad = n
-        for cell in range(tables.cells):
-            if pad < len(legs.stops) and grid[cell] == PAD_CELL:
-                legs.stops[pad] = cell
-                pad += 1
-        for i in range(len(legs.stops)):
-            legs.stop_at[legs.stops[i]] = i
+        grid[start] = state[UNDER]
+        place_stops(world, legs)
         mark_delivered(legs, (1 << n) - 1)
         find_distances(tables, legs.ground, legs.stops, legs.counts, legs.stop_at, distances, ways, rounds)
         value_kernel(legs, ways, rounds)
-        key = mix64(seed ^ GOLDEN)
-        kept = 0
-        for flight in range(per_map * 4):
-            if kept >= per_map:
+        key, wanted = mix64(seed ^ GOLDEN), m + per_map
+        for _ in range(4 * per_map):
+            if m == wanted:
                 break
-            # Begin at the start of the map, or anywhere.
-            key = next_key(key)
             delivered, cell, units, left = 0, start, tables.capacity, tables.max_steps
-            if uniform_below(key, 5) > 1:
+            key = next_key(key)
+            if uniform_below(key, 100) >= FROM_START:
                 key = next_key(key)
                 delivered = uniform_below(key, (1 << n) - 1)
                 key = next_key(key)
@@ -103,118 +150,145 @@ def lesson_kernel(
                 left = tables.max_steps - uniform_below(key, tables.max_steps * 3 // 4)
                 key = next_key(key)
                 units = 1 + uniform_below(key, tables.capacity) if legs.counts else left
-            put_parcels(tables, grid, state, parcel_entries, delivered)
+            put_parcels(tables, grid, state, parcels, delivered)
             if grid[cell] == DELIVERY_CELL or tables.impassable[grid[cell]]:
                 continue
             put_drone(tables, grid, state, cell, tables.max_steps - left, units)
             choose_target(tables, state)
-            target, target_units, target_steps = -1, 0, 0
-            while state[OUTCOME] == FLYING and kept < per_map:
-                delivered = delivered_set(state, parcel_entries)
+            chosen_token, way_units, way_steps = -1, 0, 0
+            while state[OUTCOME] == FLYING and m < wanted:
+                delivered = delivered_set(state, parcels)
                 cell, units, left = state[CELL] * 1, state[BATTERY] * 1, tables.max_steps - state[STEPS]
                 done = mark_delivered(legs, delivered)
                 find_ways(tables, legs.ground, cell, units, legs.counts, legs.stop_at, ways, 0, rounds)
-                write_view(
-                    tables, legs.stops, n, delivered, cell, units, left, legs.counts, distances, ways, view, m
-                )
+                write_view(tables, legs.stops, n, delivered, cell, units, left, legs.counts, distances, ways, view, m)
                 first, behind = view.begins[m], view.begins[m + 1]
-                best, lost = -1, 0
+                best, lost, alike = -1, 0, True
                 for option in range(first, behind):
-                    values[option] = scores[option_rank(legs, delivered, done, view, option, units, left)]
+                    row = option_row(legs, delivered, done, view, option, units)
+                    values[option] = scores[legs.ranks[row, left - view.numbers[option, 1]]]
+                    alike &= values[option] == values[first]
+                    lost += values[option] < COMPLETE
                     if best < 0 or values[option] > values[best]:
                         best = option
-                    lost += values[option] < COMPLETE
-                if best < 0 or values[best] < COMPLETE:
+                if best < 0:
                     break
-                chosen = -1
-                if target >= 0:
-                    for option in range(first, behind):
-                        if (
-                            view.token[option] == target
-                            and view.numbers[option, 0] == target_units
-                            and view.numbers[option, 1] == target_steps
-                        ):
-                            chosen = option
-                begun = chosen < 0
-                if begun:
-                    key = next_key(key)
+                key = next_key(key)
+                drawn = uniform_below(key, 200)
+                chosen = find_option(view, m, chosen_token, way_units, way_steps)
+                keep = KEPT_ON_THE_WAY if chosen >= 0 else KEPT_BEGUN
+                if values[best] < COMPLETE:
+                    chosen, keep = best, KEPT_LOST
+                elif lost == 0:
+                    keep //= 2
+                if chosen < 0:
                     chosen = best
-                    u = uniform_below(key, 100)
-                    if u < 35:
-                        allowed = 0.02 if u < 20 else 1.0
-                        for tries in range(8):
-                            key = next_key(key)
-                            option = first + uniform_below(key, behind - first)
-                            if values[option] >= COMPLETE and values[option] >= values[best] - allowed:
-                                chosen = option
-                                break
-                key = next_key(key)
-                wanted = uniform_below(key, 100)
-                if behind - first > 1 and (lost > 0 or wanted % 2) and wanted < (75 if begun else 20):
+                    key = next_key(key)
+                    other = uniform_below(key, 100)
+                    allowed = 0.0 if other >= OTHER else NEAR if other < NEARLY_BEST else 1.0
+                    for _ in range(8):
+                        key = next_key(key)
+                        option = first + uniform_below(key, behind - first)
+                        if values[option] >= max(COMPLETE, values[best] - allowed):
+                            chosen = option
+                            break
+                action, before = view.numbers[chosen, 2], units
+                chosen_token, way_units, way_steps = (
+                    view.token[chosen],
+                    view.numbers[chosen, 0],
+                    view.numbers[chosen, 1],
+                )
+                if not alike and drawn < 2 * keep:
                     m += 1
-                    kept += 1
-                action = view.numbers[chosen, 2]
-                units_before = state[BATTERY] * 1
                 step(tables, rewards, grid, state, action)
-                # Goes on along this way, or chooses anew.
                 key = next_key(key)
-                target = -1
-                if action != WAIT and uniform_below(key, 100) < 85:
-                    target = view.token[chosen]
-                    drained = units_before - state[BATTERY]
-                    target_units = view.numbers[chosen, 0] - drained
-                    target_steps = view.numbers[chosen, 1] - 1
+                way_units -= before - state[BATTERY] if legs.counts else 1
+                way_steps -= 1
+                if action == WAIT or uniform_below(key, 100) >= GOES_ON:
+                    chosen_token = -1
             grid[state[CELL]] = state[UNDER]
     return m
 
 
+class Lessons(NamedTuple):
+    """States of one task and what they teach."""
+
+    view: View
+    values: npt.NDArray[np.float32]
+    """float32[options], the highest score that can still be reached after each."""
+
+
 class Teacher:
-    """Draws lessons on one task."""
+    """Draws lessons on one task.
 
-    def __init__(self, task: TaskConfig, maps: int = 16, per_map: int = 64) -> None:
-        self.task, self.maps, self.per_map = task, maps, per_map
-        self.tables = tabulate(task)
-        scores, ranked = ranked_scores(task)
-        counts = counts_units(task)
-        n = task.deliveries
-        pads = task.pads if counts and task.charge_rate else 0
-        stops = n + pads
-        most = task.battery_capacity if counts else 1
-        t = task.max_steps
-        ends = np.empty((n + 1, most + 1, t + 1), ranked.dtype)
-        if counts:
-            ends[:n] = ranked[:n, 0, t][:, None, None]
-            ends[n] = ranked[n, :, ::-1]
-        else:
-            m = min(task.battery_capacity, t)
-            assert m == t
-            ends[:n] = ranked[:n, task.battery_capacity - m, t][:, None, None]
-            later = np.arange(t + 1)
-            ends[n] = ranked[n, later + task.battery_capacity - m, t - later]
-        rows = ((n + 1) + (stops << n)) * (most + 1)
-        ranks = np.zeros((rows, t + 1), ranked.dtype)
-        ranks[: (n + 1) * (most + 1)] = ends.reshape(-1, t + 1)
-        cells = self.tables.cells
-        self.legs = Legs(
-            self.tables, int(counts), np.zeros(cells, np.uint8), np.zeros(stops, np.int64),
-            np.full(cells, NO_STOP, np.int32), n, most, ranks,
+    Args:
+        task: The task.
+        maps: How many maps a chunk of lessons is drawn from.
+        per_map: States of each.
+
+    Raises:
+        UnsupportedTaskError: if `planning.legs` does not cover the task.
+        TooLargeError: if the values of a map would take too much memory.
+    """
+
+    def __init__(self, task: TaskConfig, maps: int, per_map: int) -> None:
+        self.task, self._per_map = task, per_map
+        tables = tabulate(task)
+        self._legs, self._scores = blank_legs(task)
+        stops, n = len(self._legs.stops), task.deliveries
+        self._ways, self._rounds = make_ways(task, stops * (stops - n + 1)), make_rounds(task)
+        self._distances = make_distances(stops)
+        self._world = World(
+            tables,
+            tabulate_rewards(task, UNPAID),
+            np.zeros(tables.cells, np.uint8),
+            np.zeros(state_size(tables), np.uint16),
+            PARCELS + np.arange(n),
         )
-        self.scores = scores
-        self.ways, self.rounds = make_ways(task, stops * (pads + 1)), make_rounds(task)
-        self.distances = make_distances(stops)
-        self.rewards = tabulate_rewards(task, RewardProfile(id="none", summary="nothing"))
-        self.grid, self.state = np.zeros(cells, np.uint8), np.zeros(state_size(self.tables), np.uint16)
-        self.entries = PARCELS + np.arange(n)
         states = maps * per_map + 1
-        self.room = states * stops * min(12, self.ways.units.shape[1] + 1) + stops * 64
-        self.view = make_view(states, stops, self.room)
-        self.values = np.zeros(self.room, np.float32)
+        room = states * stops * self._ways.units.shape[1]
+        self._view, self._values = make_view(states, stops, room), np.zeros(room, np.float32)
 
-    def lessons(self, seeds):
+    def draw(self, seeds: npt.NDArray[np.int64]) -> Lessons:
+        """The lessons of these maps."""
+        view = self._view
         m = lesson_kernel(
-            self.tables, self.rewards, self.legs, self.scores, self.grid, self.state, self.entries, self.distances,
-            self.ways, self.rounds, seeds, self.per_map, self.view, self.values, 0,
+            self._world,
+            self._legs,
+            self._scores,
+            self._distances,
+            self._ways,
+            self._rounds,
+            seeds,
+            self._per_map,
+            view,
+            self._values,
         )
-        v = self.view
-        o = v.begins[m]
-        return View(v.tokens[:m].copy(), v.present[:m].copy(), v.edges[:m].copy(), v.begins[: m + 1].copy(), v.token[:o].copy(), v.features[:o].copy(), v.numbers[:o].copy()), self.values[:o].copy()
+        options = int(view.begins[m])
+        by_state = [array[:m].copy() for array in (view.tokens, view.present, view.edges)]
+        by_option = [array[:options].copy() for array in (view.token, view.features, view.numbers)]
+        return Lessons(View(*by_state, view.begins[: m + 1].copy(), *by_option), self._values[:options].copy())
+
+
+def blank_legs(task: TaskConfig) -> tuple[Legs, npt.NDArray[np.float64]]:
+    """Legs for whole episodes of the task's maps, without a map; and the score of each rank."""
+    scores, ranked = ranked_scores(task)
+    counts, n, t = counts_units(task), task.deliveries, task.max_steps
+    stops = n + (task.pads if counts and task.charge_rate else 0)
+    most = task.battery_capacity if counts else 1
+    ends = np.empty((n + 1, most + 1, t + 1), ranked.dtype)
+    if counts:
+        ends[:n] = ranked[:n, 0, t][:, None, None]
+        ends[n] = ranked[n, :, ::-1]
+    else:
+        m = min(task.battery_capacity, t)
+        assert m == t
+        ends[:n] = ranked[:n, task.battery_capacity - m, t][:, None, None]
+        later = np.arange(t + 1)
+        ends[n] = ranked[n, later + task.battery_capacity - m, t - later]
+    rows = ((n + 1) + (stops << n)) * (most + 1)
+    ranks = np.zeros((rows, t + 1), ranked.dtype)
+    ranks[: (n + 1) * (most + 1)] = ends.reshape(-1, t + 1)
+    cells = task.width * task.height
+    ground, stop_at = np.zeros(cells, np.uint8), np.full(cells, NO_STOP, np.int32)
+    return Legs(tabulate(task), int(counts), ground, np.zeros(stops, np.int64), stop_at, n, most, ranks), scores

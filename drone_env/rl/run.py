@@ -10,40 +10,30 @@ from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
 from types import FrameType
-from typing import Any, TextIO
+from typing import Any, Generic, TextIO
 
 from drone_env.errors import CheckpointError, needs
 from drone_env.files import replacing
 from drone_env.rl.checkpoint import export_network, load_checkpoint, save_checkpoint
-from drone_env.rl.config import TrainConfig
 from drone_env.rl.curves import draw_curves
-from drone_env.rl.trainer import Progress, Trainer
+from drone_env.rl.learner import AnyLearner, figure
 
-DIGITS = {
-    "epsilon": 3,
-    "loss": 6,
-    "reward": 4,
-    "score": 4,
-    "success": 3,
-    "length": 1,
-    "validation": 4,
-    "validation_optimum": 4,
-}
-"""Decimal places of the figures of a line in the log."""
+DIGITS = {"epsilon": 3, "loss": 6, "success": 3, "length": 1, "learning_rate": 6, "regret": 6, "cpu_seconds": 1}
+"""Decimal places of the figures of a line in the log; 4 for those not named."""
 
 
-class TrainingRun:
+class TrainingRun(Generic[AnyLearner]):
     """Trains, and keeps what comes of it.
 
-        data/<task>.pth                    the last checkpoint, to go on from; it holds the best network too
-        data/<task>.npz                    the best network by validation, exported
-        data/train.log                     one line per `log_every` episodes
-        results/<task>/history.csv         the same as a table
-        results/<task>/*.png               the same as curves
-        results/<task>/tensorboard/        the same for TensorBoard
+        data/<name>.pth                    the last checkpoint, to go on from; it holds the best network too
+        data/<name>.npz                    the best network by validation, exported
+        data/train.log                     one line per `log_every` episodes or updates
+        results/<name>/history.csv         the same as a table
+        results/<name>/*.png               the same as curves
+        results/<name>/tensorboard/        the same for TensorBoard
 
     Args:
-        config: How to train.
+        trainer: What learns; its name is that of the files.
         data: Folder of checkpoint and log.
         results: Folder of tables and curves.
         fresh: Start from nothing; the checkpoint that is there is renamed to `.old`.
@@ -55,15 +45,15 @@ class TrainingRun:
 
     def __init__(
         self,
-        config: TrainConfig,
+        trainer: AnyLearner,
         data: Path,
         results: Path,
         fresh: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.trainer = Trainer(config)
+        self.trainer = trainer
         self._clock = clock
-        name = self.trainer.task.short_name
+        name = trainer.name
         self.checkpoint = data / f"{name}.pth"
         self.log = data / "train.log"
         self.network = data / f"{name}.npz"
@@ -83,39 +73,36 @@ class TrainingRun:
         self.stopped = False
         """Whether the run is to end after the present step, or has."""
 
-    def train(self) -> Iterator[Progress]:
+    def train(self) -> Iterator[Any]:
         """Train to the end, or until `stopped` is set: the run then saves and ends after that step.
 
         Yields every line of the log when it is written.
         """
-        config, trainer = self.config, self.trainer
+        trainer = self.trainer
+        most, seconds = trainer.checkpoint_gap
         for folder in (self.log.parent, self.results):
             folder.mkdir(parents=True, exist_ok=True)
         self._since = self._clock()
-        saved_at, saved_episodes = self._since if self.resumed else None, trainer.episodes
+        saved_at, saved_done = self._since if self.resumed else None, trainer.done
         with self._tensorboard() as board, self._log_file() as log:
             for lines in trainer.train():
-                late = saved_at is None or self._clock() - saved_at >= config.checkpoint_seconds
-                if late and trainer.episodes - saved_episodes >= config.checkpoint_episodes:
+                late = saved_at is None or self._clock() - saved_at >= seconds
+                if late and trainer.done - saved_done >= most:
                     # Saved before it is logged: what the log shows survives a kill.
                     self.save()
-                    saved_at, saved_episodes = self._clock(), trainer.episodes
+                    saved_at, saved_done = self._clock(), trainer.done
                 for line in lines:
                     log.write(f"{log_line(line)}\n")
-                    for name, value in asdict(line).items():
-                        if name != "episode" and not math.isnan(value):
-                            board.add_scalar(name, value, line.episode)
+                    (_, count), *figures = asdict(line).items()
+                    for name, value in figures:
+                        if not math.isnan(value):
+                            board.add_scalar(name, value, count)
                     yield line
                 if self.stopped:
                     break
         self.save()
         self._write_history()
-        draw_curves({config.reward_profile: trainer.history}, trainer.task.short_name, self.results)
-
-    @property
-    def config(self) -> TrainConfig:
-        """How it trains."""
-        return self.trainer.config
+        draw_curves({trainer.name: trainer.history}, trainer.name, trainer.curves, self.results)
 
     @property
     def seconds(self) -> float:
@@ -125,19 +112,7 @@ class TrainingRun:
     def save(self) -> None:
         """Write the checkpoint, and the best network beside it."""
         save_checkpoint(self.checkpoint, self.trainer.get_state() | {"seconds": self.seconds})
-        task = self.trainer.task
-        metadata = {
-            "task": task.id,
-            "task_version": task.version,
-            "telemetry_size": task.telemetry_size,
-            "config": self.config.identity(),
-            "episodes": self.trainer.episodes,
-            "steps": self.trainer.steps,
-            "updates": self.trainer.updates,
-            "seconds": round(self.seconds, 1),
-            "validation_score": self.trainer.best_score,
-            "validation_optimum": self.trainer.validator.optimum,
-        }
+        metadata = self.trainer.metadata() | {"seconds": round(self.seconds, 1)}
         export_network(self.trainer.best_network(), self.network, metadata)
 
     def _log_file(self) -> TextIO:
@@ -154,7 +129,7 @@ class TrainingRun:
         if not self.resumed:
             for old in folder.glob("events.out.tfevents.*"):
                 old.unlink()
-        return SummaryWriter(folder, purge_step=self.trainer.episodes + 1)
+        return SummaryWriter(folder, purge_step=self.trainer.done + 1)
 
     @contextmanager
     def stopping_on_interrupt(self) -> Generator[None, None, None]:
@@ -177,17 +152,15 @@ class TrainingRun:
             replacing(self.results / "history.csv") as temporary,
             temporary.open("w", newline="", encoding="utf-8") as file,
         ):
-            table = csv.DictWriter(file, [field.name for field in fields(Progress)])
+            history = self.trainer.history
+            table = csv.DictWriter(file, [field.name for field in fields(history[0])])
             table.writeheader()
-            table.writerows(asdict(line) for line in self.trainer.history)
+            table.writerows(map(asdict, history))
 
 
-def log_line(progress: Progress) -> str:
-    """A line of `data/train.log`; a figure that there is not yet is `-`."""
-    shown = (f"{name.removeprefix('validation_')}={figure(getattr(progress, name), n)}" for name, n in DIGITS.items())
-    return f"episode={progress.episode} steps={progress.steps} updates={progress.updates} {' '.join(shown)}"
-
-
-def figure(value: float, digits: int) -> str:
-    """A number for people; `-` for one that there is not yet."""
-    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+def log_line(line: Any) -> str:
+    """A line of `data/train.log`, from a line of the history; a figure that there is not yet is `-`."""
+    return " ".join(
+        f"{name.removeprefix('validation_')}={value if isinstance(value, int) else figure(value, DIGITS.get(name, 4))}"
+        for name, value in asdict(line).items()
+    )

@@ -21,6 +21,7 @@ class Block(nn.Module):
         self.up, self.down = nn.Linear(width, 2 * width), nn.Linear(2 * width, width)
 
     def forward(self, x: Tensor, e: Tensor, absent: Tensor) -> Tensor:
+        """The next x, float32[B, N, width], from edges float32[B, N, N, edge]; absent, float32[B, N], is -1e9 or 0."""
         b, n, w = x.shape
         h = self.heads
         q, k, v = self.qkv(self.norm1(x)).view(b, n, 3, h, w // h).permute(2, 0, 3, 1, 4)
@@ -46,7 +47,7 @@ class TourNet(nn.Module):
         self.head = nn.Linear(hidden, 2)
 
     def forward(self, tokens: Tensor, present: Tensor, edges: Tensor, owner: Tensor, token: Tensor, features: Tensor):
-        """choice and completion logits of each option; owner int64[options]: its state, token: its token."""
+        """Preference and completion logits of each option; owner int64[options]: its state, token: its token."""
         x = self.tokens(tokens)
         e = torch.relu(self.edges2(torch.relu(self.edges1(edges))))
         absent = (~present).float() * -1e9
@@ -56,4 +57,4 @@ class TourNet(nn.Module):
         y = torch.relu(x[owner, token] + self.option(features))
         y = y + torch.relu(self.hidden(y))
         y = self.head(y)
-        return y[:, 0] + 2 * nn.functional.logsigmoid(y[:, 1]), y[:, 1]
+        return y[:, 0], y[:, 1]

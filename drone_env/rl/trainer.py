@@ -8,8 +8,6 @@ into the replay, and after every `steps_per_update` steps the network is fitted 
 Every end is part of the task, so nothing is bootstrapped over an end, and nothing truncates an episode before it.
 """
 
-import ctypes
-import sys
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
@@ -27,11 +25,19 @@ from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import get_task, withdrawal
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl.config import TrainConfig
+from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
 from drone_env.rl.model import PathQNet
 from drone_env.rl.policy import epsilon_greedy, linear, multiplicative
 from drone_env.rl.replay_buffer import ReplayBuffer
 from drone_env.rl.validation import Validation, Validator
 
+CURVES = {
+    "reward": "mean reward of an episode",
+    "length": "mean steps of an episode",
+    "loss": "loss",
+    "epsilon": "share of random actions",
+    "validation": "score on validation maps",
+}
 LOSSES = {"huber": smooth_l1_loss, "mse": mse_loss}
 Figures = tuple[float, float, bool, int]
 """The result of an episode: undiscounted sum of rewards, score, whether all was delivered, steps."""
@@ -72,7 +78,7 @@ class Progress:
     validation_optimum: float
 
 
-class Trainer:
+class Trainer(Learner):
     """One training run, from its first step or from a checkpoint.
 
     Args:
@@ -83,6 +89,8 @@ class Trainer:
         TooLargeError: if the optimum of the validation maps cannot be worked out.
     """
 
+    unit, work, curves = "episodes", "steps", CURVES
+
     def __init__(self, config: TrainConfig) -> None:
         if config.gpu and not torch.cuda.is_available():
             raise InvalidValueError("--gpu needs a CUDA device, and PyTorch sees none; train without it on the CPU")
@@ -91,6 +99,7 @@ class Trainer:
         torch.manual_seed(config.seed)
         self.config = config
         self.task = get_task(config.task)
+        self.name, self.validation_every = self.task.short_name, config.validation_every
         self.device = torch.device("cuda" if config.gpu else "cpu")
         self.rng = np.random.default_rng(config.seed)
         profile = profile_for_discount(get_reward_profile(config.reward_profile), config.gamma)
@@ -210,7 +219,7 @@ class Trainer:
 
     def validate(self) -> None:
         """Fly the validation maps with the network alone; keep it if it is the best so far."""
-        self.validation = self.validator.validate(self.values)
+        self.validation = self.validator.validate(lambda grids, seen: self.values(grids, seen).argmax(axis=1))
         self.validated_updates = self.updates
         if self.validation.score >= self.best_score:
             self.best_score = self.validation.score
@@ -302,15 +311,10 @@ class Trainer:
             CheckpointError: if the state is of a run with another configuration, whose differences the message names,
                 or on a version of a task that is withdrawn.
         """
-        ours, theirs = self.config.identity(), state["config"]
-        withdrawn = withdrawal(theirs.get("task"), theirs.get("task_version"))
+        withdrawn = withdrawal(state["config"].get("task"), state["config"].get("task_version"))
         if withdrawn is not None:
             raise CheckpointError(f"the checkpoint is of a run on what there is no more: {withdrawn}")
-        different = [
-            f"{name} {theirs.get(name)!r} (now {ours[name]!r})" for name in ours if theirs.get(name) != ours[name]
-        ]
-        if different:
-            raise CheckpointError(f"the checkpoint is of a run with {', '.join(different)}")
+        require_same(self.config.identity(), state["config"])
         for name in LEARNED:
             getattr(self, name).load_state_dict(state[name])
         for name in PLAIN:
@@ -328,6 +332,62 @@ class Trainer:
         self.rng.bit_generator.state = state["rng"]
         self.history = [Progress(**line) for line in state["history"]]
         self.validation = Validation(*state["validation"])
+
+    @property
+    def done(self) -> int:
+        """Episodes ended so far."""
+        return self.episodes
+
+    @property
+    def wanted(self) -> int:
+        """Episodes in all."""
+        return self.config.episodes
+
+    @property
+    def checkpoint_gap(self) -> tuple[int, float]:
+        """At least so many episodes and seconds lie between two checkpoints."""
+        return self.config.checkpoint_episodes, self.config.checkpoint_seconds
+
+    @property
+    def worked(self) -> int:
+        """Steps flown."""
+        return self.steps
+
+    @property
+    def result(self) -> str:
+        """The score of the best network, beside the optimum."""
+        return f"{self.best_score:.4f} of {self.validator.optimum:.4f}"
+
+    @property
+    def judged_by(self) -> str:
+        """What `drone-env evaluate` takes to judge it."""
+        return f"--task {self.name} --agents greedy pathqnet"
+
+    @property
+    def how_to_go_on(self) -> str:
+        """More episodes."""
+        return f"--episodes {2 * self.episodes} goes on from it; "
+
+    def figures(self, line: Progress) -> str:
+        """A line of the log in few words, for who watches."""
+        return (
+            f"epsilon {line.epsilon:.2f}  loss {figure(line.loss, 5)}  "
+            f"validation {figure(line.validation, 4)} of {line.validation_optimum:.4f}"
+        )
+
+    def metadata(self) -> dict[str, Any]:
+        """What the exported network says of itself."""
+        return {
+            "task": self.task.id,
+            "task_version": self.task.version,
+            "telemetry_size": self.task.telemetry_size,
+            "config": self.config.identity(),
+            "episodes": self.episodes,
+            "steps": self.steps,
+            "updates": self.updates,
+            "validation_score": self.best_score,
+            "validation_optimum": self.validator.optimum,
+        }
 
     def best_network(self) -> PathQNet:
         """The network that flew the validation maps best, on the CPU."""
@@ -347,16 +407,3 @@ REPLAY_ARRAYS = ("grids", "telemetry", "actions", "rewards", "terminated")
 def as_tensor(array: npt.NDArray[Any]) -> Tensor:
     """The array as a tensor; unsigned 16-bit numbers, which not every PyTorch stores, as signed ones."""
     return torch.from_numpy(array.view(np.int16) if array.dtype == np.uint16 else array)
-
-
-def keep_freed_memory() -> None:
-    """Have the C library keep what PyTorch frees, up to 1 GiB; where it is not glibc, do nothing.
-
-    Each layer's output is some megabytes. Given back to the kernel and asked for again at every update, its pages are
-    zeroed again one fault at a time, which took up to a third of the time of training on the CPU.
-    """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    if mallopt is not None:
-        mallopt(-3, 32 << 20)  # M_MMAP_THRESHOLD, as glibc's malloc.h numbers it
-        mallopt(-1, 1 << 30)  # M_TRIM_THRESHOLD
-        mallopt(-2, 64 << 20)  # M_TOP_PAD

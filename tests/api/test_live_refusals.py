@@ -10,7 +10,7 @@ import pytest
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from drone_env.planning import exact
+from drone_env.planning import solvers
 from drone_env.server.app import create_app
 from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.live.episodes import LiveEpisode
@@ -102,7 +102,7 @@ def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as today, client.websocket_connect("/live") as socket:
-        today.setattr(exact, "map_graph", lambda _: {}[0])
+        today.setattr(solvers, "solver_of", lambda _: {}[0])
         page = Page(socket)
         (shown,) = page.start("greedy")
         refused = json.loads(socket.receive_text())

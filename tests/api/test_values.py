@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import pytest
 
 from drone_env.core.tasks import get_task
-from drone_env.planning import exact
+from drone_env.planning import solvers
 from drone_env.server.live import values as module
 from drone_env.server.live.values import UNSOLVED, ExactValues
 
@@ -53,7 +53,7 @@ def test_a_map_that_could_not_be_solved_is_tried_anew(
 ) -> None:
     async def ask(values: ExactValues, free: threading.Event) -> None:
         with monkeypatch.context() as today:
-            today.setattr(exact, "map_graph", out_of_memory)
+            today.setattr(solvers, "solver_of", out_of_memory)
             asked = asyncio.gather(*[values.solved(EASY, 1) for _ in range(2)], return_exceptions=True)
             await asyncio.sleep(0)
             free.set()

@@ -143,11 +143,11 @@ def test_regret_of_a_flight_that_only_waits() -> None:
 
 
 def test_where_no_planner_knows_the_optimum_it_is_none() -> None:
-    task = replace(TASKS["skyline_hard"], id="vast", width=64, height=64, deliveries=14, max_steps=1)
+    task = replace(TASKS["skyline_hard"], id="vast", deliveries=16, max_steps=400, battery_capacity=1)
     env = WithOptimum(DroneDeliveryEnv(task))
     env.reset(seed=3)
     *_, info = env.step(4)
-    assert (info["outcome"], info["score"]) == ("out_of_steps", 0.01)
+    assert (info["outcome"], info["score"]) == ("battery_dead", 0.01)
     assert [info[name] for name in ("optimal_score", "optimal_steps", "regret")] == [None] * 3
 
 

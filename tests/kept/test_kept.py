@@ -156,12 +156,13 @@ def test_training_goes_on_from_the_checkpoint(kept: Kept, tmp_path: Path) -> Non
     from drone_env.rl.checkpoint import load_checkpoint
     from drone_env.rl.config import TrainConfig
     from drone_env.rl.run import TrainingRun
+    from drone_env.rl.trainer import Trainer
 
     told, folder = kept.told["training"], kept.copy("training")
     before: dict[str, Any] = load_checkpoint(folder / "easy.pth")["config"]
     names = {field.name for field in fields(TrainConfig)} & before.keys() - {"task"}
     config = TrainConfig(**{name: before[name] for name in names}, task="easy", episodes=told["episodes"])
-    run = TrainingRun(config, folder, tmp_path / "curves")
+    run = TrainingRun(Trainer(config), folder, tmp_path / "curves")
     trainer = run.trainer
     assert run.resumed
     assert (trainer.episodes, trainer.steps, trainer.updates) == (told["episodes"], told["steps"], told["updates"])
@@ -175,7 +176,7 @@ def test_training_goes_on_from_the_checkpoint(kept: Kept, tmp_path: Path) -> Non
     for _ in told["next_losses"]:
         trainer.learn()
     assert trainer.losses[-3:] == pytest.approx(told["next_losses"], rel=1e-3)
-    longer = TrainingRun(replace(config, episodes=told["episodes"] + 4), folder, tmp_path / "curves").trainer
+    longer = TrainingRun(Trainer(replace(config, episodes=told["episodes"] + 4)), folder, tmp_path / "curves").trainer
     for _ in longer.train():
         pass
     assert longer.episodes == told["episodes"] + 4

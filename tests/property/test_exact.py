@@ -14,8 +14,11 @@ from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning import most_battery, optimal
+from drone_env.planning import optimal
 from drone_env.planning.exact import ExactSolver
+from drone_env.planning.legs import LegSolver, covers
+from drone_env.planning.solver import Solver
+from tests import most_battery
 from tests.brute_force import BruteForce
 from tests.property.test_episode import BLOCKING, DRAINED
 from tests.toy import TOY
@@ -80,7 +83,12 @@ def flown(episode: Episode, actions: Sequence[Action]) -> float:
     return flight.score
 
 
-def assert_equal_values(solver: ExactSolver, reference: BruteForce, episode: Episode) -> None:
+def solvers_of(episode: Episode) -> list[Solver]:
+    """Each solver that covers the task."""
+    return [solver(episode) for solver in (ExactSolver, *([LegSolver] if covers(episode.task) else []))]
+
+
+def assert_equal_values(solver: Solver, reference: BruteForce, episode: Episode) -> None:
     expected = reference.q_values(episode)
     values = solver.q_values(episode)
     assert values.tolist() == expected.tolist()
@@ -94,19 +102,20 @@ def assert_equal_values(solver: ExactSolver, reference: BruteForce, episode: Epi
 def test_values_equal_brute_force_along_random_flights_and_in_any_state(number: int) -> None:
     draw = random.Random(number)
     episode = small_episode(number)
-    solver, reference = ExactSolver(episode), BruteForce(episode)
-    assert solver.value(episode) == reference.value
+    solvers, reference = solvers_of(episode), BruteForce(episode)
     start = episode.get_state()
     for _ in range(2):
         episode.set_state(start)
         while not episode.ended:
-            assert_equal_values(solver, reference, episode)
+            for solver in solvers:
+                assert_equal_values(solver, reference, episode)
             # The best actions deliver, after which the rest of the map looks different.
             episode.step(draw.choice((draw.randrange(5), int(reference.q_values(episode).argmax()))))
-        assert solver.value(episode) == episode.score
+        assert [solver.value(episode) for solver in solvers] == [episode.score] * len(solvers)
     for _ in range(10):
         episode.set_state(reference.state(draw.randrange(reference.size)))
-        assert_equal_values(solver, reference, episode)
+        for solver in solvers:
+            assert_equal_values(solver, reference, episode)
 
 
 @thorough
@@ -119,10 +128,11 @@ def test_a_solver_made_in_the_middle_of_a_flight_equals_brute_force(number: int)
         episode.set_state(whole.state(draw.randrange(whole.size)))
         if episode.deliveries_done:
             break
-    solver, reference = ExactSolver(episode), BruteForce(episode)
+    solvers, reference = solvers_of(episode), BruteForce(episode)
     assert reference.q_values(episode).tolist() == whole.q_values(episode).tolist()
     while not episode.ended:
-        assert_equal_values(solver, reference, episode)
+        for solver in solvers:
+            assert_equal_values(solver, reference, episode)
         episode.step(draw.choice((draw.randrange(5), int(reference.q_values(episode).argmax()))))
 
 
@@ -138,7 +148,8 @@ def test_every_planner_flies_what_brute_force_finds_from_the_start_and_from_any_
         episode.set_state(state)
         best = reference.q_values(episode).max()
         before = episode.get_state()
-        assert flown(episode, ExactSolver(episode).best_actions()) == best
+        for solver in solvers_of(episode):
+            assert episode.copy().fly(solver.best_actions()).counted_score() == best
         if task.efficiency_needs_all:
             assert flown(episode, most_battery.best_actions(episode)) == best
         solution = optimal.solve_episode(episode)

@@ -31,9 +31,9 @@ def do_nothing(*_: object) -> None:
     """A callback."""
 
 
-def run_in(folder: Path, fresh: bool = False, **changes: Any) -> TrainingRun:
+def run_in(folder: Path, fresh: bool = False, **changes: Any) -> TrainingRun[Trainer]:
     """Such a run with its files in a folder."""
-    return TrainingRun(replace(SMALL, **changes), folder, folder / "results", fresh)
+    return TrainingRun(Trainer(replace(SMALL, **changes)), folder, folder / "results", fresh)
 
 
 def finished(trainer: Trainer) -> Trainer:

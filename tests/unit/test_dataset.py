@@ -298,7 +298,7 @@ def test_an_empty_folder_is_filled_and_a_full_one_left_alone(tmp_path: Path) -> 
 def test_a_map_too_large_to_be_solved_is_said_and_nothing_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(map_graph, "MAX_BYTES", 1000)
+    monkeypatch.setattr(map_graph, "MAX_BYTES", 100)
     with pytest.raises(TooLargeError, match="easy_delivery"):
         build_dataset(dataset_config("easy", range(2)), tmp_path / "set", FORMATS)
     assert list(tmp_path.iterdir()) == []

@@ -91,7 +91,7 @@ def test_no_delivered_map_means_no_excess_steps() -> None:
 
 
 def test_where_no_planner_knows_the_optimum_its_figures_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    vast = {"width": 64, "height": 64, "deliveries": 14, "max_steps": 2}
+    vast = {"deliveries": 16, "max_steps": 400, "battery_capacity": 1}
     task = replace(TASKS["skyline_hard"], id="vast", short_name="vast", grader="drone_env.graders:vast", **vast)
     monkeypatch.setitem(TASKS, "vast", task)
     results = run_episodes(episodes_key("vast", "greedy", range(2)))

@@ -2,9 +2,9 @@
 
 import os
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -15,11 +15,14 @@ from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tables import BATTERY
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError, UnsupportedTaskError
-from drone_env.planning import map_graph, most_battery
+from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError
+from drone_env.planning import map_graph
 from drone_env.planning.exact import ExactSolver
 from drone_env.planning.from_observation import episode_of
+from drone_env.planning.legs import LegSolver
 from drone_env.planning.optimal import best_actions, solve, solve_episode
+from drone_env.planning.solver import Solver
+from tests import most_battery
 from tests.toy import fly, toy_episode
 
 MAPS = 1000 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 30
@@ -29,6 +32,9 @@ SKYLINE = [name for name, task in TASKS.items() if not task.uniform]
 LARGE = ("hard_delivery", "skyline_hard")
 """All values of such a map take a second."""
 QUICK = [name for name in TASKS if name not in LARGE]
+
+MakeSolver: TypeAlias = Callable[[Episode], Solver]
+EACH_SOLVER = pytest.mark.parametrize("make", [ExactSolver, LegSolver])
 
 COUNTS_ALWAYS: dict[str, Any] = {"efficiency_needs_all": False}
 NEEDS_ALL: dict[str, Any] = {"efficiency_needs_all": True}
@@ -45,10 +51,11 @@ def letters(actions: Sequence[Action]) -> str:
 
 
 def scores_of(episode: Episode) -> list[float]:
-    """What all three planners make of an episode, flown to its end."""
+    """What all planners make of an episode, flown to its end."""
     scores = [ExactSolver(episode).value(episode), solve_episode(episode).score]
     plans = [ExactSolver(episode).best_actions(), best_actions(episode)]
     if episode.task.efficiency_needs_all:
+        scores.append(LegSolver(episode).value(episode))
         plans.append(most_battery.best_actions(episode))
     for plan in plans:
         flight = Episode(episode.task, episode.reward_profile)
@@ -109,11 +116,11 @@ class TestByHand:
     def test_charging_does_not_fill_more_than_the_battery_holds(self) -> None:
         # Two steps to the pad leave 3; one charge of 9 makes 5, and four more steps leave 1.
         episode = toy_episode(["@.P...0", "......."], max_steps=20, battery_capacity=5, charge_rate=9, **NEEDS_ALL)
-        assert scores_of(episode) == pytest.approx([0.8 + 0.1 * 1 / 5 + 0.1 * 13 / 20] * 5)
+        assert scores_of(episode) == pytest.approx([0.8 + 0.1 * 1 / 5 + 0.1 * 13 / 20] * 6)
 
     def test_beyond_the_reach_of_a_full_battery_a_parcel_stays(self) -> None:
         episode = toy_episode(["@.P...0", "......."], max_steps=30, battery_capacity=3, charge_rate=2, **NEEDS_ALL)
-        assert scores_of(episode) == [0.01] * 5
+        assert scores_of(episode) == [0.01] * 6
 
     @pytest.mark.parametrize(
         ("units", "plan"),
@@ -146,13 +153,13 @@ class TestByHand:
 
     def test_a_parcel_behind_a_wall_cannot_be_had(self) -> None:
         episode = toy_episode(["@.OO", "..O0", "1.OO"], impassable=frozenset({Cell.OBSTACLE}), max_steps=6, **NEEDS_ALL)
-        assert scores_of(episode) == [0.4] * 5
+        assert scores_of(episode) == [0.4] * 6
         assert solve_episode(episode).order == ((0, 2),)
 
     def test_a_building_that_drains_nothing_is_the_way(self) -> None:
         free = {"drain": ((Cell.BUILDING, 0), (Cell.DELIVERY, 0)), "max_steps": 20, "battery_capacity": 1}
         episode = toy_episode(["@B.", "BB0"], **free, **NEEDS_ALL)
-        assert scores_of(episode) == pytest.approx([0.8 + 0.1 + 0.1 * 17 / 20] * 5)
+        assert scores_of(episode) == pytest.approx([0.8 + 0.1 + 0.1 * 17 / 20] * 6)
         assert letters(best_actions(episode)) in ("RDR", "DRR")
 
     @pytest.mark.parametrize(
@@ -167,35 +174,37 @@ class TestByHand:
             battery_capacity=20,
             **NEEDS_ALL,
         )
-        assert letters(ExactSolver(episode).best_actions()) == letters(most_battery.best_actions(episode)) == plan
+        for actions in (best_actions(episode), ExactSolver(episode).best_actions(), most_battery.best_actions(episode)):
+            assert letters(actions) == plan
         score = 0.8 + 0.1 * (20 - spent) / 20 + 0.1 * (20 - len(plan)) / 20
-        assert scores_of(episode) == pytest.approx([score] * 5)
+        assert scores_of(episode) == pytest.approx([score] * 6)
 
 
 def test_of_equally_good_actions_the_lowest_number_is_flown() -> None:
     assert letters(ExactSolver(toy_episode(["@.", ".0"])).best_actions()) == "DR"
 
 
+@EACH_SOLVER
 class TestRegret:
     @pytest.mark.parametrize("action", [5, -1, True])
-    def test_of_no_action_is_refused(self, action: int) -> None:
+    def test_of_no_action_is_refused(self, make: MakeSolver, action: int) -> None:
         episode = toy_episode(["@0", ".."])
         with pytest.raises(InvalidValueError, match="action must be one of"):
-            ExactSolver(episode).regret(episode, action)
+            make(episode).regret(episode, action)
 
-    def test_is_what_an_action_gives_away_for_good(self) -> None:
+    def test_is_what_an_action_gives_away_for_good(self, make: MakeSolver) -> None:
         episode = toy_episode(["@0", ".."], max_steps=10, **NEEDS_ALL)
-        solver = ExactSolver(episode)
+        solver = make(episode)
         # Every other action costs a step; DOWN costs another one to come back round.
         assert [solver.regret(episode, a) for a in Action] == pytest.approx([0.02, 0.02 * 2, 0.02, 0, 0.02])
         assert solver.optimal_actions(episode) == (Action.RIGHT,)
 
     @pytest.mark.parametrize("task", QUICK)
-    def test_sums_up_to_the_regret_of_the_flight(self, task: str) -> None:
+    def test_sums_up_to_the_regret_of_the_flight(self, make: MakeSolver, task: str) -> None:
         draw = random.Random(task)
         for seed in range(3):
             episode = reset(task, seed)
-            solver = ExactSolver(episode)
+            solver = make(episode)
             optimum, given_away = solver.value(episode), 0.0
             while not episode.ended:
                 action = draw.choice((*Action, *solver.optimal_actions(episode) * 5))
@@ -205,20 +214,21 @@ class TestRegret:
             assert solver.value(episode) == episode.score
 
 
+@EACH_SOLVER
 class TestRefusals:
-    def test_an_episode_that_has_not_begun(self) -> None:
+    def test_an_episode_that_has_not_begun(self, make: MakeSolver) -> None:
         with pytest.raises(EpisodeError, match="reset"):
-            ExactSolver(Episode("skyline_easy"))
-        solver = ExactSolver(reset("skyline_easy", 0))
+            make(Episode("skyline_easy"))
+        solver = make(reset("skyline_easy", 0))
         with pytest.raises(EpisodeError, match="reset"):
             solver.value(Episode("skyline_easy"))
 
-    def test_an_episode_that_has_ended(self) -> None:
+    def test_an_episode_that_has_ended(self, make: MakeSolver) -> None:
         episode = toy_episode(["@0", ".."])
-        solver = ExactSolver(episode)
+        solver = make(episode)
         fly(episode, "R")
         with pytest.raises(EpisodeError, match="ended"):
-            ExactSolver(episode)
+            make(episode)
         for refused in (solver.q_values, solver.optimal_actions):
             with pytest.raises(EpisodeError, match="ended"):
                 refused(episode)
@@ -229,25 +239,25 @@ class TestRefusals:
         assert solve_episode(episode).actions == ()
 
     @pytest.mark.parametrize("task", TASKS)
-    def test_an_episode_of_another_map_or_task(self, task: str) -> None:
+    def test_an_episode_of_another_map_or_task(self, make: MakeSolver, task: str) -> None:
         episode = reset("skyline_easy", 1)
-        solver = ExactSolver(episode)
+        solver = make(episode)
         with pytest.raises(EpisodeError, match="solver of its own"):
             solver.q_values(reset(task, 2))
 
-    def test_another_terrain_or_other_parcels_under_the_same_seed(self) -> None:
-        solver = ExactSolver(toy_episode(["@B.", "0.1"]))
+    def test_another_terrain_or_other_parcels_under_the_same_seed(self, make: MakeSolver) -> None:
+        solver = make(toy_episode(["@B.", "0.1"]))
         for other in (["@.B", "0.1"], ["@B.", "1.0"], ["@B.", "01."]):
             with pytest.raises(EpisodeError, match="solver of its own"):
                 solver.value(toy_episode(other))
         elsewhere = toy_episode([".B@", "0.1"])  # the drone can be there, though it has not flown there
-        assert solver.value(elsewhere) == ExactSolver(elsewhere).value(elsewhere)
+        assert solver.value(elsewhere) == make(elsewhere).value(elsewhere)
 
-    def test_a_solver_made_in_flight_knows_what_comes_and_not_what_was(self) -> None:
+    def test_a_solver_made_in_flight_knows_what_comes_and_not_what_was(self, make: MakeSolver) -> None:
         start, flown = toy_episode(["@01", "..."]), toy_episode(["@01", "..."])
         fly(flown, "WRL")
-        solver = ExactSolver(flown)
-        assert solver.value(flown) == ExactSolver(start).value(flown)
+        solver = make(flown)
+        assert solver.value(flown) == make(start).value(flown)
         with pytest.raises(EpisodeError, match="solver of its own"):
             solver.value(start)
         fly(start, "WWW")  # as many steps, but nothing delivered
@@ -256,7 +266,7 @@ class TestRefusals:
         fly(flown, "DRRUR")
         assert solver.value(flown) == flown.score
 
-    def test_a_battery_that_cannot_be(self) -> None:
+    def test_a_battery_that_cannot_be(self, make: MakeSolver) -> None:
         full = toy_episode(["@..", "..0"], max_steps=9, battery_capacity=9)
         spent = toy_episode(["@..", "..0"], max_steps=9, battery_capacity=9, drain=())
         fly(spent, "WW")
@@ -265,29 +275,26 @@ class TestRefusals:
             state[BATTERY] = battery
             spent.set_state(replace(spent.get_state(), numbers=state.tobytes()))
             with pytest.raises(EpisodeError, match="solver of its own"):
-                ExactSolver(full).value(spent)
+                make(full).value(spent)
         state[BATTERY] = 7
         spent.set_state(replace(spent.get_state(), numbers=state.tobytes()))
-        assert ExactSolver(full).value(spent) == ExactSolver(spent).value(spent)
+        assert make(full).value(spent) == make(spent).value(spent)
 
-    def test_more_memory_than_is_allowed(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_more_memory_than_is_allowed(self, make: MakeSolver, monkeypatch: pytest.MonkeyPatch) -> None:
         episode = reset("skyline_easy", 0)
-        monkeypatch.setattr(map_graph, "MAX_BYTES", 100_000)
+        monkeypatch.setattr(map_graph, "MAX_BYTES", 50_000)
         with pytest.raises(TooLargeError, match="'skyline_easy' would take"):
-            ExactSolver(episode)
+            make(episode)
         with pytest.raises(TooLargeError, match="'skyline_easy' would take"):
             solve("skyline_easy", 0)
 
-    def test_the_largest_task_at_once(self) -> None:
-        largest = {"width": 64, "height": 64, "deliveries": 16, "max_steps": 32_000, "battery_capacity": 32_000}
-        for needs_all in (False, True):
-            changes = {"drain": ((Cell.ROAD, 2),), "efficiency_needs_all": needs_all, **largest}
-            with pytest.raises(TooLargeError, match=r"1\.1 GB are allowed"):
-                best_actions(reset(replace(get_task("easy"), id="largest", **changes), 0))
 
-    def test_most_battery_where_efficiency_always_counts(self) -> None:
-        with pytest.raises(UnsupportedTaskError, match="'easy_delivery'"):
-            most_battery.best_actions(reset("easy", 0))
+def test_the_largest_task_at_once() -> None:
+    largest = {"width": 64, "height": 64, "deliveries": 16, "max_steps": 32_000, "battery_capacity": 32_000}
+    for needs_all in (False, True):
+        changes = {"drain": ((Cell.ROAD, 2),), "efficiency_needs_all": needs_all, **largest}
+        with pytest.raises(TooLargeError, match=r"1\.1 GB are allowed"):
+            best_actions(reset(replace(get_task("easy"), id="largest", **changes), 0))
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -16,8 +16,9 @@ import torch
 from fastapi.testclient import TestClient
 
 from drone_env.agents import make_agent
-from drone_env.agents.network import LARGEST, MOST_BYTES, load_network, pooling
+from drone_env.agents.network import load_network, pooling
 from drone_env.agents.pathqnet import CHUNK, PathQNetAgent, shipped_network
+from drone_env.agents.weights_file import LARGEST, MOST_BYTES
 from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
 from drone_env.core.cells import N_CELL_KINDS

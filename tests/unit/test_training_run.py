@@ -24,7 +24,7 @@ from drone_env.errors import CheckpointError
 from drone_env.rl.checkpoint import load_checkpoint
 from drone_env.rl.config import ORIGINAL, TrainConfig, preset
 from drone_env.rl.run import TrainingRun, log_line
-from drone_env.rl.trainer import Progress
+from drone_env.rl.trainer import Progress, Trainer
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.unit.small_training import SMALL, assert_same, do_nothing, run_in
@@ -56,7 +56,7 @@ def test_a_checkpoint_of_another_run_names_the_difference_and_without_one_it_sta
     assert not run_in(tmp_path).resumed
 
 
-def saved_at(run: TrainingRun) -> list[tuple[int, int]]:
+def saved_at(run: TrainingRun[Trainer]) -> list[tuple[int, int]]:
     """The (steps, episodes) at which a run saves, which it is then made to do."""
     kept: list[tuple[int, int]] = []
     run.save = lambda: kept.append((run.trainer.steps, run.trainer.episodes))  # type: ignore[method-assign]
@@ -72,8 +72,8 @@ def test_checkpoints_are_so_many_episodes_and_seconds_apart_but_for_the_first(tm
     def saved(episodes: int, seconds: float) -> list[tuple[int, int]]:
         place = tmp_path / f"{episodes} {seconds}"
         config_here = replace(config, checkpoint_episodes=episodes, checkpoint_seconds=seconds)
-        runs: list[TrainingRun] = []
-        runs.append(TrainingRun(config_here, place, place, clock=lambda: runs[0].trainer.steps if runs else 0))
+        runs: list[TrainingRun[Trainer]] = []
+        runs.append(TrainingRun(Trainer(config_here), place, place, clock=lambda: runs[0].trainer.steps if runs else 0))
         return saved_at(runs[0])
 
     steps = sorted(set(saved(0, 0)))
@@ -93,10 +93,10 @@ def test_what_the_log_has_told_is_not_lost_by_a_kill(tmp_path: Path) -> None:
     """The settings are those of `train.py --episodes 500`, but for what takes long."""
     config = replace(preset("fast", "easy", 500), validation_maps=5, validation_every=500, steps_per_update=1e9)
 
-    for line in TrainingRun(config, tmp_path, tmp_path / "results").train():
+    for line in TrainingRun(Trainer(config), tmp_path, tmp_path / "results").train():
         if line.episode >= 60:
             break  # as a kill, without its saving anything
-    assert TrainingRun(config, tmp_path, tmp_path / "results").trainer.episodes >= 50
+    assert TrainingRun(Trainer(config), tmp_path, tmp_path / "results").trainer.episodes >= 50
 
 
 # The command

@@ -19,7 +19,7 @@ from drone_env.core.seeds import split_seeds
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.rl.run import TrainingRun
-from drone_env.rl.trainer import Progress
+from drone_env.rl.trainer import Progress, Trainer
 
 
 def train_trial(out: Path, until: int, checkpoint_seconds: float, trial: Trial) -> Iterator[dict[str, Any]]:
@@ -47,11 +47,11 @@ def train_trial(out: Path, until: int, checkpoint_seconds: float, trial: Trial) 
             return
         config = folder.config()
         try:
-            run = TrainingRun(config.training(trial, checkpoint_seconds), place, place)
+            run = TrainingRun(Trainer(config.training(trial, checkpoint_seconds)), place, place)
             folder.note_part(trial, run.trainer.episodes)
             yield from _train(run, until)
             state = _state(run, state, until)
-            if run.trainer.episodes >= run.config.episodes:
+            if run.trainer.episodes >= run.trainer.config.episodes:
                 state = _judged(state, config, run)
         except Exception as error:
             last = traceback.format_exception_only(type(error), error)[-1].strip()
@@ -75,10 +75,10 @@ def best_until(history: Sequence[Progress], episodes: int) -> float:
     return max((line.validation for line in history[: first + 1] if not math.isnan(line.validation)), default=-math.inf)
 
 
-def _train(run: TrainingRun, until: int) -> Iterator[dict[str, Any]]:
+def _train(run: TrainingRun[Trainer], until: int) -> Iterator[dict[str, Any]]:
     """Train to the first line of the log at or after this many episodes; not at all where that is done."""
-    history, every = run.trainer.history, run.config.validation_every
-    if run.trainer.episodes >= run.config.episodes or (history and history[-1].episode >= until):
+    history, every = run.trainer.history, run.trainer.config.validation_every
+    if run.trainer.episodes >= run.trainer.config.episodes or (history and history[-1].episode >= until):
         return
     reported = run.trainer.episodes
     for line in run.train():
@@ -90,11 +90,12 @@ def _train(run: TrainingRun, until: int) -> Iterator[dict[str, Any]]:
         run.stopped = line.episode >= until
 
 
-def _state(run: TrainingRun, before: TrialState, until: int) -> TrialState:
-    trainer, every = run.trainer, run.config.validation_every
+def _state(run: TrainingRun[Trainer], before: TrialState, until: int) -> TrialState:
+    trainer, config = run.trainer, run.trainer.config
+    every = config.validation_every
     curve: list[tuple[int, float]] = []
     for line in trainer.history:
-        due = line.episode // every > (curve[-1][0] // every if curve else 0) or line.episode == run.config.episodes
+        due = line.episode // every > (curve[-1][0] // every if curve else 0) or line.episode == config.episodes
         if due and not math.isnan(line.validation):
             curve.append((line.episode, line.validation))
     return TrialState(
@@ -109,7 +110,7 @@ def _state(run: TrainingRun, before: TrialState, until: int) -> TrialState:
     )
 
 
-def _judged(state: TrialState, config: SweepConfig, run: TrainingRun) -> TrialState:
+def _judged(state: TrialState, config: SweepConfig, run: TrainingRun[Trainer]) -> TrialState:
     """The state with how the best network flies the test maps."""
     key = episodes_key(config.task, f"pathqnet:{run.network}", split_seeds("test", config.test_maps), "test")
     flown = run_episodes(key)

@@ -17,7 +17,7 @@ from drone_env.server.pilots import HUMAN, PILOTS, agent_of
 from drone_env.server.state import Shared
 
 if TYPE_CHECKING:
-    from drone_env.planning.exact import ExactSolver
+    from drone_env.planning.solver import Solver
 
 
 class LiveEpisode:
@@ -157,7 +157,7 @@ class LiveEpisode:
         self._decision = Action[max(own, key=own.__getitem__)] if own else None
         return frame
 
-    def _solver(self) -> "ExactSolver | None":
+    def _solver(self) -> "Solver | None":
         """The solver of the map; None while there is none, and for a person in flight: values would show good moves."""
         shown = self.pilot != HUMAN or self.episode.ended
         return self._values.get(self.episode.task, self.episode.seed) if shown else None

@@ -13,12 +13,12 @@ from drone_env.errors import TooLargeError
 from drone_env.server.problems import RequestError
 
 if TYPE_CHECKING:
-    from drone_env.planning.exact import ExactSolver
+    from drone_env.planning.solver import Solver
 
 log = logging.getLogger(__name__)
 
 MAX_BYTES = 256 << 20
-"""Memory that the solvers may take together; a map of skyline_hard takes up to 70 MB, one of hard 4 MB."""
+"""Memory that the solvers may take together; a map of skyline_hard takes 3 MB, one of a task of one's own up to 1 GB."""
 UNSOLVED = "What can still be reached on this map could not be worked out; the server's log says why."
 Map = tuple[TaskConfig, int]
 
@@ -27,7 +27,7 @@ class ExactValues:
     """The solvers of the maps that were asked for last; safe to share between threads."""
 
     def __init__(self) -> None:
-        self._solvers: OrderedDict[Map, ExactSolver] = OrderedDict()
+        self._solvers: OrderedDict[Map, Solver] = OrderedDict()
         self._pending: dict[Map, Future[None]] = {}
         self._waiting: Counter[Map] = Counter()
         self._lock = threading.Lock()
@@ -68,7 +68,7 @@ class ExactValues:
                     if key in self._pending and self._pending[key].cancel():
                         del self._pending[key]
 
-    def get(self, task: TaskConfig, seed: int) -> "ExactSolver | None":
+    def get(self, task: TaskConfig, seed: int) -> "Solver | None":
         """The solver of a map from its start, None while there is none."""
         with self._lock:
             solver = self._solvers.get((task, seed))
@@ -82,11 +82,11 @@ class ExactValues:
 
     def _solve(self, key: Map) -> None:
         # Loads Numba, which no server needs that only flies.
-        from drone_env.planning.exact import ExactSolver
+        from drone_env.planning.solvers import solver_of
 
         solver = None
         try:
-            solver = ExactSolver(Episode(key[0], seed=key[1]))
+            solver = solver_of(Episode(key[0], seed=key[1]))
         except TooLargeError:
             pass
         except Exception as error:
@@ -96,7 +96,7 @@ class ExactValues:
             # Whatever went wrong: the next call tries again.
             self._keep(key, solver)
 
-    def _keep(self, key: Map, solver: "ExactSolver | None") -> None:
+    def _keep(self, key: Map, solver: "Solver | None") -> None:
         with self._lock:
             del self._pending[key]
             if solver is None:

@@ -1,4 +1,6 @@
-"""The exact optimum where more battery never hurts: forwards, the most battery with which each place can be reached.
+"""The optimum where more battery never hurts, worked out forwards: a planner that shares nothing with `legs`.
+
+What it keeps is the most battery with which each place can be reached.
 
 With `efficiency_needs_all`, the score of an unfinished flight is its parcels alone, so of two ways to a place that
 take the same steps the one that leaves more battery is at least as good: whatever can be flown after the other can be
@@ -17,8 +19,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rules import outcome_of
 from drone_env.core.score import score_of
 from drone_env.core.tables import Tables
-from drone_env.errors import UnsupportedTaskError
-from drone_env.planning.map_graph import map_graph, require_memory, waiting_parcels
+from drone_env.planning.map_graph import map_graph, waiting_parcels
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
@@ -66,16 +67,12 @@ def forward_kernel(
 def best_actions(episode: Episode) -> list[Action]:
     """The actions of a best flight from where an episode stands to its end; the episode is left as it is.
 
-    Raises:
-        UnsupportedTaskError: if the task has no `efficiency_needs_all`.
-        TooLargeError: if it would take more memory than `map_graph.MAX_BYTES`.
+    The task has `efficiency_needs_all`: else more battery may hurt.
     """
     task = episode.task
-    if not task.efficiency_needs_all:
-        raise UnsupportedTaskError(f"task {task.id!r}: more battery may hurt where efficiency always counts")
+    assert task.efficiency_needs_all
     places = task.width * task.height << len(waiting_parcels(episode))
     steps_left = task.max_steps - episode.steps
-    require_memory("the optimum", task, places * (30 + 6 * (steps_left + 1)))
     most = np.zeros((steps_left + 1, places), np.uint16)
     came_from = np.zeros(most.shape, np.int32)
     most[0, episode.cell] = episode.battery_units

@@ -1,0 +1,107 @@
+"""The agent that chooses by the tour network where to fly next and by which way, every step anew."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.agents.weights_file import WEIGHTS
+from drone_env.core.actions import Action
+from drone_env.core.episode import Observation
+from drone_env.core.tasks import TaskConfig
+from drone_env.errors import UnsupportedTaskError
+
+if TYPE_CHECKING:
+    from drone_env.agents.tour_network import TourNetwork
+    from drone_env.agents.tour_view import View
+
+SHIPPED = WEIGHTS / "tournet_v1.npz"
+"""One network for all tasks."""
+TIE = 1e-4
+"""Logits that lie closer together count as equal: how many states are looked at together changes their last bits."""
+
+
+def tour_network(network: Path | None) -> "TourNetwork":
+    """The network in a file, the shipped one for None.
+
+    Raises:
+        OSError: if the file cannot be read.
+        CheckpointError: if it holds no tour network.
+        UnsupportedTaskError: if none is shipped.
+    """
+    # Compiles, which nobody should wait for who does not fly by it.
+    from drone_env.agents.tour_network import load_tour_network
+
+    if network is None and not SHIPPED.is_file():
+        raise UnsupportedTaskError(f"no tour network is shipped as {SHIPPED}: name a file, as in tournet:FILE")
+    return load_tour_network(SHIPPED if network is None else network)
+
+
+class TournetAgent:
+    """Of all ways that are worth flying to a parcel or a pad, and of a charge, begins the one that the network prefers.
+
+    It flies any task, of any size, by one network. Not to be shared between threads.
+
+    Args:
+        task: The task.
+        network: The file of an exported tour network; None for the shipped one.
+
+    Raises:
+        OSError: if the file cannot be read.
+        CheckpointError: if it holds no tour network.
+        TooLargeError: if what there is to see on a map of the task would take too much memory.
+        UnsupportedTaskError: if no network is shipped.
+    """
+
+    stateless = True
+
+    def __init__(self, task: TaskConfig, network: Path | None = None) -> None:
+        from drone_env.agents.tour_viewer import Viewer  # as above
+
+        self._network = tour_network(network)
+        self._viewer = Viewer(task)
+        self.config: Mapping[str, object] = {"agent": "tournet", "version": 1, "network": self._network.digest}
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Observation) -> int:
+        """The first action of the preferred way; WAIT where nothing is within reach."""
+        return int(self._choose(observation["grid"][None], observation["telemetry"][None])[0])
+
+    def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
+        """Nothing to forget."""
+
+    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The same of many observations, int64[N]."""
+        most = self._viewer.most
+        parts = range(0, len(grids), most)
+        return np.concatenate([self._choose(grids[i : i + most], telemetry[i : i + most]) for i in parts])
+
+    def _choose(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        view = self._viewer(grids, telemetry)
+        choices, _ = self._network(view)
+        actions = np.full(len(grids), Action.WAIT, np.int64)
+        options = best_options(view, choices)
+        actions[options >= 0] = view.numbers[options[options >= 0], 2]
+        return actions
+
+
+def best_options(view: "View", choices: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+    """The number of the first option of the highest logit of each view, int64[M]; -1 where there is none.
+
+    Args:
+        view: Of M states.
+        choices: float32[options], the logits.
+    """
+    best = np.full(len(view.begins) - 1, -1, np.int64)
+    some = np.flatnonzero(np.diff(view.begins))
+    begins = view.begins[some]
+    if len(some):
+        highest = np.repeat(np.maximum.reduceat(choices, begins), np.diff(view.begins)[some])
+        # The first of each view is found where those before it are counted.
+        high = np.flatnonzero(choices > highest - TIE)
+        best[some] = high[np.searchsorted(high, begins)]
+    return best

@@ -1,0 +1,130 @@
+"""All that decides how a tour network is trained. A new hyperparameter is one more field."""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import InvalidValueError
+
+ALL = "all"
+SHARES = {
+    "easy_delivery": 0.0,  # one parcel and one way to it: nothing to choose
+    "medium_delivery": 0.06,
+    "hard_delivery": 0.10,
+    "skyline_easy": 0.14,
+    "skyline_medium": 0.20,
+    "skyline_hard": 0.35,
+}
+"""How much of a training on all tasks each of them takes; what is left goes to `VARIANTS`."""
+VARIANTS = (
+    ("skyline_easy", 2, 4),
+    ("skyline_easy", 4, 3),
+    ("skyline_medium", 3, 6),
+    ("skyline_medium", 5, 5),
+    ("skyline_hard", 3, 6),
+    ("skyline_hard", 4, 4),
+)
+"""Task, parcels, pads: so that a network sees other counts than those of the tasks."""
+
+
+@dataclass(frozen=True)
+class TourConfig:
+    """One training of a tour network.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+        InvalidValueError: if a number is out of range.
+    """
+
+    task: str = ALL
+    """The task, by its short name, id or grader; `all` for one network that learns all of them, and variants."""
+    updates: int = 20_000
+    """Updates in all; the learning rate falls to its end over them."""
+    seed: int = 0
+    """Of the weights, the maps and the batches: equal seeds, equal runs (on a CPU)."""
+    num_threads: int = 1
+    """Threads that PyTorch computes with; one more draws lessons. Runs with other numbers differ in the last bits."""
+    batch_size: int = 512
+    """States per update, of one task."""
+    learning_rate: float = 1e-3
+    """Of AdamW, at its highest."""
+    final_learning_rate: float = 1e-5
+    """At the last update; it falls along half a cosine."""
+    warm_up: int = 200
+    """Updates over which the learning rate rises."""
+    weight_decay: float = 1e-4
+    """Of AdamW."""
+    max_grad_norm: float = 1.0
+    """Gradients longer than this are shortened to it."""
+    temperature: float = 0.004
+    """Regret, in score, at which the wanted probability of an option has fallen to 1 / e of the best one's."""
+    regret_weight: float = 100.0
+    """What expected regret costs, beside the cross-entropy."""
+    completion_weight: float = 2.0
+    """What the error about missions that can still be completed costs."""
+    average: float = 0.998
+    """Share that the average of the weights, which is what flies, keeps at each update."""
+    maps_per_chunk: int = 8
+    """Maps that are drawn together; one chunk is drawn for each update."""
+    states_per_map: int = 128
+    """States of each map."""
+    window: int = 24
+    """Chunks of each task that batches are drawn from: the last ones."""
+    validation_every: int = 1_000
+    """Updates between two validations."""
+    validation_maps: int = 200
+    """Maps of the validation split of each task that each flies."""
+    log_every: int = 100
+    """Updates per line of the log."""
+    checkpoint_seconds: float = 30.0
+    """At least this many seconds between two checkpoints."""
+
+    def __post_init__(self) -> None:
+        self.tasks()
+        positive = (
+            "updates", "num_threads", "batch_size", "learning_rate", "temperature", "maps_per_chunk", "states_per_map",
+            "window", "validation_every", "validation_maps", "log_every", "max_grad_norm",
+        )  # fmt: skip
+        for name in positive:
+            _require(getattr(self, name) > 0, f"{name} must be above 0, got {getattr(self, name)}")
+        for name in (
+            "final_learning_rate", "warm_up", "weight_decay", "regret_weight", "completion_weight", "seed",
+            "checkpoint_seconds",
+        ):  # fmt: skip
+            _require(getattr(self, name) >= 0, f"{name} must not be below 0, got {getattr(self, name)}")
+        _require(0 <= self.average < 1, f"average must be in [0, 1), got {self.average}")
+
+    @property
+    def name(self) -> str:
+        """Of the files."""
+        return "tournet" if self.task == ALL else f"tournet_{get_task(self.task).short_name}"
+
+    def tasks(self) -> list[TaskConfig]:
+        """The tasks that are learned and validated."""
+        return list(map(get_task, SHARES)) if self.task == ALL else [get_task(self.task)]
+
+    def lessons(self) -> dict[TaskConfig, float]:
+        """What lessons are drawn on, and the share of each."""
+        if self.task != ALL:
+            return {get_task(self.task): 1.0}
+        shares = {get_task(name): share for name, share in SHARES.items() if share}
+        rest = 1 - sum(shares.values())
+        return shares | {variant(*of): rest / len(VARIANTS) for of in VARIANTS}
+
+    def identity(self) -> dict[str, Any]:
+        """What a resumed run must share with the one that it goes on from."""
+        return {name: value for name, value in asdict(self).items() if name != "checkpoint_seconds"} | {
+            "tasks": {task.id: task.version for task in self.tasks()},
+        }
+
+
+def variant(name: str, deliveries: int, pads: int) -> TaskConfig:
+    """A task with other counts of parcels and pads; it is registered nowhere."""
+    task = TASKS[name]
+    changed = f"{task.id}_{deliveries}_{pads}"
+    return replace(task, id=changed, short_name=changed, grader="", deliveries=deliveries, pads=pads)
+
+
+def _require(holds: bool, message: str) -> None:
+    if not holds:
+        raise InvalidValueError(message)

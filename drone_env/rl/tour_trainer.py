@@ -1,0 +1,375 @@
+"""Distilling exact values into a tour network.
+
+For each state the network is fitted to a soft choice, the one that gives each option exp(-regret / temperature), as
+in policy distillation (Rusu et al., 2016); the expected regret is added, and a second output learns whether the mission
+can still be completed after an option. What flies is the average of the weights (Polyak and Juditsky, 1992).
+
+A chunk of lessons is drawn for every update, by a thread of its own. Which states it holds depends on the seed and on
+its number alone, so that a resumed run draws the last ones again and goes on bit for bit.
+"""
+
+import math
+import time
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits, logsigmoid
+
+from drone_env.agents.tour_view import View, Viewer
+from drone_env.core.actions import Action
+from drone_env.core.seeds import SPLITS
+from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
+from drone_env.rl.lessons import COMPLETE, Lessons, Teacher
+from drone_env.rl.tour_config import ALL, TourConfig
+from drone_env.rl.tour_model import TourNet
+from drone_env.rl.validation import Validator
+
+CURVES = {
+    "choice": "cross-entropy of the choices",
+    "regret": "expected regret of a choice, in score",
+    "completion": "cross-entropy of what can be completed",
+    "validation": "share of the optimum on validation maps",
+}
+AHEAD = 3
+"""Chunks that are drawn before they are asked for."""
+MOST_REGRET = 0.1
+"""What expected regret counts at most: a parcel more or less is the completion's matter."""
+
+
+@dataclass(frozen=True)
+class TourProgress:
+    """How a run stands: one line of its log.
+
+    Attributes:
+        update: Updates so far.
+        states: States that it has learned from, repeated ones included.
+        learning_rate: The present one.
+        choice: Mean cross-entropy of the choices since the line before.
+        regret: Mean expected regret of a choice, in score, likewise.
+        completion: Mean cross-entropy of the completions, likewise.
+        validation: Mean over the tasks of the share of the optimum, of the last validation; NaN before it.
+        validation_optimum: 1.
+        cpu_seconds: Seconds that the processors have worked on this run.
+    """
+
+    update: int
+    states: int
+    learning_rate: float
+    choice: float
+    regret: float
+    completion: float
+    validation: float
+    validation_optimum: float
+    cpu_seconds: float
+
+
+class TourTrainer(Learner):
+    """One training of a tour network, from its first update or from a checkpoint.
+
+    Args:
+        config: All that decides how it goes.
+
+    Raises:
+        UnsupportedTaskError: if the exact values of a task cannot be found by legs.
+        TooLargeError: if they would take too much memory.
+    """
+
+    unit, work, curves = "updates", "states", CURVES
+
+    def __init__(self, config: TourConfig) -> None:
+        keep_freed_memory()
+        torch.set_num_threads(config.num_threads)
+        torch.manual_seed(config.seed)
+        self.config, self.device = config, torch.device("cpu")
+        tasks = config.tasks()
+        self.name, self.validation_every = config.name, config.validation_every
+        shares = config.lessons()
+        self._learned, self._shares = list(shares), np.array(list(shares.values()))
+        self._teachers: dict[int, Teacher] = {}
+        self._windows: list[deque[Lessons]] = [deque(maxlen=config.window) for _ in shares]
+        self._validators = {task.short_name: Validator(task, config.validation_maps) for task in tasks}
+        self._viewers = {task.short_name: Viewer(task, config.validation_maps) for task in tasks}
+        self.online = TourNet()
+        self.average = deepcopy(self.online)
+        self.optimizer = torch.optim.AdamW(
+            self.online.parameters(), config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
+        )
+        self.updates = self.states = 0
+        self._losses: list[tuple[float, float, float]] = []
+        self.history: list[TourProgress] = []
+        self.shares: dict[str, float] = {}
+        """Share of the optimum on the validation maps of each task, of the last validation."""
+        self._cpu_before, self._cpu_since = 0.0, time.process_time()
+
+    @property
+    def done(self) -> int:
+        """Updates so far."""
+        return self.updates
+
+    @property
+    def wanted(self) -> int:
+        """Updates in all."""
+        return self.config.updates
+
+    @property
+    def checkpoint_gap(self) -> tuple[int, float]:
+        """At least so many updates and seconds lie between two checkpoints."""
+        return 1, self.config.checkpoint_seconds
+
+    @property
+    def cpu_seconds(self) -> float:
+        """Seconds that the processors have worked on this run, in all its parts."""
+        return self._cpu_before + time.process_time() - self._cpu_since
+
+    def train(self) -> Iterator[list[TourProgress]]:
+        """Learn until `config.updates` updates are made; yields after each.
+
+        The caller may save between two updates, or ask for no more of them.
+
+        Yields:
+            The lines that the update added to the log, most often none.
+        """
+        with ThreadPoolExecutor(1) as drawing:
+            self._fill_windows(drawing)
+            coming: deque[Future[Lessons]] = deque()
+            while self.updates < self.config.updates:
+                while len(coming) < AHEAD:
+                    coming.append(drawing.submit(self._draw, self.updates + len(coming)))
+                self._windows[self._subject(self.updates)].append(coming.popleft().result())
+                self._learn()
+                yield self._log()
+            for chunk in coming:
+                chunk.cancel()
+
+    def _random(self, chunk: int, use: int) -> np.random.Generator:
+        return np.random.default_rng((self.config.seed, chunk, use))
+
+    def _subject(self, chunk: int) -> int:
+        """The number of the task that a chunk is drawn on."""
+        return int(self._random(chunk, 0).choice(len(self._shares), p=self._shares))
+
+    def _draw(self, chunk: int) -> Lessons:
+        config, subject = self.config, self._subject(chunk)
+        if subject not in self._teachers:
+            task = self._learned[subject]
+            self._teachers[subject] = Teacher(task, config.maps_per_chunk, config.states_per_map)
+        train = SPLITS["train"]
+        seeds = self._random(chunk, 1).integers(train.start, train.stop, config.maps_per_chunk)
+        return self._teachers[subject].draw(seeds)
+
+    def _fill_windows(self, drawing: ThreadPoolExecutor) -> None:
+        """Draw again what a run that goes on had drawn last."""
+        missing = {subject: self.config.window for subject in range(len(self._shares)) if self._shares[subject]}
+        again: list[int] = []
+        for chunk in range(self.updates - 1, -1, -1):
+            subject = self._subject(chunk)
+            if missing.get(subject, 0):
+                again.append(chunk)
+                missing[subject] -= 1
+            if not any(missing.values()):
+                break
+        again.reverse()
+        for chunk, lessons in zip(again, drawing.map(self._draw, again), strict=True):
+            self._windows[self._subject(chunk)].append(lessons)
+
+    def _learn(self) -> None:
+        """Fit the network to one batch."""
+        config, random = self.config, self._random(self.updates, 2)
+        shares = self._shares * [any(len(lessons.values) for lessons in window) for window in self._windows]
+        window = self._windows[int(random.choice(len(shares), p=shares / shares.sum()))]
+        batch = sample([lessons for lessons in window if len(lessons.values)], config.batch_size, random)
+        choice, regret, completion = self._losses_of(batch)
+        loss = choice + config.regret_weight * regret + config.completion_weight * completion
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.learning_rate
+        self.optimizer.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.online.parameters(), config.max_grad_norm)
+        self.optimizer.step()
+        self.updates += 1
+        self.states += config.batch_size
+        # At first over fewer updates, so that the average forgets the weights that it began with.
+        kept = min(config.average, 1 - 1 / (self.updates / 10 + 1))
+        with torch.no_grad():
+            for mean, weight in zip(self.average.parameters(), self.online.parameters(), strict=True):
+                mean.lerp_(weight, 1 - kept)
+        self._losses.append((choice.item(), regret.item(), completion.item()))
+
+    def _losses_of(self, batch: "Batch") -> tuple[Tensor, Tensor, Tensor]:
+        """Cross-entropy of the choices, expected regret, and cross-entropy of the completions: means over a batch."""
+        preference, completion = self.online(*batch.inputs)
+        logits = batch.table(preference + 2 * logsigmoid(completion), -math.inf)
+        values = batch.table(batch.values, -math.inf)
+        regrets = values.amax(1, keepdim=True) - values
+        wanted = (-regrets / self.config.temperature).softmax(1)
+        log_chosen = logits.log_softmax(1)
+        there = torch.isfinite(values)
+        choice = -(wanted * log_chosen.masked_fill(~there, 0)).sum(1).mean()
+        regret = (log_chosen.exp() * regrets.clamp(max=MOST_REGRET).masked_fill(~there, 0)).sum(1).mean()
+        can_complete = (batch.values >= COMPLETE).float()
+        return choice, regret, binary_cross_entropy_with_logits(completion, can_complete)
+
+    @property
+    def learning_rate(self) -> float:
+        """The present step size."""
+        config = self.config
+        part = self.updates / config.updates
+        fallen = config.final_learning_rate
+        fallen += (config.learning_rate - fallen) * (1 + math.cos(math.pi * part)) / 2
+        return fallen * min(1.0, (self.updates + 1) / (config.warm_up + 1))
+
+    def _log(self) -> list[TourProgress]:
+        """The line that is due after an update, if one is; validates where that is due."""
+        config, last = self.config, self.updates == self.config.updates
+        if self.updates % config.validation_every == 0 or last:
+            self.validate()
+        if self.updates % config.log_every and not last:
+            return []
+        choice, regret, completion = np.mean(self._losses, axis=0).tolist()
+        self._losses = []
+        mean = float(np.mean(list(self.shares.values()))) if self.shares else math.nan
+        rate = self.learning_rate
+        line = TourProgress(self.updates, self.states, rate, choice, regret, completion, mean, 1.0, self.cpu_seconds)
+        self.history.append(line)
+        return [line]
+
+    def validate(self) -> None:
+        """Fly the validation maps of each task with the average of the weights."""
+        for name, validator in self._validators.items():
+            viewer = self._viewers[name]
+            flown = validator.validate(lambda grids, telemetry, see=viewer: self._act(see(grids, telemetry)))
+            self.shares[name] = flown.score / flown.optimum
+
+    def _act(self, view: View) -> npt.NDArray[np.int64]:
+        batch = Batch(view, np.zeros(len(view.token), np.float32))
+        with torch.no_grad():
+            preference, completion = self.average(*batch.inputs)
+        return first_actions(view, (preference + 2 * logsigmoid(completion)).numpy())
+
+    def get_state(self) -> dict[str, Any]:
+        """Everything that the run needs to go on, as tensors and plain values."""
+        return {
+            "config": self.config.identity(),
+            **{name: getattr(self, name).state_dict() for name in LEARNED},
+            "counters": [self.updates, self.states],
+            "losses": list(self._losses),
+            "history": [vars(line) for line in self.history],
+            "shares": dict(self.shares),
+            "cpu_seconds": self.cpu_seconds,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on where `get_state` stood.
+
+        Raises:
+            CheckpointError: if the state is of a run with another configuration, whose differences the message names.
+        """
+        require_same(self.config.identity(), state["config"])
+        for name in LEARNED:
+            getattr(self, name).load_state_dict(state[name])
+        self.updates, self.states = state["counters"]
+        self._losses = [tuple(losses) for losses in state["losses"]]
+        self.history = [TourProgress(**line) for line in state["history"]]
+        self.shares = dict(state["shares"])
+        self._cpu_before, self._cpu_since = state["cpu_seconds"], time.process_time()
+
+    def best_network(self) -> TourNet:
+        """The average of the weights."""
+        return self.average
+
+    @property
+    def worked(self) -> int:
+        """States that it has learned from."""
+        return self.states
+
+    @property
+    def result(self) -> str:
+        """The share of the optimum that the network reaches on each task."""
+        return ", ".join(f"{name} {share:.4f}" for name, share in self.shares.items()) + " of the optimum"
+
+    @property
+    def judged_by(self) -> str:
+        """What `drone-env evaluate` takes to judge it."""
+        names = " ".join(task.short_name for task in self.config.tasks())
+        return f"--task {'all' if self.config.task == ALL else names} --agents greedy tournet"
+
+    def figures(self, line: TourProgress) -> str:
+        """A line of the log in few words, for who watches."""
+        return f"regret {line.regret:.5f}  completion {line.completion:.4f}  validation {figure(line.validation, 4)}"
+
+    def metadata(self) -> dict[str, Any]:
+        """What the exported network says of itself."""
+        return {
+            "network": "tournet",
+            "kind": "distilled",
+            "tasks": {task.id: task.version for task in self.config.tasks()},
+            "config": self.config.identity(),
+            "updates": self.updates,
+            "states": self.states,
+            "cpu_seconds": round(self.cpu_seconds, 1),
+            "validation_shares": self.shares,
+        }
+
+
+LEARNED = ("online", "average", "optimizer")
+
+
+class Batch:
+    """States and their options as tensors.
+
+    Args:
+        view: Of the states.
+        values: float32[options], what each option is worth.
+    """
+
+    def __init__(self, view: View, values: npt.NDArray[np.float32]) -> None:
+        counts = np.diff(view.begins)
+        owner = np.repeat(np.arange(len(counts)), counts)
+        self._size = (len(counts), int(counts.max(initial=1)))
+        self._at = (
+            torch.from_numpy(owner),
+            torch.from_numpy(np.arange(len(owner)) - np.repeat(view.begins[:-1], counts)),
+        )
+        arrays = (view.tokens, view.present, view.edges, owner, view.token.astype(np.int64), view.features)
+        self.inputs = tuple(map(torch.from_numpy, arrays))
+        """What the network takes."""
+        self.values = torch.from_numpy(values)
+
+    def table(self, values: Tensor, missing: float) -> Tensor:
+        """A number for each option as one row for each state, float32[states, most options]."""
+        return torch.full(self._size, missing).index_put(self._at, values)
+
+
+def sample(window: list[Lessons], size: int, random: np.random.Generator) -> Batch:
+    """States of four lessons of a window, as many of each."""
+    parts: list[tuple[npt.NDArray[Any], ...]] = []
+    for _ in range(4):
+        (view, values) = window[random.integers(len(window))]
+        chosen = random.integers(0, len(view.tokens), size // 4)
+        counts = np.diff(view.begins)[chosen]
+        options = np.repeat(view.begins[chosen] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
+        by_state = (view.tokens[chosen], view.present[chosen], view.edges[chosen], counts)
+        parts.append((*by_state, view.token[options], view.features[options], view.numbers[options], values[options]))
+    tokens, present, edges, counts, token, features, numbers, values = map(np.concatenate, zip(*parts, strict=True))
+    begins = np.concatenate([[0], np.cumsum(counts)])
+    return Batch(View(tokens, present, edges, begins, token, features, numbers), values)
+
+
+def first_actions(view: View, logits: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+    """The first action of the best option of each state, int64[M]; WAIT where there is none."""
+    counts = np.diff(view.begins)
+    actions = np.full(len(counts), int(Action.WAIT))
+    some = np.flatnonzero(counts)
+    if len(some):
+        best = np.repeat(np.maximum.reduceat(logits, view.begins[:-1][some]), counts[some])
+        options = np.flatnonzero(logits == best)[::-1]
+        actions[np.repeat(np.arange(len(counts)), counts)[options]] = view.numbers[options, 2]
+    return actions

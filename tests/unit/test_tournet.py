@@ -1,0 +1,286 @@
+"""The tour network: the same in PyTorch and in NumPy, what it sees, and the agent that flies by it."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+
+from drone_env.agents import make_agent
+from drone_env.agents.tour_network import SHAPES, TourNetwork, load_tour_network
+from drone_env.agents.tour_view import View
+from drone_env.agents.tour_viewer import CHUNK, Viewer
+from drone_env.agents.tournet import TournetAgent, best_options
+from drone_env.agents.weights_file import LARGEST, MOST_BYTES, Weights, network_of
+from drone_env.commands import evaluate as command
+from drone_env.core.actions import Action
+from drone_env.core.batch import Batch
+from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode, Observation
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError
+from drone_env.planning.exact import ExactSolver
+from drone_env.rl.tour_model import TourNet
+from tests.toy import toy_episode
+
+HARD = get_task("skyline_hard")
+OWN = {
+    "16 parcels, 20 pads": replace(HARD, deliveries=16, pads=20, width=20, height=20, battery_capacity=60),
+    "efficiency counts always": replace(HARD, efficiency_needs_all=False),
+    "pads without charges": replace(HARD, charge_rate=0),
+    "terrain without pads": replace(HARD, pads=0, charge_rate=0, battery_capacity=200),
+    "uniform, a short battery": replace(get_task("hard"), battery_capacity=25),
+    "uniform, 16 parcels, not square": replace(get_task("hard"), deliveries=16, width=30, height=9),
+}
+"""Tasks of one's own."""
+EVERY_TASK = {**TASKS, **{name: replace(task, id="own", short_name="own") for name, task in OWN.items()}}
+
+
+def save(path: Path, parameters: dict[str, Any], metadata: Mapping[str, object] | None = None) -> Path:
+    np.savez(path, metadata=np.array(json.dumps(metadata or {"network": "tournet"})), **parameters)
+    return path
+
+
+def parameters_of(model: TourNet) -> dict[str, Any]:
+    return {name: tensor.numpy() for name, tensor in model.state_dict().items()}
+
+
+@pytest.fixture(scope="module")
+def model() -> TourNet:
+    torch.manual_seed(0)
+    return TourNet()
+
+
+@pytest.fixture(scope="module")
+def network(model: TourNet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of random weights."""
+    return save(tmp_path_factory.mktemp("network") / "tour.npz", parameters_of(model))
+
+
+def observations(task: TaskConfig, maps: int, steps: int) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32]]:
+    """What drones see that fly at random, at every third step."""
+    batch, rng = Batch(task, maps), np.random.default_rng(0)
+    batch.reset(np.arange(maps))
+    grids: list[Any] = []
+    telemetry: list[Any] = []
+    for t in range(steps):
+        if t % 3 == 0:
+            grids.append(batch.grids.copy())
+            telemetry.append(batch.telemetry.copy())
+        batch.step(rng.integers(0, 5, maps))
+    return np.concatenate(grids), np.concatenate(telemetry)
+
+
+def view_of(viewer: Viewer, observation: Observation) -> View:
+    return viewer(observation["grid"][None], observation["telemetry"][None])
+
+
+# The network
+
+
+def test_a_file_holds_what_the_model_in_torch_has(model: TourNet, network: Path) -> None:
+    assert {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()} == SHAPES
+    assert network.stat().st_size < MOST_BYTES
+
+
+@pytest.mark.parametrize("name", EVERY_TASK)
+def test_the_network_without_torch_is_the_same(name: str, model: TourNet, network: Path) -> None:
+    view = Viewer(EVERY_TASK[name])(*observations(EVERY_TASK[name], 6, 30))
+    choices, completions = load_tour_network(network)(view)
+    owner = torch.from_numpy(np.repeat(np.arange(len(view.tokens)), np.diff(view.begins)))
+    arrays = (torch.from_numpy(array) for array in (view.tokens, view.present, view.edges))
+    with torch.no_grad():
+        expected = model(*arrays, owner, torch.from_numpy(view.token).long(), torch.from_numpy(view.features))
+    assert len(choices) > 20
+    assert np.abs(choices - expected[0].numpy()).max() < 1e-5
+    assert np.abs(completions - expected[1].numpy()).max() < 1e-5
+
+
+def test_the_largest_weights_that_are_taken_do_not_overflow() -> None:
+    view = Viewer(HARD)(*observations(HARD, 6, 30))
+    rng = np.random.default_rng(0)
+    for signs in ([1], [-1, 1]):
+        large = {name: (LARGEST * rng.choice(signs, shape)).astype(np.float32) for name, shape in SHAPES.items()}
+        for logits in TourNetwork(Weights(large, {}, ""))(view):
+            assert np.isfinite(logits).all()
+
+
+def test_what_is_no_tour_network_is_refused(network: Path, tmp_path: Path) -> None:
+    with np.load(network) as file:
+        whole = {name: file[name] for name in file.files if name != "metadata"}
+    path = tmp_path / "tour.npz"
+    for parameters, metadata, why in (
+        (whole, {"network": "atlas"}, "it holds a network of 'atlas', not of 'tournet'"),
+        ({**whole, "norm.bias": whole["norm.bias"][:-1]}, {}, r"norm.bias is float32\[63\] instead of float32\[64\]"),
+        ({**whole, "norm.bias": np.full(64, np.inf, np.float32)}, {}, "norm.bias has values that are no numbers"),
+        ({**whole, "more": whole["norm.bias"]}, {}, "and nothing else"),
+        (whole, {"task": "skyline_easy", "task_version": 1}, "withdrawn"),
+    ):
+        save(path, parameters, {"network": "tournet"} | metadata)
+        with pytest.raises(CheckpointError, match=why):
+            make_agent(f"tournet:{path}", "easy")
+    with pytest.raises(CheckpointError, match="it holds a network of 'tournet', not of 'pathqnet'"):
+        make_agent(f"pathqnet:{network}", "easy")
+    with pytest.raises(FileNotFoundError):
+        make_agent(f"tournet:{tmp_path / 'gone.npz'}", "easy")
+
+
+# What it sees
+
+
+def test_the_options_on_a_map_that_is_drawn_by_hand() -> None:
+    """Over the building to parcel 0 in 2 steps for 6 units, around it in 4 for 4: both are worth flying."""
+    episode = toy_episode(
+        ["@B0.", "..PO", "TTT1"], max_steps=50, battery_capacity=12, charge_rate=4,
+        drain=((Cell.BUILDING, 5), (Cell.TREE, 2)), impassable=frozenset({Cell.OBSTACLE}),
+    )  # fmt: skip
+    viewer = Viewer(episode.task)
+
+    def seen() -> list[tuple[int, ...]]:
+        view = view_of(viewer, episode.observation())
+        return [(int(token), *numbers) for token, numbers in zip(view.token, view.numbers.tolist(), strict=True)]
+
+    down, right = Action.DOWN, Action.RIGHT
+    # (token, units, steps, first action); tokens are 1 and 2 for the parcels, 3 for the pad.
+    assert seen() == [(1, 6, 2, right), (1, 4, 4, down), (2, 6, 5, down), (3, 3, 3, down)]
+    episode.fly([down, right, right])
+    assert seen() == [(1, 1, 1, Action.UP), (2, 3, 2, down), (3, -3, 1, Action.WAIT)]
+    episode.step(Action.WAIT)
+    # Full: no charge. The parcel at the top hides nothing behind it, since it would be delivered there.
+    assert seen() == [(1, 1, 1, Action.UP), (2, 3, 2, down)]
+
+
+@pytest.mark.parametrize("name", EVERY_TASK)
+def test_a_way_is_as_it_is_offered_and_goes_on_with_every_step(name: str) -> None:
+    task = EVERY_TASK[name]
+    viewer, episode = Viewer(task), Episode(task, seed=3)
+    for option in range(40):
+        view = view_of(viewer, episode.observation())
+        if not len(view.numbers):
+            break
+        units, steps, action = view.numbers[option * 7 % len(view.numbers)].tolist()
+        charge, battery, done = units < 0, episode.battery_units, episode.deliveries_done
+        while True:
+            episode.step(action)
+            steps -= 1
+            drained = battery - episode.battery_units
+            if steps == 0:
+                break
+            now = view_of(viewer, episode.observation()).numbers.tolist()
+            # Where the battery tells no more than the time, units are steps.
+            action = next(first for u, s, first in now if (u, s) == (units - drained, steps))
+        assert drained == units
+        assert charge or episode.deliveries_done > done or episode.under == Cell.PAD
+        if episode.ended:
+            break
+    assert episode.steps > 3
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_optimum_can_be_flown_by_the_options_that_are_offered(name: str) -> None:
+    """Whatever the best option is, by the exact value of where its first step leads."""
+    task = TASKS[name]
+    viewer = Viewer(task)
+    for seed in range(1 if name in ("skyline_hard", "hard_delivery") else 4):
+        episode = Episode(task, seed=seed)
+        solver = ExactSolver(episode)
+        optimum = solver.value(episode)
+        while not episode.ended:
+            values = solver.q_values(episode)
+            offered = view_of(viewer, episode.observation()).numbers[:, 2]
+            episode.step(max(offered, key=lambda action: values[action]))
+        assert episode.score == optimum
+
+
+@pytest.mark.parametrize("name", EVERY_TASK)
+def test_what_is_kept_of_a_map_is_what_would_be_found_anew(name: str) -> None:
+    task = EVERY_TASK[name]
+    grids, telemetry = observations(task, 4, 30)
+    viewer = Viewer(task)
+    kept = [np.array(part) for part in viewer(grids[-viewer.most :], telemetry[-viewer.most :])]
+    alone = [Viewer(task)(*one) for one in zip(grids[:, None], telemetry[:, None], strict=True)]
+    for part, array in enumerate(kept):
+        if part != 3:
+            assert np.array_equal(array, np.concatenate([view[part] for view in alone[-viewer.most :]]))
+
+
+def test_more_maps_than_are_kept_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drone_env.agents.tour_viewer.KEPT_BYTES", 0)
+    monkeypatch.setattr("drone_env.agents.tour_viewer.CHUNK", 3)
+    viewer = Viewer(HARD)
+    grids, telemetry = observations(HARD, 8, 6)
+    for i in range(0, len(grids), 3):
+        some = slice(i, i + 3)
+        alone = [Viewer(HARD)(*one).edges for one in zip(grids[some, None], telemetry[some, None], strict=True)]
+        assert np.array_equal(viewer(grids[some], telemetry[some]).edges, np.concatenate(alone))
+
+
+def test_an_observation_of_no_map_of_the_task_is_refused() -> None:
+    grids, telemetry = observations(HARD, 2, 1)
+    for kind in (Cell.PAD, Cell.DELIVERY):
+        with pytest.raises(InvalidValueError, match="more parcels or pads than"):
+            Viewer(HARD)(np.full_like(grids, kind), telemetry)
+    for place in (0, 2):
+        wrong = telemetry.copy()
+        wrong[1, place] = 1.5
+        wrong[1, 1] = 0.99
+        with pytest.raises(InvalidValueError, match="beside the grid of 'skyline_hard', or too many units"):
+            Viewer(HARD)(grids, wrong)
+
+
+def test_a_task_with_too_much_to_see_is_refused() -> None:
+    pads = {"pads": 4000, "deliveries": 16, "buildings": 0, "trees": 0, "obstacles": 0, "street_spacing": 0}
+    with pytest.raises(TooLargeError, match=r"the view of a map of 'large' would take .* GB"):
+        Viewer(replace(HARD, id="large", width=64, height=64, battery_capacity=32_000, **pads))
+
+
+# The agent
+
+
+@pytest.mark.parametrize("name", EVERY_TASK)
+def test_the_agent_flies_alone_as_in_a_batch(name: str, network: Path) -> None:
+    agent = TournetAgent(EVERY_TASK[name], network)
+    grids, telemetry = observations(EVERY_TASK[name], 20, 40)
+    together = agent.act_batch(grids, telemetry)
+    assert len(grids) > CHUNK
+    assert len(set(together.tolist())) > 2
+    other = TournetAgent(EVERY_TASK[name], network)
+    for i in range(0, len(grids), 7):
+        assert other.act({"grid": grids[i], "telemetry": telemetry[i]}) == together[i]
+
+
+def test_the_first_of_the_highest_is_chosen() -> None:
+    empty = np.zeros(0, np.float32)
+    view = View(empty, empty, empty, np.array([0, 2, 2, 5]), empty, empty, empty)
+    assert best_options(view, np.array([1, 2, 3, 3.00001, 1], np.float32)).tolist() == [1, -1, 2]
+    assert best_options(view._replace(begins=np.zeros(3, np.int64)), empty).tolist() == [-1, -1]
+
+
+def test_where_nothing_is_within_reach_it_waits(network: Path) -> None:
+    episode = toy_episode(["@..0", "...."], max_steps=9, battery_capacity=2)
+    agent = TournetAgent(episode.task, network)
+    assert agent.act(episode.observation()) == Action.WAIT
+
+
+def test_another_network_is_another_agent(network: Path, tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    other = save(tmp_path / "other.npz", parameters_of(TourNet()))
+    configs = [make_agent(f"tournet:{file}", "easy").config for file in (network, other)]
+    assert configs[0] != configs[1]
+    assert [{**config, "network": ""} for config in configs] == [{"agent": "tournet", "version": 1, "network": ""}] * 2
+
+
+def test_evaluate_flies_the_agent_that_a_checkpoint_is_of(
+    network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert network_of(network) == "tournet"
+    command.evaluate(("skyline_easy",), ("greedy", "tournet"), seeds="0:3", json="-", checkpoint=network)
+    agents = json.loads(capsys.readouterr().out)["tasks"]["skyline_easy"]["agents"]
+    assert list(agents) == ["greedy", f"tournet:{network}"]
+    with pytest.raises(InvalidValueError, match=r"is the network of tournet.*--agents"):
+        command.evaluate(("easy",), ("pathqnet",), checkpoint=network)
