@@ -1,6 +1,7 @@
 """Agents: everything that can fly by itself. A new agent is one more entry in `AGENTS`."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.agents.random import RandomAgent
 from drone_env.agents.tournet import TournetAgent
+from drone_env.agents.tournet_search import TournetSearchAgent
 from drone_env.agents.weights_file import PATHQNET, TOURNET
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import UnknownNameError
@@ -20,20 +22,22 @@ class NetworkAgent(NamedTuple):
 
     network: str
     """Whose parameters its file holds, as `weights_file.network_of` tells it."""
-    make: Callable[[TaskConfig, Path], Agent]
+    make: Callable[..., Agent]
+    """From the task and the file; without a file it flies by the shipped one."""
 
 
 NETWORK_AGENTS: dict[str, NetworkAgent] = {
     "pathqnet": NetworkAgent(PATHQNET, PathQNetAgent),
     "tournet": NetworkAgent(TOURNET, TournetAgent),
+    "tournet-search": NetworkAgent(TOURNET, TournetSearchAgent),
+    "tournet-search-64": NetworkAgent(TOURNET, partial(TournetSearchAgent, plans=64)),
 }
 """The agents that fly by the network in a file, `NAME:FILE`, as well as by a shipped one."""
 AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
     "random": RandomAgent,
     "greedy": GreedyAgent,
     "optimal": OptimalAgent,
-    "pathqnet": PathQNetAgent,
-    "tournet": TournetAgent,
+    **{name: agent.make for name, agent in NETWORK_AGENTS.items()},
 }
 """What makes each agent for a task, by its name."""
 
@@ -74,6 +78,7 @@ __all__ = [
     "PathQNetAgent",
     "RandomAgent",
     "TournetAgent",
+    "TournetSearchAgent",
     "make_agent",
     "network_file",
 ]

@@ -174,14 +174,26 @@ class Viewer:
         Raises:
             InvalidValueError: if one shows more parcels, pads or battery than the task has, or a drone beside its grid.
         """
-        m = len(grids)
         drones = self._drones(telemetry)
-        grounds = grids.reshape(m, -1).copy()
-        cells = drones[:, 0]
-        if not ((cells >= 0) & (cells < self._tables.cells) & (drones[:, 1] <= self._task.battery_capacity)).all():
+        cells, units = drones[:, 0], drones[:, 1]
+        if not ((cells >= 0) & (cells < self._tables.cells) & (units <= self._task.battery_capacity)).all():
             what = f"an observation has its drone beside the grid of {self._task.id!r}, or too many units"
             raise InvalidValueError(what)
-        grounds[np.arange(m), cells] = self._below(grounds, telemetry)
+        grounds = grids.reshape(len(grids), -1).copy()
+        grounds[np.arange(len(grids)), cells] = self._below(grounds, telemetry)
+        return self.views(grounds, drones)
+
+    def views(self, grounds: npt.NDArray[np.uint8], drones: npt.NDArray[np.int64]) -> View:
+        """The same of M states.
+
+        Args:
+            grounds: uint8[M, cells], without the drones.
+            drones: int64[M, 3]: cell, units left, steps left.
+
+        Raises:
+            InvalidValueError: if one has more parcels or pads than the task.
+        """
+        m = len(grounds)
         places, unknown = self._places(grounds)
         written = view_kernel(
             self._tables, grounds, drones, int(self._counts), self._pads, self._kept, places, unknown,
@@ -190,9 +202,12 @@ class Viewer:
         if written < m:
             self._place_of.clear()
             raise InvalidValueError(f"an observation shows more parcels or pads than {self._task.id!r} has")
-        view, options = self._view, self._view.begins[m]
-        of_states, of_options = (part[:m] for part in view[:3]), (part[:options] for part in view[4:])
-        return View(*of_states, view.begins[: m + 1], *of_options)
+        view = self._view
+        options = view.begins[m]
+        return View(
+            view.tokens[:m], view.present[:m], view.edges[:m], view.begins[: m + 1],
+            view.token[:options], view.features[:options], view.numbers[:options],
+        )  # fmt: skip
 
     def _drones(self, telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """Cell, units left and steps left of each drone, int64[M, 3]."""

@@ -1,0 +1,214 @@
+"""Whole plans of the tour network, flown in the simulator: which of K is the best."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.agents.tour_network import TourNetwork
+from drone_env.agents.tour_viewer import Viewer
+from drone_env.agents.tournet import best_options
+from drone_env.core import compiled
+from drone_env.core.actions import FLYING, Action
+from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
+from drone_env.core.compile_cache import compiled_once
+from drone_env.core.rewards import Rewards, get_reward_profile, tabulate_rewards
+from drone_env.core.rules import step
+from drone_env.core.score import score
+from drone_env.core.seeds import MASK32, map_key, mix64, next_key, task_key
+from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER, Tables, tabulate
+from drone_env.core.tasks import TaskConfig
+from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways
+
+WAIT = int(Action.WAIT)
+KEY = task_key("agent/tournet-search", 1)
+TEMPERATURE = 0.7
+"""By what the logits are divided before a plan is drawn from them."""
+FLIGHTS = 2048
+"""Flights at a time."""
+
+
+class Flights(NamedTuple):
+    """N flights of one task."""
+
+    grids: Any
+    """uint8[N, cells]"""
+    states: Any
+    """uint16[N, state size]"""
+    actions: Any
+    """int8[N, max_steps], those that were flown, by the step; WAIT behind them."""
+    scores: Any
+    """float64[N], graded, as they stand."""
+
+
+class Choices(NamedTuple):
+    """The options of M states, those of one behind those of another."""
+
+    begins: Any
+    """int64[M + 1], where those of each state begin."""
+    options: Any
+    """int32[options, 4]: token, units, steps, first action."""
+    logits: Any
+    """float32[options]"""
+    best: Any
+    """int64[M], the number of the best option of each, -1 where there is none."""
+
+
+@compiled_once(nogil=True, **compiled.OPTIONS)
+def fly_kernel(
+    tables: Tables,
+    rewards: Rewards,
+    counts: int,
+    flights: Flights,
+    chosen: Any,
+    options: Any,
+    ground: Any,
+    stop_at: Any,
+    ways: Ways,
+    rounds: Rounds,
+) -> None:
+    """Fly ways to their ends by the rules.
+
+    Args:
+        tables: The task's tables.
+        rewards: Those of any profile: they are not used.
+        counts: 1 if units count beside steps.
+        flights: The flights.
+        chosen: int64[n], the numbers of those that fly.
+        options: int64[n, 4], their ways: token, units, steps, first action; 0 steps where nothing is within reach, and
+            they wait to their end.
+        ground: uint8[cells], working memory, as are the following.
+        stop_at: int32[cells]
+        ways: For a single stop.
+        rounds: Of the search.
+    """
+    for c in range(tables.cells):
+        stop_at[c] = NO_STOP
+    for k in range(len(chosen)):
+        i = chosen[k]
+        grid, state = flights.grids[i], flights.states[i]
+        token, units, steps, action = options[k]
+        while steps == 0 and state[OUTCOME] == FLYING:
+            step(tables, rewards, grid, state, WAIT)
+        to = state[CELL]
+        if steps > 1:
+            for c in range(tables.cells):
+                ground[c] = grid[c]
+            ground[state[CELL]] = state[UNDER]
+            # Tokens are in reading order: the drone, the parcels that wait, the pads.
+            for kind in (DELIVERY_CELL, PAD_CELL):
+                for c in range(tables.cells):
+                    if ground[c] == kind:
+                        token -= 1
+                        if token == 0:
+                            to = c
+            stop_at[to] = 0
+        while state[OUTCOME] == FLYING:
+            before = state[BATTERY] * 1
+            flights.actions[i, state[STEPS]] = action
+            step(tables, rewards, grid, state, action)
+            units -= before - state[BATTERY]
+            steps -= 1
+            if steps <= 0:
+                break
+            find_ways(tables, ground, state[CELL], units, counts, stop_at, ways, 0, rounds)
+            for w in range(ways.count[0]):
+                if ways.steps[0, w] == steps and (counts == 0 or ways.units[0, w] == units):
+                    action = ways.first[0, w]
+        stop_at[to] = NO_STOP
+        flights.scores[i] = score(tables, state)
+
+
+class TourPlanner:
+    """Plans by the tour network, flown in the simulator.
+
+    Args:
+        task: The task.
+        network: Chooses the ways.
+        plans: K, how many plans there are of each map: the first takes the best ways, the others are drawn.
+    """
+
+    def __init__(self, task: TaskConfig, network: TourNetwork, plans: int) -> None:
+        self._network, self._plans = network, plans
+        self._viewer = Viewer(task)
+        self._tables, self._rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
+        self._counts = int(counts_units(task))
+        cells = self._tables.cells
+        self._work = np.zeros(cells, np.uint8), np.zeros(cells, np.int32), make_ways(task, 1), make_rounds(task)
+
+    def best(
+        self, grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16], seeds: npt.NDArray[np.int64]
+    ) -> npt.NDArray[np.int8]:
+        """The actions of the plan of the highest score, the first of equal ones, by the step: int8[M, max_steps].
+
+        Args:
+            grids: uint8[M, cells], of episodes in flight.
+            states: uint16[M, state size]
+            seeds: int64[M], what the plans are drawn by, beside the steps flown.
+        """
+        together = max(1, FLIGHTS // self._plans)
+        parts = [slice(i, i + together) for i in range(0, len(grids), together)]
+        return np.concatenate([self._best(grids[part], states[part], seeds[part]) for part in parts])
+
+    def _best(
+        self, grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16], seeds: npt.NDArray[np.int64]
+    ) -> npt.NDArray[np.int8]:
+        m, plans, max_steps = len(grids), self._plans, self._tables.max_steps
+        maps, numbers = np.divmod(np.arange(m * plans), plans)
+        actions, scores = np.full((m * plans, max_steps), WAIT, np.int8), np.zeros(m * plans)
+        flights = Flights(grids[maps], states[maps], actions, scores)
+        as_integers: Any = seeds  # arrays of 64-bit integers wrap as compiled ones do
+        keys: Any = map_key(KEY, as_integers)[maps] ^ states[maps, STEPS].astype(np.int64)
+        keys = mix64(keys ^ mix64(numbers))
+        flying = np.flatnonzero(flights.states[:, OUTCOME] == FLYING)
+        while len(flying):
+            choices, of = self._choices(maps[flying], flights.grids[flying], flights.states[flying])
+            keys = next_key(keys)
+            chosen = np.where(numbers[flying] == 0, choices.best[of], drawn(choices, of, keys[flying]))
+            options = np.zeros((len(flying), 4), np.int64)
+            options[chosen >= 0] = choices.options[chosen[chosen >= 0]]
+            fly_kernel(self._tables, self._rewards, self._counts, flights, flying, options, *self._work)
+            flying = flying[flights.states[flying, OUTCOME] == FLYING]
+        return actions.reshape(m, plans, max_steps)[np.arange(m), scores.reshape(m, plans).argmax(axis=1)]
+
+    def _choices(
+        self, maps: npt.NDArray[np.int64], grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16]
+    ) -> tuple[Choices, npt.NDArray[np.int64]]:
+        """The options of all states, those that are equal looked at once; and whose each state has, int64[N]."""
+        equal = np.column_stack([maps, states[:, [CELL, BATTERY, STEPS]], states[:, PARCELS:]]).astype(np.int32)
+        _, which, of = np.unique(equal, axis=0, return_index=True, return_inverse=True)
+        grids, states = grids[which], states[which].astype(np.int64)
+        grids[np.arange(len(grids)), states[:, CELL]] = states[:, UNDER]
+        drones = np.stack([states[:, CELL], states[:, BATTERY], self._tables.max_steps - states[:, STEPS]], axis=1)
+        parts: list[Choices] = []
+        begin = 0
+        for i in range(0, len(grids), self._viewer.most):
+            some = slice(i, i + self._viewer.most)
+            view = self._viewer.views(grids[some], drones[some])
+            of_view, _ = self._network(view)
+            first = best_options(view, of_view)
+            options = np.column_stack([view.token, view.numbers])
+            best = np.where(first < 0, -1, first + begin)
+            parts.append(Choices(view.begins[:-1] + begin, options, of_view, best))
+            begin += len(options)
+        begins, *others = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return Choices(np.append(begins, begin), *others), of.ravel()
+
+
+def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any) -> npt.NDArray[np.int64]:
+    """An option of each state, drawn by the softmax of its logits / `TEMPERATURE`; -1 where there is none.
+
+    Args:
+        choices: Of M states.
+        of: int64[n], the states to draw for.
+        keys: int64[n], where the random numbers are.
+    """
+    counts = np.diff(choices.begins)
+    highest = np.repeat(choices.logits[choices.best], counts) if len(choices.logits) else choices.logits
+    likely = np.exp((choices.logits - highest) / TEMPERATURE, dtype=np.float64)
+    sums = np.concatenate([[0.0], likely.cumsum()])
+    below, above = sums[choices.begins[of]], sums[choices.begins[of + 1]]
+    share = (mix64(keys) >> 32 & MASK32) / (MASK32 + 1)
+    found = np.searchsorted(sums, below + share * (above - below), side="right") - 1
+    found = np.clip(found, choices.begins[of], choices.begins[of + 1] - 1)
+    return np.where(counts[of] > 0, found, -1)
