@@ -14,7 +14,7 @@ from drone_env.agents.weights_file import network_of
 from drone_env.commands.arguments import SHORT_NAMES, AgentNames, ClusterAddress, SeedRange, SplitName, chosen_maps
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
+from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, UnsupportedTaskError
 from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, summarise
 from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
 from drone_env.files import write_json
@@ -24,7 +24,7 @@ TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHO
 CHOICE = "|".join(NETWORK_AGENTS)
 JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
 
-Cell = EpisodesKey | CheckpointError | UnsupportedTaskError
+Cell = EpisodesKey | CheckpointError | TooLargeError | UnsupportedTaskError
 """What an agent is to fly of a task, or why it cannot."""
 
 
@@ -113,7 +113,7 @@ def evaluate(
 def _cell(task: TaskConfig, agent: str, maps: range, split: str) -> Cell:
     try:
         return episodes_key(task, agent, maps, split)
-    except UnsupportedTaskError as error:
+    except (TooLargeError, UnsupportedTaskError) as error:
         return error
     except CheckpointError as error:
         if network_file(agent) is None:
