@@ -1,6 +1,6 @@
 """Whole plans of the tour network, flown in the simulator: which of K is the best."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -111,7 +111,8 @@ def fly_kernel(
             steps -= 1
             if steps <= 0:
                 break
-            find_ways(tables, ground, state[CELL], units, counts, stop_at, ways, 0, rounds)
+            # What costs more than the rest of the way is not looked for.
+            find_ways(tables, ground, state[CELL], units + 1, counts, stop_at, ways, 0, rounds)
             for w in range(ways.count[0]):
                 if ways.steps[0, w] == steps and (counts == 0 or ways.units[0, w] == units):
                     action = ways.first[0, w]
@@ -157,9 +158,9 @@ class TourPlanner:
         maps, numbers = np.divmod(np.arange(m * plans), plans)
         actions, scores = np.full((m * plans, max_steps), WAIT, np.int8), np.zeros(m * plans)
         flights = Flights(grids[maps], states[maps], actions, scores)
-        as_integers: Any = seeds  # arrays of 64-bit integers wrap as compiled ones do
-        keys: Any = map_key(KEY, as_integers)[maps] ^ states[maps, STEPS].astype(np.int64)
-        keys = mix64(keys ^ mix64(numbers))
+        # Arrays of 64-bit integers wrap as compiled ones do.
+        of_maps, steps, of_plans = (cast(Any, array) for array in (seeds[maps], states[maps, STEPS], numbers))
+        keys: Any = mix64(map_key(KEY, of_maps) ^ steps ^ mix64(of_plans))
         flying = np.flatnonzero(flights.states[:, OUTCOME] == FLYING)
         while len(flying):
             choices, of = self._choices(maps[flying], flights.grids[flying], flights.states[flying])
@@ -177,9 +178,9 @@ class TourPlanner:
         """The options of all states, those that are equal looked at once; and whose each state has, int64[N]."""
         equal = np.column_stack([maps, states[:, [CELL, BATTERY, STEPS]], states[:, PARCELS:]]).astype(np.int32)
         _, which, of = np.unique(equal, axis=0, return_index=True, return_inverse=True)
-        grids, states = grids[which], states[which].astype(np.int64)
-        grids[np.arange(len(grids)), states[:, CELL]] = states[:, UNDER]
-        drones = np.stack([states[:, CELL], states[:, BATTERY], self._tables.max_steps - states[:, STEPS]], axis=1)
+        grids, now = grids[which], states[which].astype(np.int64)
+        grids[np.arange(len(grids)), now[:, CELL]] = now[:, UNDER]
+        drones = np.stack([now[:, CELL], now[:, BATTERY], self._tables.max_steps - now[:, STEPS]], axis=1)
         parts: list[Choices] = []
         begin = 0
         for i in range(0, len(grids), self._viewer.most):

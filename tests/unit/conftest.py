@@ -12,3 +12,15 @@ from drone_env.episodes.store import Store
 def store(tmp_path: Path) -> Iterator[Store]:
     with Store(tmp_path / "data") as store:
         yield store
+
+
+@pytest.fixture(scope="session")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a tour network of random weights."""
+    import torch  # slow to load
+
+    from drone_env.rl.tour_model import TourNet
+    from tests.unit.tour_views import parameters_of, save
+
+    torch.manual_seed(0)
+    return save(tmp_path_factory.mktemp("network") / "tour.npz", parameters_of(TourNet()))

@@ -1,13 +1,10 @@
 """The tour network: the same in PyTorch and in NumPy, what it sees, and the agent that flies by it."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 
@@ -19,65 +16,23 @@ from drone_env.agents.tournet import TournetAgent, best_options
 from drone_env.agents.weights_file import LARGEST, MOST_BYTES, Weights, network_of
 from drone_env.commands import evaluate as command
 from drone_env.core.actions import Action
-from drone_env.core.batch import Batch
 from drone_env.core.cells import Cell
-from drone_env.core.episode import Episode, Observation
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.episode import Episode
+from drone_env.core.tasks import TASKS
 from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError
 from drone_env.planning.exact import ExactSolver
 from drone_env.rl.tour_model import TourNet
 from tests.toy import toy_episode
-
-HARD = get_task("skyline_hard")
-OWN = {
-    "16 parcels, 20 pads": replace(HARD, deliveries=16, pads=20, width=20, height=20, battery_capacity=60),
-    "efficiency counts always": replace(HARD, efficiency_needs_all=False),
-    "pads without charges": replace(HARD, charge_rate=0),
-    "terrain without pads": replace(HARD, pads=0, charge_rate=0, battery_capacity=200),
-    "uniform, a short battery": replace(get_task("hard"), battery_capacity=25),
-    "uniform, 16 parcels, not square": replace(get_task("hard"), deliveries=16, width=30, height=9),
-}
-"""Tasks of one's own."""
-EVERY_TASK = {**TASKS, **{name: replace(task, id="own", short_name="own") for name, task in OWN.items()}}
-
-
-def save(path: Path, parameters: dict[str, Any], metadata: Mapping[str, object] | None = None) -> Path:
-    np.savez(path, metadata=np.array(json.dumps(metadata or {"network": "tournet"})), **parameters)
-    return path
-
-
-def parameters_of(model: TourNet) -> dict[str, Any]:
-    return {name: tensor.numpy() for name, tensor in model.state_dict().items()}
+from tests.unit.tour_views import EVERY_TASK, HARD, observations, parameters_of, save, view_of
 
 
 @pytest.fixture(scope="module")
-def model() -> TourNet:
-    torch.manual_seed(0)
-    return TourNet()
-
-
-@pytest.fixture(scope="module")
-def network(model: TourNet, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A file of random weights."""
-    return save(tmp_path_factory.mktemp("network") / "tour.npz", parameters_of(model))
-
-
-def observations(task: TaskConfig, maps: int, steps: int) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32]]:
-    """What drones see that fly at random, at every third step."""
-    batch, rng = Batch(task, maps), np.random.default_rng(0)
-    batch.reset(np.arange(maps))
-    grids: list[Any] = []
-    telemetry: list[Any] = []
-    for t in range(steps):
-        if t % 3 == 0:
-            grids.append(batch.grids.copy())
-            telemetry.append(batch.telemetry.copy())
-        batch.step(rng.integers(0, 5, maps))
-    return np.concatenate(grids), np.concatenate(telemetry)
-
-
-def view_of(viewer: Viewer, observation: Observation) -> View:
-    return viewer(observation["grid"][None], observation["telemetry"][None])
+def model(network: Path) -> TourNet:
+    """The network in PyTorch."""
+    model = TourNet()
+    weights = load_tour_network(network).parameters
+    model.load_state_dict({name: torch.from_numpy(array) for name, array in weights.items()})
+    return model
 
 
 # The network
@@ -95,10 +50,12 @@ def test_the_network_without_torch_is_the_same(name: str, model: TourNet, networ
     owner = torch.from_numpy(np.repeat(np.arange(len(view.tokens)), np.diff(view.begins)))
     arrays = (torch.from_numpy(array) for array in (view.tokens, view.present, view.edges))
     with torch.no_grad():
-        expected = model(*arrays, owner, torch.from_numpy(view.token).long(), torch.from_numpy(view.features))
+        options = owner, torch.from_numpy(view.token).long(), torch.from_numpy(view.features)
+        preference, completion = model(*arrays, *options)
+        choice = preference + 2 * torch.nn.functional.logsigmoid(completion)
     assert len(choices) > 20
-    assert np.abs(choices - expected[0].numpy()).max() < 1e-5
-    assert np.abs(completions - expected[1].numpy()).max() < 1e-5
+    assert np.abs(choices - choice.numpy()).max() < 1e-5
+    assert np.abs(completions - completion.numpy()).max() < 1e-5
 
 
 def test_the_largest_weights_that_are_taken_do_not_overflow() -> None:

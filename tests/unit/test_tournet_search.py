@@ -1,0 +1,128 @@
+"""The agent that tries whole plans of the tour network before it flies."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from drone_env.agents import make_agent
+from drone_env.agents.tour_network import load_tour_network
+from drone_env.agents.tour_plans import TEMPERATURE, Choices, drawn
+from drone_env.agents.tour_viewer import Viewer
+from drone_env.agents.tournet import best_options
+from drone_env.agents.tournet_search import TournetSearchAgent
+from drone_env.core.actions import Action
+from drone_env.core.batch import Batch
+from drone_env.core.episode import Episode
+from drone_env.core.rollout import rollout
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.errors import InvalidValueError
+from tests.toy import toy_episode
+from tests.unit.tour_views import EVERY_TASK, HARD, view_of
+
+SEEDS = np.array([0, 7, 2**52, 2**53 - 1], np.int64)
+
+
+def flown(agent: TournetSearchAgent, seed: int) -> Episode:
+    agent.reset(seed)
+    return rollout(Episode(agent.task, seed=seed), agent.act)
+
+
+def whole_ways(task: TaskConfig, network: Path, seed: int) -> Episode:
+    """A flight of the preferred ways, each flown to its end before the next is chosen."""
+    episode, viewer, net = Episode(task, seed=seed), Viewer(task), load_tour_network(network)
+    while not episode.ended:
+        view = view_of(viewer, episode.observation())
+        best = best_options(view, net(view)[0])[0]
+        if best < 0:
+            return episode.waited_out()
+        units, steps, action = view.numbers[best].tolist()
+        stop = int(view.token[best])
+        while steps > 0:
+            before = episode.battery_units
+            episode.step(action)
+            units, steps = units - before + episode.battery_units, steps - 1
+            if steps:
+                view = view_of(viewer, episode.observation())
+                rest = zip(view.token.tolist(), view.numbers.tolist(), strict=True)
+                action = next(first for token, (u, s, first) in rest if (token, u, s) == (stop, units, steps))
+    return episode
+
+
+@pytest.mark.parametrize("name", EVERY_TASK)
+def test_the_only_plan_of_one_is_to_fly_the_preferred_ways(name: str, network: Path) -> None:
+    agent = TournetSearchAgent(EVERY_TASK[name], network, plans=1)
+    for seed in SEEDS[:2].tolist():
+        assert flown(agent, seed).actions == whole_ways(agent.task, network, seed).actions
+
+
+@pytest.mark.parametrize("name", EVERY_TASK)
+def test_the_plan_is_the_best_of_those_that_were_tried(name: str, network: Path) -> None:
+    """More plans are never worse: the first are the same."""
+    task = EVERY_TASK[name]
+    scores = [
+        [flown(TournetSearchAgent(task, network, plans=plans), seed).score for seed in SEEDS.tolist()]
+        for plans in (1, 4, 32)
+    ]
+    for fewer, more in pairwise(scores):
+        assert all(np.array(more) >= np.array(fewer))
+    if not task.uniform:
+        assert sum(scores[2]) > sum(scores[0])
+
+
+@pytest.mark.parametrize("name", EVERY_TASK)
+def test_together_and_alone_it_flies_the_same_plans(name: str, network: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drone_env.agents.tour_plans.FLIGHTS", 15)
+    task = EVERY_TASK[name]
+    agent = TournetSearchAgent(task, network, plans=5)
+    batch = Batch(task, len(SEEDS))
+    batch.reset(SEEDS)
+    agent.reset_batch(SEEDS)
+    together: list[npt.NDArray[np.int64]] = []
+    for _ in range(task.max_steps):
+        together.append(agent.act_batch(batch.grids, batch.telemetry))
+        batch.step(together[-1])
+    alone = [flown(TournetSearchAgent(task, network, plans=5), seed).actions for seed in SEEDS.tolist()]
+    assert [np.stack(together)[: len(actions), i].tolist() for i, actions in enumerate(alone)] == alone
+    assert alone[0] != flown(TournetSearchAgent(task, network, plans=5), 1).actions
+
+
+def test_it_goes_on_from_wherever_it_is_put(network: Path) -> None:
+    agent, episode = TournetSearchAgent(HARD, network), Episode(HARD, seed=3)
+    agent.reset(3)
+    agent.act(episode.observation())
+    episode.fly([Action.WAIT, Action.WAIT])
+    planned = agent.act(episode.observation())
+    fresh = TournetSearchAgent(HARD, network)
+    fresh.reset(3)
+    assert fresh.act(episode.observation()) == planned
+    episode.step(planned)
+    assert rollout(episode, agent.act).ended
+
+
+def test_where_nothing_is_within_reach_it_waits_to_the_end(network: Path) -> None:
+    episode = toy_episode(["@..0", "...."], max_steps=9, battery_capacity=2)
+    agent = TournetSearchAgent(episode.task, network)
+    assert rollout(episode, agent.act).actions == [Action.WAIT] * 2
+
+
+def test_options_are_drawn_by_their_logits() -> None:
+    logits = np.array([0, TEMPERATURE * np.log(3), 5], np.float32)
+    choices = Choices(np.array([0, 2, 2, 3]), None, logits, np.array([1, -1, 2]))
+    keys = np.arange(40_000) * 7919
+    for state, expected in ((0, [0.25, 0.75, 0]), (2, [0, 0, 1])):
+        found = drawn(choices, np.full(len(keys), state), keys)
+        assert np.bincount(found, minlength=3) / len(keys) == pytest.approx(expected, abs=0.01)
+    assert drawn(choices, np.ones(3, np.int64), keys[:3]).tolist() == [-1, -1, -1]
+
+
+def test_the_budget_is_part_of_what_it_is(network: Path) -> None:
+    few, many = (
+        dict(make_agent(f"{name}:{network}", "easy").config) for name in ("tournet-search", "tournet-search-64")
+    )
+    assert (few.pop("plans"), many.pop("plans")) == (8, 64)
+    assert few == many
+    with pytest.raises(InvalidValueError, match="plans must be at least 1, got 0"):
+        TournetSearchAgent(get_task("easy"), network, plans=0)

@@ -1,0 +1,56 @@
+"""Tasks, observations and networks that the tests of the tour network share."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.agents.tour_view import View
+from drone_env.agents.tour_viewer import Viewer
+from drone_env.core.batch import Batch
+from drone_env.core.episode import Observation
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.rl.tour_model import TourNet
+
+HARD = get_task("skyline_hard")
+OWN = {
+    "16 parcels, 20 pads": replace(HARD, deliveries=16, pads=20, width=20, height=20, battery_capacity=60),
+    "efficiency counts always": replace(HARD, efficiency_needs_all=False),
+    "pads without charges": replace(HARD, charge_rate=0),
+    "terrain without pads": replace(HARD, pads=0, charge_rate=0, battery_capacity=200),
+    "uniform, a short battery": replace(get_task("hard"), battery_capacity=25),
+    "uniform, 16 parcels, not square": replace(get_task("hard"), deliveries=16, width=30, height=9),
+}
+"""Tasks of one's own."""
+EVERY_TASK = {**TASKS, **{name: replace(task, id="own", short_name="own") for name, task in OWN.items()}}
+
+
+def save(path: Path, parameters: dict[str, Any], metadata: Mapping[str, object] | None = None) -> Path:
+    np.savez(path, metadata=np.array(json.dumps(metadata or {"network": "tournet"})), **parameters)
+    return path
+
+
+def parameters_of(model: TourNet) -> dict[str, Any]:
+    return {name: tensor.numpy() for name, tensor in model.state_dict().items()}
+
+
+def observations(task: TaskConfig, maps: int, steps: int) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32]]:
+    """What drones see that fly at random, at every third step."""
+    batch, rng = Batch(task, maps), np.random.default_rng(0)
+    batch.reset(np.arange(maps))
+    grids: list[Any] = []
+    telemetry: list[Any] = []
+    for t in range(steps):
+        if t % 3 == 0:
+            grids.append(batch.grids.copy())
+            telemetry.append(batch.telemetry.copy())
+        batch.step(rng.integers(0, 5, maps))
+    return np.concatenate(grids), np.concatenate(telemetry)
+
+
+def view_of(viewer: Viewer, observation: Observation) -> View:
+    return viewer(observation["grid"][None], observation["telemetry"][None])
