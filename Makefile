@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest
 # What was compiled once is kept: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo serve test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-peers bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
+.PHONY: demo serve test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-planners bench-peers bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
 .DEFAULT_GOAL := demo
 
 $(VENV)/.base: pyproject.toml
@@ -119,6 +119,10 @@ bench-server: $(VENV)/.dev
 # The trainer beside Stable-Baselines3's DQN; takes half an hour.
 bench-training: $(VENV)/.dev
 	$(BIN)/python benchmarks/training.py $(ARGS)
+
+# What the planners take for a map, and the value of a decision; a minute.
+bench-planners: $(VENV)/.base
+	$(BIN)/python benchmarks/planners.py $(ARGS)
 
 # PPO and MaskablePPO on skyline, half an hour of CPU time for each of six runs; ARGS="--cpu-seconds 600" for less.
 bench-peers: $(VENV)/.dev
