@@ -100,7 +100,7 @@ mutants: $(VENV)/.dev
 # The campaigns: the same properties over many more cases, other Pythons, oldest dependencies, faults; takes hours.
 OTHER_PYTHON ?= python3.13
 verify: $(VENV)/.dev
-	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(PYTEST) -m '' -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_store_processes.py tests/unit/test_training_run.py tests/unit/test_network.py
+	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(PYTEST) -m '' -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_legs.py tests/unit/test_store_processes.py tests/unit/test_training_run.py tests/unit/test_network.py
 	DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SOCKET_STEPS=1000000 DRONE_ENV_SCHEMA_EXAMPLES=200 $(PYTEST) -m '' --timeout 36000 tests/api
 	$(BIN)/python tests/api/hostile_callers.py
 	DRONE_ENV_KILLS=50 DRONE_ENV_LLM_MAPS=100 DRONE_ENV_LLM_ROUTES=100 $(PYTEST) --timeout 36000 tests/llm
