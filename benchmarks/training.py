@@ -23,6 +23,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
+from drone_env.agents.together import ActBatch
 from drone_env.core.tasks import get_task
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
 from drone_env.envs.wrappers import one_hot
@@ -82,7 +83,7 @@ class Watch:
         """Seconds of computing so far, less those of validation."""
         return time.process_time() - self._cpu
 
-    def look(self, values: Callable[..., Any], steps: int) -> None:
+    def look(self, act: ActBatch, steps: int) -> None:
         """Validate if it is time to; `steps` have been flown.
 
         Raises:
@@ -92,7 +93,7 @@ class Watch:
         if cpu - self._cpu < self._next:
             return
         spent = cpu - self._cpu
-        validation = self.validator.validate(lambda grids, seen: values(grids, seen).argmax(axis=1))
+        validation = self.validator.validate(act)
         share = validation.score / validation.optimum
         self.curve.append((spent, steps, share, validation.success))
         self.best = max(self.best, share)
@@ -132,16 +133,16 @@ class Look(BaseCallback):
         self.watch = watch
 
     def _on_step(self) -> bool:
-        self.watch.look(self.values, self.num_timesteps)
+        self.watch.look(self.act, self.num_timesteps)
         return True
 
-    def values(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """The values of the network that acts."""
+    def act(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The actions of the highest values of the network that acts."""
         model = self.model
         assert isinstance(model, DQN)
         planes = torch.from_numpy(one_hot(grids[:, None]))
         with torch.no_grad():
-            return model.q_net({"grid": planes.float(), "telemetry": torch.from_numpy(telemetry)}).numpy()
+            return model.q_net({"grid": planes.float(), "telemetry": torch.from_numpy(telemetry)}).argmax(1).numpy()
 
 
 def ours(task: str, seed: int, threads: int, validator: Validator, limit: float) -> Watch:
@@ -153,7 +154,7 @@ def ours(task: str, seed: int, threads: int, validator: Validator, limit: float)
     watch = Watch(validator, limit)
     with contextlib.suppress(ReachedError):
         for _ in trainer.train():
-            watch.look(trainer.values, trainer.steps)
+            watch.look(lambda grids, seen: trainer.values(grids, seen).argmax(axis=1), trainer.steps)
     return watch
 
 

@@ -244,8 +244,9 @@ def write_view(
             tokens[m, t, REACHED] = 1.0
             tokens[m, t, ARRIVAL] = (units - cheapest) / capacity
             for k in range(k_ways):
-                drained = ways.units[i, k] if counts else ways.steps[i, k]
                 steps = ways.steps[i, k]
+                # With the step to a parcel a drone may drain more than it has.
+                drained = (min(ways.units[i, k], units) if i < parcels else ways.units[i, k]) if counts else steps
                 if drained > units or (drained == units and i >= parcels) or steps > left:
                     continue
                 view.token[option] = t

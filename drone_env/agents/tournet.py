@@ -1,6 +1,6 @@
 """The agent that chooses by the tour network where to fly next and by which way, every step anew."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,9 +16,13 @@ from drone_env.errors import UnsupportedTaskError
 if TYPE_CHECKING:
     from drone_env.agents.tour_network import TourNetwork
     from drone_env.agents.tour_view import View
+    from drone_env.agents.tour_viewer import Viewer
 
 SHIPPED = WEIGHTS / "tournet_v1.npz"
 """One network for all tasks."""
+Network = Callable[["View"], tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]]
+"""From views to two numbers for each option: the logit of its choice, and of whether the mission can then be completed;
+float32[options] each."""
 TIE = 1e-4
 """Logits that lie closer together count as equal: how many states are looked at together changes their last bits."""
 
@@ -69,24 +73,46 @@ class TournetAgent:
 
     def act(self, observation: Observation) -> int:
         """The first action of the preferred way; WAIT where nothing is within reach."""
-        return int(self._choose(observation["grid"][None], observation["telemetry"][None])[0])
+        return int(self.act_batch(observation["grid"][None], observation["telemetry"][None])[0])
 
     def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
         """Nothing to forget."""
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """The same of many observations, int64[N]."""
-        most = self._viewer.most
-        parts = range(0, len(grids), most)
-        return np.concatenate([self._choose(grids[i : i + most], telemetry[i : i + most]) for i in parts])
+        return choose(self._viewer, self._network, grids, telemetry)
 
-    def _choose(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        view = self._viewer(grids, telemetry)
-        choices, _ = self._network(view)
-        actions = np.full(len(grids), Action.WAIT, np.int64)
-        options = best_options(view, choices)
-        actions[options >= 0] = view.numbers[options[options >= 0], 2]
-        return actions
+
+def choose(
+    viewer: "Viewer", network: "Network", grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
+) -> npt.NDArray[np.int64]:
+    """The first actions of the options that a network prefers, int64[N]; WAIT where there is none.
+
+    Args:
+        viewer: Of the task.
+        network: Of parameters that stay as they are.
+        grids: uint8[N, height, width]
+        telemetry: float32[N, telemetry_size]
+    """
+    parts: list[npt.NDArray[np.int64]] = []
+    for i in range(0, len(grids), viewer.most):
+        view = viewer(grids[i : i + viewer.most], telemetry[i : i + viewer.most])
+        choices, _ = network(view)
+        parts.append(first_actions(view, choices))
+    return np.concatenate(parts)
+
+
+def first_actions(view: "View", choices: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+    """The first action of the best option of each view, int64[M]; WAIT where there is none.
+
+    Args:
+        view: Of M states.
+        choices: float32[options], the logits.
+    """
+    actions = np.full(len(view.begins) - 1, Action.WAIT, np.int64)
+    options = best_options(view, choices)
+    actions[options >= 0] = view.numbers[options[options >= 0], 2]
+    return actions
 
 
 def best_options(view: "View", choices: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:

@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from drone_env import __version__
-from drone_env.agents import NETWORK_AGENTS
+from drone_env.agents import NETWORK_AGENTS, network_file
 from drone_env.agents.weights_file import network_of
 from drone_env.commands.arguments import SHORT_NAMES, AgentNames, ClusterAddress, SeedRange, SplitName, chosen_maps
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
+from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, UnsupportedTaskError
 from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, summarise
 from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
 from drone_env.files import write_json
@@ -24,7 +24,7 @@ TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHO
 CHOICE = "|".join(NETWORK_AGENTS)
 JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
 
-Cell = EpisodesKey | CheckpointError | UnsupportedTaskError
+Cell = EpisodesKey | CheckpointError | TooLargeError | UnsupportedTaskError
 """What an agent is to fly of a task, or why it cannot."""
 
 
@@ -113,10 +113,10 @@ def evaluate(
 def _cell(task: TaskConfig, agent: str, maps: range, split: str) -> Cell:
     try:
         return episodes_key(task, agent, maps, split)
-    except UnsupportedTaskError as error:
+    except (TooLargeError, UnsupportedTaskError) as error:
         return error
     except CheckpointError as error:
-        if not _names_file(agent):
+        if network_file(agent) is None:
             raise  # a file of the package is damaged
         return error
 
@@ -124,16 +124,11 @@ def _cell(task: TaskConfig, agent: str, maps: range, split: str) -> Cell:
 def _check_that_some_fly(cells: dict[TaskConfig, dict[str, Cell]]) -> None:
     """Somebody must fly something, and a network's file that is named must fit a task: else raise the first reason."""
     agents = [*next(iter(cells.values()))]
-    for judged in (agents, *([agent] for agent in agents if _names_file(agent))):
+    for judged in (agents, *([agent] for agent in agents if network_file(agent))):
         all_cells = [row[agent] for row in cells.values() for agent in judged]
         reasons = [cell for cell in all_cells if not isinstance(cell, EpisodesKey)]
         if len(reasons) == len(all_cells):
             raise reasons[0]
-
-
-def _names_file(agent: str) -> bool:
-    """Whether an agent flies by a file that was named."""
-    return agent.partition(":")[0] in NETWORK_AGENTS and ":" in agent
 
 
 def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:

@@ -245,6 +245,7 @@ def flight_kernel(legs: Legs, cell: int, units: int, steps: int, ways: Ways, rou
 
     Of all best flights it is one that takes the fewest steps.
     """
+    drain: Any = legs.tables.drain
     best, _ = best_option(legs, 0, cell, units, steps, ways, rounds)
     while steps > 0 and best_option(legs, 0, cell, units, steps - 1, ways, rounds)[0] == best:
         steps -= 1
@@ -257,7 +258,7 @@ def flight_kernel(legs: Legs, cell: int, units: int, steps: int, ways: Ways, rou
         flown, steps = flown + 1, steps - 1
         if action != WAIT:
             cell = legs.tables.moves[cell * N_ACTIONS + action]
-        units = units_left(legs.tables, units, legs.counts * legs.tables.drain[legs.ground[cell] * N_ACTIONS + action])
+        units = units_left(legs.tables, units, legs.counts * drain[legs.ground[cell] * N_ACTIONS + action])
         if legs.ground[cell] == DELIVERY_CELL:
             delivered |= 1 << legs.stop_at[cell]
     return flown

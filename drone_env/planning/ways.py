@@ -91,6 +91,8 @@ def find_ways(
         rounds: Working memory.
     """
     fewest, action_of, reached_in = rounds.fewest, rounds.action, rounds.reached_in
+    moves: Any = tables.moves
+    drain: Any = tables.drain
     last: Any = rounds.last
     reached: Any = rounds.next
     for cell in range(tables.cells):
@@ -109,10 +111,10 @@ def find_ways(
             if ground[cell] == DELIVERY_CELL and cell != start:
                 continue
             for action in range(N_MOVES):
-                to = tables.moves[cell * N_ACTIONS + action]
+                to = moves[cell * N_ACTIONS + action]
                 if collision(tables, ground, to) != NONE:
                     continue
-                units = last[1, k] + counts * tables.drain[ground[to] * N_ACTIONS + action]
+                units = last[1, k] + counts * drain[ground[to] * N_ACTIONS + action]
                 if units >= fewest[to] or (units >= most and ground[to] != DELIVERY_CELL):
                     continue
                 if reached_in[to] != steps:

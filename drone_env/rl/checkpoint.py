@@ -14,10 +14,10 @@ from typing import Any, cast
 
 import numpy as np
 import torch
+from torch import nn
 
 from drone_env.errors import CheckpointError
 from drone_env.files import replacing
-from drone_env.rl.model import PathQNet
 
 FORMAT = "drone_env/checkpoint"
 VERSION = 2
@@ -60,7 +60,7 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
     return contents
 
 
-def export_network(network: PathQNet, path: Path, metadata: dict[str, Any]) -> None:
+def export_network(network: nn.Module, path: Path, metadata: dict[str, Any]) -> None:
     """Write a network without PyTorch's own format; folders are made. The file is whole or not there.
 
     Raises:

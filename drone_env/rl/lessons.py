@@ -23,15 +23,16 @@ from drone_env.core import compiled
 from drone_env.core.actions import FLYING, Action
 from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
 from drone_env.core.compile_cache import compiled_once
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import Rewards, tabulate_rewards
 from drone_env.core.rules import choose_target, reset, step
 from drone_env.core.seeds import GOLDEN, mix64, next_key, uniform_below
 from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER, Tables, state_size, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.exact import ranked_scores
-from drone_env.planning.legs import Legs, mark_delivered, row_after, row_of, value_kernel
-from drone_env.planning.map_graph import UNPAID, delivered_set, put_drone, put_parcels
-from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways
+from drone_env.planning.legs import Legs, make_legs, mark_delivered, row_after, row_of, value_kernel, working_memory
+from drone_env.planning.map_graph import UNPAID, delivered_set, put_drone, put_parcels, state_arrays
+from drone_env.planning.ways import NO_STOP, Rounds, Ways, find_ways
 
 WAIT = int(Action.WAIT)
 COMPLETE = 0.8 - 1e-9
@@ -234,16 +235,19 @@ class Teacher:
     def __init__(self, task: TaskConfig, maps: int, per_map: int) -> None:
         self.task, self._per_map = task, per_map
         tables = tabulate(task)
-        self._legs, self._scores = blank_legs(task)
-        stops, n = len(self._legs.stops), task.deliveries
-        self._ways, self._rounds = make_ways(task, stops * (stops - n + 1)), make_rounds(task)
+        self._scores, _ = ranked_scores(task)
+        # Every map has as many stops as this one.
+        ground, state, entries = state_arrays(Episode(task, seed=0))
+        self._legs = make_legs(task, ground, state[entries].tolist(), 0, tables.capacity, tables.max_steps)
+        stops = len(self._legs.stops)
+        self._ways, self._rounds = working_memory(task, self._legs)
         self._distances = make_distances(stops)
         self._world = World(
             tables,
             tabulate_rewards(task, UNPAID),
             np.zeros(tables.cells, np.uint8),
             np.zeros(state_size(tables), np.uint16),
-            PARCELS + np.arange(n),
+            entries,
         )
         states = maps * per_map + 1
         room = states * stops * self._ways.units.shape[1]
@@ -265,30 +269,9 @@ class Teacher:
             self._values,
         )
         options = int(view.begins[m])
-        by_state = [array[:m].copy() for array in (view.tokens, view.present, view.edges)]
-        by_option = [array[:options].copy() for array in (view.token, view.features, view.numbers)]
-        return Lessons(View(*by_state, view.begins[: m + 1].copy(), *by_option), self._values[:options].copy())
-
-
-def blank_legs(task: TaskConfig) -> tuple[Legs, npt.NDArray[np.float64]]:
-    """Legs for whole episodes of the task's maps, without a map; and the score of each rank."""
-    scores, ranked = ranked_scores(task)
-    counts, n, t = counts_units(task), task.deliveries, task.max_steps
-    stops = n + (task.pads if counts and task.charge_rate else 0)
-    most = task.battery_capacity if counts else 1
-    ends = np.empty((n + 1, most + 1, t + 1), ranked.dtype)
-    if counts:
-        ends[:n] = ranked[:n, 0, t][:, None, None]
-        ends[n] = ranked[n, :, ::-1]
-    else:
-        m = min(task.battery_capacity, t)
-        assert m == t
-        ends[:n] = ranked[:n, task.battery_capacity - m, t][:, None, None]
-        later = np.arange(t + 1)
-        ends[n] = ranked[n, later + task.battery_capacity - m, t - later]
-    rows = ((n + 1) + (stops << n)) * (most + 1)
-    ranks = np.zeros((rows, t + 1), ranked.dtype)
-    ranks[: (n + 1) * (most + 1)] = ends.reshape(-1, t + 1)
-    cells = task.width * task.height
-    ground, stop_at = np.zeros(cells, np.uint8), np.full(cells, NO_STOP, np.int32)
-    return Legs(tabulate(task), int(counts), ground, np.zeros(stops, np.int64), stop_at, n, most, ranks), scores
+        drawn = View(
+            *(array[:m].copy() for array in (view.tokens, view.present, view.edges)),
+            view.begins[: m + 1].copy(),
+            *(array[:options].copy() for array in (view.token, view.features, view.numbers)),
+        )
+        return Lessons(drawn, self._values[:options].copy())

@@ -38,7 +38,7 @@ class TourConfig:
 
     task: str = ALL
     """The task, by its short name, id or grader; `all` for one network that learns all of them, and variants."""
-    updates: int = 20_000
+    updates: int = 12_000
     """Updates in all; the learning rate falls to its end over them."""
     seed: int = 0
     """Of the weights, the maps and the batches: equal seeds, equal runs (on a CPU)."""

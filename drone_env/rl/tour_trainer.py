@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,8 +24,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, logsigmoid
 
-from drone_env.agents.tour_view import View, Viewer
-from drone_env.core.actions import Action
+from drone_env.agents.tour_view import View
+from drone_env.agents.tour_viewer import Viewer
+from drone_env.agents.tournet import choose
 from drone_env.core.seeds import SPLITS
 from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
 from drone_env.rl.lessons import COMPLETE, Lessons, Teacher
@@ -96,7 +98,7 @@ class TourTrainer(Learner):
         self._teachers: dict[int, Teacher] = {}
         self._windows: list[deque[Lessons]] = [deque(maxlen=config.window) for _ in shares]
         self._validators = {task.short_name: Validator(task, config.validation_maps) for task in tasks}
-        self._viewers = {task.short_name: Viewer(task, config.validation_maps) for task in tasks}
+        self._viewers = {task.short_name: Viewer(task) for task in tasks}
         self.online = TourNet()
         self.average = deepcopy(self.online)
         self.optimizer = torch.optim.AdamW(
@@ -206,7 +208,7 @@ class TourTrainer(Learner):
     def _losses_of(self, batch: "Batch") -> tuple[Tensor, Tensor, Tensor]:
         """Cross-entropy of the choices, expected regret, and cross-entropy of the completions: means over a batch."""
         preference, completion = self.online(*batch.inputs)
-        logits = batch.table(preference + 2 * logsigmoid(completion), -math.inf)
+        logits = batch.table(chosen_by(preference, completion), -math.inf)
         values = batch.table(batch.values, -math.inf)
         regrets = values.amax(1, keepdim=True) - values
         wanted = (-regrets / self.config.temperature).softmax(1)
@@ -244,15 +246,15 @@ class TourTrainer(Learner):
     def validate(self) -> None:
         """Fly the validation maps of each task with the average of the weights."""
         for name, validator in self._validators.items():
-            viewer = self._viewers[name]
-            flown = validator.validate(lambda grids, telemetry, see=viewer: self._act(see(grids, telemetry)))
+            flown = validator.validate(partial(choose, self._viewers[name], self._judged))
             self.shares[name] = flown.score / flown.optimum
 
-    def _act(self, view: View) -> npt.NDArray[np.int64]:
+    def _judged(self, view: View) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """What the average of the weights says of each option."""
         batch = Batch(view, np.zeros(len(view.token), np.float32))
         with torch.no_grad():
             preference, completion = self.average(*batch.inputs)
-        return first_actions(view, (preference + 2 * logsigmoid(completion)).numpy())
+        return chosen_by(preference, completion).numpy(), completion.numpy()
 
     def get_state(self) -> dict[str, Any]:
         """Everything that the run needs to go on, as tensors and plain values."""
@@ -322,6 +324,11 @@ class TourTrainer(Learner):
 LEARNED = ("online", "average", "optimizer")
 
 
+def chosen_by(preference: Tensor, completion: Tensor) -> Tensor:
+    """The logits of the choice: an option after which the mission can hardly be completed is hardly chosen."""
+    return preference + 2 * logsigmoid(completion)
+
+
 class Batch:
     """States and their options as tensors.
 
@@ -339,7 +346,7 @@ class Batch:
             torch.from_numpy(np.arange(len(owner)) - np.repeat(view.begins[:-1], counts)),
         )
         arrays = (view.tokens, view.present, view.edges, owner, view.token.astype(np.int64), view.features)
-        self.inputs = tuple(map(torch.from_numpy, arrays))
+        self.inputs = tuple(torch.from_numpy(array) for array in arrays)
         """What the network takes."""
         self.values = torch.from_numpy(values)
 
@@ -355,21 +362,11 @@ def sample(window: list[Lessons], size: int, random: np.random.Generator) -> Bat
         (view, values) = window[random.integers(len(window))]
         chosen = random.integers(0, len(view.tokens), size // 4)
         counts = np.diff(view.begins)[chosen]
-        options = np.repeat(view.begins[chosen] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
+        options: npt.NDArray[np.int64] = np.repeat(
+            view.begins[chosen] - np.cumsum(counts) + counts, counts
+        ) + np.arange(counts.sum())
         by_state = (view.tokens[chosen], view.present[chosen], view.edges[chosen], counts)
         parts.append((*by_state, view.token[options], view.features[options], view.numbers[options], values[options]))
     tokens, present, edges, counts, token, features, numbers, values = map(np.concatenate, zip(*parts, strict=True))
     begins = np.concatenate([[0], np.cumsum(counts)])
     return Batch(View(tokens, present, edges, begins, token, features, numbers), values)
-
-
-def first_actions(view: View, logits: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-    """The first action of the best option of each state, int64[M]; WAIT where there is none."""
-    counts = np.diff(view.begins)
-    actions = np.full(len(counts), int(Action.WAIT))
-    some = np.flatnonzero(counts)
-    if len(some):
-        best = np.repeat(np.maximum.reduceat(logits, view.begins[:-1][some]), counts[some])
-        options = np.flatnonzero(logits == best)[::-1]
-        actions[np.repeat(np.arange(len(counts)), counts)[options]] = view.numbers[options, 2]
-    return actions

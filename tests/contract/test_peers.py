@@ -13,7 +13,7 @@ from drone_env.agents import AGENTS
 from drone_env.core.tasks import get_task
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
 from drone_env.errors import InvalidValueError
-from drone_env.rl.validation import Validation, Values
+from drone_env.rl.validation import Validation
 from tests.package.installed import ROOT
 
 
@@ -46,23 +46,30 @@ def test_the_policy_that_was_best_in_validation_is_the_one_that_flies(
 ) -> None:
     monkeypatch.setattr(peers, "VALIDATIONS", 4)
     task, seen, shares = get_task("skyline_easy"), [], iter([0.1, 0.7, 0.3, 0.2, *[0.1] * 100])
-    batch = DroneDeliveryVecEnv(task, 8).batch
-    batch.reset(np.arange(8))
 
     class Scripted:
-        """Says that the second policy is the best, and keeps what each would do."""
+        """Says that the second policy is the best, and keeps which each was."""
 
-        def validate(self, values: Values) -> Validation:
-            seen.append(values(batch.grids, batch.telemetry))
+        def validate(self, act: Any) -> Validation:
+            seen.append(act.__self__.config)
             return Validation(next(shares), 1.0, 0.0)
 
-    peer, watch = peers.train(task, "MaskablePPO", peers.RECIPES["wide"] | {"n_steps": 4}, 3, 1.0, Scripted())
+    recipe = peers.RECIPES["wide"] | {"n_steps": 1, "batch_size": 256}  # an update after every step
+    peer, watch = peers.train(task, "MaskablePPO", recipe, 3, 1.0, Scripted())
     assert len(watch.curve) == len(seen) >= 3
-    flown = peer.values(batch.grids, batch.telemetry)
-    assert np.array_equal(flown, seen[1])
-    assert not np.array_equal(flown, seen[-1])
-    assert (flown.argmax(axis=1) == peer.act_batch(batch.grids, batch.telemetry)).all()
-    assert (np.exp(flown)[~batch.action_masks.astype(bool)] < 1e-6).all()
+    assert peer.config == seen[1]
+    assert len({json.dumps(config) for config in seen}) == len(seen)
+
+
+def test_a_masked_peer_never_bumps(peers: ModuleType) -> None:
+    env = DroneDeliveryVecEnv("skyline_easy", 64)
+    env.seed(7)
+    env.reset()
+    peer = peers.Peer(env.task, peers.MaskablePPO("MultiInputPolicy", env, n_steps=2, batch_size=128, device="cpu"))
+    for _ in range(30):
+        actions = peer.act_batch(env.batch.grids, env.batch.telemetry)
+        assert env.action_masks()[np.arange(64), actions].all()
+        env.step(actions)
 
 
 @pytest.mark.parametrize(("algorithm", "recipe"), [("PPO", "dense"), ("MaskablePPO", "wide")])

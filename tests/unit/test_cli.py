@@ -13,14 +13,15 @@ import pytest
 from PIL import Image
 
 from drone_env import __version__
-from drone_env.agents import pathqnet
+from drone_env.agents import AGENTS, GreedyAgent, pathqnet
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.cli import main
 from drone_env.commands.play import split_keys
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.tasks import TASKS, get_task
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import TooLargeError
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.planning.optimal import solve
 
@@ -164,6 +165,21 @@ def test_an_agent_that_cannot_fly_a_task_leaves_its_row_empty_and_says_why(
     # The folder knows of what is flown, and goes on with it.
     assert main(["evaluate", *tasks, *agents, *maps, "--json", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["tasks"]["skyline_easy"]["agents"]["pathqnet"]["unsupported"] == why
+
+
+def test_a_task_that_is_too_large_for_an_agent_leaves_its_row_empty(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def heavy(task: TaskConfig) -> GreedyAgent:
+        if task.width > 10:
+            raise TooLargeError(f"{task.id} is too large")
+        return GreedyAgent(task)
+
+    monkeypatch.setitem(AGENTS, "heavy", heavy)
+    assert main(["evaluate", "--task", "easy", "hard", "--agents", "heavy", "--seeds", "3:4", "--json", "-"]) == 0
+    easy, hard = json.loads(capsys.readouterr().out)["tasks"].values()
+    assert easy["agents"]["heavy"]["mean_score"] > 0.9
+    assert hard["agents"]["heavy"]["unsupported"] == "hard_delivery is too large"
 
 
 def test_where_nobody_flies_anything_the_reason_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:

@@ -107,7 +107,7 @@ def test_a_task_whose_efficiency_always_counts_and_whose_steps_differ_is_refused
 
 
 def test_of_best_flights_the_shortest_is_flown() -> None:
-    # One parcel is out of reach; for the other there is time enough to go round in circles over the pads.
-    walled = {"impassable": frozenset({Cell.OBSTACLE}), "charge_rate": 1, "efficiency_needs_all": True}
-    episode = toy_episode(["@P0", "PPO", "PO1"], max_steps=40, **walled)
-    assert "".join("UDLRW"[action] for action in LegSolver(episode).best_actions()) == "RR"
+    # One parcel is out of reach. For the other the battery does not last, and there is time to fill it at either pad.
+    walled = {"impassable": frozenset({Cell.OBSTACLE}), "charge_rate": 9, "efficiency_needs_all": True}
+    episode = toy_episode(["P.@.P...0", "OOOOOOOOO", "1........"], max_steps=40, battery_capacity=5, **walled)
+    assert "".join("UDLRW"[action] for action in LegSolver(episode).best_actions()) == "RRWRRRR"

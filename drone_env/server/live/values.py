@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 MAX_BYTES = 256 << 20
-"""Memory that the solvers may take together; a map of skyline_hard takes 3 MB, one of a task of one's own up to 1 GB."""
+"""Memory that the solvers may take together; a map of skyline_hard takes 3 MB, one of another task up to 1 GB."""
 UNSOLVED = "What can still be reached on this map could not be worked out; the server's log says why."
 Map = tuple[TaskConfig, int]
 
