@@ -1,7 +1,8 @@
 """How many decisions agents make in a second of one core's computing, and how well: make bench-agents, or this file.
 
-Each flies the first test maps of each task, all together, and is timed while it is asked for actions: what it computes of
-the observations is in the figures, the simulator is not. One thread computes. Compiling is done before, on other maps.
+Each flies the first test maps of each task, all together, and is timed while it is asked for actions: what it computes
+of the observations is in the figures, the simulator is not. One thread computes. Compiling is done before, on other
+maps.
 """
 
 import argparse
@@ -63,8 +64,8 @@ def main() -> None:
             except UnsupportedTaskError:
                 continue
             score, decisions, seconds = measure(task, name, seeds)
-            share = f"{score / optimum:.4f}"
-            print(f"| {task} | {agent} | {share} | {decisions / seconds:,.0f} | {len(seeds) / seconds:,.1f} |", flush=True)
+            rates = f"{decisions / seconds:,.0f} | {len(seeds) / seconds:,.1f}"
+            print(f"| {task} | {agent} | {score / optimum:.4f} | {rates} |", flush=True)
 
 
 if __name__ == "__main__":

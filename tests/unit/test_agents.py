@@ -27,6 +27,8 @@ def flies(name: str, task: TaskConfig) -> bool:
 
 PAIRS = [(name, task) for name in AGENTS for task in TASKS.values() if flies(name, task)]
 """Agents with the tasks that they can fly."""
+FEWER = {"pathqnet": 9, "tournet": 5, "tournet-search": 4, "tournet-search-64": 2}
+"""How many maps those fly that take their time."""
 
 
 def fly(agent_name: str, task: TaskConfig, seed: int) -> Episode:
@@ -106,7 +108,7 @@ def test_an_unknown_agent_is_refused_with_the_names_that_exist() -> None:
 
 @pytest.mark.parametrize(("name", "task"), PAIRS, ids=lambda value: getattr(value, "id", value))
 def test_together_the_agents_choose_as_they_do_alone(name: str, task: TaskConfig) -> None:
-    seeds = np.array([0, 1, 2**52, 2**53 - 1, *range(500, 505 if name == "pathqnet" else 516)], np.int64)
+    seeds = np.array([0, 2**53 - 1, 1, 2**52, *range(500, 516)], np.int64)[: FEWER.get(name, 20)]
     together, alone = make_agent(name, task), make_agent(name, task)
     batch = Batch(task, len(seeds))
     batch.reset(seeds)
