@@ -22,8 +22,9 @@ from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_wa
 
 WAIT = int(Action.WAIT)
 KEY = task_key("agent/tournet-search", 1)
-TEMPERATURE = 0.7
-"""By what the logits are divided before a plan is drawn from them."""
+TEMPERATURES = 0.7, 2.0
+"""By what the logits are divided before a plan is drawn from them. The second is for half of the plans behind the
+eighth: where the network is sure and wrong, no number of plans that are drawn by the first would leave its way."""
 FLIGHTS = 2048
 """Flights at a time."""
 
@@ -166,7 +167,9 @@ class TourPlanner:
         while len(flying):
             choices, of = self._choices(maps[flying], flights.grids[flying], flights.states[flying])
             keys = next_key(keys)
-            chosen = np.where(numbers[flying] == 0, choices.best[of], drawn(choices, of, keys[flying]))
+            number = numbers[flying]
+            warm, hot = (drawn(choices, of, keys[flying], temperature) for temperature in TEMPERATURES)
+            chosen = np.where(number == 0, choices.best[of], np.where(is_hot(number), hot, warm))
             options = np.zeros((len(flying), 4), np.int64)
             options[chosen >= 0] = choices.options[chosen[chosen >= 0]]
             fly_kernel(self._tables, self._rewards, self._counts, flights, flying, options, *self._work)
@@ -197,17 +200,23 @@ class TourPlanner:
         return Choices(np.append(begins, begin), *others), of.ravel()
 
 
-def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any) -> npt.NDArray[np.int64]:
-    """An option of each state, drawn by the softmax of its logits / `TEMPERATURE`; -1 where there is none.
+def is_hot(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Whether the plans of these numbers are drawn by the second temperature."""
+    return (numbers >= 8) & (numbers % 2 == 1)
+
+
+def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any, temperature: float) -> npt.NDArray[np.int64]:
+    """An option of each state, drawn by the softmax of its logits / temperature; -1 where there is none.
 
     Args:
         choices: Of M states.
         of: int64[n], the states to draw for.
         keys: int64[n], where the random numbers are.
+        temperature: Above 0; the higher, the more alike all options are.
     """
     counts = np.diff(choices.begins)
     highest = np.repeat(choices.logits[choices.best], counts) if len(choices.logits) else choices.logits
-    likely = np.exp((choices.logits - highest) / TEMPERATURE, dtype=np.float64)
+    likely = np.exp((choices.logits - highest) / temperature, dtype=np.float64)
     sums = np.concatenate([[0.0], likely.cumsum()])
     below, above = sums[choices.begins[of]], sums[choices.begins[of + 1]]
     share = (mix64(keys) >> 32 & MASK32) / (MASK32 + 1)
