@@ -1,7 +1,7 @@
 """Whole plans of the tour network, flown in the simulator: which of K is the best."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -185,9 +185,9 @@ class TourPlanner:
         maps, numbers = np.divmod(np.arange(m * plans), plans)
         actions, scores = np.full((m * plans, max_steps), WAIT, np.int8), np.zeros(m * plans)
         flights = Flights(grids[maps], states[maps], actions, scores)
-        as_integers: Any = seeds  # arrays of 64-bit integers wrap as compiled ones do
-        keys: Any = map_key(KEY, as_integers)[maps] ^ states[maps, STEPS].astype(np.int64)
-        keys = mix64(keys ^ mix64(numbers))
+        # Arrays of 64-bit integers wrap as compiled ones do.
+        of_maps, steps, of_plans = (cast(Any, array) for array in (seeds[maps], states[maps, STEPS], numbers))
+        keys: Any = mix64(map_key(KEY, of_maps) ^ steps ^ mix64(of_plans))
         flying = np.flatnonzero(flights.states[:, OUTCOME] == FLYING)
         while len(flying):
             choices, of = self._choices(maps[flying], flights.grids[flying], flights.states[flying])
