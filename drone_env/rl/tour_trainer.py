@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
@@ -250,7 +250,7 @@ class TourTrainer(Learner):
             **{name: getattr(self, name).state_dict() for name in LEARNED},
             "counters": [self.updates, self.states],
             "losses": list(self._losses),
-            "history": [vars(line) for line in self.history],
+            "history": [asdict(line) for line in self.history],
             "shares": dict(self.shares),
             "cpu_seconds": self.cpu_seconds,
         }
