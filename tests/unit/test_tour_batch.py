@@ -6,29 +6,20 @@ import numpy as np
 import pytest
 import torch
 
-from drone_env.core.tasks import get_task
-from drone_env.rl.lessons import Lessons, Teacher
+from drone_env.agents.tour_view import make_view
+from drone_env.rl.lessons import Lessons
 from drone_env.rl.tour_batch import Batch, losses_of, sample
 
 
 def fake_lessons(counts: list[int], of: int) -> Lessons:
     """States with so many options, each of which tells by its features of which lessons, state and place it is."""
-    states, begins = len(counts), np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    width = 3
-    view, values = Teacher(get_task("easy"), 1, 1).draw(np.zeros(0, np.int64))
-    features = np.array([(of, m, k, *[0] * 6) for m, n in enumerate(counts) for k in range(n)], np.float32)
-    return Lessons(
-        view._replace(
-            tokens=np.arange(states, dtype=np.float32)[:, None, None] + np.zeros((states, width, 22), np.float32),
-            present=np.ones((states, width), np.bool_),
-            edges=np.zeros((states, width, width, 10), np.float32),
-            begins=begins,
-            token=(np.arange(begins[-1]) % width).astype(np.int32),
-            features=features,
-            numbers=np.zeros((begins[-1], 3), np.int32),
-        ),
-        (features[:, 0] + features[:, 1] / 10 + features[:, 2] / 100).astype(values.dtype),
-    )
+    view = make_view(len(counts), 2, sum(counts))
+    view.tokens[:] = np.arange(len(counts))[:, None, None]
+    view.present[:] = True
+    view.begins[1:] = np.cumsum(counts)
+    view.token[:] = np.arange(sum(counts)) % 3
+    view.features[:, :3] = [(of, m, k) for m, count in enumerate(counts) for k in range(count)]
+    return Lessons(view, view.features[:, :3] @ np.array([1, 0.1, 0.01], np.float32))
 
 
 def test_a_batch_holds_the_options_of_the_states_that_it_chose() -> None:
