@@ -5,7 +5,6 @@ from typing import Any
 
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.planning.ways import counts_units
 
 ALL = "all"
 SHARES = {
@@ -82,8 +81,8 @@ class TourConfig:
 
     def __post_init__(self) -> None:
         for task in [] if self.task == ALL else self.tasks():
-            several = task.deliveries > 1 or counts_units(task)
-            _require(several, f"there is nothing to choose on {task.id!r}: one parcel, and one way to it")
+            matters = task.deliveries > 1 or not task.uniform
+            _require(matters, f"there is nothing to choose on {task.id!r}: one parcel, and one way to it")
         positive = (
             "updates", "num_threads", "batch_size", "learning_rate", "temperature", "maps_per_chunk", "states_per_map",
             "window", "validation_every", "validation_maps", "log_every", "max_grad_norm",
