@@ -80,9 +80,10 @@ class TourConfig:
     """At least this many seconds between two checkpoints."""
 
     def __post_init__(self) -> None:
-        for task in [] if self.task == ALL else self.tasks():
-            matters = task.deliveries > 1 or not task.uniform
-            _require(matters, f"there is nothing to choose on {task.id!r}: one parcel, and one way to it")
+        if self.task != ALL:
+            task = get_task(self.task)
+            one_way = task.uniform and task.deliveries == 1
+            _require(not one_way, f"there is nothing to choose on {task.id!r}: one parcel, and one way to it")
         positive = (
             "updates", "num_threads", "batch_size", "learning_rate", "temperature", "maps_per_chunk", "states_per_map",
             "window", "validation_every", "validation_maps", "log_every", "max_grad_norm",
