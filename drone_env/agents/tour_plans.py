@@ -1,13 +1,13 @@
 """Whole plans of the tour network, flown in the simulator: which of K is the best."""
 
-from typing import Any, NamedTuple, cast
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents.tour_network import TourNetwork
 from drone_env.agents.tour_viewer import Viewer
-from drone_env.agents.tournet import best_options
+from drone_env.agents.tournet import Network, best_options
 from drone_env.core import compiled
 from drone_env.core.actions import FLYING, Action
 from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
@@ -23,9 +23,12 @@ from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_wa
 WAIT = int(Action.WAIT)
 KEY = task_key("agent/tournet-search", 1)
 TEMPERATURE = 0.7
-"""By what the logits are divided before a plan is drawn from them."""
+"""At which the agent draws its plans."""
 FLIGHTS = 2048
 """Flights at a time."""
+
+
+Watch = Callable[[npt.NDArray[np.int64], npt.NDArray[np.uint8], npt.NDArray[np.uint16], npt.NDArray[np.int64]], None]
 
 
 class Flights(NamedTuple):
@@ -127,10 +130,11 @@ class TourPlanner:
         task: The task.
         network: Chooses the ways.
         plans: K, how many plans there are of each map: the first takes the best ways, the others are drawn.
+        temperature: By what the logits are divided before a plan is drawn from them.
     """
 
-    def __init__(self, task: TaskConfig, network: TourNetwork, plans: int) -> None:
-        self._network, self._plans = network, plans
+    def __init__(self, task: TaskConfig, network: Network, plans: int, temperature: float = TEMPERATURE) -> None:
+        self._network, self._plans, self._temperature = network, plans, temperature
         self._viewer = Viewer(task)
         self._tables, self._rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
         self._counts = int(counts_units(task))
@@ -148,29 +152,52 @@ class TourPlanner:
             seeds: int64[M], what the plans are drawn by, beside the steps flown.
         """
         together = max(1, FLIGHTS // self._plans)
-        parts = [slice(i, i + together) for i in range(0, len(grids), together)]
-        return np.concatenate([self._best(grids[part], states[part], seeds[part]) for part in parts])
+        parts: list[npt.NDArray[np.int8]] = []
+        for i in range(0, len(grids), together):
+            some = slice(i, i + together)
+            flights = self.fly(grids[some], states[some], seeds[some])
+            scores = flights.scores.reshape(-1, self._plans)
+            actions = flights.actions.reshape(*scores.shape, -1)
+            parts.append(actions[np.arange(len(scores)), scores.argmax(axis=1)])
+        return np.concatenate(parts)
 
-    def _best(
-        self, grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16], seeds: npt.NDArray[np.int64]
-    ) -> npt.NDArray[np.int8]:
+    def fly(
+        self,
+        grids: npt.NDArray[np.uint8],
+        states: npt.NDArray[np.uint16],
+        seeds: npt.NDArray[np.int64],
+        watch: Watch | None = None,
+    ) -> Flights:
+        """All plans, flown to their ends, K for each of M states.
+
+        Args:
+            grids: uint8[M, cells], of episodes in flight.
+            states: uint16[M, state size]
+            seeds: int64[M], what the plans are drawn by, beside the steps flown.
+            watch: Called with the numbers of the flights that choose, their grids and states, and which of its options
+                each takes, counted from the first; -1 where it has none.
+        """
         m, plans, max_steps = len(grids), self._plans, self._tables.max_steps
         maps, numbers = np.divmod(np.arange(m * plans), plans)
         actions, scores = np.full((m * plans, max_steps), WAIT, np.int8), np.zeros(m * plans)
         flights = Flights(grids[maps], states[maps], actions, scores)
-        # Arrays of 64-bit integers wrap as compiled ones do.
-        of_maps, steps, of_plans = (cast(Any, array) for array in (seeds[maps], states[maps, STEPS], numbers))
-        keys: Any = mix64(map_key(KEY, of_maps) ^ steps ^ mix64(of_plans))
+        as_integers: Any = seeds  # arrays of 64-bit integers wrap as compiled ones do
+        keys: Any = map_key(KEY, as_integers)[maps] ^ states[maps, STEPS].astype(np.int64)
+        keys = mix64(keys ^ mix64(numbers))
         flying = np.flatnonzero(flights.states[:, OUTCOME] == FLYING)
         while len(flying):
             choices, of = self._choices(maps[flying], flights.grids[flying], flights.states[flying])
             keys = next_key(keys)
-            chosen = np.where(numbers[flying] == 0, choices.best[of], drawn(choices, of, keys[flying]))
+            drawn_ones = drawn(choices, of, keys[flying], self._temperature)
+            chosen = np.where(numbers[flying] == 0, choices.best[of], drawn_ones)
+            if watch is not None:
+                of_each = np.where(chosen < 0, -1, chosen - choices.begins[of])
+                watch(flying, flights.grids[flying], flights.states[flying], of_each)
             options = np.zeros((len(flying), 4), np.int64)
             options[chosen >= 0] = choices.options[chosen[chosen >= 0]]
             fly_kernel(self._tables, self._rewards, self._counts, flights, flying, options, *self._work)
             flying = flying[flights.states[flying, OUTCOME] == FLYING]
-        return actions.reshape(m, plans, max_steps)[np.arange(m), scores.reshape(m, plans).argmax(axis=1)]
+        return flights
 
     def _choices(
         self, maps: npt.NDArray[np.int64], grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16]
@@ -196,17 +223,18 @@ class TourPlanner:
         return Choices(np.append(begins, begin), *others), of.ravel()
 
 
-def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any) -> npt.NDArray[np.int64]:
-    """An option of each state, drawn by the softmax of its logits / `TEMPERATURE`; -1 where there is none.
+def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any, temperature: float) -> npt.NDArray[np.int64]:
+    """An option of each state, drawn by the softmax of its logits / temperature; -1 where there is none.
 
     Args:
         choices: Of M states.
         of: int64[n], the states to draw for.
         keys: int64[n], where the random numbers are.
+        temperature: Above 0.
     """
     counts = np.diff(choices.begins)
     highest = np.repeat(choices.logits[choices.best], counts) if len(choices.logits) else choices.logits
-    likely = np.exp((choices.logits - highest) / TEMPERATURE, dtype=np.float64)
+    likely = np.exp((choices.logits - highest) / temperature, dtype=np.float64)
     sums = np.concatenate([[0.0], likely.cumsum()])
     below, above = sums[choices.begins[of]], sums[choices.begins[of + 1]]
     share = (mix64(keys) >> 32 & MASK32) / (MASK32 + 1)

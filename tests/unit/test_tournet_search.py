@@ -113,9 +113,9 @@ def test_options_are_drawn_by_their_logits() -> None:
     choices = Choices(np.array([0, 2, 2, 3]), None, logits, np.array([1, -1, 2]))
     keys = np.arange(40_000) * 7919
     for state, expected in ((0, [0.25, 0.75, 0]), (2, [0, 0, 1])):
-        found = drawn(choices, np.full(len(keys), state), keys)
+        found = drawn(choices, np.full(len(keys), state), keys, TEMPERATURE)
         assert np.bincount(found, minlength=3) / len(keys) == pytest.approx(expected, abs=0.01)
-    assert drawn(choices, np.ones(3, np.int64), keys[:3]).tolist() == [-1, -1, -1]
+    assert drawn(choices, np.ones(3, np.int64), keys[:3], TEMPERATURE).tolist() == [-1, -1, -1]
 
 
 def test_the_budget_is_part_of_what_it_is(network: Path) -> None:
