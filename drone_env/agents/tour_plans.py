@@ -1,13 +1,13 @@
 """Whole plans of the tour network, flown in the simulator: which of K is the best."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents.tour_network import TourNetwork
 from drone_env.agents.tour_viewer import Viewer
-from drone_env.agents.tournet import best_options
+from drone_env.agents.tournet import Network, best_options
 from drone_env.core import compiled
 from drone_env.core.actions import FLYING, Action
 from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
@@ -22,11 +22,13 @@ from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_wa
 
 WAIT = int(Action.WAIT)
 KEY = task_key("agent/tournet-search", 1)
-TEMPERATURES = 0.7, 2.0
-"""By what the logits are divided before a plan is drawn from them. The second is for half of the plans behind the
-eighth: where the network is sure and wrong, no number of plans that are drawn by the first would leave its way."""
+TEMPERATURE, HOT = 0.7, 2.0
+"""At which the agent draws its plans; the second where the first finds nothing new: see `TourPlanner`."""
 FLIGHTS = 2048
 """Flights at a time."""
+
+
+Watch = Callable[[npt.NDArray[np.int64], npt.NDArray[np.uint8], npt.NDArray[np.uint16], npt.NDArray[np.int64]], None]
 
 
 class Flights(NamedTuple):
@@ -112,11 +114,10 @@ def fly_kernel(
             steps -= 1
             if steps <= 0:
                 break
-            # Ways that cost more than the rest of this one are not looked for; of the others, one takes as long.
-            most = min(units + 1, state[BATTERY])
-            find_ways(tables, ground, state[CELL], most, counts, stop_at, ways, 0, rounds)
+            # What costs more than the rest of the way is not looked for.
+            find_ways(tables, ground, state[CELL], units + 1, counts, stop_at, ways, 0, rounds)
             for w in range(ways.count[0]):
-                if ways.steps[0, w] == steps:
+                if ways.steps[0, w] == steps and (counts == 0 or ways.units[0, w] == units):
                     action = ways.first[0, w]
         stop_at[to] = NO_STOP
         flights.scores[i] = score(tables, state)
@@ -129,10 +130,21 @@ class TourPlanner:
         task: The task.
         network: Chooses the ways.
         plans: K, how many plans there are of each map: the first takes the best ways, the others are drawn.
+        temperature: By what the logits are divided before a plan is drawn from them.
+        hot: The same of half of the plans behind the eighth: where the network is sure and wrong, no number of plans
+            that are drawn at a low temperature would leave its way. None for no such plans.
     """
 
-    def __init__(self, task: TaskConfig, network: TourNetwork, plans: int) -> None:
+    def __init__(
+        self,
+        task: TaskConfig,
+        network: Network,
+        plans: int,
+        temperature: float = TEMPERATURE,
+        hot: float | None = None,
+    ) -> None:
         self._network, self._plans = network, plans
+        self._temperature, self._hot = temperature, temperature if hot is None else hot
         self._viewer = Viewer(task)
         self._tables, self._rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
         self._counts = int(counts_units(task))
@@ -150,12 +162,31 @@ class TourPlanner:
             seeds: int64[M], what the plans are drawn by, beside the steps flown.
         """
         together = max(1, FLIGHTS // self._plans)
-        parts = [slice(i, i + together) for i in range(0, len(grids), together)]
-        return np.concatenate([self._best(grids[part], states[part], seeds[part]) for part in parts])
+        parts: list[npt.NDArray[np.int8]] = []
+        for i in range(0, len(grids), together):
+            some = slice(i, i + together)
+            flights = self.fly(grids[some], states[some], seeds[some])
+            scores = flights.scores.reshape(-1, self._plans)
+            actions = flights.actions.reshape(*scores.shape, -1)
+            parts.append(actions[np.arange(len(scores)), scores.argmax(axis=1)])
+        return np.concatenate(parts)
 
-    def _best(
-        self, grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16], seeds: npt.NDArray[np.int64]
-    ) -> npt.NDArray[np.int8]:
+    def fly(
+        self,
+        grids: npt.NDArray[np.uint8],
+        states: npt.NDArray[np.uint16],
+        seeds: npt.NDArray[np.int64],
+        watch: Watch | None = None,
+    ) -> Flights:
+        """All plans, flown to their ends, K for each of M states.
+
+        Args:
+            grids: uint8[M, cells], of episodes in flight.
+            states: uint16[M, state size]
+            seeds: int64[M], what the plans are drawn by, beside the steps flown.
+            watch: Called with the numbers of the flights that choose, their grids and states, and which of its options
+                each takes, counted from the first; -1 where it has none.
+        """
         m, plans, max_steps = len(grids), self._plans, self._tables.max_steps
         maps, numbers = np.divmod(np.arange(m * plans), plans)
         actions, scores = np.full((m * plans, max_steps), WAIT, np.int8), np.zeros(m * plans)
@@ -168,13 +199,16 @@ class TourPlanner:
             choices, of = self._choices(maps[flying], flights.grids[flying], flights.states[flying])
             keys = next_key(keys)
             number = numbers[flying]
-            warm, hot = (drawn(choices, of, keys[flying], temperature) for temperature in TEMPERATURES)
-            chosen = np.where(number == 0, choices.best[of], np.where(is_hot(number), hot, warm))
+            warm, hot = (drawn(choices, of, keys[flying], t) for t in (self._temperature, self._hot))
+            chosen = np.where(number == 0, choices.best[of], np.where((number >= 8) & (number % 2 == 1), hot, warm))
+            if watch is not None:
+                of_each = np.where(chosen < 0, -1, chosen - choices.begins[of])
+                watch(flying, flights.grids[flying], flights.states[flying], of_each)
             options = np.zeros((len(flying), 4), np.int64)
             options[chosen >= 0] = choices.options[chosen[chosen >= 0]]
             fly_kernel(self._tables, self._rewards, self._counts, flights, flying, options, *self._work)
             flying = flying[flights.states[flying, OUTCOME] == FLYING]
-        return actions.reshape(m, plans, max_steps)[np.arange(m), scores.reshape(m, plans).argmax(axis=1)]
+        return flights
 
     def _choices(
         self, maps: npt.NDArray[np.int64], grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16]
@@ -200,11 +234,6 @@ class TourPlanner:
         return Choices(np.append(begins, begin), *others), of.ravel()
 
 
-def is_hot(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """Whether the plans of these numbers are drawn by the second temperature."""
-    return (numbers >= 8) & (numbers % 2 == 1)
-
-
 def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any, temperature: float) -> npt.NDArray[np.int64]:
     """An option of each state, drawn by the softmax of its logits / temperature; -1 where there is none.
 
@@ -212,7 +241,7 @@ def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any, temperature: f
         choices: Of M states.
         of: int64[n], the states to draw for.
         keys: int64[n], where the random numbers are.
-        temperature: Above 0; the higher, the more alike all options are.
+        temperature: Above 0.
     """
     counts = np.diff(choices.begins)
     highest = np.repeat(choices.logits[choices.best], counts) if len(choices.logits) else choices.logits
