@@ -114,10 +114,11 @@ def fly_kernel(
             steps -= 1
             if steps <= 0:
                 break
-            # What costs more than the rest of the way is not looked for.
-            find_ways(tables, ground, state[CELL], units + 1, counts, stop_at, ways, 0, rounds)
+            # Ways that cost more than the rest of this one are not looked for; of the others, one takes as long.
+            most = min(units + 1, state[BATTERY])
+            find_ways(tables, ground, state[CELL], most, counts, stop_at, ways, 0, rounds)
             for w in range(ways.count[0]):
-                if ways.steps[0, w] == steps and (counts == 0 or ways.units[0, w] == units):
+                if ways.steps[0, w] == steps:
                     action = ways.first[0, w]
         stop_at[to] = NO_STOP
         flights.scores[i] = score(tables, state)
