@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest
 # What was compiled once is kept: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo serve test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-peers bench-agents bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
+.PHONY: demo serve test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-planners bench-peers bench-agents bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
 .DEFAULT_GOAL := demo
 
 $(VENV)/.base: pyproject.toml
@@ -32,14 +32,14 @@ $(VENV)/.dev: $(VENV)/.base
 	@echo "Development tools installed in $$(($$(date +%s) - $$(cat $(VENV)/began))) s"
 	touch $@
 
-# Fly the trained network, compare the agents on every task (no network is shipped for skyline), draw one flight.
+# Fly a network that plans, compare the agents on every task, draw one flight.
 demo: $(VENV)/.base
-	@echo "== One mission: the trained network over hard map 7 =="
-	@$(BIN)/drone-env fly --task hard --agent pathqnet --seed 7 --picture demo/mission.png
+	@echo "== One mission: a network that plans, over skyline_medium map 7 =="
+	@$(BIN)/drone-env fly --task skyline_medium --agent tournet --seed 7 --picture demo/mission.png
 	@echo
 	@echo "== 100 test maps of each task =="
 	@$(BIN)/drone-env evaluate --task easy medium hard --agents random greedy pathqnet optimal --split test --episodes 100
-	@$(BIN)/drone-env evaluate --task skyline_easy skyline_medium skyline_hard --split test --episodes 100
+	@$(BIN)/drone-env evaluate --task skyline_easy skyline_medium skyline_hard --agents random greedy tournet optimal --split test --episodes 100
 	@echo
 	@echo "To watch and fly in the browser: make serve, then open http://127.0.0.1:8000"
 
@@ -100,7 +100,7 @@ mutants: $(VENV)/.dev
 # The campaigns: the same properties over many more cases, other Pythons, oldest dependencies, faults; takes hours.
 OTHER_PYTHON ?= python3.13
 verify: $(VENV)/.dev
-	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(PYTEST) -m '' -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_store_processes.py tests/unit/test_training_run.py tests/unit/test_network.py
+	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(PYTEST) -m '' -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_legs.py tests/unit/test_store_processes.py tests/unit/test_training_run.py tests/unit/test_network.py
 	DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SOCKET_STEPS=1000000 DRONE_ENV_SCHEMA_EXAMPLES=200 $(PYTEST) -m '' --timeout 36000 tests/api
 	$(BIN)/python tests/api/hostile_callers.py
 	DRONE_ENV_KILLS=50 DRONE_ENV_LLM_MAPS=100 DRONE_ENV_LLM_ROUTES=100 $(PYTEST) --timeout 36000 tests/llm
@@ -119,6 +119,10 @@ bench-server: $(VENV)/.dev
 # The trainer beside Stable-Baselines3's DQN; takes half an hour.
 bench-training: $(VENV)/.dev
 	$(BIN)/python benchmarks/training.py $(ARGS)
+
+# What the planners take for a map, and the value of a decision; a minute.
+bench-planners: $(VENV)/.base
+	$(BIN)/python benchmarks/planners.py $(ARGS)
 
 # PPO and MaskablePPO on skyline, half an hour of CPU time for each of six runs; ARGS="--cpu-seconds 600" for less.
 bench-peers: $(VENV)/.dev
@@ -157,10 +161,11 @@ evidence: $(VENV)/.dev
 docs: $(VENV)/.dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 
-# The generated pages, tables and pictures of docs/; takes minutes.
+# The generated pages, tables and pictures of docs/, and the table of README; takes half an hour. What an agent costs is
+# measured on one core. ARGS=tasks for what the agents reach alone.
 docs-data: $(VENV)/.dev
 	$(BIN)/python tools/docs_tables.py
-	$(BIN)/python tools/docs_generate.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/docs_generate.py $(ARGS)
 
 # The pictures of the dashboard in docs/images, taken in the system's chromium.
 screenshots: $(VENV)/.dev

@@ -1,6 +1,7 @@
 """Write the generated parts of the documentation: `make docs-data`, some minutes.
 
-    tasks   docs/tasks.md: the numbers of every task, a picture, and how the agents fly it; docs/images/<task>.png
+    tasks   docs/tasks.md: the numbers of every task, a picture, and how the agents fly it; docs/images/<task>.png;
+            README.md: the table of what the agents reach
     audits  docs/reward.md: the table of audits
     curves  docs/reward.md and docs/images/training/*.png: training on `tiered` beside `aligned`, all else equal
 
@@ -11,22 +12,19 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+from docs_agents import table_of, table_of_all
 from docs_tables import between, numbers, put, table
 
-from drone_env.agents.pathqnet import shipped_network
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.envs.rendering import save_picture
-from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.planning.audit import audit_maps, audited_profile, summarise_audits
 from drone_env.planning.optimal import solve
 
 DOCS = Path(__file__).parents[1] / "docs"
-REWARD = DOCS / "reward.md"
-AGENTS = ("random", "greedy", "pathqnet", "optimal")
-MAPS = 1000
+README, REWARD = DOCS.parent / "README.md", DOCS / "reward.md"
 AUDITED = {
     "easy_delivery": 1000,
     "medium_delivery": 200,
@@ -39,21 +37,6 @@ CURVES, CURVES_EPISODES = "easy", 1_500
 """The task of the curves, and how many episodes are enough to see which way each goes."""
 
 
-def figures(task: TaskConfig) -> str:
-    """The table of how the agents fly a task."""
-    lines = ["| agent | mean score | of the optimum | all delivered | mean steps |", "|---|---|---|---|---|"]
-    for agent in AGENTS:
-        if agent == "pathqnet" and not shipped_network(task).is_file():
-            continue
-        key = episodes_key(task, agent, split_seeds("test", MAPS), "test")
-        of_agent = summarise(run_episodes(key))
-        lines.append(
-            f"| {agent} | {of_agent['mean_score']:.4f} | {of_agent['score_ratio']:.1%} "
-            f"| {of_agent['success_rate']:.1%} | {of_agent['mean_steps']:.1f} |"
-        )
-    return "\n".join(lines) + "\n"
-
-
 def picture(task: TaskConfig) -> None:
     """Draw a best flight over the first test map."""
     seed = split_seeds("test", 1)[0]
@@ -61,28 +44,32 @@ def picture(task: TaskConfig) -> None:
     save_picture(episode, DOCS / "images" / f"{task.id}.png", 480)
 
 
-INTRODUCTION = f"""# Tasks
+INTRODUCTION = """# Tasks
 
 Written by `tools/docs_generate.py` from `TASKS` (`drone_env/core/tasks.py`). [rules.md](rules.md) says what the
-numbers mean. The pictures show a best flight over the first test map; the figures are means over the first {MAPS:,}
-test maps.
+numbers mean. The pictures show a best flight over the first test map; the figures are means over the first 1,000 test
+maps.
 
 On the three `delivery` tasks chasing the nearest parcel nearly reaches the optimum. The three `skyline` tasks are made
-so that it does not: the battery does not last for the tour, buildings cost extra, obstacles block the way, and whoever
-does not plan where to charge is left standing. In `skyline` a charge in time is worth more than the steps it takes: a
-best flight often tops up before the last delivery, so it can be longer than a shorter one that scores less. On a few
-maps nobody can deliver everything; there the optimum is what can be had.
+so that it does not: the battery does not last for the tour, buildings cost extra, obstacles block the way, and a pilot
+that does not plan where to charge is left standing. In `skyline` a charge in time is worth more than the steps it
+takes: a best flight often tops up before the last delivery, so it can be longer than a shorter one that scores less.
+On a few maps nobody can deliver everything; there the optimum is what can be had.
+
+`tournet`, one network for all six tasks, plans parcels and charges; `tournet-search` and `tournet-search-64` fly the
+best of 8 and of 64 of its plans.
 """
 
 
 def write_tasks() -> None:
-    """Write docs/tasks.md and the pictures."""
+    """Write docs/tasks.md with its pictures, and the table of README.md."""
     parts = [INTRODUCTION]
     for task in TASKS.values():
         picture(task)
         shown = f"![A best flight on {task.id}](images/{task.id}.png)"
-        parts.append(f"## {task.id}\n\n{shown}\n\n{between(task.id, numbers(task))}\n\n{figures(task)}")
+        parts.append(f"## {task.id}\n\n{shown}\n\n{between(task.id, numbers(task))}\n\n{table_of(task)}\n")
     (DOCS / "tasks.md").write_text("\n".join(parts), encoding="utf-8")
+    README.write_text(put(README.read_text(encoding="utf-8"), "agents", table_of_all()), encoding="utf-8")
 
 
 def audits(task: TaskConfig, maps: int) -> list[str]:

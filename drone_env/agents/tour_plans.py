@@ -22,8 +22,9 @@ from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_wa
 
 WAIT = int(Action.WAIT)
 KEY = task_key("agent/tournet-search", 1)
-TEMPERATURE, HOT = 0.7, 2.0
-"""At which the agent draws its plans; the second where the first finds nothing new: see `TourPlanner`."""
+TEMPERATURES = 0.7, 2.0
+"""By what the logits are divided before a plan is drawn from them. The second is for half of the plans behind the
+eighth: where the network is sure and wrong, no number of plans that are drawn by the first would leave its way."""
 FLIGHTS = 2048
 """Flights at a time."""
 
@@ -131,21 +132,13 @@ class TourPlanner:
         task: The task.
         network: Chooses the ways.
         plans: K, how many plans there are of each map: the first takes the best ways, the others are drawn.
-        temperature: By what the logits are divided before a plan is drawn from them.
-        hot: The same of half of the plans behind the eighth: where the network is sure and wrong, no number of plans
-            that are drawn at a low temperature would leave its way. None for no such plans.
+        temperatures: By what the logits are divided before a plan is drawn from them; the second is that of `is_hot`.
     """
 
     def __init__(
-        self,
-        task: TaskConfig,
-        network: Network,
-        plans: int,
-        temperature: float = TEMPERATURE,
-        hot: float | None = None,
+        self, task: TaskConfig, network: Network, plans: int, temperatures: tuple[float, float] = TEMPERATURES
     ) -> None:
-        self._network, self._plans = network, plans
-        self._temperature, self._hot = temperature, temperature if hot is None else hot
+        self._network, self._plans, self._temperatures = network, plans, temperatures
         self._viewer = Viewer(task)
         self._tables, self._rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
         self._counts = int(counts_units(task))
@@ -200,8 +193,8 @@ class TourPlanner:
             choices, of = self._choices(maps[flying], flights.grids[flying], flights.states[flying])
             keys = next_key(keys)
             number = numbers[flying]
-            warm, hot = (drawn(choices, of, keys[flying], t) for t in (self._temperature, self._hot))
-            chosen = np.where(number == 0, choices.best[of], np.where((number >= 8) & (number % 2 == 1), hot, warm))
+            warm, hot = (drawn(choices, of, keys[flying], temperature) for temperature in self._temperatures)
+            chosen = np.where(number == 0, choices.best[of], np.where(is_hot(number), hot, warm))
             if watch is not None:
                 of_each = np.where(chosen < 0, -1, chosen - choices.begins[of])
                 watch(flying, flights.grids[flying], flights.states[flying], of_each)
@@ -235,6 +228,11 @@ class TourPlanner:
         return Choices(np.append(begins, begin), *others), of.ravel()
 
 
+def is_hot(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Whether the plans of these numbers are drawn by the second temperature."""
+    return (numbers >= 8) & (numbers % 2 == 1)
+
+
 def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any, temperature: float) -> npt.NDArray[np.int64]:
     """An option of each state, drawn by the softmax of its logits / temperature; -1 where there is none.
 
@@ -242,7 +240,7 @@ def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any, temperature: f
         choices: Of M states.
         of: int64[n], the states to draw for.
         keys: int64[n], where the random numbers are.
-        temperature: Above 0.
+        temperature: Above 0; the higher, the more alike all options are.
     """
     counts = np.diff(choices.begins)
     highest = np.repeat(choices.logits[choices.best], counts) if len(choices.logits) else choices.logits

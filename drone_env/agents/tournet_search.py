@@ -38,15 +38,15 @@ class TournetSearchAgent(PlannedAgent):
         super().__init__(task)
         if plans < 1:
             raise InvalidValueError(f"plans must be at least 1, got {plans}")
-        from drone_env.agents.tour_plans import HOT, TEMPERATURE, TourPlanner  # compiles
+        from drone_env.agents.tour_plans import TEMPERATURES, TourPlanner  # compiles
 
         flown_by = tour_network(network)
-        self._planner = TourPlanner(task, flown_by, plans, TEMPERATURE, HOT)
+        self._planner = TourPlanner(task, flown_by, plans)
         self.config: Mapping[str, object] = {
             "agent": "tournet-search",
             "version": 1,
             "plans": plans,
-            "temperatures": [TEMPERATURE, HOT],
+            "temperatures": list(TEMPERATURES),
             "network": flown_by.digest,
         }
 

@@ -19,6 +19,7 @@ from typing import Literal
 from packaging.requirements import Requirement
 
 from drone_env import __version__
+from drone_env.agents import tournet
 from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
 from drone_env.core.compile_cache import cache_folder
 from drone_env.core.tasks import TASKS
@@ -29,7 +30,7 @@ from drone_env.installer import DISTRIBUTION, install_command
 
 Status = Literal["ok", "absent", "attention", "broken"]
 SHIPPED = ("easy_delivery", "medium_delivery", "hard_delivery")
-"""The tasks whose networks come with the package."""
+"""The tasks whose own networks come with the package."""
 MEGABYTE = 1_000_000
 LAST_PORT = 65535
 DEFAULT_HOST, DEFAULT_PORT, DEFAULT_DATA = "127.0.0.1", 8000, Path("data")
@@ -147,10 +148,12 @@ def _networks() -> Iterator[Finding]:
     recorded = {
         Path(str(file.locate())): file.hash.value for file in (installed and installed.files) or [] if file.hash
     }
-    for name in SHIPPED:
-        path = shipped_network(TASKS[name])
+    for name in (*SHIPPED, "tournet"):
+        path = tournet.SHIPPED if name == "tournet" else shipped_network(TASKS[name])
         try:
-            agent = PathQNetAgent(TASKS[name])
+            digest = (
+                tournet.tour_network(None).digest if name == "tournet" else PathQNetAgent(TASKS[name]).config["network"]
+            )
             content = path.read_bytes()
         except (DroneEnvError, OSError) as error:
             yield Finding("networks", name, "broken", str(error))
@@ -159,7 +162,6 @@ def _networks() -> Iterator[Finding]:
         if recorded.get(path, sha256) != sha256:
             yield Finding("networks", name, "broken", f"{path} is not the file that was installed")
         else:
-            digest = agent.config["network"]
             detail = f"{len(content) / MEGABYTE:.2f} MB, digest {digest}"
             yield Finding("networks", name, "ok", detail, {"digest": digest})
 

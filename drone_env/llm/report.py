@@ -16,7 +16,7 @@ from drone_env.llm.run_folder import PilotedRecord
 from drone_env.llm.runner import mean_over_maps, verdict_of
 from drone_env.llm.verify import VerifiedRun
 
-BASELINES = ("random", "greedy", "pathqnet", "optimal")
+BASELINES = ("random", "greedy", "pathqnet", "tournet", "optimal")
 
 
 def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -> dict[str, Any]:

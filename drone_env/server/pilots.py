@@ -6,10 +6,9 @@ from drone_env.agents import make_agent
 from drone_env.agents.base import Agent
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import UnknownNameError
-from drone_env.server.predict import NETWORK, TRAINED, Networks
+from drone_env.server.predict import NETWORK, SOURCES, TRAINED, Networks
 
 HUMAN = "human"
-NETWORKS = (TRAINED, NETWORK)
 
 
 class Pilot(NamedTuple):
@@ -21,9 +20,12 @@ class Pilot(NamedTuple):
 
 PILOTS: dict[str, Pilot] = {
     TRAINED: Pilot("Trained here", "The network that you trained, from the data folder of this server."),
+    "trained-tournet": Pilot("Tournet trained here", "The tour network that you trained, from the same folder."),
     NETWORK: Pilot("PathQNet", "The network that is shipped: sees the map, takes the action of the highest value."),
+    "tournet": Pilot("Tournet", "A network that plans: chooses the parcel or pad to fly to next, and by which way."),
     "greedy": Pilot("Greedy", "Flies to the nearest parcel and looks no further."),
     "optimal": Pilot("Optimal", "Plans a best flight over the whole map and flies it."),
+    "tournet-search": Pilot("Tournet search", "Tries eight plans of Tournet before it starts, and flies the best."),
     "random": Pilot("Random", "Takes any action; the floor that everybody must beat."),
     HUMAN: Pilot("You", "Arrow keys or the pad; space waits."),
 }
@@ -31,7 +33,7 @@ PILOTS: dict[str, Pilot] = {
 
 def tasks_of(pilot: str, networks: Networks) -> list[str]:
     """Ids of the tasks that a pilot can fly."""
-    return [task.id for task in TASKS.values() if pilot not in NETWORKS or networks.flies(pilot, task)]
+    return [task.id for task in TASKS.values() if pilot not in SOURCES or networks.flies(pilot, task)]
 
 
 def agent_of(pilot: str, task: TaskConfig, networks: Networks) -> Agent | None:
@@ -41,9 +43,11 @@ def agent_of(pilot: str, task: TaskConfig, networks: Networks) -> Agent | None:
         UnknownNameError: if there is no such pilot.
         UnsupportedTaskError: if there is no network for the task.
         CheckpointError: if its file holds none that fits.
+        TooLargeError: if a map of the task is too large for the pilot to look at.
+        OSError: if the file can no longer be read.
     """
     if pilot not in PILOTS:
         raise UnknownNameError("pilot", pilot, PILOTS)
     if pilot == HUMAN:
         return None
-    return networks.agent(pilot, task) if pilot in NETWORKS else make_agent(pilot, task)
+    return networks.agent(pilot, task) if pilot in SOURCES else make_agent(pilot, task)

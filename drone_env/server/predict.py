@@ -1,11 +1,15 @@
-"""What a trained network would do, asked about a session or about any observation."""
+"""The networks of the server: who flies by them, and what PathQNet would do, asked about any observation."""
 
 import threading
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from drone_env.agents import NETWORK_AGENTS, tournet
+from drone_env.agents.base import Agent
 from drone_env.agents.pathqnet import PathQNetAgent, shipped_network
+from drone_env.agents.weights_file import TOURNET, network_of
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Observation
 from drone_env.core.observation import telemetry_of
@@ -17,27 +21,46 @@ from drone_env.server.problems import RequestError
 from drone_env.server.schemas import ModelInfo, Prediction, PredictRequest
 
 NETWORK, TRAINED = "pathqnet", "trained"
-"""The pilots that fly by a network: by the one that is shipped, and by the one that was trained here."""
+"""The pilots that fly by a PathQNet: by the one that is shipped, and by the one that was trained here."""
+
+
+class Source(NamedTuple):
+    """Which file a pilot flies by, and how."""
+
+    agent: str
+    """Of `NETWORK_AGENTS`."""
+    trained: bool
+    """Whether it is one that was trained here, not a shipped one."""
+
+
+SOURCES = {
+    TRAINED: Source("pathqnet", trained=True),
+    NETWORK: Source("pathqnet", trained=False),
+    "trained-tournet": Source("tournet", trained=True),
+    "tournet": Source("tournet", trained=False),
+    "tournet-search": Source("tournet-search", trained=False),
+}
+"""The pilots that fly by a network."""
 
 
 class Networks:
-    """The networks of the server: for each task the one that is shipped, and the one that was trained here.
+    """The networks of the server: of PathQNet one for each task, and the tour network; shipped, and trained here.
 
-    The trained one goes before: it answers `/predict`, and tells what the network thinks on the page. A file that is
-    written again, as training does, is read again, so nothing has to be restarted. Safe to share between threads.
+    The PathQNet that was trained here goes before: it answers `/predict`, and its values stand on the page. A file that
+    is written again, as training does, is read again, so nothing has to be restarted. Safe to share between threads.
 
     Args:
-        shipped: Folder of the networks that are shipped, `<task id>_v<version>.npz`.
-        trained: The data folder, `<short name>.npz`.
+        shipped: Folder of the networks that are shipped, `<task id>_v<version>.npz` and `tournet_v1.npz`.
+        trained: The data folder, `<short name>.npz`, `tournet_<short name>.npz` and `tournet.npz`.
     """
 
     def __init__(self, shipped: Path, trained: Path) -> None:
-        self._folders = {NETWORK: shipped, TRAINED: trained}
-        self._read: dict[Path, tuple[object, PathQNetAgent | CheckpointError]] = {}
+        self._shipped, self._trained = shipped, trained
+        self._read: dict[Path, tuple[object, PathQNetAgent | Path | CheckpointError]] = {}
         self._lock = threading.Lock()
 
     def predict(self, task: TaskConfig, observation: Observation) -> Prediction:
-        """The values of the actions by the network that goes before.
+        """The values of the actions by the PathQNet that goes before.
 
         Raises:
             RequestError: if there is no network for the task.
@@ -53,6 +76,7 @@ class Networks:
                 "trains one; the data folder of the server is where it should leave it (--data)",
             )
         agent = self.agent(source, task)
+        assert isinstance(agent, PathQNetAgent)
         values = agent.q_values(observation)
         return Prediction(
             action=DIRECTIONS[int(np.argmax(values))],
@@ -61,56 +85,71 @@ class Networks:
         )
 
     def beside(self, pilot: str, task: TaskConfig) -> PathQNetAgent | None:
-        """The network whose values are shown beside a flight: the pilot's own, for others the one that goes before.
+        """The PathQNet whose values are shown beside a flight: the pilot's own, for others the one that goes before.
 
         None where there is none, or its file holds none that fits.
         """
-        source = pilot if pilot in self._folders else self._first(task)
+        source = pilot if pilot in (TRAINED, NETWORK) else self._first(task)
         found = None if source is None else self._at(source, task)
         return found if isinstance(found, PathQNetAgent) else None
 
     def flies(self, source: str, task: TaskConfig) -> bool:
-        """Whether there is a network for a task that can be read; `source` is `NETWORK` or `TRAINED`."""
-        return isinstance(self._at(source, task), PathQNetAgent)
+        """Whether there is a network for a task that can be read; `source` is one of `SOURCES`."""
+        found = self._at(source, task)
+        return found is not None and not isinstance(found, CheckpointError)
 
-    def agent(self, source: str, task: TaskConfig) -> PathQNetAgent:
-        """What flies by the network of a task. It keeps nothing of a flight, so all may share it.
+    def agent(self, source: str, task: TaskConfig) -> Agent:
+        """What flies by the network of a task. PathQNet keeps nothing of a flight, so all share it; others are new.
 
         Raises:
             UnsupportedTaskError: if there is none.
             CheckpointError: if its file holds none that fits; the message names it.
+            TooLargeError: if what there is to see on a map of the task would take too much memory.
+            OSError: if the file can no longer be read.
         """
         found = self._at(source, task)
         if found is None:
             raise UnsupportedTaskError(f"there is no network for {task.id!r}: {self._file(source, task)} is not there")
         if isinstance(found, CheckpointError):
             raise CheckpointError(str(found))
-        return found
+        return NETWORK_AGENTS[SOURCES[source].agent].make(task, found) if isinstance(found, Path) else found
 
     def described(self) -> list[str]:
-        """Lines for the start of the server: which network flies which task, which files are refused."""
-        lines: list[str] = []
+        """Lines for the start of the server: which network flies which tasks, which files are refused."""
+        tasks: dict[str, list[str]] = {}
         for task in TASKS.values():
-            parts: list[str] = []
-            for source, what in ((TRAINED, "trained here"), (NETWORK, "shipped")):
-                found = self._at(source, task)
-                if isinstance(found, CheckpointError):
-                    parts.append(f"refused, and so is /predict: {found}")
-                elif found is not None:
-                    parts.append(f"{source!r} flies by {self._file(source, task)} ({what})")
-            if parts:
-                lines.append(f"{task.short_name}: {'; '.join(parts)}")
-        return lines
+            # What flies tasks by files of their own is told task by task, the others file by file.
+            for sources in ((TRAINED, NETWORK), *((source,) for source in SOURCES if source not in (TRAINED, NETWORK))):
+                parts = [part for part in (self._described(source, task) for source in sources) if part]
+                if parts:
+                    tasks.setdefault("; ".join(parts), []).append(task.short_name)
+        return [f"{', '.join(names)}: {told}" for told, names in tasks.items()]
+
+    def _described(self, source: str, task: TaskConfig) -> str | None:
+        found = self._at(source, task)
+        if isinstance(found, CheckpointError):
+            return f"refused{', and so is /predict' if source in (TRAINED, NETWORK) else ''}: {found}"
+        what = "trained here" if SOURCES[source].trained else "shipped"
+        return None if found is None else f"{source!r} flies by {self._file(source, task)} ({what})"
 
     def _first(self, task: TaskConfig) -> str | None:
         return next((source for source in (TRAINED, NETWORK) if self._at(source, task) is not None), None)
 
     def _file(self, source: str, task: TaskConfig) -> Path:
-        name = f"{task.short_name}.npz" if source == TRAINED else shipped_network(task).name
-        return self._folders[source] / name
+        agent, trained = SOURCES[source]
+        if agent == "pathqnet":
+            return self._trained / f"{task.short_name}.npz" if trained else self._shipped / shipped_network(task).name
+        if not trained:
+            return self._shipped / tournet.SHIPPED.name
+        # The one that has learned this task alone goes before the one that has learned all.
+        alone = self._trained / f"tournet_{task.short_name}.npz"
+        return alone if alone.exists() else self._trained / "tournet.npz"
 
-    def _at(self, source: str, task: TaskConfig) -> PathQNetAgent | CheckpointError | None:
-        """What flies by a file as it is now; what is wrong with it; None where there is none."""
+    def _at(self, source: str, task: TaskConfig) -> PathQNetAgent | Path | CheckpointError | None:
+        """What flies by a file as it is now: PathQNet, or the file of a tour network, whose agents are not shared.
+
+        If the file is wrong, what is; None where there is none.
+        """
         file = self._file(source, task)
         try:
             now = stamp(file)
@@ -120,13 +159,26 @@ class Networks:
                 read = self._read.get(file)
                 if read is None or read[0] != now:
                     try:
-                        found = PathQNetAgent(task, file)
+                        found = PathQNetAgent(task, file) if source in (TRAINED, NETWORK) else tour_file(file)
                     except CheckpointError as error:
                         found = error
                     read = self._read[file] = (now, found)
                 return read[1]
         except OSError as error:
             return CheckpointError(f"{file} cannot be read: {error}")
+
+
+def tour_file(file: Path) -> Path:
+    """A file that says of itself that it holds a tour network. All of it is read by what flies by it, which compiles.
+
+    Raises:
+        CheckpointError: if it does not.
+        OSError: if it cannot be read.
+    """
+    found = network_of(file)
+    if found != TOURNET:
+        raise CheckpointError(f"{file} holds a network of {found!r}, not of {TOURNET!r}")
+    return file
 
 
 def arrays_of(observation: DroneObservation | PredictRequest) -> tuple[TaskConfig, Observation]:

@@ -1,11 +1,13 @@
-"""Networks made from a shipped one: what they answer matters to no test, but that they do not answer alike."""
+"""Networks from a shipped one or by chance: what they answer matters to no test, but that they do not answer alike."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from drone_env.agents.pathqnet import shipped_network
+from drone_env.agents.tour_network import SHAPES
 from drone_env.core.tasks import TaskConfig, get_task
 
 
@@ -31,4 +33,13 @@ def write_network(task: TaskConfig, file: Path, times: float = 1) -> Path:
     for name in ("head.7.weight", "head.7.bias"):
         arrays[name] = arrays[name] * np.float32(times)
     np.savez(file, metadata=np.array(json.dumps({"telemetry_size": task.telemetry_size})), **arrays)
+    return file
+
+
+def put_tour(file: Path, seed: int = 0) -> Path:
+    """Put a tour network of random weights, and return its file."""
+    file.parent.mkdir(exist_ok=True)
+    rng = np.random.default_rng(seed)
+    parameters: dict[str, Any] = {name: rng.normal(0, 0.1, shape).astype(np.float32) for name, shape in SHAPES.items()}
+    np.savez(file, metadata=np.array(json.dumps({"network": "tournet"})), **parameters)
     return file

@@ -132,7 +132,7 @@ def test_an_oversized_frame_ends_its_connection_alone(server: Server) -> None:
 def commands(source: random.Random, sessions: list[str]) -> Any:
     """A command that is right, or nearly so."""
     flown = {"direction": source.choice(["UP", "WAIT", "up"]), "mission": source.randrange(-1, 5)}
-    pilots = ["pathqnet", "greedy", "optimal", "random", "human", "ghost"]
+    pilots = ["pathqnet", "tournet", "greedy", "optimal", "random", "human", "ghost"]
     return source.choice(
         [
             {

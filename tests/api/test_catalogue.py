@@ -10,10 +10,12 @@ from starlette.testclient import TestClient
 
 from drone_env import __version__
 from drone_env.agents.pathqnet import PathQNetAgent
+from drone_env.agents.tour_network import load_tour_network
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, get_task
+from drone_env.errors import CheckpointError
 from drone_env.models import DroneObservation
 from drone_env.server.app import create_app
 from drone_env.server.predict import arrays_of
@@ -22,7 +24,7 @@ from drone_env.server.routes.history import LINES
 from drone_env.server.schemas import Prediction
 from drone_env.server.settings import Settings
 from drone_env.server.train_log import TrainLog
-from tests.api.networks import put_network, put_trained
+from tests.api.networks import put_network, put_tour, put_trained
 from tests.tools import reserved_port
 
 Header = dict[str, str]
@@ -141,8 +143,33 @@ class TestPredictions:
         assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
         assert "easy.npz is not an exported network" in answer.json()["detail"]
         assert {pilot["id"] for pilot in client.get("/pilots").json()["pilots"]} == {
-            "pathqnet", "greedy", "optimal", "random", "human",
+            "pathqnet", "tournet", "tournet-search", "greedy", "optimal", "random", "human",
         }  # fmt: skip
+
+    def test_a_tour_network_flies_every_task_and_one_of_a_single_task_goes_before(
+        self, client: TestClient, settings: dict[str, Any]
+    ) -> None:
+        def pilots() -> dict[str, list[str]]:
+            return {pilot["id"]: pilot["tasks"] for pilot in client.get("/pilots").json()["pilots"]}
+
+        def flown_by(task: str) -> object:
+            return client.app.state.shared.networks.agent("trained-tournet", get_task(task)).config["network"]  # type: ignore[attr-defined]
+
+        assert pilots()["tournet"] == pilots()["tournet-search"] == []
+        put_tour(settings["weights"] / "tournet_v1.npz")
+        assert pilots()["tournet"] == pilots()["tournet-search"] == list(TASKS)
+        assert "trained-tournet" not in pilots()
+        alone = put_tour(settings["data"] / "tournet_hard.npz", 1)
+        assert pilots()["trained-tournet"] == ["hard_delivery"]
+        every = put_tour(settings["data"] / "tournet.npz", 2)
+        assert pilots()["trained-tournet"] == list(TASKS)
+        digests = [load_tour_network(file).digest for file in (alone, every)]
+        assert [flown_by("hard"), flown_by("easy")] == digests
+        every.write_bytes((settings["weights"] / "easy_delivery_v1.npz").read_bytes())
+        assert pilots()["trained-tournet"] == ["hard_delivery"]
+        with pytest.raises(CheckpointError, match=r"tournet.npz holds a network of 'pathqnet', not of 'tournet'"):
+            flown_by("easy")
+        assert "trained" not in pilots()
 
     def test_after_the_end_there_is_nothing_to_predict(self, client: TestClient, session: Header) -> None:
         observation: dict[str, Any] = {"done": False}

@@ -22,7 +22,7 @@ from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.conftest import Clock
 from tests.api.live_page import Message, Page
-from tests.api.networks import put_trained
+from tests.api.networks import put_network, put_tour, put_trained
 
 
 def flown(task: str, seed: int, agent: str, profile: str = "tiered") -> Episode:
@@ -80,6 +80,28 @@ def test_the_network_that_was_trained_here_flies_beside_the_shipped_one(
         for frame, following in itertools.pairwise(frames[number]):
             assert following["action"] == max(frame["q_values"], key=frame["q_values"].get)
     assert names(frames[0]) != names(frames[1])
+
+
+def test_tournet_and_its_search_fly_as_their_agents_do_beside_what_pathqnet_thinks(tmp_path: Path) -> None:
+    weights, data = tmp_path / "weights", tmp_path / "data"
+    shipped, trained = put_tour(weights / "tournet_v1.npz"), put_tour(data / "tournet.npz", 1)
+    put_network(get_task("hard"), weights)
+    pilots = {
+        "trained-tournet": f"tournet:{trained}",
+        "tournet": f"tournet:{shipped}",
+        "tournet-search": f"tournet-search:{shipped}",
+    }
+    with TestClient(create_app(Settings(data=data, weights=weights))) as client:
+        for task, is_told in (("skyline_easy", False), ("hard", True)):
+            with client.websocket_connect("/live") as socket:
+                page = Page(socket)
+                page.start(*pilots, task=task)
+                page.send("play", speed=60)
+                frames = page.flight()
+            for number, agent in enumerate(pilots.values()):
+                assert names(frames[number]) == [Action(action).name for action in flown(task, 7, agent).actions]
+                assert {frame["q_values"] is not None for frame in frames[number][:-1]} == {is_told}
+            assert len({tuple(names(frames[number])) for number in range(3)}) == 3
 
 
 def test_a_broken_network_grounds_its_own_pilot_alone(client: TestClient, settings: dict[str, Any]) -> None:

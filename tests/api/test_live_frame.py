@@ -12,6 +12,7 @@ from starlette.testclient import TestClient
 import drone_env
 from drone_env.agents.network import Network
 from drone_env.agents.random import RandomAgent
+from drone_env.agents.tour_network import TourNetwork
 from drone_env.core.episode import Episode
 from drone_env.server.live.values import ExactValues
 from tests.api.live_page import Page
@@ -22,6 +23,7 @@ COUNTED = {
     "looks": (Episode, "grid"),
     "passes": (Network, "__call__"),
     "choices": (RandomAgent, "act"),
+    "tours": (TourNetwork, "__call__"),
 }
 
 
@@ -55,6 +57,7 @@ async def unsolved(*_: object) -> None:
     [
         ("pathqnet", {"steps", "looks", "passes"}),
         ("random", {"steps", "looks", "passes", "choices"}),
+        ("tournet", {"steps", "looks", "passes", "tours"}),
         ("human", {"steps", "looks", "passes"}),
     ],
 )

@@ -202,7 +202,7 @@ def test_who_can_fly_and_what_can_stand_in_a_cell(shared_client: TestClient) -> 
     pilots = {pilot["id"]: pilot for pilot in shared_client.get("/pilots").json()["pilots"]}
     assert [name for name, pilot in pilots.items() if not pilot["automatic"]] == ["human"]
     assert pilots["pathqnet"]["tasks"] == ["easy_delivery", "medium_delivery", "hard_delivery"]
-    assert pilots["greedy"]["tasks"] == list(TASKS)
+    assert pilots["greedy"]["tasks"] == pilots["tournet"]["tasks"] == pilots["tournet-search"]["tasks"] == list(TASKS)
     kinds = shared_client.get("/kinds").json()["kinds"]
     assert [(kind["id"], kind["name"]) for kind in kinds] == [(cell, kind.name) for cell, kind in CELL_KINDS.items()]
 

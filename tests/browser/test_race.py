@@ -56,7 +56,7 @@ def test_who_races_is_chosen_with_two_to_four_boxes(page: Page) -> None:
     page.get_by_role("link", name="Race", exact=True).click()
     expect(page.locator("#maps figure")).to_have_count(4)
     expect(page.get_by_role("checkbox", name="You")).to_be_disabled()
-    page.get_by_role("checkbox", name="Random").uncheck()
+    page.get_by_role("checkbox", name="Tournet", exact=True).uncheck()
     expect(page.locator("#maps figure")).to_have_count(3)
     page.get_by_role("checkbox", name="You").check()
     expect(page.locator("#maps figure")).to_have_count(4)
@@ -65,3 +65,18 @@ def test_who_races_is_chosen_with_two_to_four_boxes(page: Page) -> None:
         page.get_by_role("checkbox", name=name).uncheck()
         expect(page.locator("#maps figure")).to_have_count(left)
     expect(page.get_by_role("checkbox", name="Optimal")).to_be_disabled()
+
+
+def test_over_skyline_tournet_races_greedy_and_the_optimum_unless_others_are_named(page: Page, server: Server) -> None:
+    page.goto("/?task=skyline_easy&seed=7")
+    expect(page.get_by_role("radio", name="Tournet", exact=True)).to_be_checked()
+    page.get_by_role("link", name="Race", exact=True).click()
+    racers = {"tournet": "Tournet", "greedy": "Greedy", "optimal": "Optimal", "tournet-search": "Tournet search"}
+    standings = page.locator("#standings tbody").get_by_role("rowheader")
+    expect(standings).to_have_text(list(racers.values()))
+    expect(page.get_by_role("checkbox", name="PathQNet")).to_be_disabled()
+    fly(page)
+    expect(page.get_by_role("button", name="Fly again")).to_be_visible()
+    for row, agent in zip(page.locator("#standings tbody tr").all(), racers, strict=True):
+        score = flown("skyline_easy", 7, agent).score
+        expect(row.get_by_role("cell").nth(2)).to_have_text(points(score))

@@ -104,21 +104,31 @@ def test_a_port_that_is_taken_is_no_defect(capsys: pytest.CaptureFixture[str]) -
     assert "taken" in finding["detail"]
 
 
-@pytest.mark.parametrize("harm", ["missing", "cut short", "not a network"])
+@pytest.mark.parametrize(
+    ("name", "harm"),
+    [
+        ("medium_delivery", "missing"),
+        ("medium_delivery", "cut short"),
+        ("tournet", "missing"),
+        ("tournet", "no network"),
+    ],
+)
 def test_a_network_that_is_not_whole(
-    harm: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    name: str, harm: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     weights = tmp_path / "weights"
     shutil.copytree(WEIGHTS, weights)
     monkeypatch.setattr("drone_env.agents.pathqnet.WEIGHTS", weights)
-    file = weights / "medium_delivery_v1.npz"
+    monkeypatch.setattr("drone_env.agents.tournet.SHIPPED", weights / "tournet_v1.npz")
+    file = weights / f"{name}_v1.npz"
     if harm == "missing":
         file.unlink()
     else:
         file.write_bytes(file.read_bytes()[:100_000] if harm == "cut short" else b"nothing of the kind")
     status, found = diagnosis(capsys)
-    assert (status, found["medium_delivery"]["status"]) == (1, "broken")
-    assert found["hard_delivery"]["status"] == "ok"
+    assert (status, found[name]["status"]) == (1, "broken")
+    others = {"tournet", "medium_delivery", "hard_delivery"} - {name}
+    assert {found[other]["status"] for other in others} == {"ok"}
 
 
 def test_a_network_that_is_not_the_installed_one(

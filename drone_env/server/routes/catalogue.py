@@ -9,7 +9,7 @@ from drone_env.core.tasks import TASKS
 from drone_env.errors import StoreError
 from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.pilots import HUMAN, PILOTS, tasks_of
-from drone_env.server.predict import TRAINED
+from drone_env.server.predict import SOURCES
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import (
     GraderInfo,
@@ -65,7 +65,7 @@ def pilots(shared: SharedParts) -> PilotList:
                 tasks=tasks_of(name, shared.networks),
             )
             for name, pilot in PILOTS.items()
-            if name != TRAINED or tasks_of(name, shared.networks)
+            if not (name in SOURCES and SOURCES[name].trained) or tasks_of(name, shared.networks)
         ],
         most=MOST_EPISODES,
     )

@@ -22,7 +22,7 @@ export function mountThinking(root, context) {
   const lead = el("span.confidence-text", { id: "confidence" });
   const meter = el("div.confidence-bar", { "aria-hidden": "true" }, el("i"));
   const confidence = el("div.confidence", el("span.gauge-name", { text: "Confidence" }), meter, lead);
-  const none = el("p.note", { text: "No network is shipped for this task.", hidden: true });
+  const none = el("p.note", { text: "There is no PathQNet for this task.", hidden: true });
   const arrows = el("input", { type: "checkbox", id: "show-arrows", checked: true, "aria-label": "Arrows on the map" });
   arrows.addEventListener("change", () => context.emit("arrows"));
   const list = el(
