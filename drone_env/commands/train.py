@@ -140,8 +140,10 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
             results: Folder of tables and curves; results/ in DRONE_ENV_DATA if nothing is said, else results.
         """
         with needs("train"):
+            from drone_env.rl.tour_rewards import RewardTrainer
             from drone_env.rl.tour_trainer import TourTrainer
-        return _train(lambda: TourTrainer(config), resume, fresh, data, results)
+        make = RewardTrainer if config.kind == "rewards" else TourTrainer
+        return _train(lambda: make(config), resume, fresh, data, results)
 
     return train
 

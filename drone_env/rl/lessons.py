@@ -92,7 +92,38 @@ def find_option(view: View, m: int, token: int, units: int, steps: int) -> int:
     return -1
 
 
-for function in (place_stops, option_row, find_option):
+def take_off(world: World, counts: int, start: int, key: int) -> tuple[int, bool]:
+    """Begin a flight at the start of the map, or anywhere on it, and return the next key and whether it could.
+
+    Args:
+        world: The map, without the drone; receives the state.
+        counts: 1 if units count beside steps.
+        start: Where the map's flights start.
+        key: What is drawn from.
+    """
+    tables, _, grid, state, parcels = world
+    delivered, cell, units, left = 0, start, tables.capacity, tables.max_steps
+    key = next_key(key)
+    if uniform_below(key, 100) >= FROM_START:
+        longest = tables.max_steps if counts else min(tables.capacity, tables.max_steps)
+        key = next_key(key)
+        delivered = uniform_below(key, (1 << len(parcels)) - 1)
+        key = next_key(key)
+        cell = uniform_below(key, tables.cells)
+        key = next_key(key)
+        flown = uniform_below(key, longest * 3 // 4)
+        left = tables.max_steps - flown
+        key = next_key(key)
+        units = 1 + uniform_below(key, tables.capacity) if counts else tables.capacity - flown
+    put_parcels(tables, grid, state, parcels, delivered)
+    if grid[cell] == DELIVERY_CELL or tables.impassable[grid[cell]]:
+        return key, False
+    put_drone(tables, grid, state, cell, tables.max_steps - left, units)
+    choose_target(tables, state)
+    return key, True
+
+
+for function in (place_stops, option_row, find_option, take_off):
     register_jitable(**compiled.OPTIONS)(function)
 
 
@@ -128,7 +159,6 @@ def lesson_kernel(
     """
     tables, rewards, grid, state, parcels = world
     m, n = 0, legs.parcels
-    longest = tables.max_steps if legs.counts else min(tables.capacity, tables.max_steps)
     view.begins[0] = 0
     for seed in seeds:
         reset(tables, grid, state, seed)
@@ -142,23 +172,9 @@ def lesson_kernel(
         for _ in range(4 * per_map):
             if m == wanted:
                 break
-            delivered, cell, units, left = 0, start, tables.capacity, tables.max_steps
-            key = next_key(key)
-            if uniform_below(key, 100) >= FROM_START:
-                key = next_key(key)
-                delivered = uniform_below(key, (1 << n) - 1)
-                key = next_key(key)
-                cell = uniform_below(key, tables.cells)
-                key = next_key(key)
-                flown = uniform_below(key, longest * 3 // 4)
-                left = tables.max_steps - flown
-                key = next_key(key)
-                units = 1 + uniform_below(key, tables.capacity) if legs.counts else tables.capacity - flown
-            put_parcels(tables, grid, state, parcels, delivered)
-            if grid[cell] == DELIVERY_CELL or tables.impassable[grid[cell]]:
+            key, flies = take_off(world, legs.counts, start, key)
+            if not flies:
                 continue
-            put_drone(tables, grid, state, cell, tables.max_steps - left, units)
-            choose_target(tables, state)
             chosen_token, way_units, way_steps = -1, 0, 0
             while state[OUTCOME] == FLYING and m < wanted:
                 delivered = delivered_set(state, parcels)

@@ -44,6 +44,10 @@ class Batch:
         """A number for each option as one row for each state, float32[states, most options]."""
         return torch.full(self._size, missing).index_put(self._at, values)
 
+    def of_options(self, table: Tensor) -> Tensor:
+        """The numbers of such a table, float32[options]."""
+        return table[self._at]
+
 
 def sample(window: Sequence[Lessons], size: int, random: np.random.Generator) -> Batch:
     """States of four lessons of a window, as many of each.

@@ -1,7 +1,7 @@
 """All that decides how a tour network is trained. A new hyperparameter is one more field."""
 
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
@@ -38,6 +38,8 @@ class TourConfig:
 
     task: str = ALL
     """The task, by its short name, id or grader; `all` for one network that learns all of them, and variants."""
+    kind: Literal["distilled", "rewards"] = "distilled"
+    """What it learns from: the exact value of each option, or the scores of plans that it tries alone."""
     updates: int = 12_000
     """Updates in all; the learning rate falls to its end over them."""
     seed: int = 0
@@ -68,6 +70,8 @@ class TourConfig:
     """Maps that are drawn together; one chunk is drawn for each update."""
     states_per_map: int = 128
     """States of each map."""
+    plans: int = 16
+    """Plans that are flown from each state where it learns from rewards."""
     window: int = 24
     """Chunks of each task that batches are drawn from: the last ones."""
     validation_every: int = 1_000
@@ -101,7 +105,8 @@ class TourConfig:
     @property
     def name(self) -> str:
         """Of the files."""
-        return "tournet" if self.task == ALL else f"tournet_{get_task(self.task).short_name}"
+        parts = ["tournet", *(["rewards"] if self.kind == "rewards" else [])]
+        return "_".join(parts if self.task == ALL else [*parts, get_task(self.task).short_name])
 
     def tasks(self) -> list[TaskConfig]:
         """The tasks that are learned and validated."""

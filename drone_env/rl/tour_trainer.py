@@ -21,12 +21,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from drone_env.agents.tour_view import View
 from drone_env.agents.tour_viewer import Viewer
 from drone_env.agents.tournet import choose
 from drone_env.core.seeds import SPLITS
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
 from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
 from drone_env.rl.lessons import Lessons, Teacher
@@ -84,6 +85,8 @@ class TourTrainer(Learner):
     """
 
     unit, work, curves = "updates", "states", CURVES
+    kind = "distilled"
+    """What it learns from."""
 
     def __init__(self, config: TourConfig) -> None:
         keep_freed_memory()
@@ -94,7 +97,6 @@ class TourTrainer(Learner):
         self.name, self.validation_every = config.name, config.validation_every
         shares = config.lessons()
         self._shares = np.array(list(shares.values()))
-        self._teachers = [Teacher(task, config.maps_per_chunk, config.states_per_map) for task in shares]
         self._windows: list[deque[Lessons]] = [deque(maxlen=config.window) for _ in shares]
         self._validators = {task.short_name: Validator(task, config.validation_maps) for task in tasks}
         self._viewers = {task.short_name: Viewer(task) for task in tasks}
@@ -109,6 +111,12 @@ class TourTrainer(Learner):
         self.shares: dict[str, float] = {}
         """Share of the optimum on the validation maps of each task, of the last validation."""
         self._cpu_before, self._cpu_since = 0.0, time.process_time()
+        self._prepare(list(shares))
+
+    def _prepare(self, tasks: list[TaskConfig]) -> None:
+        """Make ready what is learned from."""
+        config = self.config
+        self._teachers = [Teacher(task, config.maps_per_chunk, config.states_per_map) for task in tasks]
 
     @property
     def done(self) -> int:
@@ -189,8 +197,9 @@ class TourTrainer(Learner):
         window = self._windows[int(random.choice(len(shares), p=shares / shares.sum()))]
         batch = sample([lessons for lessons in window if len(lessons.values)], config.batch_size, random)
         preference, completions = self.online(*batch.inputs)
-        choice, regret, completion = losses_of(preference, completions, batch, config.temperature)
-        loss = choice + config.regret_weight * regret + config.completion_weight * completion
+        choice, regret, completion = self._losses_of(preference, completions, batch)
+        known = choice if regret.isnan() else choice + config.regret_weight * regret
+        loss = known + config.completion_weight * completion
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate
         self.optimizer.zero_grad()
@@ -205,6 +214,9 @@ class TourTrainer(Learner):
             for mean, weight in zip(self.average.parameters(), self.online.parameters(), strict=True):
                 mean.lerp_(weight, 1 - kept)
         self._losses.append((choice.item(), regret.item(), completion.item()))
+
+    def _losses_of(self, preference: Tensor, completion: Tensor, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+        return losses_of(preference, completion, batch, self.config.temperature)
 
     @property
     def learning_rate(self) -> float:
@@ -237,10 +249,14 @@ class TourTrainer(Learner):
             self.shares[name] = flown.score / flown.optimum
 
     def _judged(self, view: View) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """What the average of the weights says of each option."""
+        return self._says(self.average, view)
+
+    @staticmethod
+    def _says(network: TourNet, view: View) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """What a network says of each option."""
         batch = Batch(view, np.zeros(len(view.token), np.float32))
         with torch.no_grad():
-            preference, completion = self.average(*batch.inputs)
+            preference, completion = network(*batch.inputs)
         return chosen_by(preference, completion).numpy(), completion.numpy()
 
     def get_state(self) -> dict[str, Any]:
@@ -298,7 +314,7 @@ class TourTrainer(Learner):
         """What the exported network says of itself."""
         return {
             "network": "tournet",
-            "kind": "distilled",
+            "kind": self.kind,
             "tasks": {task.id: task.version for task in self.config.tasks()},
             "config": self.config.identity(),
             "updates": self.updates,
