@@ -36,8 +36,8 @@ from drone_env.planning.ways import NO_STOP, Rounds, Ways, find_ways
 
 WAIT = int(Action.WAIT)
 COMPLETE = 0.8 - 1e-9
-"""Values from here on are those of whole missions. (On a uniform task of more than 8 parcels whose battery lasts for a
-part of the time alone, or for longer, those of others can be as high.)"""
+"""Values from here on are those of whole missions. (On a uniform task of more than 8 parcels, where battery and time do
+not end together, those of others can be as high.)"""
 FROM_START, OTHER, NEARLY_BEST, GOES_ON = 40, 35, 20, 85
 """In percent: flights that begin at the start; choices that are not the best; those of them that cost at most `NEAR`;
 how often a flight goes on along its way instead of choosing anew."""

@@ -115,9 +115,13 @@ def test_it_soon_flies_better_than_to_the_nearest_target() -> None:
 
 
 def test_a_validation_is_what_evaluation_says_of_the_exported_average(tmp_path: Path) -> None:
-    trainer = finished(TourTrainer(SMALL_TOUR))
+    trainer = TourTrainer(replace(SMALL_TOUR, validation_maps=20))
+    with torch.no_grad():
+        for parameter in trainer.online.parameters():
+            parameter.neg_()
+    trainer.validate()
     export_network(trainer.best_network(), tmp_path / "net.npz", trainer.metadata())
-    maps = split_seeds("validation", SMALL_TOUR.validation_maps)
+    maps = split_seeds("validation", 20)
     key = episodes_key("skyline_easy", f"tournet:{tmp_path / 'net.npz'}", maps, "validation")
     figures = summarise(run_episodes(key))
     assert trainer.shares == {"skyline_easy": pytest.approx(figures["mean_score"] / figures["mean_optimal_score"])}
