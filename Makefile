@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest
 # What was compiled once is kept: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo serve test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-peers bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
+.PHONY: demo serve test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-planners bench-peers bench-agents bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
 .DEFAULT_GOAL := demo
 
 $(VENV)/.base: pyproject.toml
@@ -100,7 +100,7 @@ mutants: $(VENV)/.dev
 # The campaigns: the same properties over many more cases, other Pythons, oldest dependencies, faults; takes hours.
 OTHER_PYTHON ?= python3.13
 verify: $(VENV)/.dev
-	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(PYTEST) -m '' -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_store_processes.py tests/unit/test_training_run.py tests/unit/test_network.py
+	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(PYTEST) -m '' -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_legs.py tests/unit/test_store_processes.py tests/unit/test_training_run.py tests/unit/test_network.py
 	DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SOCKET_STEPS=1000000 DRONE_ENV_SCHEMA_EXAMPLES=200 $(PYTEST) -m '' --timeout 36000 tests/api
 	$(BIN)/python tests/api/hostile_callers.py
 	DRONE_ENV_KILLS=50 DRONE_ENV_LLM_MAPS=100 DRONE_ENV_LLM_ROUTES=100 $(PYTEST) --timeout 36000 tests/llm
@@ -120,9 +120,17 @@ bench-server: $(VENV)/.dev
 bench-training: $(VENV)/.dev
 	$(BIN)/python benchmarks/training.py $(ARGS)
 
+# What the planners take for a map, and the value of a decision; a minute.
+bench-planners: $(VENV)/.base
+	$(BIN)/python benchmarks/planners.py $(ARGS)
+
 # PPO and MaskablePPO on skyline, half an hour of CPU time for each of six runs; ARGS="--cpu-seconds 600" for less.
 bench-peers: $(VENV)/.dev
 	$(BIN)/python benchmarks/peers.py $(ARGS)
+
+# Decisions that each agent makes in a second of one core, beside its share of the optimum.
+bench-agents: $(VENV)/.dev
+	$(BIN)/python benchmarks/agents.py $(ARGS)
 
 # Frames, first paint and weight of the dashboard, in the system's chromium.
 bench-dashboard: $(VENV)/.dev

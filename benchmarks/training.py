@@ -3,7 +3,7 @@
 Both learn on the same simulator with the same network, reward and validation maps, in turn, in one run. Every few
 seconds of computing the network is validated, which is not counted; what is printed is when its mean score first
 reached each share of the mean exact optimum. Stable-Baselines3's settings stand below, in `SB3`; they are the best of
-those tried (docs/training.md).
+those tried (docs/learning.md).
 """
 
 import argparse

@@ -127,7 +127,7 @@ def card(result: dict[str, Any]) -> str:
     )
     return f"""# PathQNet for `{task.id}`, version {task.version}
 
-A network that flies one task: from the map and the telemetry to the value of each action (docs/training.md has its
+A network that flies one task: from the map and the telemetry to the value of each action (docs/learning.md has its
 layers). `drone-env evaluate --task {task.short_name} --agents greedy pathqnet` flies it; it needs no PyTorch.
 
 ## How it was made

@@ -1,7 +1,7 @@
 """Whole plans of the tour network, flown in the simulator: which of K is the best."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +22,9 @@ from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_wa
 
 WAIT = int(Action.WAIT)
 KEY = task_key("agent/tournet-search", 1)
-TEMPERATURE = 0.7
-"""At which the agent draws its plans."""
+TEMPERATURES = 0.7, 2.0
+"""By what the logits are divided before a plan is drawn from them. The second is for half of the plans behind the
+eighth: where the network is sure and wrong, no number of plans that are drawn by the first would leave its way."""
 FLIGHTS = 2048
 """Flights at a time."""
 
@@ -114,10 +115,11 @@ def fly_kernel(
             steps -= 1
             if steps <= 0:
                 break
-            # What costs more than the rest of the way is not looked for.
-            find_ways(tables, ground, state[CELL], units + 1, counts, stop_at, ways, 0, rounds)
+            # Ways that cost more than the rest of this one are not looked for; of the others, one takes as long.
+            most = min(units + 1, state[BATTERY])
+            find_ways(tables, ground, state[CELL], most, counts, stop_at, ways, 0, rounds)
             for w in range(ways.count[0]):
-                if ways.steps[0, w] == steps and (counts == 0 or ways.units[0, w] == units):
+                if ways.steps[0, w] == steps:
                     action = ways.first[0, w]
         stop_at[to] = NO_STOP
         flights.scores[i] = score(tables, state)
@@ -130,11 +132,13 @@ class TourPlanner:
         task: The task.
         network: Chooses the ways.
         plans: K, how many plans there are of each map: the first takes the best ways, the others are drawn.
-        temperature: By what the logits are divided before a plan is drawn from them.
+        temperatures: By what the logits are divided before a plan is drawn from them; the second is that of `is_hot`.
     """
 
-    def __init__(self, task: TaskConfig, network: Network, plans: int, temperature: float = TEMPERATURE) -> None:
-        self._network, self._plans, self._temperature = network, plans, temperature
+    def __init__(
+        self, task: TaskConfig, network: Network, plans: int, temperatures: tuple[float, float] = TEMPERATURES
+    ) -> None:
+        self._network, self._plans, self._temperatures = network, plans, temperatures
         self._viewer = Viewer(task)
         self._tables, self._rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
         self._counts = int(counts_units(task))
@@ -181,15 +185,16 @@ class TourPlanner:
         maps, numbers = np.divmod(np.arange(m * plans), plans)
         actions, scores = np.full((m * plans, max_steps), WAIT, np.int8), np.zeros(m * plans)
         flights = Flights(grids[maps], states[maps], actions, scores)
-        as_integers: Any = seeds  # arrays of 64-bit integers wrap as compiled ones do
-        keys: Any = map_key(KEY, as_integers)[maps] ^ states[maps, STEPS].astype(np.int64)
-        keys = mix64(keys ^ mix64(numbers))
+        # Arrays of 64-bit integers wrap as compiled ones do.
+        of_maps, steps, of_plans = (cast(Any, array) for array in (seeds[maps], states[maps, STEPS], numbers))
+        keys: Any = mix64(map_key(KEY, of_maps) ^ steps ^ mix64(of_plans))
         flying = np.flatnonzero(flights.states[:, OUTCOME] == FLYING)
         while len(flying):
             choices, of = self._choices(maps[flying], flights.grids[flying], flights.states[flying])
             keys = next_key(keys)
-            drawn_ones = drawn(choices, of, keys[flying], self._temperature)
-            chosen = np.where(numbers[flying] == 0, choices.best[of], drawn_ones)
+            number = numbers[flying]
+            warm, hot = (drawn(choices, of, keys[flying], temperature) for temperature in self._temperatures)
+            chosen = np.where(number == 0, choices.best[of], np.where(is_hot(number), hot, warm))
             if watch is not None:
                 of_each = np.where(chosen < 0, -1, chosen - choices.begins[of])
                 watch(flying, flights.grids[flying], flights.states[flying], of_each)
@@ -223,6 +228,11 @@ class TourPlanner:
         return Choices(np.append(begins, begin), *others), of.ravel()
 
 
+def is_hot(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Whether the plans of these numbers are drawn by the second temperature."""
+    return (numbers >= 8) & (numbers % 2 == 1)
+
+
 def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any, temperature: float) -> npt.NDArray[np.int64]:
     """An option of each state, drawn by the softmax of its logits / temperature; -1 where there is none.
 
@@ -230,7 +240,7 @@ def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any, temperature: f
         choices: Of M states.
         of: int64[n], the states to draw for.
         keys: int64[n], where the random numbers are.
-        temperature: Above 0.
+        temperature: Above 0; the higher, the more alike all options are.
     """
     counts = np.diff(choices.begins)
     highest = np.repeat(choices.logits[choices.best], counts) if len(choices.logits) else choices.logits

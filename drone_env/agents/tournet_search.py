@@ -38,7 +38,7 @@ class TournetSearchAgent(PlannedAgent):
         super().__init__(task)
         if plans < 1:
             raise InvalidValueError(f"plans must be at least 1, got {plans}")
-        from drone_env.agents.tour_plans import TEMPERATURE, TourPlanner  # compiles
+        from drone_env.agents.tour_plans import TEMPERATURES, TourPlanner  # compiles
 
         flown_by = tour_network(network)
         self._planner = TourPlanner(task, flown_by, plans)
@@ -46,7 +46,7 @@ class TournetSearchAgent(PlannedAgent):
             "agent": "tournet-search",
             "version": 1,
             "plans": plans,
-            "temperature": TEMPERATURE,
+            "temperatures": list(TEMPERATURES),
             "network": flown_by.digest,
         }
 

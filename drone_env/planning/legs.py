@@ -362,8 +362,10 @@ class LegSolver(Solver):
     def _values_after(self, episode: Episode, delivered: int) -> npt.NDArray[np.float64]:
         values, states = np.zeros(N_ACTIONS), np.zeros((N_ACTIONS, 4), np.int64)
         flying = np.zeros(N_ACTIONS, np.bool_)
+        after = episode.copy()
+        before = after.get_state()
         for action in Action:
-            after = episode.copy()
+            after.set_state(before)
             after.step(action)
             values[action], flying[action] = after.score, not after.ended
             stop = self.legs.stop_at[after.cell]

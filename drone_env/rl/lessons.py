@@ -29,14 +29,15 @@ from drone_env.core.rules import choose_target, reset, step
 from drone_env.core.seeds import GOLDEN, mix64, next_key, uniform_below
 from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER, Tables, state_size, tabulate
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.exact import ranked_scores
+from drone_env.planning.solver import ranked_scores
 from drone_env.planning.legs import Legs, make_legs, mark_delivered, row_after, row_of, value_kernel, working_memory
 from drone_env.planning.map_graph import UNPAID, delivered_set, put_drone, put_parcels, state_arrays
 from drone_env.planning.ways import NO_STOP, Rounds, Ways, find_ways
 
 WAIT = int(Action.WAIT)
 COMPLETE = 0.8 - 1e-9
-"""Values from here on are those of whole missions."""
+"""Values from here on are those of whole missions. (On a uniform task of more than 8 parcels whose battery lasts for a part
+of the time alone, or for longer, those of others can be as high.)"""
 FROM_START, OTHER, NEARLY_BEST, GOES_ON = 40, 35, 20, 85
 """In percent: flights that begin at the start; choices that are not the best; those of them that cost at most `NEAR`;
 how often a flight goes on along its way instead of choosing anew."""
@@ -127,6 +128,7 @@ def lesson_kernel(
     """
     tables, rewards, grid, state, parcels = world
     m, n = 0, legs.parcels
+    longest = tables.max_steps if legs.counts else min(tables.capacity, tables.max_steps)
     view.begins[0] = 0
     for seed in seeds:
         reset(tables, grid, state, seed)
@@ -148,9 +150,10 @@ def lesson_kernel(
                 key = next_key(key)
                 cell = uniform_below(key, tables.cells)
                 key = next_key(key)
-                left = tables.max_steps - uniform_below(key, tables.max_steps * 3 // 4)
+                flown = uniform_below(key, longest * 3 // 4)
+                left = tables.max_steps - flown
                 key = next_key(key)
-                units = 1 + uniform_below(key, tables.capacity) if legs.counts else left
+                units = 1 + uniform_below(key, tables.capacity) if legs.counts else tables.capacity - flown
             put_parcels(tables, grid, state, parcels, delivered)
             if grid[cell] == DELIVERY_CELL or tables.impassable[grid[cell]]:
                 continue
@@ -160,6 +163,7 @@ def lesson_kernel(
             while state[OUTCOME] == FLYING and m < wanted:
                 delivered = delivered_set(state, parcels)
                 cell, units, left = state[CELL] * 1, state[BATTERY] * 1, tables.max_steps - state[STEPS]
+                still = left if legs.counts else min(left, units)
                 done = mark_delivered(legs, delivered)
                 find_ways(tables, legs.ground, cell, units, legs.counts, legs.stop_at, ways, 0, rounds)
                 write_view(tables, legs.stops, n, delivered, cell, units, left, legs.counts, distances, ways, view, m)
@@ -167,7 +171,7 @@ def lesson_kernel(
                 best, lost, alike = -1, 0, True
                 for option in range(first, behind):
                     row = option_row(legs, delivered, done, view, option, units)
-                    values[option] = scores[legs.ranks[row, left - view.numbers[option, 1]]]
+                    values[option] = scores[legs.ranks[row, still - view.numbers[option, 1]]]
                     alike &= values[option] == values[first]
                     lost += values[option] < COMPLETE
                     if best < 0 or values[option] > values[best]:
@@ -270,8 +274,7 @@ class Teacher:
         )
         options = int(view.begins[m])
         drawn = View(
-            *(array[:m].copy() for array in (view.tokens, view.present, view.edges)),
-            view.begins[: m + 1].copy(),
-            *(array[:options].copy() for array in (view.token, view.features, view.numbers)),
-        )
+            view.tokens[:m].copy(), view.present[:m].copy(), view.edges[:m].copy(), view.begins[: m + 1].copy(),
+            view.token[:options].copy(), view.features[:options].copy(), view.numbers[:options].copy(),
+        )  # fmt: skip
         return Lessons(drawn, self._values[:options].copy())

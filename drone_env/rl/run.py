@@ -101,8 +101,9 @@ class TrainingRun(Generic[AnyLearner]):
                 if self.stopped:
                     break
         self.save()
-        self._write_history()
-        draw_curves({trainer.name: trainer.history}, trainer.name, trainer.curves, self.results)
+        if trainer.history:
+            self._write_history()
+            draw_curves({trainer.name: trainer.history}, trainer.name, trainer.curves, self.results)
 
     @property
     def seconds(self) -> float:

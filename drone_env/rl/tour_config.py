@@ -45,7 +45,7 @@ class TourConfig:
     num_threads: int = 1
     """Threads that PyTorch computes with; one more draws lessons. Runs with other numbers differ in the last bits."""
     batch_size: int = 512
-    """States per update, of one task."""
+    """States per update, of one task: a quarter of each of four chunks."""
     learning_rate: float = 1e-3
     """Of AdamW, at its highest."""
     final_learning_rate: float = 1e-5
@@ -80,7 +80,10 @@ class TourConfig:
     """At least this many seconds between two checkpoints."""
 
     def __post_init__(self) -> None:
-        self.tasks()
+        if self.task != ALL:
+            task = get_task(self.task)
+            one_way = task.uniform and task.deliveries == 1
+            _require(not one_way, f"there is nothing to choose on {task.id!r}: one parcel, and one way to it")
         positive = (
             "updates", "num_threads", "batch_size", "learning_rate", "temperature", "maps_per_chunk", "states_per_map",
             "window", "validation_every", "validation_maps", "log_every", "max_grad_norm",
@@ -92,6 +95,7 @@ class TourConfig:
             "checkpoint_seconds",
         ):  # fmt: skip
             _require(getattr(self, name) >= 0, f"{name} must not be below 0, got {getattr(self, name)}")
+        _require(self.batch_size % 4 == 0, f"batch_size must be a multiple of 4, got {self.batch_size}")
         _require(0 <= self.average < 1, f"average must be in [0, 1), got {self.average}")
 
     @property
@@ -114,6 +118,7 @@ class TourConfig:
     def identity(self) -> dict[str, Any]:
         """What a resumed run must share with the one that it goes on from."""
         return {name: value for name, value in asdict(self).items() if name != "checkpoint_seconds"} | {
+            "task": ALL if self.task == ALL else get_task(self.task).id,
             "tasks": {task.id: task.version for task in self.tasks()},
         }
 

@@ -14,22 +14,23 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor, nn
-from torch.nn.functional import binary_cross_entropy_with_logits, logsigmoid
+from torch import nn
 
 from drone_env.agents.tour_view import View
 from drone_env.agents.tour_viewer import Viewer
 from drone_env.agents.tournet import choose
 from drone_env.core.seeds import SPLITS
+from drone_env.errors import InvalidValueError
 from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
-from drone_env.rl.lessons import COMPLETE, Lessons, Teacher
+from drone_env.rl.lessons import Lessons, Teacher
+from drone_env.rl.tour_batch import Batch, chosen_by, losses_of, sample
 from drone_env.rl.tour_config import ALL, TourConfig
 from drone_env.rl.tour_model import TourNet
 from drone_env.rl.validation import Validator
@@ -42,8 +43,6 @@ CURVES = {
 }
 AHEAD = 3
 """Chunks that are drawn before they are asked for."""
-MOST_REGRET = 0.1
-"""What expected regret counts at most: a parcel more or less is the completion's matter."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +93,8 @@ class TourTrainer(Learner):
         tasks = config.tasks()
         self.name, self.validation_every = config.name, config.validation_every
         shares = config.lessons()
-        self._learned, self._shares = list(shares), np.array(list(shares.values()))
-        self._teachers: dict[int, Teacher] = {}
+        self._shares = np.array(list(shares.values()))
+        self._teachers = [Teacher(task, config.maps_per_chunk, config.states_per_map) for task in shares]
         self._windows: list[deque[Lessons]] = [deque(maxlen=config.window) for _ in shares]
         self._validators = {task.short_name: Validator(task, config.validation_maps) for task in tasks}
         self._viewers = {task.short_name: Viewer(task) for task in tasks}
@@ -142,14 +141,15 @@ class TourTrainer(Learner):
         with ThreadPoolExecutor(1) as drawing:
             self._fill_windows(drawing)
             coming: deque[Future[Lessons]] = deque()
-            while self.updates < self.config.updates:
-                while len(coming) < AHEAD:
-                    coming.append(drawing.submit(self._draw, self.updates + len(coming)))
-                self._windows[self._subject(self.updates)].append(coming.popleft().result())
-                self._learn()
-                yield self._log()
-            for chunk in coming:
-                chunk.cancel()
+            try:
+                while self.updates < self.config.updates:
+                    while len(coming) < AHEAD:
+                        coming.append(drawing.submit(self._draw, self.updates + len(coming)))
+                    self._windows[self._subject(self.updates)].append(coming.popleft().result())
+                    self._learn()
+                    yield self._log()
+            finally:
+                drawing.shutdown(cancel_futures=True)
 
     def _random(self, chunk: int, use: int) -> np.random.Generator:
         return np.random.default_rng((self.config.seed, chunk, use))
@@ -159,24 +159,22 @@ class TourTrainer(Learner):
         return int(self._random(chunk, 0).choice(len(self._shares), p=self._shares))
 
     def _draw(self, chunk: int) -> Lessons:
-        config, subject = self.config, self._subject(chunk)
-        if subject not in self._teachers:
-            task = self._learned[subject]
-            self._teachers[subject] = Teacher(task, config.maps_per_chunk, config.states_per_map)
         train = SPLITS["train"]
-        seeds = self._random(chunk, 1).integers(train.start, train.stop, config.maps_per_chunk)
-        return self._teachers[subject].draw(seeds)
+        seeds = self._random(chunk, 1).integers(train.start, train.stop, self.config.maps_per_chunk)
+        return self._teachers[self._subject(chunk)].draw(seeds)
 
     def _fill_windows(self, drawing: ThreadPoolExecutor) -> None:
         """Draw again what a run that goes on had drawn last."""
-        missing = {subject: self.config.window for subject in range(len(self._shares)) if self._shares[subject]}
+        for window in self._windows:
+            window.clear()
+        missing = [self.config.window] * len(self._windows)
         again: list[int] = []
         for chunk in range(self.updates - 1, -1, -1):
             subject = self._subject(chunk)
-            if missing.get(subject, 0):
+            if missing[subject]:
                 again.append(chunk)
                 missing[subject] -= 1
-            if not any(missing.values()):
+            if not any(missing):
                 break
         again.reverse()
         for chunk, lessons in zip(again, drawing.map(self._draw, again), strict=True):
@@ -186,9 +184,12 @@ class TourTrainer(Learner):
         """Fit the network to one batch."""
         config, random = self.config, self._random(self.updates, 2)
         shares = self._shares * [any(len(lessons.values) for lessons in window) for window in self._windows]
+        if not shares.any():
+            raise InvalidValueError("no choice drawn so far matters: raise maps_per_chunk or states_per_map")
         window = self._windows[int(random.choice(len(shares), p=shares / shares.sum()))]
         batch = sample([lessons for lessons in window if len(lessons.values)], config.batch_size, random)
-        choice, regret, completion = self._losses_of(batch)
+        preference, completions = self.online(*batch.inputs)
+        choice, regret, completion = losses_of(preference, completions, batch, config.temperature)
         loss = choice + config.regret_weight * regret + config.completion_weight * completion
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate
@@ -204,20 +205,6 @@ class TourTrainer(Learner):
             for mean, weight in zip(self.average.parameters(), self.online.parameters(), strict=True):
                 mean.lerp_(weight, 1 - kept)
         self._losses.append((choice.item(), regret.item(), completion.item()))
-
-    def _losses_of(self, batch: "Batch") -> tuple[Tensor, Tensor, Tensor]:
-        """Cross-entropy of the choices, expected regret, and cross-entropy of the completions: means over a batch."""
-        preference, completion = self.online(*batch.inputs)
-        logits = batch.table(chosen_by(preference, completion), -math.inf)
-        values = batch.table(batch.values, -math.inf)
-        regrets = values.amax(1, keepdim=True) - values
-        wanted = (-regrets / self.config.temperature).softmax(1)
-        log_chosen = logits.log_softmax(1)
-        there = torch.isfinite(values)
-        choice = -(wanted * log_chosen.masked_fill(~there, 0)).sum(1).mean()
-        regret = (log_chosen.exp() * regrets.clamp(max=MOST_REGRET).masked_fill(~there, 0)).sum(1).mean()
-        can_complete = (batch.values >= COMPLETE).float()
-        return choice, regret, binary_cross_entropy_with_logits(completion, can_complete)
 
     @property
     def learning_rate(self) -> float:
@@ -263,7 +250,7 @@ class TourTrainer(Learner):
             **{name: getattr(self, name).state_dict() for name in LEARNED},
             "counters": [self.updates, self.states],
             "losses": list(self._losses),
-            "history": [vars(line) for line in self.history],
+            "history": [asdict(line) for line in self.history],
             "shares": dict(self.shares),
             "cpu_seconds": self.cpu_seconds,
         }
@@ -322,51 +309,3 @@ class TourTrainer(Learner):
 
 
 LEARNED = ("online", "average", "optimizer")
-
-
-def chosen_by(preference: Tensor, completion: Tensor) -> Tensor:
-    """The logits of the choice: an option after which the mission can hardly be completed is hardly chosen."""
-    return preference + 2 * logsigmoid(completion)
-
-
-class Batch:
-    """States and their options as tensors.
-
-    Args:
-        view: Of the states.
-        values: float32[options], what each option is worth.
-    """
-
-    def __init__(self, view: View, values: npt.NDArray[np.float32]) -> None:
-        counts = np.diff(view.begins)
-        owner = np.repeat(np.arange(len(counts)), counts)
-        self._size = (len(counts), int(counts.max(initial=1)))
-        self._at = (
-            torch.from_numpy(owner),
-            torch.from_numpy(np.arange(len(owner)) - np.repeat(view.begins[:-1], counts)),
-        )
-        arrays = (view.tokens, view.present, view.edges, owner, view.token.astype(np.int64), view.features)
-        self.inputs = tuple(torch.from_numpy(array) for array in arrays)
-        """What the network takes."""
-        self.values = torch.from_numpy(values)
-
-    def table(self, values: Tensor, missing: float) -> Tensor:
-        """A number for each option as one row for each state, float32[states, most options]."""
-        return torch.full(self._size, missing).index_put(self._at, values)
-
-
-def sample(window: list[Lessons], size: int, random: np.random.Generator) -> Batch:
-    """States of four lessons of a window, as many of each."""
-    parts: list[tuple[npt.NDArray[Any], ...]] = []
-    for _ in range(4):
-        (view, values) = window[random.integers(len(window))]
-        chosen = random.integers(0, len(view.tokens), size // 4)
-        counts = np.diff(view.begins)[chosen]
-        options: npt.NDArray[np.int64] = np.repeat(
-            view.begins[chosen] - np.cumsum(counts) + counts, counts
-        ) + np.arange(counts.sum())
-        by_state = (view.tokens[chosen], view.present[chosen], view.edges[chosen], counts)
-        parts.append((*by_state, view.token[options], view.features[options], view.numbers[options], values[options]))
-    tokens, present, edges, counts, token, features, numbers, values = map(np.concatenate, zip(*parts, strict=True))
-    begins = np.concatenate([[0], np.cumsum(counts)])
-    return Batch(View(tokens, present, edges, begins, token, features, numbers), values)

@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.run import TrainingRun
+from drone_env.rl.tour_config import TourConfig
+from drone_env.rl.tour_trainer import TourTrainer
 from drone_env.rl.trainer import Trainer
 
 SMALL = TrainConfig(
@@ -25,6 +27,20 @@ SMALL = TrainConfig(
     log_every=5,
     checkpoint_seconds=3600,
 )
+SMALL_TOUR = TourConfig(
+    task="skyline_easy",
+    updates=12,
+    batch_size=16,
+    warm_up=2,
+    maps_per_chunk=1,
+    states_per_map=8,
+    window=3,
+    validation_every=5,
+    validation_maps=3,
+    log_every=2,
+    checkpoint_seconds=3600,
+)
+AnyTrainer = TypeVar("AnyTrainer", Trainer, TourTrainer)
 
 
 def do_nothing(*_: object) -> None:
@@ -36,7 +52,7 @@ def run_in(folder: Path, fresh: bool = False, **changes: Any) -> TrainingRun[Tra
     return TrainingRun(Trainer(replace(SMALL, **changes)), folder, folder / "results", fresh)
 
 
-def finished(trainer: Trainer) -> Trainer:
+def finished(trainer: AnyTrainer) -> AnyTrainer:
     """The trainer at the end of its run."""
     for _ in trainer.train():
         pass

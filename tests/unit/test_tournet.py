@@ -112,6 +112,15 @@ def test_the_options_on_a_map_that_is_drawn_by_hand() -> None:
     assert seen() == [(1, 1, 1, Action.UP), (2, 3, 2, down)]
 
 
+def test_a_parcel_that_waits_ends_a_way() -> None:
+    """The second parcel lies behind the first: nobody can fly there without delivering that."""
+    episode = toy_episode(["@0.1", "OOOO"], max_steps=50, impassable=frozenset({Cell.OBSTACLE}))
+    viewer = Viewer(episode.task)
+    assert view_of(viewer, episode.observation()).numbers.tolist() == [[1, 1, Action.RIGHT]]
+    episode.step(Action.RIGHT)
+    assert view_of(viewer, episode.observation()).numbers.tolist() == [[2, 2, Action.RIGHT]]
+
+
 @pytest.mark.parametrize("name", EVERY_TASK)
 def test_a_way_is_as_it_is_offered_and_goes_on_with_every_step(name: str) -> None:
     task = EVERY_TASK[name]

@@ -9,7 +9,7 @@ import pytest
 
 from drone_env.agents import make_agent
 from drone_env.agents.tour_network import load_tour_network
-from drone_env.agents.tour_plans import TEMPERATURE, Choices, drawn
+from drone_env.agents.tour_plans import Choices, drawn
 from drone_env.agents.tour_viewer import Viewer
 from drone_env.agents.tournet import best_options
 from drone_env.agents.tournet_search import TournetSearchAgent
@@ -89,6 +89,15 @@ def test_together_and_alone_it_flies_the_same_plans(name: str, network: Path, mo
     assert alone[0] != flown(TournetSearchAgent(task, network, plans=5), 1).actions
 
 
+def test_another_seed_draws_other_plans(network: Path) -> None:
+    agent = TournetSearchAgent(HARD, network)
+    flights: list[list[int]] = []
+    for seed in range(6):
+        agent.reset(seed)
+        flights.append(rollout(Episode(HARD, seed=3), agent.act).actions)
+    assert len({tuple(actions) for actions in flights}) > 1
+
+
 def test_it_goes_on_from_wherever_it_is_put(network: Path) -> None:
     agent, episode = TournetSearchAgent(HARD, network), Episode(HARD, seed=3)
     agent.reset(3)
@@ -109,13 +118,13 @@ def test_where_nothing_is_within_reach_it_waits_to_the_end(network: Path) -> Non
 
 
 def test_options_are_drawn_by_their_logits() -> None:
-    logits = np.array([0, TEMPERATURE * np.log(3), 5], np.float32)
+    logits = np.array([0, 0.7 * np.log(3), 5], np.float32)
     choices = Choices(np.array([0, 2, 2, 3]), None, logits, np.array([1, -1, 2]))
     keys = np.arange(40_000) * 7919
     for state, expected in ((0, [0.25, 0.75, 0]), (2, [0, 0, 1])):
-        found = drawn(choices, np.full(len(keys), state), keys, TEMPERATURE)
+        found = drawn(choices, np.full(len(keys), state), keys, 0.7)
         assert np.bincount(found, minlength=3) / len(keys) == pytest.approx(expected, abs=0.01)
-    assert drawn(choices, np.ones(3, np.int64), keys[:3], TEMPERATURE).tolist() == [-1, -1, -1]
+    assert drawn(choices, np.ones(3, np.int64), keys[:3], 0.7).tolist() == [-1, -1, -1]
 
 
 def test_the_budget_is_part_of_what_it_is(network: Path) -> None:

@@ -1,0 +1,289 @@
+"""A training of the tour network on disk: stopped and gone on with, what is refused, and its command."""
+
+import csv
+import json
+import random
+import signal
+from dataclasses import fields, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drone_env.agents.tour_network import load_tour_network
+from drone_env.cli import main
+from drone_env.core.tasks import TASKS, get_task
+from drone_env.errors import CheckpointError, InvalidValueError, UnknownNameError
+from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
+from drone_env.rl.config import TrainConfig
+from drone_env.rl.lessons import Teacher
+from drone_env.rl.run import TrainingRun
+from drone_env.rl.tour_config import TourConfig
+from drone_env.rl.tour_trainer import TourProgress, TourTrainer
+from tests.unit.small_training import SMALL_TOUR, assert_same, do_nothing, finished
+
+
+@pytest.fixture
+def no_curves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing them takes longer than these runs."""
+    monkeypatch.setattr("drone_env.rl.run.draw_curves", do_nothing)
+
+
+# That it goes on
+
+
+def state_of(trainer: TourTrainer) -> dict[str, Any]:
+    """All that two equal runs share."""
+    state = trainer.get_state()
+    del state["cpu_seconds"]
+    for line in state["history"]:
+        del line["cpu_seconds"]
+    return state
+
+
+def assert_equal_runs(a: TourTrainer, b: TourTrainer) -> None:
+    assert_same(state_of(a), state_of(b))
+
+
+def assert_equal_windows(a: TourTrainer, b: TourTrainer) -> None:
+    for x, y in zip(a._windows, b._windows, strict=True):
+        assert len(x) == len(y)
+        for one, other in zip(x, y, strict=True):
+            assert all(map(np.array_equal, (*one.view, one.values), (*other.view, other.values)))
+
+
+def test_a_resumed_run_is_the_uninterrupted_one_bit_for_bit(tmp_path: Path) -> None:
+    config, rng, stops = SMALL_TOUR, random.Random(0), 0
+    run = TrainingRun(TourTrainer(config), tmp_path, tmp_path / "results")
+    while run.trainer.updates < config.updates:
+        list(islice(run.trainer.train(), rng.randint(2, 5)))
+        run.save()
+        stops += 1
+        # Another seed, for what the checkpoint fails to bring with it; its configuration is the same.
+        trainer = TourTrainer(replace(config, seed=stops))
+        trainer.config = config
+        run = TrainingRun(trainer, tmp_path, tmp_path / "results")
+        assert run.resumed
+    assert stops > 2
+    assert_equal_runs(finished(TourTrainer(config)), run.trainer)
+
+
+def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None:
+    """In a new trainer, and in one that still has some."""
+    config = replace(SMALL_TOUR, task="all", validation_maps=1, validation_every=12, states_per_map=4)
+    whole, parts = TourTrainer(config), TourTrainer(config)
+    list(islice(whole.train(), 8))
+    for updates in (1, 3, 4):
+        list(islice(parts.train(), updates))
+    assert_equal_windows(whole, parts)
+    save_checkpoint(tmp_path / "run.pth", parts.get_state())
+    other = TourTrainer(config)
+    other.set_state(load_checkpoint(tmp_path / "run.pth"))
+    for trainer in (whole, parts, other):
+        next(iter(trainer.train()))
+    assert_equal_windows(whole, other)
+    assert max(len(window) for window in whole._windows) == config.window
+    assert_equal_runs(whole, parts)
+    assert_equal_runs(whole, other)
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"updates": 0}, "updates must be above 0, got 0"),
+        ({"maps_per_chunk": 0}, "maps_per_chunk must be above 0"),
+        ({"states_per_map": -1}, "states_per_map must be above 0"),
+        ({"window": 0}, "window must be above 0"),
+        ({"validation_maps": 0}, "validation_maps must be above 0"),
+        ({"learning_rate": float("nan")}, "learning_rate must be above 0, got nan"),
+        ({"temperature": 0.0}, "temperature must be above 0"),
+        ({"warm_up": -1}, "warm_up must not be below 0"),
+        ({"completion_weight": -0.1}, "completion_weight must not be below 0"),
+        ({"average": 1.0}, r"average must be in \[0, 1\), got 1"),
+        ({"batch_size": 66}, "batch_size must be a multiple of 4, got 66"),
+        ({"task": "easy"}, "nothing to choose on 'easy_delivery': one parcel, and one way to it"),
+        ({"task": "impossible"}, "allowed: easy"),
+    ],
+)
+def test_a_configuration_that_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises((InvalidValueError, UnknownNameError), match=message):
+        replace(SMALL_TOUR, **changes)
+
+
+def test_a_task_that_cannot_be_valued_by_legs_is_refused_before_anything_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = replace(get_task("skyline_easy"), id="own", short_name="own", efficiency_needs_all=False)
+    huge = replace(get_task("skyline_hard"), id="huge", short_name="huge", deliveries=16, width=20, height=20)
+    for task, message in (
+        (own, "where every step costs the same"),
+        (huge, "the exact values of a map of 'huge' would"),
+    ):
+        monkeypatch.setitem(TASKS, task.id, task)
+        assert main([*TRAIN, "--task", task.id, "--data", str(tmp_path), "--results", str(tmp_path)]) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_lessons_without_any_choice_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    empty = Teacher(get_task("easy"), 1, 1).draw(np.zeros(1, np.int64))
+    monkeypatch.setattr(Teacher, "draw", lambda *_: empty)
+    trainer = TourTrainer(SMALL_TOUR)
+    with pytest.raises(InvalidValueError, match="no choice drawn so far matters: raise maps_per_chunk"):
+        next(trainer.train())
+
+
+def test_a_checkpoint_of_another_run_is_refused_and_changes_nothing(tmp_path: Path) -> None:
+    trainer = TourTrainer(SMALL_TOUR)
+    run = TrainingRun(trainer, tmp_path, tmp_path / "results")
+    run.save()
+    before = run.checkpoint.read_bytes()
+    for changes, message in (
+        ({"updates": 13, "window": 4}, r"updates 12 \(now 13\), window 3 \(now 4\); --fresh starts again"),
+        ({"learning_rate": 0.5}, r"learning_rate 0.001 \(now 0.5\)"),
+    ):
+        with pytest.raises(CheckpointError, match=message):
+            TrainingRun(TourTrainer(replace(SMALL_TOUR, **changes)), tmp_path, tmp_path / "results")
+    assert run.checkpoint.read_bytes() == before
+    withdrawn = trainer.get_state()
+    withdrawn["config"] |= {"tasks": {"skyline_easy": 1}}
+    with pytest.raises(CheckpointError, match=r"tasks {'skyline_easy': 1} \(now {'skyline_easy': 2}\)"):
+        trainer.set_state(withdrawn)
+    # How often it is saved, and by which of its names the task is called, makes no other run of it.
+    same = replace(SMALL_TOUR, task=get_task("skyline_easy").grader, checkpoint_seconds=1)
+    assert TrainingRun(TourTrainer(same), tmp_path, tmp_path / "results").resumed
+    assert not TrainingRun(TourTrainer(SMALL_TOUR), tmp_path, tmp_path / "results", fresh=True).resumed
+    assert (tmp_path / "tournet_skyline_easy.pth.old").read_bytes() == before
+
+
+# The command
+
+
+TRAIN = [
+    "train", "--network", "tournet", "--updates", "4", "--batch-size", "16", "--maps-per-chunk", "1",
+    "--states-per-map", "8", "--window", "3", "--warm-up", "2", "--validation-every", "2", "--validation-maps", "3",
+    "--log-every", "2",
+]  # fmt: skip
+EASY = [*TRAIN, "--task", "skyline_easy"]
+
+
+def test_the_command_trains_and_leaves_what_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(EASY) == 0
+    captured = capsys.readouterr()
+    told = " ".join(captured.err.split())
+    assert captured.out == ""
+    assert "4/4 updates" in told
+    assert "of the optimum on the validation maps; network data/tournet_skyline_easy.npz" in told
+    evaluate = ["evaluate", "--task", "skyline_easy", "--agents", "greedy", "tournet"]
+    evaluate += ["--checkpoint", "data/tournet_skyline_easy.npz"]
+    assert f"next: drone-env {' '.join(evaluate)}" in told
+    log = (tmp_path / "data/train.log").read_text().splitlines()
+    assert [line.split()[0] for line in log] == ["update=2", "update=4"]
+    state = load_checkpoint(tmp_path / "data/tournet_skyline_easy.pth")
+    results = tmp_path / "results/tournet_skyline_easy"
+    history = list(csv.DictReader((results / "history.csv").read_text().splitlines()))
+    assert [{name: float(value) for name, value in line.items()} for line in history] == state["history"]
+    for name in ("choice", "regret", "completion", "validation"):
+        assert (results / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    (events,) = (results / "tensorboard").glob("events.*")
+    assert [field.name for field in fields(TourProgress)[1:] if field.name.encode() not in events.read_bytes()] == []
+    # The network that stands beside it is the average, and says where it is from.
+    network = load_tour_network(tmp_path / "data/tournet_skyline_easy.npz")
+    assert network.parameters.keys() == state["average"].keys()
+    for name, array in network.parameters.items():
+        assert np.array_equal(array, state["average"][name].numpy())
+    metadata = network.metadata
+    assert (metadata["network"], metadata["kind"], metadata["tasks"]) == ("tournet", "distilled", {"skyline_easy": 2})
+    assert (metadata["updates"], metadata["states"]) == (4, 64)
+    assert metadata["cpu_seconds"] > 0
+    assert metadata["validation_shares"] == state["shares"]
+    assert metadata["config"] == state["config"]
+    # It flies by its file, as is said.
+    assert main([*evaluate, "--episodes", "3", "--json", "-"]) == 0
+    agents = json.loads(capsys.readouterr().out)["tasks"]["skyline_easy"]["agents"]
+    assert list(agents) == ["greedy", "tournet:data/tournet_skyline_easy.npz"]
+    # There is nothing left to do; what is not said is as it was, and what is said otherwise is another run.
+    assert main(["train", "--network", "tournet", "--task", "skyline_easy"]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "data/tournet_skyline_easy.pth has 4 updates already, and 4 were asked for: nothing to do. --fresh" in told
+    assert main([*EASY, "--updates", "6"]) == 2
+    assert "updates 4 (now 6); --fresh starts again" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.usefixtures("no_curves")
+def test_interrupted_it_saves_and_goes_on_to_the_same_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    learn, interrupts = TourTrainer._learn, [1, 3]
+
+    def learn_and_interrupt(trainer: TourTrainer) -> None:
+        learn(trainer)
+        if trainer.updates in interrupts:
+            interrupts.remove(trainer.updates)
+            signal.raise_signal(signal.SIGINT)  # as Ctrl-C does
+
+    monkeypatch.setattr(TourTrainer, "_learn", learn_and_interrupt)
+    for update in (1, 3):  # before the first line of the log, and between two
+        assert main(EASY) == 130
+        told = " ".join(capsys.readouterr().err.split())
+        assert f"stopped after {update} updates; the same command goes on from data/tournet_skyline_easy.pth" in told
+    assert main([*EASY, "--resume"]) == 0
+    assert "going on from data/tournet_skyline_easy.pth: 3 of 4 updates" in " ".join(capsys.readouterr().err.split())
+    assert main([*EASY, "--data", "whole", "--results", "whole"]) == 0
+    states = [load_checkpoint(tmp_path / folder / "tournet_skyline_easy.pth") for folder in ("data", "whole")]
+    for state in states:
+        assert state.pop("seconds") > 0
+        assert state.pop("cpu_seconds") > 0
+        assert all(line.pop("cpu_seconds") > 0 for line in state["history"])
+    assert_same(*states)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--resume", "--fresh"], "one of them"),
+        (["--resume", "--validation-maps", "1", "--task", "medium"], "there is no checkpoint"),
+        (["--task", "easy"], "there is nothing to choose"),
+        (["--task", "impossible"], "allowed: easy"),
+        (["--batch-size", "10"], "batch_size must be a multiple of 4"),
+        (["--preset", "original"], "--preset"),
+        (["--episodes", "5"], "--episodes"),
+    ],
+)
+def test_the_command_refuses(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    try:
+        status = main(["train", "--network", "tournet", *arguments])
+    except SystemExit as ended:
+        status = int(ended.code or 0)
+    assert status == 2
+    assert message in "".join(capsys.readouterr())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_shows_the_flags_of_the_network_that_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    flags: dict[str, set[str]] = {}
+    for network, config in (("pathqnet", TrainConfig), ("tournet", TourConfig)):
+        with pytest.raises(SystemExit):
+            main(["train", "--network", network, "--help"])
+        shown = capsys.readouterr().out
+        flags[network] = {field.name for field in fields(config)}
+        assert [name for name in flags[network] if f"--{name.replace('_', '-')}" not in shown] == []
+        assert "--network {pathqnet,tournet}" in shown
+        other = "--maps-per-chunk" if network == "pathqnet" else "--preset"
+        assert other not in shown
