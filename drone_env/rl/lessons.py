@@ -29,15 +29,15 @@ from drone_env.core.rules import choose_target, reset, step
 from drone_env.core.seeds import GOLDEN, mix64, next_key, uniform_below
 from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER, Tables, state_size, tabulate
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.solver import ranked_scores
 from drone_env.planning.legs import Legs, make_legs, mark_delivered, row_after, row_of, value_kernel, working_memory
 from drone_env.planning.map_graph import UNPAID, delivered_set, put_drone, put_parcels, state_arrays
+from drone_env.planning.solver import ranked_scores
 from drone_env.planning.ways import NO_STOP, Rounds, Ways, find_ways
 
 WAIT = int(Action.WAIT)
 COMPLETE = 0.8 - 1e-9
-"""Values from here on are those of whole missions. (On a uniform task of more than 8 parcels whose battery lasts for a part
-of the time alone, or for longer, those of others can be as high.)"""
+"""Values from here on are those of whole missions. (On a uniform task of more than 8 parcels whose battery lasts for a
+part of the time alone, or for longer, those of others can be as high.)"""
 FROM_START, OTHER, NEARLY_BEST, GOES_ON = 40, 35, 20, 85
 """In percent: flights that begin at the start; choices that are not the best; those of them that cost at most `NEAR`;
 how often a flight goes on along its way instead of choosing anew."""

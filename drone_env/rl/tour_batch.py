@@ -59,7 +59,7 @@ def sample(window: Sequence[Lessons], size: int, random: np.random.Generator) ->
         chosen = random.integers(0, len(view.tokens), size // LESSONS)
         counts: npt.NDArray[np.int64] = np.diff(view.begins)[chosen]
         shifts: npt.NDArray[np.int64] = view.begins[chosen] - np.cumsum(counts) + counts
-        options = np.repeat(shifts, counts) + np.arange(counts.sum())
+        options: npt.NDArray[np.int64] = np.repeat(shifts, counts) + np.arange(int(counts.sum()))
         by_state = (view.tokens[chosen], view.present[chosen], view.edges[chosen], counts)
         parts.append((*by_state, view.token[options], view.features[options], view.numbers[options], values[options]))
     tokens, present, edges, counts, token, features, numbers, values = map(np.concatenate, zip(*parts, strict=True))
