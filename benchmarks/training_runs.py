@@ -5,6 +5,8 @@ finished is not repeated, and one that was interrupted goes on, so this may be s
 a run is the sum of its parts. Training sees train and validation maps only; the table is of test maps.
 
 `--ship` puts the networks of the first seed into `drone_env/weights`, each with its model card.
+
+`--tournet data/tournet.npz` trains nothing: it flies the tour network in that file, and puts it there with its card.
 """
 
 import argparse
@@ -18,13 +20,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from drone_env.agents import tournet
 from drone_env.agents.pathqnet import shipped_network
+from drone_env.agents.tour_network import load_tour_network
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.files import replacing
 from drone_env.rl.config import preset
 from drone_env.rl.run import TrainingRun
+from drone_env.rl.tour_config import TourConfig
 from drone_env.rl.trainer import Trainer
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -155,12 +160,75 @@ It knows this task's maps and numbers. On others it takes what it sees for this 
 def ship(result: dict[str, Any]) -> None:
     """Put a network and its card where the agent looks for it."""
     task = get_task(result["task"], result["task_version"])
-    shipped = shipped_network(task)
+    put(shipped_network(task), (ROOT / result["network"]).read_bytes(), card(result))
+
+
+def put(shipped: Path, network: bytes, written: str) -> None:
+    """Write a network and its card."""
     shipped.parent.mkdir(exist_ok=True)
     with replacing(shipped) as temporary:
-        temporary.write_bytes((ROOT / result["network"]).read_bytes())
+        temporary.write_bytes(network)
     with replacing(shipped.with_suffix(".md")) as temporary:
-        temporary.write_text(card(result), encoding="utf-8")
+        temporary.write_text(written, encoding="utf-8")
+
+
+def tour_card(file: Path, sources: str) -> str:
+    """The model card of a tour network, by what its file says of its training and how it flies the test maps."""
+    network = load_tour_network(file)
+    made, usual = network.metadata, TourConfig()
+    config = made["config"]
+    settings = "".join(
+        f" --{name.replace('_', '-')} {config[name]}"
+        for name in config
+        if name not in ("task", "tasks") and config[name] != getattr(usual, name)
+    )
+    validation = ", ".join(f"{name} {share:.4f}" for name, share in made["validation_shares"].items())
+    rows: list[str] = []
+    for task in TASKS.values():
+        flown = {agent: figures(task, agent) for agent in ("random", "greedy", "optimal", f"tournet:{file}")}
+        random, greedy, optimal, test = flown.values()
+        low, high = test["score_ci95"]
+        rows.append(
+            f"| {task.id} v{task.version} | {optimal['mean_score']:.4f} | {random['score_ratio']:.4f} "
+            f"| {greedy['score_ratio']:.4f} | **{test['score_ratio']:.4f}** | {test['mean_score']:.4f} ({low:.4f} to "
+            f"{high:.4f}) | {test['success_rate']:.1%} | {optimal['success_rate']:.1%} | {test['mean_steps']:.1f} |"
+        )
+        print(rows[-1], file=sys.stderr, flush=True)
+    packages = ", ".join(f"{name} {version(name)}" for name in ("torch", "numpy", "numba"))
+    table = "\n".join(rows)
+    return f"""# Tournet, version 1
+
+One network for all six tasks: from what there is to see of a flight to the parcel or pad to fly to next, and the way to
+it (docs/learning.md has its layers). `drone-env evaluate --task all --agents greedy tournet` flies it; it needs no
+PyTorch.
+
+## How it was made
+
+| | |
+|---|---|
+| kind | {made["kind"]}: it learns from the exact value of each option, not from rewards |
+| command | `drone-env train --network tournet --task {config["task"]}{settings}` |
+| sources | {sources} |
+| time | {made["seconds"] / 60:.1f} minutes, {made["cpu_seconds"] / 60:.1f} of CPU time |
+| machine | {machine()}; {packages} |
+| learned from | {made["states"]:,} states in {made["updates"]:,} updates, on maps of the train split |
+| kept | the average of the weights at the end; on validation maps, of the optimum: {validation} |
+| size | {sum(array.size for array in network.parameters.values()):,} parameters, {file.stat().st_size / 1e6:.2f} MB |
+
+## How it flies
+
+The first {MAPS:,} test maps of each task, which training never sees. Shares are of the mean optimum of the same maps.
+
+| task | optimum | random | greedy | tournet | score (95 % interval) | delivered all | by the optimum | steps |
+|---|---|---|---|---|---|---|---|---|
+{table}
+
+## What it is not for
+
+It decides one way at a time: where a few milliseconds more are no matter, `tournet-search` tries whole plans, and the
+exact solver finds the best there is. It flies tasks of one's own as well; how well is known of these six, and of the
+sizes that docs/learning.md names.
+"""
 
 
 def main() -> None:
@@ -171,7 +239,13 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2, help="that PyTorch computes with")
     parser.add_argument("--out", type=Path, default=ROOT / "results" / "evidence")
     parser.add_argument("--ship", action="store_true", help="install the first seed's networks")
+    parser.add_argument("--tournet", type=Path, metavar="FILE", help="install the tour network in this file instead")
+    parser.add_argument("--sources", metavar="COMMIT", default=commit(), help="which trained it, if not those of now")
     arguments = parser.parse_args()
+    if arguments.tournet is not None:
+        written = tour_card(arguments.tournet, arguments.sources)
+        put(tournet.SHIPPED, arguments.tournet.read_bytes(), written)
+        return
     rows: list[str] = []
     for task in map(get_task, arguments.tasks):
         for seed in arguments.seeds:
