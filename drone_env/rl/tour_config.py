@@ -90,7 +90,7 @@ class TourConfig:
             _require(not one_way, f"there is nothing to choose on {task.id!r}: one parcel, and one way to it")
         positive = (
             "updates", "num_threads", "batch_size", "learning_rate", "temperature", "maps_per_chunk", "states_per_map",
-            "window", "validation_every", "validation_maps", "log_every", "max_grad_norm",
+            "window", "plans", "validation_every", "validation_maps", "log_every", "max_grad_norm",
         )  # fmt: skip
         for name in positive:
             _require(getattr(self, name) > 0, f"{name} must be above 0, got {getattr(self, name)}")

@@ -84,11 +84,15 @@ class Explorer:
         parcels = PARCELS + np.arange(task.deliveries)
         self._world = World(tables, tabulate_rewards(task, UNPAID), grid, state, parcels)
 
-    def fly(self, seeds: npt.NDArray[np.int64], random: np.random.Generator) -> Tried:
-        """Fly K plans from a state of each map: the choices of the best, and as many others'."""
+    def begin(self, seeds: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]:
+        """A flight on each map, at its start or anywhere: uint8[N, cells] grids, uint16[N, state size] states."""
         grids = np.zeros((len(seeds), len(self._world.grid)), np.uint8)
         states = np.zeros((len(seeds), len(self._world.state)), np.uint16)
         take_off_kernel(self._world, int(counts_units(self._task)), seeds, grids, states)
+        return grids, states
+
+    def fly(self, seeds: npt.NDArray[np.int64], random: np.random.Generator) -> Tried:
+        """Fly K plans from a state of each map: the choices of the best, and as many others'."""
         seen: list[tuple[npt.NDArray[Any], ...]] = []
 
         def watch(
@@ -99,7 +103,7 @@ class Explorer:
         ) -> None:
             seen.append((flying, grids, states, chosen))
 
-        flights = self._planner.fly(grids, states, seeds, watch)
+        flights = self._planner.fly(*self.begin(seeds), seeds, watch)
         flying, grids, states, chosen = map(np.concatenate, zip(*seen, strict=True))
         scores = flights.scores.reshape(-1, self._plans)
         best = np.arange(len(seeds)) * self._plans + scores.argmax(axis=1)
@@ -124,7 +128,7 @@ class Explorer:
     def lessons(self, tried: Tried) -> Lessons:
         """What the choices teach."""
         parts: list[View] = []
-        for i in range(0, len(tried.chosen), self._viewer.most):
+        for i in range(0, max(len(tried.chosen), 1), self._viewer.most):
             some = slice(i, i + self._viewer.most)
             view = self._viewer.views(tried.grounds[some], tried.drones[some])
             parts.append(View(*(array.copy() for array in view)))
