@@ -18,6 +18,7 @@ from drone_env.cluster.sweep.trial import train_trial
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.evaluation.statistics import bootstrap
 from drone_env.rl.config import TrainConfig
+from drone_env.rl.trainer import Trainer
 
 SMALL = (
     "num_envs=8", "batch_size=16", "replay_size=400", "learning_starts=50", "steps_per_update=8", "validation_every=10",
@@ -204,8 +205,8 @@ def test_the_command_of_a_trial_trains_by_its_settings(monkeypatch: pytest.Monke
     """Few episodes change the defaults of `train.py`, not what a trial was trained by."""
     asked: list[TrainConfig] = []
 
-    def stop(config: TrainConfig, *_: object) -> None:
-        asked.append(config)
+    def stop(trainer: Trainer, *_: object) -> None:
+        asked.append(trainer.config)
         raise InvalidValueError("seen")
 
     monkeypatch.setattr("drone_env.rl.run.TrainingRun", stop)
