@@ -21,7 +21,7 @@ from drone_env.rl.tour_rewards import COMPLETED, IMITATED, TEMPERATURES, Explore
 from tests.unit.small_training import SMALL_TOUR, assert_same, finished
 
 SMALL = replace(SMALL_TOUR, kind="rewards", plans=3, maps_per_chunk=3)
-EASY, MAPS, PLANS = get_task("skyline_easy"), np.arange(12), 4
+EASY, MAPS, PLANS = get_task("skyline_easy"), np.arange(60), 4
 
 
 def cheapest(view: View) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
@@ -40,6 +40,8 @@ def test_the_best_plan_is_imitated_where_plans_differ() -> None:
     differ = scores.max(axis=1) > scores.min(axis=1)
     assert 0 < differ.sum() < len(MAPS)
     best = (MAPS * PLANS + scores.argmax(axis=1))[differ]
+    alike = (MAPS * PLANS)[~differ]
+    assert sum((np.isin(flying, alike) & (chosen >= 0)).sum() for flying, chosen in rounds) > 0
     done = flights.states[:, DELIVERIES_DONE] == EASY.deliveries
     expected: dict[bool, int] = {True: 0, False: 0}
     for flying, chosen in rounds:
