@@ -17,15 +17,17 @@ import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core import compiled
-from drone_env.core.actions import N_ACTIONS, Action
+from drone_env.core.actions import FLYING, N_ACTIONS, Action
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.drone import units_left
 from drone_env.core.episode import Episode
-from drone_env.core.tables import Tables, tabulate
+from drone_env.core.rewards import Rewards, tabulate_rewards
+from drone_env.core.rules import step
+from drone_env.core.tables import BATTERY, CELL, OUTCOME, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import UnsupportedTaskError
-from drone_env.planning.map_graph import require_memory, state_arrays
+from drone_env.planning.map_graph import UNPAID, delivered_set, require_memory, state_arrays
 from drone_env.planning.solver import Solver, ranked_scores
 from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways, most_ways
 
@@ -240,27 +242,37 @@ def rank_kernel(legs: Legs, states: Any, ways: Ways, rounds: Rounds, ranks: Any)
 
 
 @compiled_once(**compiled.OPTIONS)
-def flight_kernel(legs: Legs, cell: int, units: int, steps: int, ways: Ways, rounds: Rounds, actions: Any) -> int:
-    """Write the actions of a best flight from where nothing is delivered yet, int64[steps], and return how many.
+def flight_kernel(
+    legs: Legs, rewards: Rewards, grid: Any, state: Any, parcels: Any, ways: Ways, rounds: Rounds, actions: Any
+) -> int:
+    """Fly a best flight by the rules, write its actions, int64[steps], and return how many there are.
 
     Of all best flights it is one that takes the fewest steps.
+
+    Args:
+        legs: The map, its ranks filled in.
+        rewards: Those of any profile: they are not used.
+        grid: uint8[cells], with the drone; flown on.
+        state: uint16[state size], of the episode that was solved; flown on.
+        parcels: int64[n], the entries of `state` that hold the parcels that wait.
+        ways: Working memory.
+        rounds: Working memory.
+        actions: Receives them; its length is that of the steps that count.
     """
-    drain: Any = legs.tables.drain
-    best, _ = best_option(legs, 0, cell, units, steps, ways, rounds)
-    while steps > 0 and best_option(legs, 0, cell, units, steps - 1, ways, rounds)[0] == best:
+    steps, flown = len(actions), 0
+    units = state[BATTERY] if legs.counts else 1
+    best, _ = best_option(legs, 0, state[CELL], units, steps, ways, rounds)
+    while steps > 0 and best_option(legs, 0, state[CELL], units, steps - 1, ways, rounds)[0] == best:
         steps -= 1
-    delivered, flown = 0, 0
-    while units > 0 and steps > 0 and delivered < (1 << legs.parcels) - 1:
-        _, action = best_option(legs, delivered, cell, units, steps, ways, rounds)
+    while state[OUTCOME] == FLYING and flown < steps:
+        delivered = delivered_set(state, parcels)
+        units = state[BATTERY] if legs.counts else 1
+        _, action = best_option(legs, delivered, state[CELL], units, steps - flown, ways, rounds)
         if action < 0:
             break
         actions[flown] = action
-        flown, steps = flown + 1, steps - 1
-        if action != WAIT:
-            cell = legs.tables.moves[cell * N_ACTIONS + action]
-        units = units_left(legs.tables, units, legs.counts * drain[legs.ground[cell] * N_ACTIONS + action])
-        if legs.ground[cell] == DELIVERY_CELL:
-            delivered |= 1 << legs.stop_at[cell]
+        flown += 1
+        step(legs.tables, rewards, grid, state, action)
     return flown
 
 
@@ -382,8 +394,10 @@ class LegSolver(Solver):
 
         At its end there may be nothing left but to wait.
         """
-        start = self._start
-        units, steps = clock(start.task, start.battery_units, start.task.max_steps - start.steps)
+        start, task = self._start, self._start.task
+        _, state, parcels = state_arrays(start)
+        _, steps = clock(task, start.battery_units, task.max_steps - start.steps)
         actions = np.zeros(steps, np.int64)
-        flown = flight_kernel(self.legs, start.cell, units, steps, self.ways, self.rounds, actions)
+        rewards, grid = tabulate_rewards(task, UNPAID), start.grid().ravel()
+        flown = flight_kernel(self.legs, rewards, grid, state, parcels, self.ways, self.rounds, actions)
         return [Action(action) for action in actions[:flown].tolist()]

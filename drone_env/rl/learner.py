@@ -17,13 +17,14 @@ class Learner(ABC):
     """A training that can be stopped after each of its steps, saved, and gone on with."""
 
     unit: str
-    """What is counted: episodes or updates."""
+    """What is counted, episodes or updates: an attribute, and what the configuration calls how many there are to be."""
     curves: Mapping[str, str]
     """What to draw: fields of the log's lines, and what they are."""
     name: str
     """Of its files."""
     work: str
-    """The field of the log's lines that tells how much has been worked through."""
+    """An attribute, and field of the log's lines, that tells how much has been worked through."""
+    config: Any
     validation_every: int
     """How many lie between two validations."""
     device: torch.device
@@ -31,14 +32,19 @@ class Learner(ABC):
     """The lines of the log: dataclasses whose first field is the count."""
 
     @property
-    @abstractmethod
     def done(self) -> int:
         """How many so far."""
+        return getattr(self, self.unit)
 
     @property
-    @abstractmethod
     def wanted(self) -> int:
         """How many in all."""
+        return getattr(self.config, self.unit)
+
+    @property
+    def worked(self) -> int:
+        """How much has been worked through."""
+        return getattr(self, self.work)
 
     @property
     @abstractmethod
@@ -72,11 +78,6 @@ class Learner(ABC):
     @abstractmethod
     def metadata(self) -> dict[str, Any]:
         """What the exported network says of itself."""
-
-    @property
-    @abstractmethod
-    def worked(self) -> int:
-        """How much has been worked through: what `work` names."""
 
     @property
     @abstractmethod

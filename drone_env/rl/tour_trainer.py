@@ -84,6 +84,7 @@ class TourTrainer(Learner):
         TooLargeError: if they would take too much memory.
     """
 
+    config: TourConfig
     unit, work, curves = "updates", "states", CURVES
     kind = "distilled"
     """What it learns from."""
@@ -117,16 +118,6 @@ class TourTrainer(Learner):
         """Make ready what is learned from."""
         config = self.config
         self._teachers = [Teacher(task, config.maps_per_chunk, config.states_per_map) for task in tasks]
-
-    @property
-    def done(self) -> int:
-        """Updates so far."""
-        return self.updates
-
-    @property
-    def wanted(self) -> int:
-        """Updates in all."""
-        return self.config.updates
 
     @property
     def checkpoint_gap(self) -> tuple[int, float]:
@@ -289,11 +280,6 @@ class TourTrainer(Learner):
     def best_network(self) -> TourNet:
         """The average of the weights."""
         return self.average
-
-    @property
-    def worked(self) -> int:
-        """States that it has learned from."""
-        return self.states
 
     @property
     def result(self) -> str:

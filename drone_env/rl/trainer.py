@@ -89,6 +89,7 @@ class Trainer(Learner):
         TooLargeError: if the optimum of the validation maps cannot be worked out.
     """
 
+    config: TrainConfig
     unit, work, curves = "episodes", "steps", CURVES
 
     def __init__(self, config: TrainConfig) -> None:
@@ -334,24 +335,9 @@ class Trainer(Learner):
         self.validation = Validation(*state["validation"])
 
     @property
-    def done(self) -> int:
-        """Episodes ended so far."""
-        return self.episodes
-
-    @property
-    def wanted(self) -> int:
-        """Episodes in all."""
-        return self.config.episodes
-
-    @property
     def checkpoint_gap(self) -> tuple[int, float]:
         """At least so many episodes and seconds lie between two checkpoints."""
         return self.config.checkpoint_episodes, self.config.checkpoint_seconds
-
-    @property
-    def worked(self) -> int:
-        """Steps flown."""
-        return self.steps
 
     @property
     def result(self) -> str:
