@@ -7,8 +7,6 @@ BIN := $(VENV)/bin
 PYTEST := $(BIN)/python -m pytest
 # What was compiled once is kept: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
-# Matrices are small and several processes run at once: more threads of NumPy's would only wait for each other.
-export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: demo serve test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-planners bench-peers bench-agents bench-unseen bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
 .DEFAULT_GOAL := demo

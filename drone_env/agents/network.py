@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from drone_env.agents.one_thread import in_one_thread
 from drone_env.agents.weights_file import PATHQNET, Array, Shapes, Weights, read_weights
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.cells import N_CELL_KINDS
@@ -51,6 +52,7 @@ class Network:
         self._conv1 = np.concatenate([table, np.zeros_like(table[:, :1])], axis=1)
         self._conv2 = parameters["encoder.conv2.weight"].transpose(2, 3, 1, 0).reshape(-1, weight.shape[0] * 2)
 
+    @in_one_thread
     def __call__(self, grids: npt.NDArray[np.uint8], telemetry: Array) -> Array:
         """The values of the actions."""
         p = self.parameters

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from drone_env.agents.network import EPSILON
+from drone_env.agents.one_thread import in_one_thread
 from drone_env.agents.tour_view import EDGE_FEATURES, OPTION_FEATURES, TOKEN_FEATURES, View
 from drone_env.agents.weights_file import TOURNET, Array, Weights, read_weights
 from drone_env.core.compile_cache import compiled_once
@@ -158,6 +159,7 @@ class TourNetwork:
         self._bias_weights = np.ascontiguousarray(weight.T)
         self._biases = np.concatenate([p[f"blocks.{i}.bias.bias"] for i in range(LAYERS)])
 
+    @in_one_thread
     def __call__(self, view: View) -> tuple[Array, Array]:
         """Choice and completion, float32[options] each."""
         there = view.present

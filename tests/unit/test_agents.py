@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from drone_env.agents import AGENTS, make_agent, network_file
+from drone_env.agents.network import Network
 from drone_env.agents.pathqnet import CHUNK, PathQNetAgent, shipped_network
+from drone_env.agents.tour_network import TourNetwork
 from drone_env.agents.tournet import SHIPPED
 from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
@@ -186,3 +189,31 @@ def test_where_no_tour_network_is_shipped_the_message_says_what_to_do(
     for name in ("tournet", "tournet-search", "tournet-search-64"):
         with pytest.raises(UnsupportedTaskError, match=r"gone\.npz: name a file, as in tournet:FILE"):
             make_agent(name, "easy")
+
+
+def threads_of_numpy() -> set[int]:
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
+@pytest.mark.parametrize(
+    ("name", "task_name", "network", "part"),
+    [("pathqnet", "hard", Network, "_encode"), ("tournet", "skyline_hard", TourNetwork, "_linear")],
+)
+def test_a_network_computes_in_one_thread_and_leaves_others_theirs(
+    name: str, task_name: str, network: type, part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent, episode, original = make_agent(name, get_task(task_name)), Episode(task_name), getattr(network, part)
+    seen: list[set[int]] = []
+
+    def watched(*arguments: object) -> object:
+        seen.append(threads_of_numpy())
+        return original(*arguments)
+
+    monkeypatch.setattr(network, part, watched)
+    with threadpool_limits(2, user_api="blas"):
+        agent.reset(0)
+        episode.reset(0)
+        agent.act(episode.observation())
+        assert threads_of_numpy() == {2}
+    assert seen
+    assert all(threads == {1} for threads in seen)
