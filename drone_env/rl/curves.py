@@ -14,7 +14,7 @@ def draw_curves(runs: Mapping[str, Sequence[Any]], title: str, curves: Mapping[s
     Args:
         runs: The lines of each run's log, dataclasses, by its name.
         title: Of every curve.
-        curves: The fields to draw, and what they are.
+        curves: The fields to draw, and what they are; one that holds several figures is a line for each.
         folder: Made if it is missing.
 
     Raises:
@@ -29,10 +29,12 @@ def draw_curves(runs: Mapping[str, Sequence[Any]], title: str, curves: Mapping[s
         figure: Any = Figure(figsize=(7, 4), layout="constrained")
         axes: Any = figure.add_subplot()
         for run, history in runs.items():
-            axes.plot(
-                [getattr(line, counted) for line in history], [getattr(line, name) for line in history], label=run
-            )
-        if name == "validation":
+            at = [getattr(line, counted) for line in history]
+            drawn: list[Any] = [getattr(line, name) for line in history]
+            parts: list[dict[str, float]] = drawn if isinstance(drawn[0], Mapping) else [{run: of} for of in drawn]
+            for part in parts[0]:
+                axes.plot(at, [figures[part] for figures in parts], label=part)
+        if name in ("validation", "shares"):
             optimum = next(iter(runs.values()))[-1].validation_optimum
             axes.axhline(optimum, color="black", linestyle="--", label="exact optimum")
             axes.set_ylim(0, 1)

@@ -5,6 +5,7 @@ import math
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from typing import Any, TypeVar
 
 import torch
@@ -124,6 +125,13 @@ def keep_freed_memory() -> None:
         mallopt(-3, 32 << 20)  # M_MMAP_THRESHOLD, as glibc's malloc.h numbers it
         mallopt(-1, 1 << 30)  # M_TRIM_THRESHOLD
         mallopt(-2, 64 << 20)  # M_TOP_PAD
+
+
+def figures_of(line: Any) -> dict[str, float]:
+    """The figures of a line of the log, in order; those of `shares` are called after their tasks, `validation_hard`."""
+    figures = asdict(line)
+    shares = figures.pop("shares", {})
+    return figures | {f"validation_{task}": share for task, share in shares.items()}
 
 
 def figure(value: float, digits: int) -> str:

@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, fields
 from pathlib import Path
 from types import FrameType
 from typing import Any, Generic, TextIO
@@ -16,7 +15,7 @@ from drone_env.errors import CheckpointError, needs
 from drone_env.files import replacing
 from drone_env.rl.checkpoint import export_network, load_checkpoint, save_checkpoint
 from drone_env.rl.curves import draw_curves
-from drone_env.rl.learner import AnyLearner, figure
+from drone_env.rl.learner import AnyLearner, figure, figures_of
 
 DIGITS = {"epsilon": 3, "loss": 6, "success": 3, "length": 1, "learning_rate": 6, "regret": 6, "cpu_seconds": 1}
 """Decimal places of the figures of a line in the log; 4 for those not named."""
@@ -93,7 +92,7 @@ class TrainingRun(Generic[AnyLearner]):
                     saved_at, saved_done = self._clock(), trainer.done
                 for line in lines:
                     log.write(f"{log_line(line)}\n")
-                    (_, count), *figures = asdict(line).items()
+                    (_, count), *figures = figures_of(line).items()
                     for name, value in figures:
                         if not math.isnan(value):
                             board.add_scalar(name, value, count)
@@ -153,15 +152,15 @@ class TrainingRun(Generic[AnyLearner]):
             replacing(self.results / "history.csv") as temporary,
             temporary.open("w", newline="", encoding="utf-8") as file,
         ):
-            history = self.trainer.history
-            table = csv.DictWriter(file, [field.name for field in fields(history[0])])
+            rows = list(map(figures_of, self.trainer.history))
+            table = csv.DictWriter(file, list(rows[0]))
             table.writeheader()
-            table.writerows(map(asdict, history))
+            table.writerows(rows)
 
 
 def log_line(line: Any) -> str:
     """A line of `data/train.log`, from a line of the history; a figure that there is not yet is `-`."""
     return " ".join(
         f"{name.removeprefix('validation_')}={value if isinstance(value, int) else figure(value, DIGITS.get(name, 4))}"
-        for name, value in asdict(line).items()
+        for name, value in figures_of(line).items()
     )

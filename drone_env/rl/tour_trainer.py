@@ -40,7 +40,7 @@ CURVES = {
     "choice": "cross-entropy of the choices",
     "regret": "expected regret of a choice, in score",
     "completion": "cross-entropy of what can be completed",
-    "validation": "share of the optimum on validation maps",
+    "shares": "share of the optimum on validation maps",
 }
 AHEAD = 3
 """Chunks that are drawn before they are asked for."""
@@ -60,6 +60,7 @@ class TourProgress:
         validation: Mean over the tasks of the share of the optimum, of the last validation; NaN before it.
         validation_optimum: 1.
         cpu_seconds: Seconds that the processors have worked on this run.
+        shares: The share of each task, of the last validation; NaN before it.
     """
 
     update: int
@@ -71,6 +72,7 @@ class TourProgress:
     validation: float
     validation_optimum: float
     cpu_seconds: float
+    shares: dict[str, float]
 
 
 class TourTrainer(Learner):
@@ -227,9 +229,9 @@ class TourTrainer(Learner):
             return []
         choice, regret, completion = np.mean(self._losses, axis=0).tolist()
         self._losses = []
-        mean = float(np.mean(list(self.shares.values()))) if self.shares else math.nan
-        rate = self.learning_rate
-        line = TourProgress(self.updates, self.states, rate, choice, regret, completion, mean, 1.0, self.cpu_seconds)
+        shares = {name: self.shares.get(name, math.nan) for name in self._validators}
+        mean, rate, seconds = float(np.mean(list(shares.values()))), self.learning_rate, self.cpu_seconds
+        line = TourProgress(self.updates, self.states, rate, choice, regret, completion, mean, 1.0, seconds, shares)
         self.history.append(line)
         return [line]
 

@@ -21,7 +21,7 @@ from drone_env.rl.config import TrainConfig
 from drone_env.rl.lessons import Teacher
 from drone_env.rl.run import TrainingRun
 from drone_env.rl.tour_config import TourConfig
-from drone_env.rl.tour_trainer import TourProgress, TourTrainer
+from drone_env.rl.tour_trainer import TourTrainer
 from tests.unit.small_training import SMALL_TOUR, assert_same, do_nothing, finished
 
 
@@ -190,11 +190,15 @@ def test_the_command_trains_and_leaves_what_it_says(
     state = load_checkpoint(tmp_path / "data/tournet_skyline_easy.pth")
     results = tmp_path / "results/tournet_skyline_easy"
     history = list(csv.DictReader((results / "history.csv").read_text().splitlines()))
-    assert [{name: float(value) for name, value in line.items()} for line in history] == state["history"]
-    for name in ("choice", "regret", "completion", "validation"):
+    kept = [{**line, "validation_skyline_easy": line["shares"]["skyline_easy"]} for line in state["history"]]
+    assert [{name: float(value) for name, value in line.items()} for line in history] == [
+        {name: value for name, value in line.items() if name != "shares"} for line in kept
+    ]
+    assert log[-1].endswith(f" skyline_easy={state['shares']['skyline_easy']:.4f}")
+    for name in ("choice", "regret", "completion", "shares"):
         assert (results / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     (events,) = (results / "tensorboard").glob("events.*")
-    assert [field.name for field in fields(TourProgress)[1:] if field.name.encode() not in events.read_bytes()] == []
+    assert [name for name in list(history[0])[1:] if name.encode() not in events.read_bytes()] == []
     # The network that stands beside it is the average, and says where it is from.
     network = load_tour_network(tmp_path / "data/tournet_skyline_easy.npz")
     assert network.parameters.keys() == state["average"].keys()
