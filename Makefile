@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest
 # What was compiled once is kept: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo serve test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-planners bench-peers bench-agents bench-unseen bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
+.PHONY: demo serve test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-planners bench-peers bench-agents bench-unseen bench-ablations bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
 .DEFAULT_GOAL := demo
 
 $(VENV)/.base: pyproject.toml
@@ -135,6 +135,10 @@ bench-agents: $(VENV)/.dev
 # The tour network on tasks of sizes that it was never trained on.
 bench-unseen: $(VENV)/.dev
 	$(BIN)/python benchmarks/unseen.py $(ARGS)
+
+# What each part of the tour network's recipe is worth; half an hour, and goes on where it was stopped.
+bench-ablations: $(VENV)/.dev
+	$(BIN)/python benchmarks/ablations.py $(ARGS)
 
 # Frames, first paint and weight of the dashboard, in the system's chromium.
 bench-dashboard: $(VENV)/.dev
