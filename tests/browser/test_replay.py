@@ -156,7 +156,7 @@ def test_an_unfinished_flight_replays_without_annotation(page: Page) -> None:
 def test_bad_files_are_refused_in_words(page: Page, shared: Tabs, record: EpisodeRecord) -> None:
     shared.expect("422")
     view(page, "Replay")
-    problem = page.locator("#replay").get_by_role("alert")
+    problem = page.locator("#view-replay").get_by_role("alert")
     forged = json.loads(record.to_json()) | {"score": 0.99}
     for name, text, says in (
         ("notes.txt", "hello", "must end in .json or .jsonl"),
