@@ -101,6 +101,10 @@ def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(page: Page) -> None:
     ):
         page.keyboard.press(key)
         expect(slider(page)).to_have_value(str(step))
+    # A button that was pressed keeps the focus, and takes no arrows.
+    page.get_by_role("button", name="Step back").click()
+    page.keyboard.press("ArrowLeft")
+    expect(slider(page)).to_have_value(str(len(record.actions) - 2))
 
 
 def test_the_moves_are_annotated_and_jump_to_their_step(page: Page, server: Server, record: EpisodeRecord) -> None:

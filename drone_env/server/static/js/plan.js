@@ -100,6 +100,8 @@ export function mountPlan(root, context, fleet) {
 
   function choosePilot(id, race) {
     const { setup } = fleet;
+    // The next arrow is to fly, not to choose another pilot.
+    if (!fleet.pilot(id).automatic) document.activeElement.blur();
     if (!race) {
       fleet.start({ pilots: [id] });
       return;

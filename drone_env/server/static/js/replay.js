@@ -2,6 +2,7 @@
 import { announce, download, el, fact } from "./dom.js";
 import { readFlights } from "./flight_file.js";
 import { fixed, outcome, points, title } from "./format.js";
+import { taken } from "./keys.js";
 import { copyLink } from "./link.js";
 import { CityMap } from "./map.js";
 import { mountMoves } from "./moves.js";
@@ -14,9 +15,8 @@ export function mount(root, context) {
   context.on("view", () => replay.follow(context.router.address));
   listenToDrops(context, (file) => replay.openFile(file));
   document.addEventListener("keydown", (event) => {
-    const busy = event.target.closest?.("input, select, textarea, dialog, button, a, [role=region]");
-    if (context.view !== "replay" || busy || event.ctrlKey || event.metaKey || event.altKey || replay.player.empty)
-      return;
+    if (context.view !== "replay" || replay.player.empty || document.querySelector("dialog[open]")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || taken(event)) return;
     if (replay.transport.press(event.key)) event.preventDefault();
   });
 }
