@@ -4,8 +4,8 @@ Both see the raw observation (one-hot planes through a small convolutional netwo
 `aligned` with the shaping of their discount, learn in one thread for the same seconds of CPU time, and are validated
 on 200 maps now and then, which is not counted. The policy that was best there flies the first 1,000 test maps by its
 likeliest actions; MaskablePPO never takes one that would bump. A run that is finished is not repeated, one that was
-stopped begins anew. The 780 seconds of a run are a third of what the tour network takes to learn all six tasks: the three
-tasks together get as much as it does.
+stopped begins anew. The 780 seconds of a run are a third of what the tour network takes to learn all six tasks: the
+three tasks together get as much as it does.
 
 `RECIPES` are all the settings that were tried, `CHOSEN` those that are flown. `--tune` tries them and flies no test
 map.
