@@ -45,7 +45,7 @@ from drone_env.envs.sb3 import DroneDeliveryVecEnv
 from drone_env.envs.wrappers import one_hot
 from drone_env.errors import InvalidValueError
 from drone_env.files import write_json
-from drone_env.planning.greedy import drone_positions
+from drone_env.planning.from_observation import drone_positions
 from drone_env.rl.validation import Validator
 
 ALGORITHMS: dict[str, type[PPO] | type[MaskablePPO]] = {"PPO": PPO, "MaskablePPO": MaskablePPO}
@@ -106,7 +106,7 @@ class Cells(BaseFeaturesExtractor):
 def masks(task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
     """What `DroneDeliveryVecEnv.action_masks` says, bool[N, 5], from grids uint8[N, H, W] and their telemetry."""
     closed = np.pad(np.isin(grids, [*task.impassable]), ((0, 0), (1, 1), (1, 1)), constant_values=True)
-    x, y = drone_positions(task, telemetry).T + 1
+    x, y = drone_positions(task, grids, telemetry).T + 1
     each = np.arange(len(grids))
     # The cell of the drone itself is open, whatever lies below it.
     return np.stack([~closed[each, y + down, x + right] for right, down in ACTION_OFFSETS.values()], axis=1)
