@@ -30,28 +30,37 @@ def place(places: Places, cell: int) -> int:
     return places.cells.tolist().index(cell)
 
 
+def assert_places_follow_steps(flight: Episode) -> None:
+    """What a step leads to is what stands at that place before it, but for what the step itself changes."""
+    before = places_of(flight)
+    here = place(before, flight.cell)
+    assert np.array_equal(before.grids[here], flight.grid().ravel())
+    assert np.array_equal(before.telemetry[here], flight.observation()["telemetry"])
+    for action in Action:
+        after = flight.copy().fly([action])
+        there = place(before, after.cell)
+        if after.battery_units == 0:
+            continue
+        expected = np.frombuffer(after.get_state().numbers, np.uint16).copy()
+        for number in (BATTERY, STEPS, EVENT):
+            expected[number] = before.states[there, number]
+        assert np.array_equal(before.states[there], expected)
+        assert np.array_equal(before.grids[there], after.grid().ravel())
+
+
 @pytest.mark.parametrize("task", ["easy", "hard", "skyline_easy", "skyline_hard"])
 def test_a_place_looks_as_if_the_drone_had_just_flown_there(task: str) -> None:
-    """What a step leads to is what stands at that place before it, but for what the step itself changes."""
     flight = Episode(task, seed=7)
     for letter in TOUR:
-        before = places_of(flight)
-        here = place(before, flight.cell)
-        assert np.array_equal(before.grids[here], flight.grid().ravel())
-        assert np.array_equal(before.telemetry[here], flight.observation()["telemetry"])
-        for action in Action:
-            after = flight.copy().fly([action])
-            there = place(before, after.cell)
-            if after.battery_units == 0:
-                continue
-            expected = np.frombuffer(after.get_state().numbers, np.uint16).copy()
-            for number in (BATTERY, STEPS, EVENT):
-                expected[number] = before.states[there, number]
-            assert np.array_equal(before.states[there], expected)
-            assert np.array_equal(before.grids[there], after.grid().ravel())
+        assert_places_follow_steps(flight)
         fly(flight, letter)
         if flight.ended:
             break
+
+
+def test_only_where_the_target_is_delivered_there_is_another() -> None:
+    # Parcel 0 is the target, and from parcel 1 another is nearer.
+    assert_places_follow_steps(toy_episode(["1@0", "2.."]))
 
 
 def test_where_the_last_parcel_waits_the_flight_is_over_and_the_drone_cannot_be_where_it_cannot_enter() -> None:
