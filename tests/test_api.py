@@ -239,6 +239,7 @@ REQUESTS: dict[tuple[str, str], Any] = {
     ("get", "/health"): None,
     ("post", "/replay"): RECORD.model_dump(),
     ("post", "/annotate"): {},
+    ("post", "/values"): {"task": "easy", "seed": 7, "actions": ["UP"]},
     ("get", "/metadata"): None,
     ("get", "/schema"): None,
     ("post", "/mcp"): {"jsonrpc": "2.0", "id": 1, "method": "tools/list"},

@@ -118,13 +118,7 @@ def replay_steps(record: EpisodeRecord, reward_profile: str | RewardProfile | No
     task = get_task(record.task, record.task_version)
     episode = Episode(task, record.reward_profile if reward_profile is None else reward_profile, record.seed)
     yield episode
-    for number, action in enumerate(record.actions, 1):
-        if episode.ended:
-            raise InvalidValueError(
-                f"the flight ends after {number - 1} steps, but the record has {len(record.actions)} actions"
-            )
-        episode.step(Action[action])
-        yield episode
+    yield from fly_directions(episode, record.actions)
     came_to = record_of(episode, record.agent)
     wrong = [
         f"{name} {getattr(record, name)!r} where the flight gives {getattr(came_to, name)!r}"
@@ -135,6 +129,19 @@ def replay_steps(record: EpisodeRecord, reward_profile: str | RewardProfile | No
         wrong += _wrong_rewards(record.rewards, came_to.rewards or [])
     if wrong:
         raise InvalidValueError(f"the record does not fit its flight: {'; '.join(wrong)}")
+
+
+def fly_directions(episode: Episode, actions: Sequence[Direction]) -> Iterator[Episode]:
+    """Fly actions by their names; the episode after each of them.
+
+    Raises:
+        InvalidValueError: if there are some after the end.
+    """
+    for number, action in enumerate(actions):
+        if episode.ended:
+            raise InvalidValueError(f"the flight ends after {number} steps, but there are {len(actions)} actions")
+        episode.step(Action[action])
+        yield episode
 
 
 def _wrong_rewards(says: Sequence[float], pays: Sequence[float]) -> list[str]:

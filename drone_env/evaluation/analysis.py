@@ -11,15 +11,18 @@ in the last digits; `FlightAnalysis.regret` is therefore optimum - score, rounde
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast, get_args
 
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.record import EpisodeRecord, replay
+
+if TYPE_CHECKING:
+    from drone_env.planning.solver import Solver
 
 Label = Literal["best", "good", "inaccuracy", "mistake", "blunder"]
 LABELS: tuple[Label, ...] = get_args(Label)
@@ -242,8 +245,12 @@ HEADING = f"{'step':>4}  {'move':<8} {'to':>8}  {'event':<12}  {'value':>6}  {'r
 """Above the lines of the moves; `value` is what can still be reached after the move."""
 
 
-def analyse_flight(record: EpisodeRecord) -> FlightAnalysis:
+def analyse_flight(record: EpisodeRecord, solver_from: "Callable[[Episode], Solver] | None" = None) -> FlightAnalysis:
     """The regret of every move of a recorded flight, which is flown again and checked first.
+
+    Args:
+        record: The flight.
+        solver_from: As of `analyse_actions`.
 
     Raises:
         UnknownNameError: if there is no such task, version or reward profile.
@@ -251,25 +258,31 @@ def analyse_flight(record: EpisodeRecord) -> FlightAnalysis:
         TooLargeError: if the exact values of the map would take too much memory.
     """
     flown = replay(record, "score")  # regret is in score, not in what the steps paid
-    return analyse_actions(Episode(flown.task, flown.reward_profile, flown.seed), flown.actions, record.agent)
+    start = Episode(flown.task, flown.reward_profile, flown.seed)
+    return analyse_actions(start, flown.actions, record.agent, solver_from)
 
 
-def analyse_actions(start: Episode, actions: Iterable[int], agent: str) -> FlightAnalysis:
+def analyse_actions(
+    start: Episode, actions: Iterable[int], agent: str, solver_from: "Callable[[Episode], Solver] | None" = None
+) -> FlightAnalysis:
     """The regret of every one of `actions`, flown from where an episode stands; the episode is left as it is.
 
     Args:
         start: In flight.
         actions: Of which none comes after the end.
         agent: Who flew.
+        solver_from: Gives the solver of an episode, which may have been made before; None to make one.
 
     Raises:
         EpisodeError: if the episode has not begun, or there are actions after its end.
         InvalidValueError: if an action is not an integer from 0 to 4.
         TooLargeError: if the exact values of the map would take too much memory.
     """
-    from drone_env.planning.solvers import solver_of  # loads Numba
+    if solver_from is None:
+        from drone_env.planning.solvers import solver_of  # loads Numba
 
-    solver = solver_of(start)
+        solver_from = solver_of
+    solver = solver_from(start)
     flight = start.copy()
     moves: list[Move] = []
     for action in actions:

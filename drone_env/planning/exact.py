@@ -95,8 +95,9 @@ class ExactSolver(Solver):
         """Memory that the values take."""
         return self._values.ranks.nbytes
 
-    def _values_after(self, episode: Episode, delivered: int) -> npt.NDArray[np.float64]:
-        t = episode.steps - self._values.first_step
-        place = delivered * self._values.graph.tables.cells + episode.cell
-        ranks = [rank_after(self._values, t, episode.battery_units, place, action) for action in range(N_ACTIONS)]
-        return self._scores[ranks]
+    def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        graph, _, lowest, starts, _, ranks = self._values
+        delivered, cell, battery, left = states.T
+        t = len(starts) - 1 - left
+        place = delivered * graph.tables.cells + cell
+        return self._scores[ranks[starts[t] + (battery - lowest[t]) * len(graph.leads_to) + place]]

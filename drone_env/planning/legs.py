@@ -32,6 +32,8 @@ from drone_env.planning.solver import Solver, ranked_scores
 from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways, most_ways
 
 WAIT = int(Action.WAIT)
+CHUNK = 64
+"""States that are looked at at a time: between two chunks other threads go on."""
 
 
 def covers(task: TaskConfig) -> bool:
@@ -276,9 +278,12 @@ def flight_kernel(
     return flown
 
 
-def clock(task: TaskConfig, battery: int, left: int) -> tuple[int, int]:
-    """Units and steps left as the kernels count them, of a drone with so many of the battery and so many steps left."""
-    return (battery, left) if counts_units(task) else (1, min(battery, left))
+def clock(task: TaskConfig, battery: Any, left: Any) -> tuple[Any, Any]:
+    """Units and steps left as the kernels count them, of a drone with so many of the battery and so many steps left.
+
+    The two may be numbers or arrays of them.
+    """
+    return (battery, left) if counts_units(task) else (1, np.minimum(battery, left))
 
 
 def make_legs(
@@ -371,23 +376,15 @@ class LegSolver(Solver):
         """Memory that the values take."""
         return self.legs.ranks.nbytes + sum(array.nbytes for array in self.ways)
 
-    def _values_after(self, episode: Episode, delivered: int) -> npt.NDArray[np.float64]:
-        values, states = np.zeros(N_ACTIONS), np.zeros((N_ACTIONS, 4), np.int64)
-        flying = np.zeros(N_ACTIONS, np.bool_)
-        after = episode.copy()
-        before = after.get_state()
-        for action in Action:
-            after.set_state(before)
-            after.step(action)
-            values[action], flying[action] = after.score, not after.ended
-            stop = self.legs.stop_at[after.cell]
-            came = after.deliveries_done > episode.deliveries_done
-            units, steps = clock(after.task, after.battery_units, after.task.max_steps - after.steps)
-            states[action] = delivered | 1 << stop if came else delivered, after.cell, units, steps
-        ranks = np.zeros(int(flying.sum()), np.int64)
-        rank_kernel(self.legs, states[flying], self.ways, self.rounds, ranks)
-        values[flying] = self.scores[ranks]
-        return values
+    def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        delivered, cells, battery, left = states.T
+        units, steps = clock(self._start.task, battery, left)
+        rows = np.stack(np.broadcast_arrays(delivered, cells, units, steps), axis=1)
+        rows, which = np.unique(rows, axis=0, return_inverse=True)  # many actions lead to one cell
+        ranks = np.zeros(len(rows), np.int64)
+        for i in range(0, len(rows), CHUNK):
+            rank_kernel(self.legs, rows[i : i + CHUNK], self.ways, self.rounds, ranks[i : i + CHUNK])
+        return self.scores[ranks[which.ravel()]]
 
     def best_actions(self) -> list[Action]:
         """One best sequence of actions, from where the solved episode stood; the same in every run.

@@ -10,6 +10,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 from drone_env.core.actions import Action, Event
 from drone_env.core.episode import Episode
@@ -17,6 +18,9 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError
 from drone_env.planning.held_karp import UNREACHED, held_karp
 from drone_env.planning.paths import Position, distance, route
+
+if TYPE_CHECKING:
+    from drone_env.planning.solver import Solver
 
 
 @dataclass(frozen=True)
@@ -59,21 +63,29 @@ def best_of(task: TaskConfig, seed: int) -> Solution | None:
         return None
 
 
-def solve_episode(episode: Episode) -> Solution:
+def solve_episode(episode: Episode, solver: "Solver | None" = None) -> Solution:
     """The optimum from where an episode stands; the episode is left as it is.
+
+    Args:
+        episode: The episode.
+        solver: Of just this episode, where there is one; None to make one if need be.
 
     Raises:
         TooLargeError: if the solution would take too much memory.
     """
-    flight = episode.copy().fly(best_actions(episode)).waited_out()
+    flight = episode.copy().fly(best_actions(episode, solver)).waited_out()
     path = flight.path[len(episode.actions) :]
     order = tuple((point.x, point.y) for point in path if point.event is Event.DELIVERY)
     actions = tuple(point.action for point in path)
     return Solution(flight.score, flight.success, len(actions), flight.deliveries_done, order, actions)
 
 
-def best_actions(episode: Episode) -> list[Action]:
+def best_actions(episode: Episode, solver: "Solver | None" = None) -> list[Action]:
     """The actions of a best flight from where an episode stands; at their end there may be nothing left but to wait.
+
+    Args:
+        episode: The episode.
+        solver: As of `solve_episode`.
 
     Raises:
         TooLargeError: if the solution would take too much memory.
@@ -84,10 +96,12 @@ def best_actions(episode: Episode) -> list[Action]:
         waiting = [(x, y) for x, y, delivered in episode.parcels if not delivered]
         budget = min(episode.battery_units, episode.task.max_steps - episode.steps)
         return tour_actions(episode.position, shortest_tour(episode.position, waiting, budget))
-    # It compiles, which nobody should wait for who does not need it.
-    from drone_env.planning.solvers import solver_of
+    if solver is None:
+        # It compiles, which nobody should wait for who does not need it.
+        from drone_env.planning.solvers import solver_of
 
-    return solver_of(episode).best_actions()
+        solver = solver_of(episode)
+    return solver.best_actions()
 
 
 def tour_actions(start: Position, tour: Sequence[Position]) -> list[Action]:

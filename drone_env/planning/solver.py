@@ -15,16 +15,18 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.core import compiled
-from drone_env.core.actions import Action, check_action
+from drone_env.core.actions import FLYING, N_ACTIONS, Action, check_action
 from drone_env.core.cells import Cell
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.episode import Episode
+from drone_env.core.rewards import Rewards, tabulate_rewards
 from drone_env.core.rollout import rollout
-from drone_env.core.score import score_of
-from drone_env.core.tables import Tables, tabulate
+from drone_env.core.rules import step
+from drone_env.core.score import score, score_of
+from drone_env.core.tables import BATTERY, CELL, DELIVERED_FLAG, OUTCOME, PARCELS, STEPS, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError
-from drone_env.planning.map_graph import battery_ranges, require_memory, waiting_parcels
+from drone_env.planning.map_graph import UNPAID, battery_ranges, require_memory, state_arrays, waiting_parcels
 
 ANOTHER = "this episode cannot have come from the one that was solved: make a solver of its own"
 
@@ -36,6 +38,25 @@ def score_kernel(tables: Tables, scores: Any) -> None:
         for battery in range(scores.shape[1]):
             for steps in range(scores.shape[2]):
                 scores[deliveries, battery, steps] = score_of(tables, deliveries, battery, steps)
+
+
+@compiled_once(nogil=True, **compiled.OPTIONS)
+def step_kernel(tables: Tables, rewards: Rewards, grids: Any, states: Any, scratch: Any, scores: Any) -> None:
+    """Fly each of the five actions from each of N states.
+
+    Args:
+        tables: The task's tables.
+        rewards: Those of any profile: they are not used.
+        grids: uint8[N, cells]
+        states: uint16[5 N, state size], each state five times; flown on, the k-th by action k modulo 5.
+        scratch: uint8[cells], working memory.
+        scores: float64[5 N], receives the score of each as it stands then.
+    """
+    for k in range(len(states)):
+        for cell in range(tables.cells):
+            scratch[cell] = grids[k // N_ACTIONS, cell]
+        step(tables, rewards, scratch, states[k], k % N_ACTIONS)
+        scores[k] = score(tables, states[k])
 
 
 @lru_cache(maxsize=16)
@@ -77,10 +98,12 @@ class Solver(ABC):
         """Memory that the values take."""
 
     @abstractmethod
-    def _values_after(self, episode: Episode, delivered: int) -> npt.NDArray[np.float64]:
-        """float64[5], the value of where each action leads an episode that can have come from the one that was solved.
+    def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        """V* of N states in flight that can have come from the one that was solved, float64[N].
 
-        Bit i of `delivered` stands for the i-th parcel that was waiting in that one.
+        Args:
+            states: int64[N, 4]: set delivered, cell, battery units and steps left. Bit i of the set stands for the i-th
+                parcel that was waiting in the state that was solved.
         """
 
     def q_values(self, episode: Episode) -> npt.NDArray[np.float64]:
@@ -89,7 +112,28 @@ class Solver(ABC):
         Raises:
             EpisodeError: if the episode has ended, or cannot have come from the one that was solved.
         """
-        return self._values_after(episode, self._delivered(episode))
+        self._require_from_here(episode)
+        _, state, _ = state_arrays(episode)
+        return self.q_values_of(episode.grid().reshape(1, -1), state[None])[0]
+
+    def q_values_of(self, grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16]) -> npt.NDArray[np.float64]:
+        """Q* of N states in flight, float64[N, 5]; nothing checks that they can have come from the one that was solved.
+
+        Args:
+            grids: uint8[N, cells]
+            states: uint16[N, state size]
+        """
+        task = self._start.task
+        after, values = np.repeat(states, N_ACTIONS, axis=0), np.zeros(N_ACTIONS * len(states))
+        scratch = np.zeros(task.width * task.height, np.uint8)
+        step_kernel(tabulate(task), tabulate_rewards(task, UNPAID), grids, after, scratch, values)
+        flying = after[:, OUTCOME] == FLYING
+        gone = after[:, [PARCELS + parcel for parcel in self._waiting]] >= DELIVERED_FLAG
+        delivered = gone @ (1 << np.arange(len(self._waiting)))
+        left = np.int64(task.max_steps) - after[:, STEPS]
+        rows = np.stack([delivered, after[:, CELL], after[:, BATTERY], left], axis=1).astype(np.int64)
+        values[flying] = self._values_in_flight(rows[flying])
+        return np.reshape(values, (-1, N_ACTIONS))
 
     def value(self, episode: Episode) -> float:
         """V*: the highest score that can still be reached; after the end, the score.
@@ -124,8 +168,8 @@ class Solver(ABC):
         rollout(flight, lambda _: self.optimal_actions(flight)[0])
         return [step.action for step in flight.path[len(self._start.actions) :]]
 
-    def _delivered(self, episode: Episode) -> int:
-        """Which of the parcels that waited at the start an episode in flight has delivered, bit i for the i-th."""
+    def _require_from_here(self, episode: Episode) -> None:
+        """Refuse an episode that has ended, or cannot have come from the one that was solved."""
         if episode.ended:
             raise EpisodeError("the episode has ended: there is no action left to value")
         if (episode.task, episode.seed) != (self._start.task, self._start.seed):
@@ -142,7 +186,6 @@ class Solver(ABC):
         )
         if not possible:
             raise EpisodeError(ANOTHER)
-        return sum(1 << k for k, parcel in enumerate(self._waiting) if parcel not in waiting)
 
     @cached_property
     def _battery_ranges(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

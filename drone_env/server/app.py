@@ -36,7 +36,7 @@ from drone_env.server.openenv.socket import OpenEnvSocket
 from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.request_log import LogRequests
-from drone_env.server.routes import catalogue, flight, history, replay, step
+from drone_env.server.routes import catalogue, flight, history, replay, step, values
 from drone_env.server.security import ART, PAGE, protect
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import Shared
@@ -81,7 +81,6 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
             sweeper.cancel()
             with suppress(asyncio.CancelledError):
                 await sweeper
-            await run_in_threadpool(live.values.close)
             await run_in_threadpool(shared.close)
 
     app = FastAPI(
@@ -103,19 +102,19 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     # The first is the innermost.
     protect(app, settings)
     app.add_middleware(LogRequests, log=shared.requests)
-    for routes in (step, flight, catalogue, history, replay, openenv):
+    for routes in (step, flight, catalogue, history, replay, values, openenv):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
     app.router.routes.append(WebSocketRoute("/live", live))
-    _add_page(app, live)
+    _add_page(app, shared)
     return app
 
 
-def _add_page(app: FastAPI, live: LiveSocket) -> None:
+def _add_page(app: FastAPI, shared: Shared) -> None:
     @app.get("/", include_in_schema=False)
     async def page() -> FileResponse:
         # An opened page soon shows what can still be reached, and the first solver compiles for seconds.
-        live.values.request(get_task(DEFAULT_TASK), 0)
+        shared.values.request(get_task(DEFAULT_TASK), 0)
         return FileResponse(PAGE / "index.html")
 
     @app.get("/docs", include_in_schema=False)

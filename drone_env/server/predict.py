@@ -41,6 +41,19 @@ SOURCES = {
     "tournet-search": Source("tournet-search", trained=False),
 }
 """The pilots that fly by a network."""
+WHOLE_MAPS = ("trained-tournet", "tournet", TRAINED, NETWORK)
+"""Who is asked what to do at every cell of a map: the first of them that flies its task."""
+
+
+class Asked(NamedTuple):
+    """The network that is asked about a whole map."""
+
+    pilot: str
+    """Of `SOURCES`."""
+    file: str
+    """Name of its file."""
+    stamp: object
+    """Changes when the file is written again."""
 
 
 class Networks:
@@ -92,6 +105,14 @@ class Networks:
         source = pilot if pilot in (TRAINED, NETWORK) else self._first(task)
         found = None if source is None else self._at(source, task)
         return found if isinstance(found, PathQNetAgent) else None
+
+    def asked(self, task: TaskConfig) -> Asked | None:
+        """The network that is asked about whole maps of a task; None where none flies it, or can be read."""
+        pilot = next((pilot for pilot in WHOLE_MAPS if self.flies(pilot, task)), None)
+        if pilot is None:
+            return None
+        file = self._file(pilot, task)
+        return Asked(pilot, file.name, self._read[file][0])
 
     def flies(self, source: str, task: TaskConfig) -> bool:
         """Whether there is a network for a task that can be read; `source` is one of `SOURCES`."""

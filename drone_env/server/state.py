@@ -14,7 +14,9 @@ from typing_extensions import Self
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.store import Store
 from drone_env.planning.optimal import best_of
+from drone_env.server.exact_values import ExactValues
 from drone_env.server.local import local_address
+from drone_env.server.map_values import MapValues
 from drone_env.server.predict import Networks
 from drone_env.server.problems import WHAT_TO_DO, RequestError, answers
 from drone_env.server.request_log import RequestLog
@@ -48,6 +50,8 @@ class Shared:
         self._clock = clock
         self.requests = RequestLog()
         self.networks = Networks(settings.weights, settings.data)
+        self.values = ExactValues()
+        self.map_values = MapValues(self.values, self.networks)
         self._sessions: Sessions | None = None
         self.steps: ThreadPoolExecutor | None = None
         """Flies the steps of HTTP sessions while the server runs. One thread: the store has one writer anyway."""
@@ -103,7 +107,8 @@ class Shared:
         self._sessions = Sessions(store, self.settings.capacity, self.settings.idle_seconds)
 
     def close(self) -> None:
-        """Close it."""
+        """Close it; waits for the map that is being solved just now."""
+        self.values.close()
         if self.steps is not None:
             self.steps.shutdown()
             self.steps = None

@@ -255,9 +255,20 @@ async def swallow(reader: asyncio.StreamReader) -> None:
 
 
 PATHS = (
-    *("/reset", "/step", "/state", "/health", "/tasks", "/predict", "/replay", "/annotate", "/solution", "/session"),
-    *("/path_history", "/memory_logs", "/episodes", "/logs", "/terminal_logs", "/metadata", "/schema", "/mcp", "/live"),
-    *("/grade/easy", "/graders", "/analyse/hard", "/history/easy", "/episodes/x", "/static/js/main.js", "/ws", "/"),
+    *("/reset", "/step", "/state", "/health", "/tasks", "/predict", "/replay", "/annotate", "/values", "/solution"),
+    *("/session", "/path_history", "/memory_logs", "/episodes", "/logs", "/terminal_logs", "/metadata", "/schema"),
+    *(
+        "/mcp",
+        "/live",
+        "/grade/easy",
+        "/graders",
+        "/analyse/hard",
+        "/history/easy",
+        "/episodes/x",
+        "/static/js/main.js",
+        "/ws",
+        "/",
+    ),
 )
 VALUES = (
     *(
@@ -285,7 +296,7 @@ VALUES = (
         '{"direction":"UP"}',
     ),
 )
-POSTED = ("/reset", "/step", "/predict", "/replay", "/annotate", "/mcp")
+POSTED = ("/reset", "/step", "/predict", "/replay", "/annotate", "/values", "/mcp")
 BODIES = (
     "",
     '{"direction":"UP"}',

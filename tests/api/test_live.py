@@ -235,7 +235,7 @@ def test_two_pages_on_one_session_never_fly_it_astray(client: TestClient) -> Non
 def test_a_page_has_one_map_solved_at_a_time_and_none_when_it_has_gone(
     client: TestClient, eventually: Callable[..., None]
 ) -> None:
-    values, go_on = client.app.state.live.values, threading.Event()  # type: ignore[attr-defined]
+    values, go_on = client.app.state.shared.values, threading.Event()  # type: ignore[attr-defined]
     values._thread.submit(go_on.wait)
     try:
         with client.websocket_connect("/live") as socket:

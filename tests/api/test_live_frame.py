@@ -14,7 +14,7 @@ from drone_env.agents.network import Network
 from drone_env.agents.random import RandomAgent
 from drone_env.agents.tour_network import TourNetwork
 from drone_env.core.episode import Episode
-from drone_env.server.live.values import ExactValues
+from drone_env.server.exact_values import ExactValues
 from tests.api.live_page import Page
 
 COUNTED = {

@@ -12,10 +12,10 @@ from starlette.websockets import WebSocketDisconnect
 
 from drone_env.planning import solvers
 from drone_env.server.app import create_app
+from drone_env.server.exact_values import UNSOLVED
 from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.live.feeds import Feed
-from drone_env.server.live.values import UNSOLVED
 from drone_env.server.settings import Settings
 from tests.api.live_page import Page
 

@@ -96,7 +96,7 @@ def test_flights_that_are_looked_at_wait_for_each_other_and_nobody_who_flies_wai
 ) -> None:
     go_on = threading.Event()
 
-    def slowly(of: EpisodeRecord) -> FlightAnalysis:
+    def slowly(of: EpisodeRecord, _: object) -> FlightAnalysis:
         go_on.wait()
         return analyse_flight(of)
 

@@ -2,15 +2,18 @@
 
 import asyncio
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import pytest
 
 from drone_env.core.tasks import get_task
-from drone_env.planning import solvers
-from drone_env.server.live import values as module
-from drone_env.server.live.values import UNSOLVED, ExactValues
+from drone_env.errors import TooLargeError
+from drone_env.planning import map_graph, solvers
+from drone_env.planning.solver import Solver
+from drone_env.server import exact_values as module
+from drone_env.server.exact_values import UNSOLVED, ExactValues
 
 EASY = get_task("easy")
 
@@ -27,7 +30,7 @@ def busy() -> Generator[tuple[ExactValues, threading.Event], None, None]:
         values.close()
 
 
-async def gone(waiting: "asyncio.Task[None]") -> None:
+async def gone(waiting: "asyncio.Task[Solver]") -> None:
     await asyncio.sleep(0)
     waiting.cancel()
     await asyncio.gather(waiting, return_exceptions=True)
@@ -64,6 +67,30 @@ def test_a_map_that_could_not_be_solved_is_tried_anew(
 
     with busy() as (values, free):
         asyncio.run(ask(values, free))
+
+
+def test_a_map_that_is_too_large_is_refused_to_all_who_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(map_graph, "MAX_BYTES", 0)
+    with busy() as (values, free):
+        free.set()
+        for _ in range(2):
+            with pytest.raises(TooLargeError, match="GB are allowed"):
+                asyncio.run(values.solved(EASY, 1))
+            with pytest.raises(TooLargeError, match="GB are allowed"):
+                values.solver_of(EASY, 1)
+        assert values.get(EASY, 1) is None
+
+
+def test_who_waits_in_a_thread_gets_the_same_solver_and_keeps_it_wanted(eventually: Callable[..., None]) -> None:
+    async def leave(values: ExactValues) -> None:
+        await gone(asyncio.create_task(values.solved(EASY, 1)))
+
+    with busy() as (values, free), ThreadPoolExecutor(1) as threads:
+        waiting = threads.submit(values.solver_of, EASY, 1)
+        eventually(lambda: values._waiting[(EASY, 1)] == 1)
+        asyncio.run(leave(values))
+        free.set()
+        assert waiting.result(60) is values.solver_of(EASY, 1) is values.get(EASY, 1)
 
 
 def out_of_memory(_: object) -> None:

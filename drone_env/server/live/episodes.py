@@ -12,7 +12,6 @@ from drone_env.episodes.sessions import SessionRow
 from drone_env.errors import EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import Direction
 from drone_env.server.frames import Frame, Opening, ShownEpisode, frame_of
-from drone_env.server.live.values import ExactValues
 from drone_env.server.pilots import HUMAN, PILOTS, agent_of
 from drone_env.server.state import Shared
 
@@ -26,7 +25,6 @@ class LiveEpisode:
     Args:
         row: The session as it stands.
         shared: The parts of the server.
-        values: The best scores that can still be reached.
 
     Raises:
         SessionGoneError: if it flies a task that is withdrawn.
@@ -35,7 +33,7 @@ class LiveEpisode:
         CheckpointError: if that cannot be read.
     """
 
-    def __init__(self, row: SessionRow, shared: Shared, values: ExactValues) -> None:
+    def __init__(self, row: SessionRow, shared: Shared) -> None:
         if row.agent not in PILOTS:
             raise EpisodeError(f"this session is flown by {row.agent!r}, not from the page")
         self.session = row.id
@@ -43,7 +41,7 @@ class LiveEpisode:
         self.episode_id = row.episode_id
         self.episode = row.begin()
         self._sessions = shared.sessions
-        self._values = values
+        self._values = shared.values
         self._optimum: float | None = None
         self._agent = agent_of(self.pilot, self.episode.task, shared.networks)
         if self._agent is not None:
@@ -55,7 +53,7 @@ class LiveEpisode:
         """The pilot's next action: each state is put to it once, since some draw lots."""
 
     @classmethod
-    def attach(cls, session: str, shared: Shared, values: ExactValues) -> tuple[Self, ShownEpisode]:
+    def attach(cls, session: str, shared: Shared) -> tuple[Self, ShownEpisode]:
         """The episode of a session, and all of it so far.
 
         Raises:
@@ -66,7 +64,7 @@ class LiveEpisode:
             CheckpointError: if that cannot be read.
         """
         row = shared.store.read_session(session)
-        live = cls(row, shared, values)
+        live = cls(row, shared)
         opening = Opening.of(live.episode, live.pilot, session)
         return live, ShownEpisode(mission=opening, frames=[live._look(), *live._follow(row)])
 

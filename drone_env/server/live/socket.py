@@ -18,13 +18,12 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from drone_env.core.tasks import get_task
-from drone_env.errors import UnknownNameError
+from drone_env.errors import TooLargeError, UnknownNameError
 from drone_env.server.frames import Frame, ShownEpisode
 from drone_env.server.incoming import TRY_LATER, received
 from drone_env.server.live.commands import Attach, Fly, Plain, Play, Start, Subscribe, parse_command
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.live.feeds import Feed
-from drone_env.server.live.values import ExactValues
 from drone_env.server.map_choice import start_episode
 from drone_env.server.pilots import agent_of
 from drone_env.server.problems import FAILED, printable, status_of
@@ -50,7 +49,6 @@ class LiveSocket:
 
     def __init__(self, shared: Shared) -> None:
         self.shared = shared
-        self.values = ExactValues()
         self.pages: set[Page] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -62,7 +60,7 @@ class LiveSocket:
             if len(self.pages) >= self.shared.settings.capacity:
                 await socket.close(TRY_LATER, "too many pages are open: try again later")
                 return
-            page = Page(socket, self.shared, self.values)
+            page = Page(socket, self.shared)
             self.pages.add(page)
             try:
                 await page.run()
@@ -83,13 +81,12 @@ class LiveSocket:
 class Page:
     """One open page: its episodes, and whether they are flying."""
 
-    def __init__(self, socket: WebSocket, shared: Shared, values: ExactValues) -> None:
+    def __init__(self, socket: WebSocket, shared: Shared) -> None:
         self.episodes: list[LiveEpisode] = []
         self.playing = False
         self.speed = SPEED
         self._socket = socket
         self._shared = shared
-        self._values = values
         self._end_sent: set[LiveEpisode] = set()
         self._flying = asyncio.Lock()
         self._changed = asyncio.Event()
@@ -161,7 +158,7 @@ class Page:
         return opened
 
     def _attach(self, sessions: Sequence[str]) -> Opened:
-        return [LiveEpisode.attach(session, self._shared, self._values) for session in dict.fromkeys(sessions)]
+        return [LiveEpisode.attach(session, self._shared) for session in dict.fromkeys(sessions)]
 
     def _step_all(self) -> Moved:
         return [(number, live.step()) for number, live in enumerate(self.episodes) if live.automatic]
@@ -197,7 +194,8 @@ class Page:
         self._solving.cancel()
         with anyio.CancelScope() as self._solving:
             for task, seed in {(live.episode.task, live.episode.seed) for live in episodes}:
-                await self._values.solved(task, seed)
+                with suppress(TooLargeError):
+                    await self._shared.values.solved(task, seed)
             async with self._flying:
                 if self.episodes is episodes:
                     for number, live in enumerate(episodes):

@@ -115,7 +115,7 @@ def solution(shared: SharedParts, caller: CallerOf, answer: Response) -> Solutio
         task, seed, score, ended = episode.task, episode.seed, episode.score, episode.ended
     if not ended:
         raise RequestError(409, "in_flight", "the best flight is shown once the episode has ended")
-    best, path = best_flight(task, seed)
+    best, path = best_flight(shared, task, seed)
     return SolutionAnswer(
         task=task.id,
         seed=seed,

@@ -13,10 +13,10 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.record import EpisodeRecord, record_of, replay_steps
 from drone_env.evaluation.analysis import Label, analyse_flight
 from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, Position, Score
-from drone_env.planning.optimal import Solution, solve
+from drone_env.planning.optimal import Solution, solve_episode
 from drone_env.server.frames import Opening, ShownEpisode, frame_of
 from drone_env.server.problems import RequestError, answers
-from drone_env.server.state import SharedParts
+from drone_env.server.state import Shared, SharedParts
 
 router = APIRouter(tags=["replay"])
 RECORD_ERRORS = answers(400, 413, 415, 422, 503)
@@ -65,7 +65,7 @@ async def replay_record(shared: SharedParts, record: Record) -> Response:
         opening = Opening.of(start, record.agent)
         network = shared.networks.beside(record.agent, start.task)
         frames = [frame_of(episode, episode.observation(), network) for episode in chain([start], steps)]
-        return _json(ShownEpisode(mission=opening, frames=frames))
+        return json_of(ShownEpisode(mission=opening, frames=frames))
 
     return await shared.study(flight)
 
@@ -77,8 +77,8 @@ async def annotate(shared: SharedParts, record: Record) -> Response:
         raise RequestError(409, "in_flight", "only a flight that has ended is annotated")
 
     def analysed() -> Response:
-        analysis = analyse_flight(record)
-        best, path = best_flight(analysis.task, analysis.seed)
+        analysis = analyse_flight(record, lambda start: shared.values.solver_of(start.task, start.seed))
+        best, path = best_flight(shared, analysis.task, analysis.seed)
         message = AnalysedFlight(
             score=analysis.score,
             optimal_score=analysis.optimum,
@@ -90,22 +90,25 @@ async def annotate(shared: SharedParts, record: Record) -> Response:
             optimal_actions=[DIRECTIONS[action] for action in best.actions],
             optimal_path=path,
         )
-        return _json(message)
+        return json_of(message)
 
     return await shared.study(analysed)
 
 
-def best_flight(task: TaskConfig, seed: int) -> tuple[Solution, list[Position]]:
+def best_flight(shared: Shared, task: TaskConfig, seed: int) -> tuple[Solution, list[Position]]:
     """A best flight over a map, and [x, y] of the drone on it from its start on.
 
     Raises:
         TooLargeError: if the map is too large to be solved.
+        RequestError: if it could not be solved for another reason, which has been logged.
     """
-    best = solve(task, seed)
     start = Episode(task, seed=seed)
+    # Where every step costs the same, the shortest tour is found without.
+    best = solve_episode(start, None if task.uniform else shared.values.solver_of(task, seed))
     return best, [start.position, *((step.x, step.y) for step in start.copy().fly(best.actions).path)]
 
 
-def _json(answer: Message) -> Response:
+def json_of(answer: Message) -> Response:
+    """A message as an answer that is not checked again."""
     # Made in the thread of its study: FastAPI would do it where all requests are served.
     return Response(answer.model_dump_json(), media_type="application/json")

@@ -1,10 +1,12 @@
-"""What can still be reached on the maps that are being flown: exact solvers, made in the background."""
+"""What can still be reached on the maps that are looked at: exact solvers, made in the background, once for all."""
 
 import asyncio
 import logging
 import threading
 from collections import Counter, OrderedDict
+from collections.abc import Generator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from drone_env.core.episode import Episode
@@ -28,38 +30,61 @@ class ExactValues:
 
     def __init__(self) -> None:
         self._solvers: OrderedDict[Map, Solver] = OrderedDict()
-        self._pending: dict[Map, Future[None]] = {}
+        self._pending: dict[Map, Future[Solver]] = {}
         self._waiting: Counter[Map] = Counter()
         self._lock = threading.Lock()
         # One thread: flying goes before looking on.
         self._thread = ThreadPoolExecutor(1, "drone_env-values")
 
-    def request(self, task: TaskConfig, seed: int) -> Future[None] | None:
-        """Have a map solved, whether or not anybody waits for it; None if it is."""
+    def request(self, task: TaskConfig, seed: int) -> "Future[Solver]":
+        """Have a map solved from its start, whether or not anybody waits for it.
+
+        The future raises TooLargeError where the map is too large, and RequestError if it failed for another reason,
+        which has been logged; the next call tries again.
+        """
         key = (task, seed)
         with self._lock:
-            if key in self._solvers:
-                return None
+            solver = self._kept(key)
+            if solver is not None:
+                done: Future[Solver] = Future()
+                done.set_result(solver)
+                return done
             if key not in self._pending:
                 self._pending[key] = self._thread.submit(self._solve, key)
             return self._pending[key]
 
-    async def solved(self, task: TaskConfig, seed: int) -> None:
-        """Wait until a map is solved: `get` has its solver then, unless the map is too large.
+    async def solved(self, task: TaskConfig, seed: int) -> "Solver":
+        """Wait for the solver of a map. One that nobody waits for any more is not begun; raises as `request`."""
+        with self._wanted((task, seed)) as solver:
+            # Shielded: others may wait for the same map.
+            return await asyncio.shield(asyncio.wrap_future(solver))
 
-        One that nobody waits for any more is not begun.
+    def solver_of(self, task: TaskConfig, seed: int) -> "Solver":
+        """The same for threads that may wait."""
+        with self._wanted((task, seed)) as solver:
+            return solver.result()
 
-        Raises:
-            RequestError: if it failed for another reason, which has been logged; the next call tries again.
-        """
-        key = (task, seed)
+    def get(self, task: TaskConfig, seed: int) -> "Solver | None":
+        """The solver of a map from its start, None while there is none."""
+        with self._lock:
+            return self._kept((task, seed))
+
+    def close(self) -> None:
+        """Stop; waits for the map that is being solved just now."""
+        self._thread.shutdown(cancel_futures=True)
+
+    def _kept(self, key: Map) -> "Solver | None":
+        solver = self._solvers.get(key)
+        if solver is not None:
+            self._solvers.move_to_end(key)
+        return solver
+
+    @contextmanager
+    def _wanted(self, key: Map) -> "Generator[Future[Solver], None, None]":
         with self._lock:
             self._waiting[key] += 1
         try:
-            pending = self.request(task, seed)
-            if pending is not None:
-                # Shielded: others may wait for the same map.
-                await asyncio.shield(asyncio.wrap_future(pending))
+            yield self.request(*key)
         finally:
             with self._lock:
                 self._waiting[key] -= 1
@@ -68,27 +93,16 @@ class ExactValues:
                     if key in self._pending and self._pending[key].cancel():
                         del self._pending[key]
 
-    def get(self, task: TaskConfig, seed: int) -> "Solver | None":
-        """The solver of a map from its start, None while there is none."""
-        with self._lock:
-            solver = self._solvers.get((task, seed))
-            if solver is not None:
-                self._solvers.move_to_end((task, seed))
-            return solver
-
-    def close(self) -> None:
-        """Stop; waits for the map that is being solved just now."""
-        self._thread.shutdown(cancel_futures=True)
-
-    def _solve(self, key: Map) -> None:
+    def _solve(self, key: Map) -> "Solver":
         # Loads Numba, which no server needs that only flies.
         from drone_env.planning.solvers import solver_of
 
         solver = None
         try:
             solver = solver_of(Episode(key[0], seed=key[1]))
+            return solver
         except TooLargeError:
-            pass
+            raise
         except Exception as error:
             log.exception("what can be reached on map %d of %s could not be worked out", key[1], key[0].id)
             raise RequestError(503, "no_values", UNSOLVED) from error

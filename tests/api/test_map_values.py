@@ -1,0 +1,275 @@
+"""`POST /values`: what can still be reached from a moment of a flight, beside the solver and the networks."""
+
+from collections import Counter
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from drone_env.agents.tournet import TournetAgent
+from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
+from drone_env.core.score import score_of
+from drone_env.core.tables import interpreted
+from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.episodes.record import record_of
+from drone_env.evaluation.analysis import analyse_flight
+from drone_env.models import DIRECTIONS, Direction
+from drone_env.planning import solvers
+from drone_env.planning.elsewhere import battery_range, charging_pads
+from drone_env.server.app import create_app
+from drone_env.server.map_values import KEPT
+from drone_env.server.settings import Settings
+from tests.api.live_page import Page
+from tests.api.networks import put_network, put_tour, put_trained
+from tests.api.test_replay import JSON, record
+from tests.toy import TOY
+
+Answer = dict[str, Any]
+
+
+def ask(client: TestClient, task: str, seed: int, actions: list[Direction], **more: object) -> Answer:
+    answer = client.post("/values", json={"task": task, "seed": seed, "actions": actions, **more})
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+@pytest.fixture
+def registered(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Adds a task for the time of the test."""
+
+    def register(**changes: Any) -> TaskConfig:
+        task = replace(TOY, **changes)
+        monkeypatch.setitem(TASKS, task.id, task)
+        return task
+
+    return register
+
+
+@pytest.mark.parametrize(("task", "agent"), [("hard", "random"), ("skyline_medium", "greedy")])
+def test_along_a_flight_the_values_are_those_of_its_analysis_to_the_last_bit(
+    shared_client: TestClient, task: str, agent: str
+) -> None:
+    flown = record(task, agent=agent)
+    analysis = analyse_flight(flown)
+    told = shared_client.post("/annotate", content=flown.to_json(), headers=JSON).json()
+    solver = solvers.solver_of(Episode(task, seed=7))
+    flight = Episode(task, seed=7)
+    for step, action in enumerate(flown.actions):
+        if step % 8 == 0:
+            answer = ask(shared_client, task, 7, flown.actions[:step])
+            assert answer["value"] == analysis.values[step] == told["moves"][step]["value"]
+            assert answer["optimum"] == analysis.optimum
+            assert answer["regret"] == analysis.optimum - analysis.values[step]
+            assert answer["best_actions"] == told["moves"][step]["best_actions"]
+            assert answer["q_values"] == dict(zip(DIRECTIONS, solver.q_values(flight).tolist(), strict=True))
+            x, y = answer["position"]
+            assert answer["cells"]["values"][y][x] == answer["value"]
+            assert answer["cells"]["best_actions"][y][x] == answer["best_actions"]
+            assert (answer["step_count"], answer["battery_units"]) == (step, flight.battery_units)
+        flight.step(Action[action])
+    ended = ask(shared_client, task, 7, flown.actions)
+    assert (ended["done"], ended["value"], ended["regret"]) == (True, flown.score, analysis.regret)
+    assert [ended[name] for name in ("q_values", "best_actions", "network", "cells", "range", "pads")] == [None] * 6
+
+
+def test_a_fork_has_the_values_of_the_flight_that_it_becomes(shared_client: TestClient) -> None:
+    flown = record("hard", agent="random")
+    moved: list[Direction] = [*flown.actions[:20], next(name for name in DIRECTIONS if name != flown.actions[20])]
+    fork = Episode("hard", "tiered", 7).fly(Action[name] for name in moved)
+    analysis = analyse_flight(record_of(fork, "me"))
+    assert analysis.giving_up is not None
+    assert ask(shared_client, "hard", 7, moved, reward_profile="score")["value"] == analysis.giving_up.value
+    assert ask(shared_client, "hard_delivery", 7, moved[:20], task_version=1)["value"] == analysis.values[20]
+
+
+@pytest.mark.parametrize("flown", [[], ["WAIT"]])
+def test_on_a_map_of_one_parcel_the_value_of_a_cell_is_how_far_it_is(
+    shared_client: TestClient, registered: Any, flown: list[Direction]
+) -> None:
+    task = registered(width=4, height=3)
+    start = Episode(task, seed=5)
+    ((px, py, _),) = start.parcels
+    answer = ask(shared_client, "toy", 5, flown)
+    cells, steps = answer["cells"], len(flown)
+    for y in range(3):
+        for x in range(4):
+            away = abs(x - px) + abs(y - py)
+            worth = score_of(interpreted(task), 1, 10 - steps - away, steps + away)
+            assert (cells["values"][y][x], answer["range"][y][x]) == (
+                worth,
+                10 - steps - abs(x - start.position[0]) - abs(y - start.position[1]),
+            )
+            nearer: dict[Direction, bool] = {"UP": y > py, "DOWN": y < py, "LEFT": x > px, "RIGHT": x < px}
+            assert cells["best_actions"][y][x] == [name for name, is_nearer in nearer.items() if is_nearer]
+    assert cells["network_actions"][py][px] is cells["disagree"][py][px] is None
+
+
+def test_where_the_drone_cannot_be_there_is_nothing_and_ranges_are_told_from_here_and_from_each_pad(
+    shared_client: TestClient,
+) -> None:
+    flight = Episode("skyline_medium", seed=4).fly([Action.UP, Action.LEFT])
+    answer = ask(shared_client, "skyline_medium", 4, ["UP", "LEFT"])
+    width, grid = flight.task.width, flight.grid()
+    closed = [(x, y) for y in range(width) for x in range(width) if int(grid[y, x]) in flight.task.impassable]
+    assert closed
+    for rows in (*answer["cells"].values(), answer["range"]):
+        assert [(x, y) for x, y in closed if rows[y][x] is not None] == []
+    for values in answer["cells"].values():
+        assert sum(item is None for row in values for item in row) == len(closed)
+
+    def told(cell: int, units: int) -> list[list[int | None]]:
+        most = battery_range(flight, cell, units).tolist()
+        rows = [most[start : start + width] for start in range(0, len(most), width)]
+        return [[None if units < 0 else units for units in row] for row in rows]
+
+    assert answer["range"] == told(flight.cell, flight.battery_units)
+    assert answer["pads"] == [
+        {"position": [pad % width, pad // width], "units": told(pad, flight.task.battery_capacity)}
+        for pad in charging_pads(flight)
+    ]
+    assert len(answer["pads"]) == 4
+
+
+@pytest.mark.parametrize("task", ["skyline_easy", "hard"])
+def test_the_network_says_at_the_drone_what_it_flies_and_disagrees_where_that_is_not_best(
+    shared_client: TestClient, task: str
+) -> None:
+    flown = record(task, agent="tournet")
+    disagreed = 0
+    for step in range(0, len(flown.actions), 6):
+        answer = ask(shared_client, task, 7, flown.actions[:step])
+        assert (answer["network"]["pilot"], answer["network"]["file"]) == ("tournet", "tournet_v1.npz")
+        assert answer["network"]["digest"] == TournetAgent(TASKS[answer["task"]]).config["network"]
+        x, y = answer["position"]
+        cells = answer["cells"]
+        assert cells["network_actions"][y][x] == flown.actions[step]
+        for rows in zip(cells["network_actions"], cells["best_actions"], cells["disagree"], strict=True):
+            for flies, best, disagrees in zip(*rows, strict=True):
+                assert disagrees == (None if flies is None else flies not in best)
+                disagreed += bool(disagrees)
+    assert disagreed
+
+
+@contextmanager
+def serving(folder: Path, weights: Path) -> Generator[TestClient, None, None]:
+    with TestClient(create_app(Settings(data=folder, weights=weights))) as client:
+        yield client
+
+
+def test_which_network_is_asked(tmp_path: Path) -> None:
+    easy, data, weights = TASKS["easy_delivery"], tmp_path / "data", tmp_path / "weights"
+    weights.mkdir()
+
+    def asked(client: TestClient) -> tuple[object, bool]:
+        answer = ask(client, "easy", 7, [])
+        assert answer["value"] is not None
+        cells = answer["cells"]
+        assert (cells["network_actions"] is None) == (cells["disagree"] is None)
+        return answer["network"] and answer["network"]["pilot"], cells["network_actions"] is not None
+
+    with serving(data, weights) as client:
+        assert asked(client) == (None, False)
+        put_network(easy, weights)
+        assert asked(client) == ("pathqnet", True)
+        put_trained(easy, data)
+        assert asked(client) == ("trained", True)
+        put_tour(weights / "tournet_v1.npz")
+        assert asked(client) == ("tournet", True)
+        put_tour(data / "tournet.npz")
+        assert asked(client) == ("trained-tournet", True)
+
+
+def test_a_map_too_large_to_be_solved_is_told_of_by_the_network_alone(
+    shared_client: TestClient, registered: Any
+) -> None:
+    registered(width=20, height=20, deliveries=16, max_steps=600, battery_capacity=600)
+    answer = ask(shared_client, "toy", 1, ["UP"])
+    assert "GB are allowed" in answer["unsolved"]
+    assert [answer[name] for name in ("value", "optimum", "regret", "q_values", "best_actions")] == [None] * 5
+    cells = answer["cells"]
+    assert (cells["values"], cells["best_actions"], cells["disagree"]) == (None, None, None)
+    assert all(flies in DIRECTIONS for row in cells["network_actions"] for flies in row)
+    x, y = answer["position"]
+    assert answer["range"][y][x] == 599
+
+
+HEAD = {"task": "easy", "seed": 7, "actions": ["UP"]}
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"task": "nowhere"}, "nowhere"),
+        ({"task_version": 9}, "version of task 'easy_delivery'"),
+        ({"task": "skyline_easy", "task_version": 1}, "withdrawn"),
+        ({"reward_profile": "generous"}, "generous"),
+        ({"seed": -1}, "greater than or equal to 0"),
+        ({"seed": 1 << 53}, "less than or equal to"),
+        ({"seed": "7"}, "valid integer"),
+        ({"actions": ["SIDEWAYS"]}, "'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"),
+        ({"actions": ["WAIT"] * 61}, "the flight ends after 60 steps, but there are 61 actions"),
+        ({"more": 1}, "Extra inputs"),
+    ],
+)
+def test_a_flight_that_cannot_be_is_refused(shared_client: TestClient, change: Answer, told: str) -> None:
+    refused = shared_client.post("/values", json=HEAD | change)
+    assert refused.status_code == 422
+    assert told in refused.json()["detail"]
+    assert shared_client.post("/values", json={"task": "easy"}).json()["detail"] == "body.seed: Field required"
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """How many solvers of maps 7 were made, and how often a tour network was asked."""
+    counts: Counter[str] = Counter()
+    make, act = solvers.solver_of, TournetAgent.act_batch
+
+    def counting_make(episode: Episode) -> object:
+        counts["solvers"] += episode.seed == 7  # a reset has map 0 solved, to have it compiled
+        return make(episode)
+
+    def counting_act(self: TournetAgent, *arguments: Any) -> Any:
+        counts["asked"] += 1
+        return act(self, *arguments)
+
+    monkeypatch.setattr(solvers, "solver_of", counting_make)
+    monkeypatch.setattr(TournetAgent, "act_batch", counting_act)
+    return counts
+
+
+def test_a_map_is_solved_once_for_values_annotations_solutions_and_the_live_page(
+    client: TestClient, made: Counter[str]
+) -> None:
+    flown = record("skyline_easy")
+    header = {"X-Session-Id": client.post("/reset", json={"task_name": "skyline_easy", "seed": 7}).json()["session_id"]}
+    for action in flown.actions:
+        client.post("/step", json={"direction": action}, headers=header)
+    for _ in range(4):
+        assert client.post("/annotate", content=flown.to_json(), headers=JSON).status_code == 200
+    assert client.get("/solution", headers=header).status_code == 200
+    ask(client, "skyline_easy", 7, flown.actions[:3])
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start("greedy", task="skyline_easy", seed=7)
+        page.until("values")
+    assert made["solvers"] == 1
+
+
+def test_an_answer_is_kept_for_all_who_stand_there_however_they_came(client: TestClient, made: Counter[str]) -> None:
+    start = Episode("hard", seed=7)
+    ways: list[list[Direction]] = [["UP", "LEFT", "RIGHT", "DOWN"], ["LEFT", "UP", "DOWN", "RIGHT"]]
+    assert {start.copy().fly(Action[name] for name in way).position for way in ways} == {start.position}
+    first, second = (ask(client, "hard", 7, way) for way in ways)
+    assert first == second
+    assert made == {"solvers": 1, "asked": 1}
+    ask(client, "hard", 7, ["WAIT"] * 4)
+    assert made == {"solvers": 1, "asked": 1}
+    ask(client, "hard", 7, ["WAIT"] * 3)
+    assert made == {"solvers": 1, "asked": 2}
+    kept = client.app.state.shared.map_values._answer.cache_info()  # type: ignore[attr-defined]
+    assert (kept.currsize, kept.maxsize) == (2, KEPT)
