@@ -63,6 +63,10 @@ export function mountStage(context) {
     if (context.players.filter((player) => !player.empty).length > 1) explain(context, context.players[i]);
   });
   context.on("view", (view) => follow(context, fleet, view));
+  // The flight that the server has put above the stage has said its word once one is flown here.
+  for (const player of context.players) {
+    player.on("frames", () => player.last?.step && document.getElementById("hello")?.remove());
+  }
   return fleet;
 }
 

@@ -30,6 +30,7 @@ export function mountViews(context) {
     }
     document.getElementById("view-title").textContent = TITLES[view];
     document.title = `${TITLES[view]} · Drone Delivery`;
+    if (location.hash) document.getElementById("hello")?.remove();
     context.emit("view", view);
   }
 
