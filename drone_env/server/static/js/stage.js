@@ -46,7 +46,7 @@ export function mountStage(context) {
     maps: () => deck.maps,
     charts: () => (deck.maps.length > 1 ? [timeline.canvas, chart] : [timeline.canvas]),
   });
-  const help = mountHelp();
+  const help = mountHelp(context);
   mountKeys(context, fleet, { help });
   mountGhost(context, deck);
   mountResults(context, fleet);
