@@ -124,7 +124,7 @@ bench-training: $(VENV)/.dev
 bench-planners: $(VENV)/.base
 	$(BIN)/python benchmarks/planners.py $(ARGS)
 
-# PPO and MaskablePPO on skyline, half an hour of CPU time for each of six runs; ARGS="--cpu-seconds 600" for less.
+# PPO and MaskablePPO on skyline, 13 minutes of CPU time for each of six runs; ARGS="--cpu-seconds 300" for less.
 bench-peers: $(VENV)/.dev
 	$(BIN)/python benchmarks/peers.py $(ARGS)
 

@@ -27,8 +27,12 @@ def data_folder(part: str = "") -> Path:
 def replacing(path: Path) -> Generator[Path, None, None]:
     """A temporary path beside `path`, to be written inside the `with`; at its end it takes the place of `path`.
 
-    On an error inside, the temporary file is removed and what stood at `path` is left as it was.
+    On an error inside, the temporary file is removed and what stood at `path` is left as it was. What is no file but,
+    for example, a device or a pipe is written to as it stands.
     """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        yield path
+        return
     temporary = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}.part")
     try:
         yield temporary

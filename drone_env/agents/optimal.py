@@ -10,8 +10,7 @@ from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.from_observation import episode_of
-from drone_env.planning.greedy import drone_positions
+from drone_env.planning.from_observation import drone_positions, episode_of
 from drone_env.planning.optimal import best_actions
 
 
@@ -45,7 +44,7 @@ class OptimalAgent(PlannedAgent):
         """The same where a best flight is a tour: all are planned together."""
         from drone_env.planning.tours import plan_tours  # compiles, which only batches are worth
 
-        drones = drone_positions(self.task, telemetry)
+        drones = drone_positions(self.task, grids, telemetry)
         _, y, x = np.nonzero(grids == Cell.DELIVERY)
         parcels = np.stack([x, y], axis=1).reshape(len(grids), self.task.deliveries, 2)
         budgets = np.rint(telemetry[:, 2] * self.task.battery_capacity).astype(np.int64)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode, Observation
 from drone_env.core.tasks import TaskConfig
+from drone_env.errors import InvalidValueError
 from drone_env.planning.from_observation import episode_of
 
 TARGET_TELEMETRY = (3, 4)
@@ -60,7 +61,13 @@ class PlannedAgent(ABC):
         self._plans = None
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The next actions of the plans, int64[N]. The first call makes them: no parcel may be delivered yet."""
+        """The next actions of the plans, int64[N]. The first call makes them: no parcel may be delivered yet.
+
+        Raises:
+            InvalidValueError: if they are not as many as the maps that `reset_batch` was told of.
+        """
+        if len(grids) != len(self.seeds):
+            raise InvalidValueError(f"reset_batch was told of {len(self.seeds)} maps, and these are {len(grids)}")
         if self._plans is None:
             self._plans = iter(self.plan_all(grids, telemetry).T)
         return next(self._plans, np.full(len(grids), Action.WAIT))

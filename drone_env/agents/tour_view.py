@@ -181,7 +181,8 @@ def write_view(
     cheap_units, cheap_steps, fast_steps = distances
     n = len(stops)
     tokens, present, edges = view.tokens, view.present, view.edges
-    charge = -tables.drain[PAD_CELL * N_ACTIONS + WAIT]
+    # More than a battery holds fills it and nothing else, whatever the task says of it.
+    charge = min(-tables.drain[PAD_CELL * N_ACTIONS + WAIT], tables.capacity)
     waiting = 0
     for i in range(parcels):
         waiting += 1 - (delivered >> i & 1)

@@ -22,8 +22,7 @@ from drone_env.core.compile_cache import compiled_once
 from drone_env.core.tables import Tables, tabulate
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.errors import InvalidValueError
-from drone_env.planning.from_observation import hidden_kind
-from drone_env.planning.greedy import drone_positions
+from drone_env.planning.from_observation import drone_positions, hidden_kind
 from drone_env.planning.map_graph import require_memory
 from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways
 
@@ -172,15 +171,15 @@ class Viewer:
             telemetry: float32[M, telemetry_size]
 
         Raises:
-            InvalidValueError: if one shows more parcels, pads or battery than the task has, or a drone beside its grid.
+            InvalidValueError: if they are no observations of the task: one shows more parcels, pads or battery than the
+                task has, or a drone beside its grid.
         """
-        drones = self._drones(telemetry)
-        cells, units = drones[:, 0], drones[:, 1]
-        if not ((cells >= 0) & (cells < self._tables.cells) & (units <= self._task.battery_capacity)).all():
-            what = f"an observation has its drone beside the grid of {self._task.id!r}, or too many units"
-            raise InvalidValueError(what)
+        drones = self._drones(grids, telemetry)
+        most = self._task.battery_capacity, self._task.max_steps
+        if not ((drones[:, 1:] >= 0) & (drones[:, 1:] <= most)).all():
+            raise InvalidValueError(f"an observation has battery or steps left that {self._task.id!r} does not have")
         grounds = grids.reshape(len(grids), -1).copy()
-        grounds[np.arange(len(grids)), cells] = self._below(grounds, telemetry)
+        grounds[np.arange(len(grids)), drones[:, 0]] = self._below(grounds, telemetry)
         return self.views(grounds, drones)
 
     def views(self, grounds: npt.NDArray[np.uint8], drones: npt.NDArray[np.int64]) -> View:
@@ -209,10 +208,10 @@ class Viewer:
             view.token[:options], view.features[:options], view.numbers[:options],
         )  # fmt: skip
 
-    def _drones(self, telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+    def _drones(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """Cell, units left and steps left of each drone, int64[M, 3]."""
         task = self._task
-        x, y = drone_positions(task, telemetry).T
+        x, y = drone_positions(task, grids, telemetry).T
         units = np.rint(telemetry[:, 2] * task.battery_capacity)
         left = np.rint(telemetry[:, 5] * task.max_steps) if task.telemetry_size > 5 else units
         return np.stack([y * task.width + x, units, left], axis=1).astype(np.int64)

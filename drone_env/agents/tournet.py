@@ -11,7 +11,7 @@ from drone_env.agents.weights_file import WEIGHTS
 from drone_env.core.actions import Action
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import UnsupportedTaskError
+from drone_env.errors import CheckpointError, UnsupportedTaskError
 
 if TYPE_CHECKING:
     from drone_env.agents.tour_network import TourNetwork
@@ -121,13 +121,18 @@ def best_options(view: "View", choices: npt.NDArray[np.float32]) -> npt.NDArray[
     Args:
         view: Of M states.
         choices: float32[options], the logits.
+
+    Raises:
+        CheckpointError: if one of them is no number: the network's parameters are too large.
     """
+    if not np.isfinite(choices).all():
+        raise CheckpointError("the tour network has values that are no numbers: its parameters are too large to fly by")
     best = np.full(len(view.begins) - 1, -1, np.int64)
     some = np.flatnonzero(np.diff(view.begins))
     begins = view.begins[some]
     if len(some):
         highest = np.repeat(np.maximum.reduceat(choices, begins), np.diff(view.begins)[some])
         # The first of each view is found where those before it are counted.
-        high = np.flatnonzero(choices > highest - TIE)
+        high = np.flatnonzero(highest - choices < TIE)
         best[some] = high[np.searchsorted(high, begins)]
     return best

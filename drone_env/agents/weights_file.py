@@ -74,9 +74,12 @@ def read_weights(path: Path, network: str, shapes_of: Callable[[dict[str, Any]],
         parameters = _parameters(archive, shapes_of(metadata))
     except UNREADABLE as error:
         raise _refused(path, error) from None
-    withdrawn = withdrawal(metadata.get("task"), metadata.get("task_version"))
-    if withdrawn is not None:
-        raise CheckpointError(f"{path} was trained on what there is no more: {withdrawn}")
+    several = metadata.get("tasks")
+    trained_on: dict[Any, Any] = cast(dict[Any, Any], several) if isinstance(several, dict) else {}
+    for task, version in {metadata.get("task"): metadata.get("task_version"), **trained_on}.items():
+        withdrawn = withdrawal(task, version)
+        if withdrawn is not None:
+            raise CheckpointError(f"{path} was trained on what there is no more: {withdrawn}")
     return Weights(parameters, metadata, hashlib.sha256(content).hexdigest()[:16])
 
 

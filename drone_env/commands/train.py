@@ -25,6 +25,8 @@ STANDARD = ("easy", "medium", "hard")
 """What `--task all` stands for where each task has a network of its own."""
 TaskOrAll = Annotated[str, tyro.conf.arg(metavar="|".join([*SHORT_NAMES, "all"]))]
 Network = Literal["pathqnet", "tournet"]
+CHOSEN = ("task", "kind")
+"""What a checkpoint is found by, and so no setting that is taken from it."""
 
 COLUMNS = (
     TextColumn("{task.description}"),
@@ -151,7 +153,7 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
 def _named(arguments: Sequence[str]) -> argparse.Namespace:
     """What the defaults depend on. Whatever is wrong with it, tyro says."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for flag in ("--network", "--task", "--preset", "--episodes", "--data"):
+    for flag in ("--network", "--task", "--kind", "--preset", "--episodes", "--data"):
         parser.add_argument(flag, nargs="?")
     parser.add_argument("--fresh", action=argparse.BooleanOptionalAction)
     return parser.parse_known_args(arguments)[0]
@@ -165,7 +167,7 @@ def _defaults(task: str, named: argparse.Namespace) -> Settings:
 
 
 def _tour_defaults(task: str, named: argparse.Namespace) -> TourSettings:
-    defaults = TourSettings(task=task)
+    defaults = TourSettings(task=task, kind="rewards" if named.kind == "rewards" else "distilled")
     return _as_before(defaults, defaults.name, named)
 
 
@@ -178,7 +180,7 @@ def _as_before(defaults: AnySettings, name: str, named: argparse.Namespace) -> A
         from drone_env.rl.checkpoint import load_checkpoint
 
         kept = load_checkpoint(checkpoint)["config"]
-        names = [field.name for field in fields(defaults) if field.name != "task" and field.name in kept]
+        names = [field.name for field in fields(defaults) if field.name in kept and field.name not in CHOSEN]
         return type(defaults)(**vars(defaults) | {name: kept[name] for name in names})
     except (CheckpointError, OSError, ModuleNotFoundError, KeyError, TypeError, InvalidValueError):
         return defaults  # `TrainingRun` says what is wrong with it, or what is missing
@@ -215,8 +217,11 @@ def _train(make: "Callable[[], Learner]", resume: bool, fresh: bool, data: Path 
             if not console.is_terminal and trainer.done % trainer.validation_every == 0:
                 print(f"{trainer.done}/{wanted} {unit}  {figures}", file=sys.stderr, flush=True)
     if run.stopped:
-        console.print(f"stopped after {trainer.done} {unit}; the same command goes on from {run.checkpoint}")
+        console.print(
+            f"stopped after {trainer.done} {unit}; the same command goes on from {run.checkpoint}", soft_wrap=True
+        )
         return 130
-    console.print(f"trained: {trainer.result} on the validation maps; network {run.network}, curves {run.results}")
-    console.print(f"next: drone-env evaluate {trainer.judged_by} --checkpoint {run.network}")
+    done = f"trained: {trainer.result} on the validation maps; network {run.network}, curves {run.results}"
+    console.print(done, soft_wrap=True)
+    console.print(f"next: drone-env evaluate {trainer.judged_by} --checkpoint {run.network}", soft_wrap=True)
     return 0

@@ -1,4 +1,4 @@
-"""An episode rebuilt from what an agent observes, so that planners can be asked about it."""
+"""What an agent observes, read back: where its drone is, and an episode that shows it, to ask planners about."""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,14 +7,18 @@ from drone_env.core.cells import N_CELL_KINDS, Cell
 from drone_env.core.episode import Episode, Observation
 from drone_env.core.standing import standing_episode
 from drone_env.core.tasks import TERRAIN, TaskConfig
-from drone_env.planning.greedy import drone_positions
+from drone_env.errors import InvalidValueError
 
 
 def episode_of(task: TaskConfig, observation: Observation, reward_profile: str = "score") -> Episode:
-    """An episode that shows this observation. Parcels are numbered in reading order, its seed is 0."""
+    """An episode that shows this observation. Parcels are numbered in reading order, its seed is 0.
+
+    Raises:
+        InvalidValueError: if it is no observation of the task.
+    """
+    x, y = drone_positions(task, observation["grid"][None], observation["telemetry"][None])[0].tolist()
     ground = np.ravel(observation["grid"]).copy()
     telemetry = observation["telemetry"].tolist()
-    x, y = drone_positions(task, observation["telemetry"][None])[0].tolist()
     drone = y * task.width + x
     battery = round(telemetry[2] * task.battery_capacity)
     left = round(telemetry[5] * task.max_steps) if len(telemetry) > 5 else battery
@@ -31,3 +35,31 @@ def hidden_kind(task: TaskConfig, grid: npt.NDArray[np.uint8]) -> int:
         return Cell.DELIVERED
     missing = [kind for kind, count in task.cell_counts().items() if shown[kind] < count]
     return missing[0] if missing else Cell.ROAD
+
+
+def drone_positions(
+    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
+) -> npt.NDArray[np.int64]:
+    """(x, y) of the drones of N observations, int64[N, 2]. Compiled code can look into the grids after it.
+
+    Args:
+        task: The task.
+        grids: uint8[N, H, W]
+        telemetry: float32[N, telemetry_size]
+
+    Raises:
+        InvalidValueError: if they are no observations of the task.
+    """
+    n, height, width = len(grids), task.height, task.width
+    if grids.shape != (n, height, width) or telemetry.shape != (n, task.telemetry_size) or grids.dtype != np.uint8:
+        raise InvalidValueError(
+            f"observations of {task.id!r} are grids uint8[N, {height}, {width}] and telemetry "
+            f"float32[N, {task.telemetry_size}]; got {grids.dtype}{list(grids.shape)} and "
+            f"{telemetry.dtype}{list(telemetry.shape)}"
+        )
+    if (grids >= N_CELL_KINDS).any():
+        raise InvalidValueError(f"the kinds of cells are 0 to {N_CELL_KINDS - 1}, got {grids.max()}")
+    positions = np.rint(telemetry[:, :2] * np.array([width, height]))
+    if not ((positions >= 0) & (positions < (width, height))).all():
+        raise InvalidValueError(f"an observation has its drone beside the grid of {task.id!r}")
+    return positions.astype(np.int64)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from drone_env.core.actions import Action
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
+from drone_env.planning.from_observation import drone_positions
 
 UP, LEFT, WAIT = int(Action.UP), int(Action.LEFT), int(Action.WAIT)
 """The opposite of UP and LEFT is the action after it."""
@@ -27,12 +28,16 @@ def greedy_action(task: TaskConfig, observation: Observation) -> Action:
 def greedy_actions(
     task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.int64]:
-    """The same for N episodes: int64[N] from grids uint8[N, H, W] and telemetry float32[N, telemetry_size]."""
+    """The same for N episodes: int64[N] from grids uint8[N, H, W] and telemetry float32[N, telemetry_size].
+
+    Raises:
+        InvalidValueError: if they are no observations of the task, and its steps differ in what they cost.
+    """
     if task.uniform:
         return straight(telemetry.T)
     from drone_env.planning.cheapest_path import cheapest_actions  # compiles, which only these tasks are worth
 
-    return cheapest_actions(task, grids, drone_positions(task, telemetry))
+    return cheapest_actions(task, grids, drone_positions(task, grids, telemetry))
 
 
 def straight(telemetry: Any) -> Any:
@@ -44,8 +49,3 @@ def straight(telemetry: Any) -> Any:
     in_column, in_row = x == to_x, y == to_y
     column_action = (1 - in_row) * (UP + (to_y > y)) + in_row * WAIT
     return (1 - in_column) * (LEFT + (to_x > x)) + in_column * column_action
-
-
-def drone_positions(task: TaskConfig, telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-    """(x, y) of drones, int64[N, 2], from telemetry float32[N, telemetry_size]."""
-    return np.rint(telemetry[:, :2] * np.array([task.width, task.height])).astype(np.int64)

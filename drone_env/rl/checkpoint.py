@@ -31,7 +31,10 @@ def save_checkpoint(path: Path, contents: dict[str, Any]) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary, temporary.open("wb") as file:
-        torch.save({"format": FORMAT, "version": VERSION, **contents}, file)
+        try:
+            torch.save({"format": FORMAT, "version": VERSION, **contents}, file)
+        except RuntimeError as error:  # as PyTorch says that the disk is full
+            raise OSError(f"{path} could not be written: {str(error).splitlines()[0]}") from error
         file.flush()
         os.fsync(file.fileno())
 

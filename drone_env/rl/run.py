@@ -6,13 +6,13 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any, Generic, TextIO
 
 from drone_env.errors import CheckpointError, needs
-from drone_env.files import replacing
+from drone_env.files import locked, replacing
 from drone_env.rl.checkpoint import export_network, load_checkpoint, save_checkpoint
 from drone_env.rl.curves import draw_curves
 from drone_env.rl.learner import AnyLearner, figure, figures_of
@@ -40,6 +40,7 @@ class TrainingRun(Generic[AnyLearner]):
 
     Raises:
         CheckpointError: if the checkpoint cannot be read or is of another run; it is left as it was.
+        InvalidValueError: if it is to start from nothing and another process trains the same in the same folder.
     """
 
     def __init__(
@@ -58,7 +59,8 @@ class TrainingRun(Generic[AnyLearner]):
         self.network = data / f"{name}.npz"
         self.results = results / name
         if fresh and self.checkpoint.exists():
-            self.checkpoint.replace(self.checkpoint.with_suffix(".pth.old"))
+            with self._alone():
+                self.checkpoint.replace(self.checkpoint.with_suffix(".pth.old"))
         self.resumed = self.checkpoint.exists()
         self._seconds, self._since = 0.0, clock()
         if self.resumed:
@@ -76,6 +78,9 @@ class TrainingRun(Generic[AnyLearner]):
         """Train to the end, or until `stopped` is set: the run then saves and ends after that step.
 
         Yields every line of the log when it is written.
+
+        Raises:
+            InvalidValueError: if another process trains the same in the same folder.
         """
         trainer = self.trainer
         most, seconds = trainer.checkpoint_gap
@@ -83,7 +88,7 @@ class TrainingRun(Generic[AnyLearner]):
             folder.mkdir(parents=True, exist_ok=True)
         self._since = self._clock()
         saved_at, saved_done = self._since if self.resumed else None, trainer.done
-        with self._tensorboard() as board, self._log_file() as log:
+        with self._alone(), self._tensorboard() as board, self._log_file() as log:
             for lines in trainer.train():
                 late = saved_at is None or self._clock() - saved_at >= seconds
                 if late and trainer.done - saved_done >= most:
@@ -114,6 +119,11 @@ class TrainingRun(Generic[AnyLearner]):
         save_checkpoint(self.checkpoint, self.trainer.get_state() | {"seconds": self.seconds})
         metadata = self.trainer.metadata() | {"seconds": round(self.seconds, 1)}
         export_network(self.trainer.best_network(), self.network, metadata)
+
+    def _alone(self) -> AbstractContextManager[None]:
+        """Keeps a second process from the same files."""
+        taken = f"another process is training {self.checkpoint}: wait for its end, or name another folder (--data)"
+        return locked(self.checkpoint.with_suffix(".lock"), taken)
 
     def _log_file(self) -> TextIO:
         """The log, begun again with the lines of the checkpoint: what was logged after it is flown again."""

@@ -1,5 +1,6 @@
 """All that decides how a tour network is trained. A new hyperparameter is one more field."""
 
+import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -25,6 +26,10 @@ VARIANTS = (
     ("skyline_hard", 4, 4),
 )
 """Task, parcels, pads: so that a network sees other counts than those of the tasks."""
+MOST = {"seed": 2**63 - 1, "num_threads": 256, "batch_size": 1 << 16}
+"""The largest that some fields may be: PyTorch takes no greater seeds."""
+MOST_STATES = 1 << 17
+"""In a chunk: those of 128 kB each take 16 GB."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +104,16 @@ class TourConfig:
             "checkpoint_seconds",
         ):  # fmt: skip
             _require(getattr(self, name) >= 0, f"{name} must not be below 0, got {getattr(self, name)}")
+        for name, value in asdict(self).items():
+            _require(
+                not isinstance(value, float) or math.isfinite(value), f"{name} must be a finite number, got {value}"
+            )
+            most = MOST.get(name)
+            _require(most is None or value <= most, f"{name} must be at most {most}, got {value}")
+        states = self.maps_per_chunk * self.states_per_map
+        _require(
+            states <= MOST_STATES, f"maps_per_chunk times states_per_map must be at most {MOST_STATES}, got {states}"
+        )
         _require(self.batch_size % 4 == 0, f"batch_size must be a multiple of 4, got {self.batch_size}")
         _require(0 <= self.average < 1, f"average must be in [0, 1), got {self.average}")
 

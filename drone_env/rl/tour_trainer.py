@@ -193,6 +193,11 @@ class TourTrainer(Learner):
         choice, regret, completion = self._losses_of(preference, completions, batch)
         known = choice if regret.isnan() else choice + config.regret_weight * regret
         loss = known + config.completion_weight * completion
+        if not loss.isfinite():
+            raise InvalidValueError(
+                f"after {self.updates} updates the loss is no number: lower learning_rate, or raise warm_up. What was "
+                "saved last is as it was"
+            )
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate
         self.optimizer.zero_grad()

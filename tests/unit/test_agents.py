@@ -17,7 +17,7 @@ from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import CheckpointError, UnknownNameError, UnsupportedTaskError
+from drone_env.errors import CheckpointError, InvalidValueError, UnknownNameError, UnsupportedTaskError
 from drone_env.planning.optimal import solve
 
 
@@ -189,6 +189,40 @@ def test_where_no_tour_network_is_shipped_the_message_says_what_to_do(
     for name in ("tournet", "tournet-search", "tournet-search-64"):
         with pytest.raises(UnsupportedTaskError, match=r"gone\.npz: name a file, as in tournet:FILE"):
             make_agent(name, "easy")
+
+
+@pytest.mark.parametrize("name", ["greedy", "optimal", "tournet", "tournet-search"])
+def test_what_is_no_observation_of_the_task_is_refused(name: str) -> None:
+    task = get_task("skyline_easy")
+    agent, batch = make_agent(name, task), Batch(task, 3)
+    batch.reset(np.arange(3))
+    grids, telemetry = batch.grids.copy(), batch.telemetry.copy()
+    beside = telemetry.copy()
+    beside[1, 0] = 1.0
+    for wrong in (
+        (grids, telemetry[:1]),
+        (grids[:1], telemetry),
+        (grids.reshape(3, 4, -1), telemetry),
+        (grids, telemetry[:, :5]),
+        (np.full_like(grids, 255), telemetry),
+        (grids.astype(np.int64), telemetry),
+        (grids, beside),
+        (grids, np.full_like(telemetry, np.nan)),
+    ):
+        agent.reset_batch(np.arange(3))
+        with pytest.raises(ValueError):  # noqa: PT011 - the test of views holds what it says
+            agent.act_batch(*wrong)
+    agent.reset_batch(np.arange(3))
+    assert len(agent.act_batch(grids, telemetry)) == 3
+
+
+@pytest.mark.parametrize("name", ["optimal", "tournet-search"])
+def test_plans_are_made_for_as_many_maps_as_were_named(name: str) -> None:
+    task = get_task("skyline_easy")
+    agent, batch = make_agent(name, task), Batch(task, 3)
+    batch.reset(np.arange(3))
+    with pytest.raises(InvalidValueError, match="reset_batch was told of 1 maps, and these are 3"):
+        agent.act_batch(batch.grids, batch.telemetry)
 
 
 def threads_of_numpy() -> set[int]:

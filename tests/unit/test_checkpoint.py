@@ -1,5 +1,7 @@
 """Checkpoints: what cannot be read or written, and that they run no code."""
 
+import resource
+import signal
 import threading
 from pathlib import Path
 
@@ -48,6 +50,19 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tmp_path: Pat
         save_checkpoint(path, {"tensor": torch.zeros(1000), "not to be kept": threading.Lock()})
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_is_an_error_of_the_system(tmp_path: Path) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(OSError, match=r"easy\.pth could not be written|File too large"):
+            save_checkpoint(tmp_path / "easy.pth", {"tensor": torch.zeros(100_000)})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, ignored)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_checkpoint_that_could_run_code_is_not_loaded(tmp_path: Path) -> None:

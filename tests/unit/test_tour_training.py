@@ -101,6 +101,10 @@ def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None
         ({"window": 0}, "window must be above 0"),
         ({"validation_maps": 0}, "validation_maps must be above 0"),
         ({"learning_rate": float("nan")}, "learning_rate must be above 0, got nan"),
+        ({"temperature": float("inf")}, "temperature must be a finite number, got inf"),
+        ({"seed": 2**63}, "seed must be at most 9223372036854775807"),
+        ({"num_threads": 100_000}, "num_threads must be at most 256"),
+        ({"maps_per_chunk": 10**9}, "maps_per_chunk times states_per_map must be at most 131072"),
         ({"temperature": 0.0}, "temperature must be above 0"),
         ({"warm_up": -1}, "warm_up must not be below 0"),
         ({"completion_weight": -0.1}, "completion_weight must not be below 0"),
@@ -136,6 +140,11 @@ def test_lessons_without_any_choice_are_said(monkeypatch: pytest.MonkeyPatch) ->
     trainer = TourTrainer(SMALL_TOUR)
     with pytest.raises(InvalidValueError, match="no choice drawn so far matters: raise maps_per_chunk"):
         next(trainer.train())
+
+
+def test_a_training_that_diverges_ends_with_the_reason() -> None:
+    with pytest.raises(InvalidValueError, match="updates the loss is no number: lower learning_rate"):
+        finished(TourTrainer(replace(SMALL_TOUR, learning_rate=1e30, warm_up=0, validation_every=100)))
 
 
 def test_a_checkpoint_of_another_run_is_refused_and_changes_nothing(tmp_path: Path) -> None:
@@ -235,15 +244,20 @@ def test_interrupted_it_saves_and_goes_on_to_the_same_end(
             interrupts.remove(trainer.updates)
             signal.raise_signal(signal.SIGINT)  # as Ctrl-C does
 
+    # A training of the other kind in the same folder has settings of its own.
+    assert main([*EASY, "--updates", "2", "--warm-up", "1"]) == 0
     monkeypatch.setattr(TourTrainer, "_learn", learn_and_interrupt)
+    rewards, file = [*EASY, "--kind", "rewards"], "tournet_rewards_skyline_easy.pth"
     for update in (1, 3):  # before the first line of the log, and between two
-        assert main(EASY) == 130
-        told = " ".join(capsys.readouterr().err.split())
-        assert f"stopped after {update} updates; the same command goes on from data/tournet_skyline_easy.pth" in told
-    assert main([*EASY, "--resume"]) == 0
-    assert "going on from data/tournet_skyline_easy.pth: 3 of 4 updates" in " ".join(capsys.readouterr().err.split())
-    assert main([*EASY, "--data", "whole", "--results", "whole"]) == 0
-    states = [load_checkpoint(tmp_path / folder / "tournet_skyline_easy.pth") for folder in ("data", "whole")]
+        assert main(rewards) == 130
+        told = capsys.readouterr().err
+        assert f"stopped after {update} updates; the same command goes on from data/{file}\n" in told
+    # What is not said is as it was.
+    kind = ["train", "--network", "tournet", "--task", "skyline_easy", "--kind", "rewards"]
+    assert main([*kind, "--resume"]) == 0
+    assert f"going on from data/{file}: 3 of 4 updates" in " ".join(capsys.readouterr().err.split())
+    assert main([*rewards, "--data", "whole", "--results", "whole"]) == 0
+    states = [load_checkpoint(tmp_path / folder / file) for folder in ("data", "whole")]
     for state in states:
         assert state.pop("seconds") > 0
         assert state.pop("cpu_seconds") > 0

@@ -77,6 +77,7 @@ def test_what_is_no_tour_network_is_refused(network: Path, tmp_path: Path) -> No
         ({**whole, "norm.bias": np.full(64, np.inf, np.float32)}, {}, "norm.bias has values that are no numbers"),
         ({**whole, "more": whole["norm.bias"]}, {}, "and nothing else"),
         (whole, {"task": "skyline_easy", "task_version": 1}, "withdrawn"),
+        (whole, {"tasks": {"easy_delivery": 1, "skyline_hard": 1}}, "version 1 of task 'skyline_hard' is withdrawn"),
     ):
         save(path, parameters, {"network": "tournet"} | metadata)
         with pytest.raises(CheckpointError, match=why):
@@ -191,11 +192,14 @@ def test_an_observation_of_no_map_of_the_task_is_refused() -> None:
     for kind in (Cell.PAD, Cell.DELIVERY):
         with pytest.raises(InvalidValueError, match="more parcels or pads than"):
             Viewer(HARD)(np.full_like(grids, kind), telemetry)
-    for place in (0, 2):
+    for place, amount, why in (
+        (0, 1.5, "beside the grid"),
+        (2, 1.5, "battery or steps"),
+        (5, -0.1, "battery or steps"),
+    ):
         wrong = telemetry.copy()
-        wrong[1, place] = 1.5
-        wrong[1, 1] = 0.99
-        with pytest.raises(InvalidValueError, match="beside the grid of 'skyline_hard', or too many units"):
+        wrong[1, place] = amount
+        with pytest.raises(InvalidValueError, match=why):
             Viewer(HARD)(grids, wrong)
 
 
@@ -225,6 +229,19 @@ def test_the_first_of_the_highest_is_chosen() -> None:
     view = View(empty, empty, empty, np.array([0, 2, 2, 5]), empty, empty, empty)
     assert best_options(view, np.array([1, 2, 3, 3.00001, 1], np.float32)).tolist() == [1, -1, 2]
     assert best_options(view._replace(begins=np.zeros(3, np.int64)), empty).tolist() == [-1, -1]
+    # So large that one less a tie is the same number.
+    assert best_options(view, np.array([1e6, 0, 1, 0, 0], np.float32)).tolist() == [0, -1, 2]
+    for none in (np.nan, np.inf):
+        with pytest.raises(CheckpointError, match="values that are no numbers"):
+            best_options(view, np.array([none, 0, 1, 0, 0], np.float32))
+
+
+def test_a_charge_that_fills_the_battery_is_like_any_other_that_does(network: Path) -> None:
+    flights: list[list[int]] = []
+    for charge in (HARD.battery_capacity, 1000):
+        agent = TournetAgent(replace(HARD, id="own", charge_rate=charge), network)
+        flights.append(agent.act_batch(*observations(HARD, 20, 40)).tolist())
+    assert flights[0] == flights[1]
 
 
 def test_where_nothing_is_within_reach_it_waits(network: Path) -> None:

@@ -20,7 +20,7 @@ from fastapi.testclient import TestClient
 
 from drone_env.agents.network import load_network
 from drone_env.cli import main
-from drone_env.errors import CheckpointError
+from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl.checkpoint import load_checkpoint
 from drone_env.rl.config import ORIGINAL, TrainConfig, preset
 from drone_env.rl.run import TrainingRun, log_line
@@ -345,6 +345,23 @@ def test_interrupted_twice_it_ends_at_once(tmp_path: Path) -> None:
     assert asked == [False, True]
     assert not run.checkpoint.exists()
     assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.feature("L5")
+def test_two_cannot_train_the_same_in_one_folder(tmp_path: Path) -> None:
+    first, second = run_in(tmp_path), run_in(tmp_path)
+    lines = first.train()
+    next(lines)
+    first.save()
+    kept = first.checkpoint.read_bytes()
+    with pytest.raises(InvalidValueError, match=r"another process is training .*easy\.pth"):
+        next(second.train())
+    with pytest.raises(InvalidValueError, match="another process is training"):
+        run_in(tmp_path, fresh=True)
+    assert first.checkpoint.read_bytes() == kept
+    run_in(tmp_path, seed=1, task="medium")
+    lines.close()
+    assert next(run_in(tmp_path, fresh=True).train()).episode == 5
 
 
 @pytest.mark.feature("L6")
