@@ -138,7 +138,7 @@ def test_a_server_that_wants_a_token_is_killed_and_comes_back_and_the_mission_go
         expect(page.locator("#connection")).to_contain_text("away")
         assert 2 <= counter(page) < len(flight.actions)
         view(page, "History")
-        note = page.locator("#history").get_by_role("status")
+        note = page.locator("#view-history").get_by_role("status")
         expect(note).to_contain_text("could not be loaded")
         with serving(data, port=port, TOKEN=TOKEN):
             expect(note).to_have_text(re.compile("No episode yet|Page 1"))

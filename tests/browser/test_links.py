@@ -39,12 +39,16 @@ def test_a_link_opens_exactly_its_mission(page: Page, beside: Callable[[str], Pa
     assert (stored["seed"], stored["reward_profile"]) == (int(seed), "composite")
 
 
-def test_a_link_to_a_view_that_is_none_opens_watch(page: Page) -> None:
-    for name in ("constructor", "toString"):
-        view(page, "Specifications")
-        expect(page).to_have_title("Technical specifications · Drone Delivery")
-        page.evaluate("name => { location.hash = name; }", name)
-        expect(page).not_to_have_title("Technical specifications · Drone Delivery")
+@pytest.mark.parametrize("link", ["/?view=specs", "/#specs"])
+def test_a_link_to_a_view_keeps_the_way_to_the_others_in_sight(page: Page, link: str) -> None:
+    page.set_viewport_size({"width": 1024, "height": 600})
+    page.goto(link)
+    expect(page).to_have_title("Technical specifications · Drone Delivery")
+    expect(page.locator(".specs-table").first).to_be_visible()
+    assert page.evaluate("scrollY") == 0
+    # What is no view is none.
+    page.goto("/?view=constructor#toString")
+    expect(page).to_have_title("Watch a flight · Drone Delivery")
 
 
 @pytest.mark.feature("L7")
@@ -76,7 +80,7 @@ def test_a_link_to_nothing_opens_watch(page: Page, link: str) -> None:
 def test_a_link_to_no_episode_says_so(page: Page, shared: Tabs) -> None:
     shared.expect("404")
     page.goto("/?episode=nothing")
-    expect(page.locator("#replay").get_by_role("alert")).to_contain_text("nothing")
+    expect(page.locator("#view-replay").get_by_role("alert")).to_contain_text("nothing")
 
 
 def test_back_goes_back_though_the_link_has_changed(page: Page) -> None:
@@ -91,7 +95,10 @@ def test_back_goes_back_though_the_link_has_changed(page: Page) -> None:
     expect(page.locator(".card")).to_have_count(4)
 
 
-def test_the_bare_address_has_a_flight_that_moves_by_itself_until_one_is_flown(beside: Callable[[str], Page]) -> None:
+def test_the_bare_address_has_a_flight_that_moves_by_itself_until_one_is_flown(
+    beside: Callable[[str], Page], shared: Tabs
+) -> None:
+    shared.expect("was preloaded")  # for the script that is kept out at first
     page = beside("")
     page.emulate_media(reduced_motion="no-preference")
     page.route("**/main.js", lambda route: route.fulfill(body="", content_type="text/javascript"))
@@ -117,3 +124,52 @@ def test_the_bare_address_has_a_flight_that_moves_by_itself_until_one_is_flown(b
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 100")
     expect(page.get_by_role("radio", name="You")).to_be_checked()
     expect(hello).to_have_count(0)
+
+
+def test_back_and_reload_show_what_the_address_says(page: Page, server: Server) -> None:
+    ids: list[str] = []
+    with httpx.Client(base_url=server.url) as http:
+        for seed in (5, 6):
+            start = http.post("/reset", json={"task_name": "easy", "seed": seed, "agent": "visitor"}).json()
+            headers = {"X-Session-Id": start["session_id"]}
+            while not http.post("/step", json={"direction": "WAIT"}, headers=headers).json()["done"]:
+                pass
+            ids.append(http.get("/episodes", params={"agent": "visitor"}).json()["episodes"][0]["id"])
+    title = page.locator(".replay-title")
+    page.goto(f"/?episode={ids[0]}")
+    expect(title).to_contain_text("map 5")
+    view(page, "History")
+    expect(page).to_have_url(f"{server.url}/?view=history")
+    page.locator(f"tr[data-episode='{ids[1]}']").click()
+    expect(title).to_contain_text("map 6")
+    expect(page).to_have_url(f"{server.url}/?episode={ids[1]}")
+    page.go_back()
+    expect(page).to_have_title("History of episodes · Drone Delivery")
+    page.go_back()
+    expect(page).to_have_title("Replay a flight · Drone Delivery")
+    expect(title).to_contain_text("map 5")
+    page.reload()
+    expect(title).to_contain_text("map 5")
+
+
+def test_each_mission_is_an_entry_that_back_comes_to(page: Page) -> None:
+    page.goto("/?task=easy&seed=7&pilot=greedy")
+    number = page.get_by_role("spinbutton", name="Map")
+    expect(number).to_have_value("7")
+    page.get_by_role("button", name="New map").click()
+    expect(number).not_to_have_value(re.compile("^7?$"))
+    page.get_by_role("radio", name="Optimal").check()
+    expect(page).to_have_url(re.compile("pilot=optimal"))
+    page.go_back()
+    expect(page.get_by_role("radio", name="Greedy")).to_be_checked()
+    page.go_back()
+    expect(number).to_have_value("7")
+    expect(page).to_have_url(re.compile("seed=7&pilot=greedy$"))
+
+
+def test_a_link_that_is_refused_says_why_and_offers_another(page: Page) -> None:
+    page.goto("/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random,human")
+    expect(page.get_by_role("alert")).to_contain_text("at most 4")
+    page.get_by_role("button", name="Fly another map").click()
+    expect(page.locator(".card")).to_have_count(1)
+    expect(page.get_by_role("button", name="Start", exact=True)).to_be_enabled()

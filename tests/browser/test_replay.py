@@ -101,6 +101,10 @@ def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(page: Page) -> None:
     ):
         page.keyboard.press(key)
         expect(slider(page)).to_have_value(str(step))
+    # A button that was pressed keeps the focus, and takes no arrows.
+    page.get_by_role("button", name="Step back").click()
+    page.keyboard.press("ArrowLeft")
+    expect(slider(page)).to_have_value(str(len(record.actions) - 2))
 
 
 def test_the_moves_are_annotated_and_jump_to_their_step(page: Page, server: Server, record: EpisodeRecord) -> None:
@@ -156,7 +160,7 @@ def test_an_unfinished_flight_replays_without_annotation(page: Page) -> None:
 def test_bad_files_are_refused_in_words(page: Page, shared: Tabs, record: EpisodeRecord) -> None:
     shared.expect("422")
     view(page, "Replay")
-    problem = page.locator("#replay").get_by_role("alert")
+    problem = page.locator("#view-replay").get_by_role("alert")
     forged = json.loads(record.to_json()) | {"score": 0.99}
     for name, text, says in (
         ("notes.txt", "hello", "must end in .json or .jsonl"),

@@ -148,12 +148,16 @@ def test_a_person_flies_by_pad_and_keys(page: Page, server: Server) -> None:
     expected = Episode("easy", "tiered")
     expected.reset(7)
     page.goto("/?task=easy&seed=7&pilot=greedy")
-    page.get_by_role("radio", name="You").check()
     by_pad = {"Up": Action.UP, "Left": Action.LEFT, "Wait": Action.WAIT}
     by_keys = {"ArrowDown": Action.DOWN, "d": Action.RIGHT, " ": Action.WAIT}
-    for action in (*by_pad.values(), *by_keys.values()):
+    for action in (Action.RIGHT, *by_pad.values(), *by_keys.values()):
         expected.step(action)
     flight = iter(frames(server.url, record_of(expected, "me"))[1:])
+    # The keys fly from the moment on at which the pilot is chosen.
+    page.get_by_role("radio", name="You").click()
+    expect(page.get_by_role("group", name="Fly")).to_be_visible()
+    page.keyboard.press("ArrowRight")
+    expect_frame(page, next(flight), 60)
     for name in by_pad:
         page.get_by_role("group", name="Fly").get_by_role("button", name=name, exact=True).click()
         expect_frame(page, next(flight), 60)

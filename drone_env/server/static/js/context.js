@@ -4,6 +4,7 @@ import { Player } from "./player.js";
 
 /**
  * @typedef {Object} Context
+ * @property {import("./router.js").Router} router The address, which is what the page shows.
  * @property {ReturnType<import("./api.js").createApi>} api HTTP calls.
  * @property {import("./live.js").Live} live The socket.
  * @property {Object[]} tasks As `GET /tasks` tells them.

@@ -16,11 +16,12 @@ const PATIENCE = 2500;
  * Events: "setup" other flights were chosen, "playing" started, paused or another speed, "refused" (text).
  */
 export class Fleet extends Emitter {
-  /** @param {import("./context.js").Context} context @param {Setup} setup What to begin with. */
-  constructor(context, setup) {
+  /** @param {import("./context.js").Context} context */
+  constructor(context) {
     super();
     this.context = context;
-    this.setup = setup;
+    /** @type {Setup} */
+    this.setup = { task: context.tasks[0].short_name, seed: null, profile: null, pilots: [] };
     this.playing = false;
     this.speed = DEFAULT_SPEED;
     this.asked = null;
@@ -53,7 +54,8 @@ export class Fleet extends Emitter {
 
   /** The index of the flight that the visitor flies; -1 for none. */
   get human() {
-    return this.setup.pilots.findIndex((id) => !this.pilot(id).automatic);
+    const { players } = this.context;
+    return this.setup.pilots.findIndex((id, i) => i < players.length && !this.pilot(id).automatic);
   }
 
   /** Whether there is somebody to start. */
@@ -82,6 +84,16 @@ export class Fleet extends Emitter {
     return this.context.pilots.filter(({ id, automatic }) => automatic && this.flies(id, task)).map(({ id }) => id);
   }
 
+  /** What an address asks for, filled up with what is flown now. @param {import("./router.js").Address} address */
+  asks({ task = null, seed = null, profile = null, pilots }, most) {
+    const known = this.task(task ?? this.setup.task) ?? this.context.tasks[0];
+    const chosen = pilots.length ? pilots : this.setup.pilots.filter((id) => this.flies(id, known));
+    // The visitor's own network comes first, if one was trained for the task.
+    const full = most > 1 && chosen.length < 2 ? [...new Set([...chosen, ...this.able(known)])].slice(0, most) : chosen;
+    const one = full.length ? full : this.able(known).slice(0, 1);
+    return { task: task === null || this.task(task) ? known.short_name : task, seed, profile, pilots: most > 1 ? one : one.slice(0, 1) };
+  }
+
   /** Starts other flights: what is named in `change` is new, the rest as it was. */
   start(change = {}, { play = false } = {}) {
     this.setup = { ...this.setup, ...change };
@@ -95,9 +107,10 @@ export class Fleet extends Emitter {
   }
 
   /** Called when flights are to be seen for the first time: until then none is flown. */
-  want() {
-    if (this.wanted) return;
+  want(setup) {
     this.wanted = true;
+    this.setup = setup;
+    this.emit("setup");
     if (this.context.live.state === "open") this.start();
   }
 

@@ -61,7 +61,7 @@ export function mountKeys(context, fleet, { help }) {
 }
 
 /** Whether the focused element needs the key for itself. */
-function taken({ target, key }) {
+export function taken({ target, key }) {
   if (target.matches("textarea, select, input:not([type=radio], [type=checkbox], [type=range])")) return true;
   const arrow = key.startsWith("Arrow") || key === "Home" || key === "End";
   if (target.matches("input[type=range], .events, .moves, pre")) return arrow;

@@ -4,6 +4,7 @@ import { createContext } from "./context.js";
 import { loadFigures } from "./figures.js";
 import { Live } from "./live.js";
 import { mountStage } from "./stage.js";
+import { Router } from "./router.js";
 import { askForToken } from "./token.js";
 import { mountViews } from "./views.js";
 import { mountTheme } from "./theme.js";
@@ -14,25 +15,21 @@ import * as replay from "./replay.js";
 import * as specs from "./specs.js";
 
 async function boot() {
-  // Read before the views show their own links.
-  const episode = new URLSearchParams(location.search).get("episode");
   const api = createApi(askForToken);
   const figures = loadFigures();
   const [{ tasks, reward_profiles }, { pilots, most }, { kinds }] = await firstAnswers(api);
   await figures;
   const live = new Live(api.protocols);
-  const context = createContext({ api, live, tasks, rewardProfiles: reward_profiles, pilots, most, kinds });
+  const router = new Router();
+  const context = createContext({ router, api, live, tasks, rewardProfiles: reward_profiles, pilots, most, kinds });
   const part = (id) => document.getElementById(id);
 
   mountTheme(context);
   mountConnection(context);
   mountStage(context);
-  if (episode) context.view = "replay";
-  for (const [id, view] of Object.entries({ history, logs, replay, specs })) view.mount(part(id), context);
+  for (const [id, view] of Object.entries({ history, logs, replay, specs })) view.mount(part(`view-${id}`), context);
   mountViews(context);
   live.connect();
-
-  if (episode) context.emit("replay", episode);
 }
 
 /** The tasks are asked for first and alone: it is there that a token may be asked for. */

@@ -1,7 +1,8 @@
 // The flight plan on the left: which task, which map, who flies.
 import { el, icon, setText, toast } from "./dom.js";
 import { title } from "./format.js";
-import { copyLink, linkOf } from "./link.js";
+import { copyLink } from "./link.js";
+import { linkOf } from "./router.js";
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
 export function mountPlan(root, context, fleet) {
@@ -23,7 +24,8 @@ export function mountPlan(root, context, fleet) {
 
   fleet.on("setup", update);
   fleet.on("refused", (detail) => {
-    setText(problem, detail);
+    const another = el("button.button.small", { text: "Fly another map", press: () => fleet.start(fleet.asks({ pilots: [] }, 1)) });
+    problem.replaceChildren(detail, " ", ...(fleet.active.length ? [] : [another]));
     problem.hidden = false;
   });
   context.on("missions", () => {
@@ -98,6 +100,8 @@ export function mountPlan(root, context, fleet) {
 
   function choosePilot(id, race) {
     const { setup } = fleet;
+    // The next arrow is to fly, not to choose another pilot.
+    if (!fleet.pilot(id).automatic) document.activeElement.blur();
     if (!race) {
       fleet.start({ pilots: [id] });
       return;

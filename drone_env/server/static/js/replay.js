@@ -2,6 +2,7 @@
 import { announce, download, el, fact } from "./dom.js";
 import { readFlights } from "./flight_file.js";
 import { fixed, outcome, points, title } from "./format.js";
+import { taken } from "./keys.js";
 import { copyLink } from "./link.js";
 import { CityMap } from "./map.js";
 import { mountMoves } from "./moves.js";
@@ -11,12 +12,11 @@ import { Transport } from "./transport.js";
 /** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
 export function mount(root, context) {
   const replay = new Replay(root, context);
-  context.on("replay", (id) => replay.openEpisode(id));
+  context.on("view", () => replay.follow(context.router.address));
   listenToDrops(context, (file) => replay.openFile(file));
   document.addEventListener("keydown", (event) => {
-    const busy = event.target.closest?.("input, select, textarea, dialog, button, a, [role=region]");
-    if (context.view !== "replay" || busy || event.ctrlKey || event.metaKey || event.altKey || replay.player.empty)
-      return;
+    if (context.view !== "replay" || replay.player.empty || document.querySelector("dialog[open]")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || taken(event)) return;
     if (replay.transport.press(event.key)) event.preventDefault();
   });
 }
@@ -26,6 +26,8 @@ class Replay {
     this.context = context;
     this.player = new Player();
     this.record = null;
+    /** Id of the stored episode that is shown or on its way; null for none, or a file. */
+    this.episode = null;
     this.asked = 0;
 
     const input = el("input.visually-hidden", {
@@ -58,7 +60,7 @@ class Replay {
       el(
         "p.note",
         "Choose an episode in the ",
-        el("a", { href: "#history", text: "history" }),
+        el("a", { href: "?view=history", text: "history" }),
         ", or drop a file of flights here: what ",
         el("code", { text: "drone-env fly --record" }),
         " writes, as .json, or .jsonl with one flight per line.",
@@ -100,13 +102,30 @@ class Replay {
     mountMoves(moves, this.player);
   }
 
-  /** A stored episode, whose link the address then is. */
+  /** Shows what the address says. */
+  follow({ view, episode }) {
+    if (view !== "replay" || episode === this.episode) return;
+    this.episode = episode;
+    if (episode) this.openEpisode(episode);
+    else this.close();
+  }
+
+  /** Shows nothing. */
+  close() {
+    this.asked += 1;
+    this.player.clear();
+    this.empty.hidden = false;
+    this.body.hidden = this.chooser.hidden = this.problem.hidden = true;
+    this.status.textContent = "";
+  }
+
+  /** A stored episode. */
   async openEpisode(id) {
     await this.attempt(async (current) => {
       const record = await this.context.api.get(`episodes/${encodeURIComponent(id)}`);
       if (!current()) return;
       this.offer([record]);
-      await this.show(record, current, id);
+      await this.show(record, current);
     });
   }
 
@@ -147,12 +166,12 @@ class Replay {
     this.flights.replaceChildren(...records.map((record, i) => el("option", { text: `${i + 1}. ${named(record)}` })));
   }
 
-  async show(record, current, id = null) {
+  async show(record, current) {
     const { api } = this.context;
     const { mission, frames } = await api.post("replay", record);
     if (!current()) return;
     this.record = record;
-    this.setLink(id);
+    this.link.hidden = this.episode === null;
     this.empty.hidden = true;
     this.body.hidden = false;
     this.player.load(mission, frames);
@@ -177,15 +196,6 @@ class Replay {
 
   drawGhost() {
     this.map.show({ ghost: this.ghost.checked ? (this.player.annotation?.optimal_path ?? null) : null });
-  }
-
-  /** The address is a link to the episode that is shown, and to none where a file is. */
-  setLink(id) {
-    const url = new URL(location.href);
-    url.search = id ? `?${new URLSearchParams({ episode: id })}` : "";
-    url.hash = "replay";
-    history.replaceState(null, "", url);
-    this.link.hidden = id === null;
   }
 
   downloadRecord() {

@@ -10,9 +10,9 @@ import { mountHuman } from "./human.js";
 import { mountInstruments } from "./instruments.js";
 import { mountKeys } from "./keys.js";
 import { mountLegend } from "./legend.js";
-import { setupFromLink, showLink } from "./link.js";
 import { mountPlan } from "./plan.js";
 import { mountResults } from "./results.js";
+import { says } from "./router.js";
 import { mountStandings } from "./standings.js";
 import { mountTelemetry } from "./telemetry.js";
 import { mountThinking } from "./thinking.js";
@@ -20,10 +20,7 @@ import { mountThinking } from "./thinking.js";
 /** @param {import("./context.js").Context} context @returns {Fleet} */
 export function mountStage(context) {
   const part = (id) => document.getElementById(id);
-  const fleet = new Fleet(context, setupFromLink(context));
-  // The visitor's own network comes first, if one was trained for the task.
-  if (!fleet.setup.pilots.length) fleet.setup.pilots.push(fleet.able()[0]);
-  context.view = fleet.setup.pilots.length > 1 ? "race" : "watch";
+  const fleet = new Fleet(context);
   const side = part("side");
   const panel = (name, mount, ...more) => {
     const node = el(`section.panel.${name}`);
@@ -57,32 +54,32 @@ export function mountStage(context) {
   context.on("arrows", arrows);
   context.on("maps", arrows);
   context.on("missions", () => {
-    if (onStage(context.view)) showLink(fleet.setup);
+    if (onStage(context.view)) context.router.flies(fleet.setup);
   });
   context.on("ended", (i) => {
     if (context.players.filter((player) => !player.empty).length > 1) explain(context, context.players[i]);
   });
-  context.on("view", (view) => follow(context, fleet, view));
   // The flight that the server has put above the stage has said its word once one is flown here.
   for (const player of context.players) {
     player.on("frames", () => player.last?.step && document.getElementById("hello")?.remove());
   }
+  context.on("view", () => follow(context, fleet));
   return fleet;
 }
 
 const onStage = (view) => view === "watch" || view === "race";
 
-/** Watch flies one pilot, Race at least two, on the same map; elsewhere the flight rests. */
-function follow(context, fleet, view) {
-  if (onStage(view)) {
-    const { pilots } = fleet.setup;
-    fleet.want();
-    showLink(fleet.setup);
-    if (view === "watch" && pilots.length > 1) fleet.start({ pilots: pilots.slice(0, 1) });
-    if (view === "race" && pilots.length === 1) {
-      fleet.start({ pilots: [...new Set([...pilots, ...fleet.able()])].slice(0, context.most) });
-    }
-  } else if (fleet.playing) fleet.pause();
+/** Flies what the address says: one pilot in Watch, at least two in Race, on the same map; elsewhere the flight rests. */
+function follow({ router, most }, fleet) {
+  const { address } = router;
+  if (!onStage(address.view)) {
+    if (fleet.playing) fleet.pause();
+    return;
+  }
+  const asked = fleet.asks(address, address.view === "race" ? most : 1);
+  if (!fleet.wanted) fleet.want(asked);
+  else if (!says(asked, fleet.setup)) fleet.start(asked);
+  else router.flies(fleet.setup);
 }
 
 /** Annotates a flight that has ended: what each of its moves gave away. Says so where that cannot be. */

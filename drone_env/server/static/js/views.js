@@ -1,4 +1,5 @@
-// Which view is shown: the hash of the address says it, so that "back" works and a view can be linked.
+// Which view is shown: that of the address.
+import { linkOf } from "./router.js";
 
 const TITLES = {
   watch: "Watch a flight",
@@ -11,18 +12,18 @@ const TITLES = {
 
 /** @param {import("./context.js").Context} context `emit("replay", id)` and `emit("open", view)` change the view. */
 export function mountViews(context) {
-  /** What an address without a view shows: what it opened with, whatever has been looked at since. */
-  const home = context.view;
+  const { router } = context;
+  const links = [...document.querySelectorAll(".views a")];
 
-  function show() {
-    const name = location.hash.slice(1);
-    const view = Object.hasOwn(TITLES, name) ? name : home;
+  function show({ view }) {
     const first = !document.body.dataset.view;
     context.view = view;
     document.body.dataset.view = view;
-    document.getElementById("stage").hidden = view !== "watch" && view !== "race";
-    for (const other of ["replay", "history", "specs", "logs"]) document.getElementById(other).hidden = view !== other;
-    for (const link of document.querySelectorAll(".views a")) {
+    for (const section of document.querySelectorAll("main > section:not(#hello)")) {
+      const shown = section.id === "stage" ? view === "watch" || view === "race" : section.id === `view-${view}`;
+      section.hidden = !shown;
+    }
+    for (const link of links) {
       if (link.dataset.view === view) {
         link.setAttribute("aria-current", "page");
         if (!first) link.scrollIntoView({ block: "nearest", inline: "nearest" });
@@ -30,17 +31,20 @@ export function mountViews(context) {
     }
     document.getElementById("view-title").textContent = TITLES[view];
     document.title = `${TITLES[view]} · Drone Delivery`;
-    if (location.hash) document.getElementById("hello")?.remove();
+    if (view !== "watch") document.getElementById("hello")?.remove();
     context.emit("view", view);
   }
 
-  const open = (view) => {
-    if (location.hash.slice(1) === view) show();
-    else location.hash = view;
-  };
-  // Not "hashchange": browsers leave it out where the link before the hash differs too.
-  window.addEventListener("popstate", show);
-  context.on("open", open);
-  context.on("replay", () => open("replay"));
-  show();
+  for (const link of links) {
+    link.href = linkOf({ view: link.dataset.view, pilots: [] });
+    link.addEventListener("click", (event) => {
+      if (event.ctrlKey || event.metaKey || event.shiftKey) return; // a tab of its own
+      event.preventDefault();
+      router.open(link.dataset.view);
+    });
+  }
+  router.on("address", show);
+  context.on("open", (view) => router.open(view));
+  context.on("replay", (episode) => router.go({ view: "replay", episode }));
+  show(router.address);
 }
