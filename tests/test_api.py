@@ -240,6 +240,7 @@ REQUESTS: dict[tuple[str, str], Any] = {
     ("post", "/replay"): RECORD.model_dump(),
     ("post", "/annotate"): {},
     ("post", "/values"): {"task": "easy", "seed": 7, "actions": ["UP"]},
+    ("get", "/preview.png"): {"task": "easy", "seed": 7, "pilot": "greedy"},
     ("get", "/metadata"): None,
     ("get", "/schema"): None,
     ("post", "/mcp"): {"jsonrpc": "2.0", "id": 1, "method": "tools/list"},
@@ -268,5 +269,5 @@ def test_every_endpoint_there_is_answers(http: TestClient) -> None:
             given = get(http, f"/episodes/{get(http, '/episodes')['episodes'][0]['id']}")
         filled = path.format(**{"env_name": "drone-env", **given})
         body = given if method == "post" and asked is not None else None
-        answer = http.request(method, filled, json=body)
+        answer = http.request(method, filled, json=body, params=given if path == "/preview.png" else None)
         assert answer.status_code == (204 if method == "delete" else 200), (method, path, answer.text)

@@ -1,5 +1,6 @@
 """An episode as a picture: the city from above, and beside it a panel of how the flight stands."""
 
+import io
 import math
 import textwrap
 from collections.abc import Sequence
@@ -36,6 +37,8 @@ STATUS = {
 MIN_SIZE, MAX_SIZE, MAX_TRAIL = 64, 4096, 400  # pixels, pixels, and steps: more would make for slow pictures
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
 PANEL, TEXT = 46, 38  # widths of the panel and of the text in it, in hundredths of the picture's height
+CARD = 1200, 630  # pixels: what is shown beside a link
+ROOM = 0.24  # share of a card's width that is kept for words
 
 
 class Layout(NamedTuple):
@@ -90,6 +93,31 @@ def save_picture(episode: Episode, path: str | Path, size: int = 720) -> None:
     picture = _picture(episode, size)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     picture.save(path)
+
+
+def draw_card(episode: Episode, lines: Sequence[tuple[str, bool]]) -> bytes:
+    """The picture of an episode with words on its left, 1200 by 630 pixels, as a PNG.
+
+    Args:
+        episode: A started episode; it is left as it is.
+        lines: The words from above, one line each, and whether they stand out; there is room for twelve.
+
+    Raises:
+        EpisodeError: before the first reset.
+    """
+    card, room = Image.new("RGB", CARD, PALETTE["backdrop"]), round(ROOM * CARD[0])
+    picture = _picture(episode, CARD[1])
+    picture.thumbnail((CARD[0] - room, CARD[1]))  # wide maps are made smaller
+    card.paste(picture, (CARD[0] - picture.width, (CARD[1] - picture.height) // 2))
+    pen, left, y = ImageDraw.Draw(card), 0.05 * CARD[1], 0.13 * CARD[1]
+    _write(pen, (left, y), "Drone Delivery", 26, "muted", width=room - left)
+    for words, strong in lines:
+        y += 52 if strong else 38
+        height, colour = (36, "ink") if strong else (28, "muted")
+        _write(pen, (left, y), words, height, colour, width=room - left, bold=strong)
+    file = io.BytesIO()
+    card.save(file, "PNG")
+    return file.getvalue()
 
 
 def _picture(episode: Episode, size: int) -> Image.Image:

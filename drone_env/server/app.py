@@ -16,7 +16,6 @@ from pathlib import Path
 from threading import Lock
 
 from drone_env import __version__
-from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, needs
 
 with needs("server", __name__):
@@ -29,14 +28,15 @@ with needs("server", __name__):
     from starlette.routing import WebSocketRoute
 
 from drone_env.envs.registry import load_plugins
+from drone_env.server.hello import hello
 from drone_env.server.live.socket import LiveSocket
-from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.openenv import routes as openenv
 from drone_env.server.openenv.socket import OpenEnvSocket
+from drone_env.server.preview import Previews
 from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.request_log import LogRequests
-from drone_env.server.routes import catalogue, flight, history, replay, step, values
+from drone_env.server.routes import catalogue, flight, history, page, replay, step, values
 from drone_env.server.security import ART, PAGE, protect
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import Shared
@@ -71,6 +71,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None, None]:
         await run_in_threadpool(shared.open)
+        await run_in_threadpool(hello)
         # Seen where uvicorn itself was started; the command has printed it.
         for line in shared.networks.described():
             logging.getLogger("uvicorn.error").info("%s", line)
@@ -98,25 +99,20 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.shared = shared
     app.state.socket = socket
     app.state.live = live
+    app.state.previews = Previews(shared)
     install(app)
     # The first is the innermost.
     protect(app, settings)
     app.add_middleware(LogRequests, log=shared.requests)
-    for routes in (step, flight, catalogue, history, replay, values, openenv):
+    for routes in (step, flight, catalogue, history, replay, values, page, openenv):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
     app.router.routes.append(WebSocketRoute("/live", live))
-    _add_page(app, shared)
+    _add_page(app)
     return app
 
 
-def _add_page(app: FastAPI, shared: Shared) -> None:
-    @app.get("/", include_in_schema=False)
-    async def page() -> FileResponse:
-        # An opened page soon shows what can still be reached, and the first solver compiles for seconds.
-        shared.values.request(get_task(DEFAULT_TASK), 0)
-        return FileResponse(PAGE / "index.html")
-
+def _add_page(app: FastAPI) -> None:
     @app.get("/docs", include_in_schema=False)
     async def docs() -> FileResponse:
         return FileResponse(PAGE / "docs.html")

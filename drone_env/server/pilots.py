@@ -31,6 +31,11 @@ PILOTS: dict[str, Pilot] = {
 }
 
 
+def called(agent: str) -> str:
+    """What people call who has flown: a pilot, a person, or whatever a record names."""
+    return "A person" if agent == HUMAN else PILOTS[agent].name if agent in PILOTS else agent
+
+
 def tasks_of(pilot: str, networks: Networks) -> list[str]:
     """Ids of the tasks that a pilot can fly."""
     return [task.id for task in TASKS.values() if pilot not in SOURCES or networks.flies(pilot, task)]

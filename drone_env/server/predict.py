@@ -135,6 +135,14 @@ class Networks:
             raise CheckpointError(str(found))
         return NETWORK_AGENTS[SOURCES[source].agent].make(task, found) if isinstance(found, Path) else found
 
+    def stamp_of(self, source: str, task: TaskConfig) -> object:
+        """What changes with the file that a source flies a task by; None where there is no file.
+
+        Raises:
+            OSError: if the system does not tell.
+        """
+        return stamp(self._file(source, task))
+
     def described(self) -> list[str]:
         """Lines for the start of the server: which network flies which tasks, which files are refused."""
         tasks: dict[str, list[str]] = {}

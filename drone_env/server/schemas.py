@@ -3,11 +3,13 @@
 from dataclasses import fields
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, JsonValue, create_model, model_validator
 from typing_extensions import Self
 
+from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
-from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES
+from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES, RewardProfile, tabulate_rewards
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.finished import EpisodeSummary, check_agent
 from drone_env.episodes.statistics import Analysis
@@ -26,6 +28,8 @@ from drone_env.models import (
 )
 
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
+STAYING = (Event.WALL, Event.BLOCKED, Event.WAIT)
+"""Events after which the drone is as far from its target as before."""
 STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
 
 
@@ -167,6 +171,10 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
     drain: dict[str, int] = Field(description="Battery units per step above a kind of cell; 1 where not named.")
     impassable: list[str] = Field(description="Kinds of cells that the drone cannot enter.")
     charge_rate: int = Field(description="Battery units that waiting on a pad adds.")
+    rewards: dict[str, dict[str, list[float]]] = Field(
+        description="What a step with each event pays, by reward profile; none where it pays for no events. Where the "
+        "drone moves: farther from its target, as far, and closer; where it stays, one number."
+    )
     published: bool = Field(description="Whether it is one of the three tasks of the OpenEnv manifest.")
 
     @classmethod
@@ -177,8 +185,15 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
             name=task.id,
             drain={CELL_KINDS[cell].name: units for cell, units in task.drain},
             impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
+            rewards={profile.id: _event_rewards(task, profile) for profile in REWARD_PROFILES.values()},
             published=published,
         )
+
+
+def _event_rewards(task: TaskConfig, profile: RewardProfile) -> dict[str, list[float]]:
+    table = np.reshape(np.asarray(tabulate_rewards(task, profile).events), (-1, 3))
+    paid = [event for event in Event if event is not Event.NONE and table.any()]
+    return {event.name.lower(): (table[event, 1:2] if event in STAYING else table[event]).tolist() for event in paid}
 
 
 class ProfileInfo(Message):

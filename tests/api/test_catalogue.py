@@ -28,6 +28,7 @@ from tests.api.networks import put_network, put_tour, put_trained
 from tests.tools import reserved_port
 
 Header = dict[str, str]
+JSON = "application/json"
 
 
 class TestLogs:
@@ -227,10 +228,31 @@ def test_every_route_describes_its_answers_and_its_errors(client: TestClient) ->
             for status, answer in route["responses"].items():
                 if status == "204":
                     continue
-                content = answer["content"]["application/json"]["schema"]
+                content = answer["content"]["image/png" if status == "200" and path.endswith(".png") else JSON][
+                    "schema"
+                ]
                 assert content, (path, method, status)
                 if status.startswith(("4", "5")):
                     assert content == {"$ref": "#/components/schemas/Problem"}, (path, method, status)
+
+
+def test_what_tasks_tell_of_rewards_is_what_steps_pay(shared_client: TestClient) -> None:
+    paid: set[tuple[str, int]] = set()
+    for told in shared_client.get("/tasks").json()["tasks"]:
+        assert told["rewards"]["aligned"] == told["rewards"]["score"] == {}
+        for profile in ("tiered", "composite"):
+            episode, chance = Episode(told["id"], profile, 7), np.random.default_rng(7)
+            while not episode.ended:
+                before, target = episode.position, episode.target
+                reward = episode.step(int(chance.integers(5)))
+                pays = told["rewards"][profile][episode.event.name.lower()]
+                assert target is not None
+                (x, y), (was_x, was_y) = episode.position, before
+                far = abs(x - target[0]) + abs(y - target[1])
+                closer = abs(was_x - target[0]) + abs(was_y - target[1]) - far
+                assert reward == pays[closer + 1 if len(pays) == 3 else 0]
+                paid.add((episode.event.name, len(pays)))
+    assert {("STEP", 3), ("TREE", 3), ("WAIT", 1), ("WALL", 1)} <= paid
 
 
 class TestClientInProcess:

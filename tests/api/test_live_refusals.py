@@ -208,7 +208,7 @@ def test_a_full_house_of_pages_is_told_so(tmp_path: Path) -> None:
         (shown,) = page.start("greedy")
         with client.websocket_connect("/live") as late, pytest.raises(WebSocketDisconnect) as closed:
             late.receive_text()
-        assert closed.value.code == 1013
+        assert (closed.value.code, closed.value.reason) == (1013, "too many pages are open")
         page.send("start", task="easy", pilots=["greedy", "random"], seed=7)
         message = json.loads(socket.receive_text())
         while message["type"] != "error":

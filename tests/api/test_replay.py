@@ -69,6 +69,19 @@ def test_a_record_that_does_not_fit_its_flight_is_refused(
     assert answer.json()["detail"]
 
 
+@pytest.mark.parametrize("path", ["/replay", "/annotate"])
+def test_what_is_no_flight_is_told_what_one_is(shared_client: TestClient, path: str) -> None:
+    for given, missing in (({}, "task, task_version, seed, "), ({**record().model_dump(), "agent": None}, None)):
+        answer = shared_client.post(path, json=given)
+        assert answer.status_code == 422
+        detail = answer.json()["detail"]
+        assert ("drone-env fly --record FILE writes it" in detail) == (missing is not None)
+        assert missing is None or f"; missing here: {missing}" in detail
+        assert "Field required" not in detail
+    lacking = {name: value for name, value in record().model_dump().items() if name != "seed"}
+    assert shared_client.post(path, json=lacking).json()["detail"].endswith("; missing here: seed")
+
+
 @pytest.mark.parametrize(("task", "agent"), [("hard", "random"), ("medium", "pathqnet"), ("skyline_easy", "greedy")])
 def test_an_annotation_is_the_analysis_beside_a_best_flight(shared_client: TestClient, task: str, agent: str) -> None:
     flown = record(task, agent=agent)

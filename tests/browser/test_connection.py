@@ -11,6 +11,8 @@ import pytest
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect
 
 from drone_env.episodes.store import Store
+from drone_env.server.incoming import TRY_LATER
+from drone_env.server.live.socket import TOO_MANY_PAGES
 from tests.api.serving import Server, serving
 from tests.browser.flights import flown, frames
 from tests.browser.stage import counter, expect_frame, fastest, fly, results, slow, view
@@ -203,3 +205,15 @@ def test_a_server_that_ends_each_connection_is_asked_five_times_and_then_when_th
         expect(page.get_by_role("alert").filter(has_text="The server is away. Your flight is kept.")).to_be_visible()
         page.clock.run_for(1000)
         until(page, lambda: len(connections) == 8)
+
+
+def test_a_full_server_is_called_full(browser: Browser, server: Server) -> None:
+    """It is not away, and what it has no room for is not kept."""
+    with Tabs(browser, server.url) as tabs:
+        page = tabs.open(go=False, reduced_motion="reduce")
+        page.route_web_socket("**/live", lambda socket: socket.close(code=TRY_LATER, reason=TOO_MANY_PAGES))
+        page.goto("/?task=hard&seed=7&pilot=greedy")
+        banner = page.get_by_role("alert").filter(has_text="The server is full (too many pages are open).")
+        expect(banner).to_contain_text("Trying again")
+        expect(page.locator("#banner-text")).not_to_contain_text("kept")
+        expect(page.locator("#connection")).to_have_text("Server full")

@@ -95,6 +95,37 @@ def test_back_goes_back_though_the_link_has_changed(page: Page) -> None:
     expect(page.locator(".card")).to_have_count(4)
 
 
+def test_the_bare_address_has_a_flight_that_moves_by_itself_until_one_is_flown(
+    beside: Callable[[str], Page], shared: Tabs
+) -> None:
+    shared.expect("was preloaded")  # for the script that is kept out at first
+    page = beside("")
+    page.emulate_media(reduced_motion="no-preference")
+    page.route("**/main.js", lambda route: route.fulfill(body="", content_type="text/javascript"))
+    page.goto("/")
+    drone = page.locator("#hello .hello-drone")
+    places = {str(drone.bounding_box()) for _ in range(5) if not page.wait_for_timeout(100)}
+    assert len(places) > 1, "it moves without a script"
+    page.emulate_media(reduced_motion="reduce")
+    assert drone.evaluate("drone => drone.getAnimations().length") == 0
+    page.unroute("**/main.js")
+    page.goto("/")
+    hello = page.locator("#hello")
+    expect(hello.get_by_role("link", name="Race the network")).to_be_visible()
+    expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
+    expect(hello).to_be_visible()
+    page.get_by_role("button", name="Step", exact=True).click()
+    expect(hello).to_have_count(0)
+    page.goto("/")
+    view(page, "Specifications")
+    expect(hello).to_have_count(0)
+    page.goto("/")
+    hello.get_by_role("link", name="Fly it yourself").click()
+    expect(page.locator("#step-counter")).to_have_text("Step 0 of 100")
+    expect(page.get_by_role("radio", name="You")).to_be_checked()
+    expect(hello).to_have_count(0)
+
+
 def test_back_and_reload_show_what_the_address_says(page: Page, server: Server) -> None:
     ids: list[str] = []
     with httpx.Client(base_url=server.url) as http:

@@ -168,7 +168,7 @@ def test_bad_files_are_refused_in_words(page: Page, shared: Tabs, record: Episod
         ("list.json", "[1]", "is not the record of a flight"),
         ("two.jsonl", f"{record.to_json()}\n{{oops\n", "two.jsonl, line 2 is not JSON"),
         ("forged.json", json.dumps(forged), "does not fit its flight: score 0.99"),
-        ("other.json", "{}", "task"),
+        ("other.json", "{}", "this is not a flight: one is a JSON object"),
     ):
         dropped(page, name, text)
         expect(problem).to_contain_text(says)

@@ -1,5 +1,6 @@
 """The technical specifications: what the page shows is what `/tasks` and `/kinds` say."""
 
+import re
 from collections.abc import Callable
 
 import httpx
@@ -16,7 +17,14 @@ def table(page: Page, name: str) -> dict[str, list[str]]:
     rows = page.get_by_role("table", name=name).evaluate(
         "table => [...table.rows].map(row => [...row.cells].map(cell => cell.textContent))"
     )
-    return {row[0]: row[1:] for row in rows}
+    found: dict[str, list[str]] = {}
+    profile = ""
+    for name, *cells in rows:
+        if not cells:
+            paid = re.match(r"Rewards per step \((\w+)\)", name)
+            profile = f", {paid[1]}" if paid else ""
+        found[name + profile] = cells
+    return found
 
 
 @pytest.mark.feature("D4")
@@ -38,8 +46,10 @@ def test_the_levels_stand_side_by_side_as_the_server_tells_them(page: Page, serv
         }
         for row, name in numbers.items():
             assert shown[row] == [str(task[name]) for task in levels]
-        for row, name in (("Delivery", "r_delivery"), ("Step", "r_step"), ("Battery empty", "r_battery_dead")):
-            assert shown[row] == [f"{task[name]:.2f}" for task in levels]
+        for row, event in (("Delivery", "delivery"), ("Above a tree", "tree"), ("Wait", "wait")):
+            for profile in ("tiered", "composite"):
+                pays = [" / ".join(f"{pay:.2f}" for pay in task["rewards"][profile][event]) for task in levels]
+                assert shown[f"{row}, {profile}"] == pays
         assert shown["Battery"] == [f"{task['battery_capacity']} units" for task in levels]
         if family == "City":
             assert shown["Grid"] == ["10 × 10", "14 × 14", "18 × 18"]
@@ -88,3 +98,16 @@ def test_the_legend_tells_what_each_kind_of_cell_does(page: Page, server: Server
     legend = page.get_by_role("region", name="Legend")
     expect(legend.locator("dt")).to_have_text([f"{kind['emoji']}{kind['name']}" for kind in kinds])
     expect(legend.locator("dd")).to_have_text([kind["effect"] for kind in kinds])
+
+
+def test_help_says_of_buildings_and_rewards_what_the_server_does(page: Page, server: Server) -> None:
+    told = httpx.get(f"{server.url}/tasks").json()
+    page.get_by_role("button", name="Keys and help").click()
+    dialog = page.get_by_role("dialog", name="Mission control")
+    facts = dict(zip(*(dialog.locator(f".costs {part}").all_inner_texts() for part in ("dt", "dd")), strict=True))
+    for profile in told["reward_profiles"]:
+        assert facts.pop(f"Rewards {profile['id']}") == profile["summary"]
+    drains = "a step above a building drains 3 units of battery; a step above a tree drains 2 units of battery"
+    assert facts == {"Skyline": f"{drains}; cannot be entered: obstacle"}
+    expect(dialog).not_to_contain_text("cost reward")
+    page.keyboard.press("Escape")

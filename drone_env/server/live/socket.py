@@ -34,6 +34,7 @@ log = logging.getLogger(__name__)
 
 PROTOCOL = "drone-env"
 """The subprotocol that browsers offer beside `bearer.TOKEN`: they cannot send headers with a WebSocket."""
+TOO_MANY_PAGES = "too many pages are open"
 SPEED = 6.0
 FEED_SECONDS = 0.25
 Opened = list[tuple[LiveEpisode, ShownEpisode]]
@@ -58,7 +59,7 @@ class LiveSocket:
         # Where the other side has gone there is nobody left to tell.
         with suppress(WebSocketDisconnect, OSError):
             if len(self.pages) >= self.shared.settings.capacity:
-                await socket.close(TRY_LATER, "too many pages are open: try again later")
+                await socket.close(TRY_LATER, TOO_MANY_PAGES)
                 return
             page = Page(socket, self.shared)
             self.pages.add(page)

@@ -1,10 +1,10 @@
 // Says how the connection is: a dot in the top bar, and a banner while the server is away.
 import { announce, setText } from "./dom.js";
 
-const WORDS = { connecting: "Connecting", open: "Live", away: "Server away", refused: "Refused" };
+const WORDS = { connecting: "Connecting", open: "Live", away: "Server away", full: "Server full", refused: "Refused" };
 
 /** @param {import("./context.js").Context} context */
-export function mountConnection({ live }) {
+export function mountConnection({ live, players }) {
   const dot = document.getElementById("connection");
   const banner = document.getElementById("banner");
   const text = document.getElementById("banner-text");
@@ -14,7 +14,7 @@ export function mountConnection({ live }) {
   document.getElementById("banner-retry").addEventListener("click", () => live.connect());
   live.on("state", ({ state, wait, reason }) => {
     clearInterval(countdown);
-    dot.dataset.state = state === "refused" ? "away" : state;
+    dot.dataset.state = state === "open" || state === "connecting" ? state : "away";
     setText(dot.lastElementChild, WORDS[state]);
     if (state === "open") {
       if (!banner.hidden) announce("The server is back.");
@@ -22,13 +22,14 @@ export function mountConnection({ live }) {
       return;
     }
     const why = reason ? ` (${reason})` : "";
+    const kept = players.some((player) => player.last && !player.last.done) ? " Your flight is kept." : "";
     const until = Date.now() + wait;
-    setText(
-      text,
-      state === "refused"
-        ? `The server refused the connection${why}.`
-        : `The server is away${why}. Your flight is kept.`,
-    );
+    const words = {
+      refused: `The server refused the connection${why}.`,
+      full: `The server is full${why}.`,
+      away: `The server is away${why}.${kept}`,
+    };
+    setText(text, words[state]);
     // Counted down for the eye alone: a screen reader would say every second of it.
     const say = () => {
       const seconds = Math.ceil((until - Date.now()) / 1000);
@@ -36,6 +37,6 @@ export function mountConnection({ live }) {
     };
     say();
     banner.hidden = false;
-    if (state === "away") countdown = setInterval(say, 500);
+    if (wait) countdown = setInterval(say, 500);
   });
 }

@@ -11,7 +11,7 @@ const STEADY = 10_000;
 const MOST_ENDED = 5;
 
 /**
- * @typedef {"connecting"|"open"|"away"|"refused"} LinkState
+ * @typedef {"connecting"|"open"|"away"|"full"|"refused"} LinkState
  *
  * Events: every message type of the server ("missions", "frames", ...) with the message, and "state" with
  * {state: LinkState, wait: milliseconds until the next try, reason}.
@@ -98,7 +98,7 @@ export class Live extends Emitter {
     const wait = WAITS[Math.min(this.failures, WAITS.length - 1)];
     this.failures += 1;
     this.timer = setTimeout(() => this.connect(), wait);
-    this.change("away", wait, event.reason);
+    this.change(event.code === TRY_LATER ? "full" : "away", wait, event.reason);
   }
 
   change(state, wait, reason) {

@@ -21,18 +21,20 @@ const WORLD = [
   ["Battery", (t) => `${t.battery_capacity} units`],
   ["A step drains", (t) => `1 unit${drains(t.drain)}`],
 ];
-const reward = (name) => (t) => fixed(t[name]);
-const REWARDS = [
-  ["Delivery", reward("r_delivery")],
-  ["Step", reward("r_step")],
-  ["Wait", reward("r_wait")],
-  ["Above a building", reward("r_building")],
-  ["Above a tree", reward("r_tree")],
-  ["Above an obstacle", reward("r_obstacle")],
-  ["Against the wall", reward("r_wall")],
-  ["Way blocked", reward("r_blocked")],
-  ["Battery empty", reward("r_battery_dead")],
+const EVENTS = [
+  ["Delivery", "delivery"],
+  ["Step", "step"],
+  ["Wait", "wait"],
+  ["Above a building", "building"],
+  ["Above a tree", "tree"],
+  ["Above an obstacle", "obstacle"],
+  ["Against the wall", "wall"],
+  ["Way blocked", "blocked"],
+  ["Battery empty", "battery_dead"],
 ];
+/** What a profile pays for each event: farther from the target, as far, and closer. */
+const paid = (profile) =>
+  EVENTS.map(([name, event]) => [name, (t) => t.rewards[profile]?.[event]?.map((pay) => fixed(pay)).join(" / ") ?? NONE]);
 const IDENTITY = [
   ["Id", (t) => t.id],
   ["Version", (t) => t.version],
@@ -71,7 +73,9 @@ function specifications(family, tasks) {
     `Technical specifications of the ${family} levels`,
     columns,
     group("World", WORLD, tasks),
-    group("Rewards per step (tiered)", REWARDS, tasks),
+    ...Object.keys(tasks[0].rewards)
+      .filter((profile) => Object.keys(tasks[0].rewards[profile]).length)
+      .map((profile) => group(`Rewards per step (${profile}): farther / as far / closer`, paid(profile), tasks)),
     group("Identity", IDENTITY, tasks),
   );
 }

@@ -43,7 +43,7 @@ export function mountStage(context) {
     maps: () => deck.maps,
     charts: () => (deck.maps.length > 1 ? [timeline.canvas, chart] : [timeline.canvas]),
   });
-  const help = mountHelp();
+  const help = mountHelp(context);
   mountKeys(context, fleet, { help });
   mountGhost(context, deck);
   mountResults(context, fleet);
@@ -59,6 +59,10 @@ export function mountStage(context) {
   context.on("ended", (i) => {
     if (context.players.filter((player) => !player.empty).length > 1) explain(context, context.players[i]);
   });
+  // The flight that the server has put above the stage has said its word once one is flown here.
+  for (const player of context.players) {
+    player.on("frames", () => player.last?.step && document.getElementById("hello")?.remove());
+  }
   context.on("view", () => follow(context, fleet));
   return fleet;
 }

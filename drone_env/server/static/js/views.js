@@ -19,7 +19,7 @@ export function mountViews(context) {
     const first = !document.body.dataset.view;
     context.view = view;
     document.body.dataset.view = view;
-    for (const section of document.querySelectorAll("main > section")) {
+    for (const section of document.querySelectorAll("main > section:not(#hello)")) {
       const shown = section.id === "stage" ? view === "watch" || view === "race" : section.id === `view-${view}`;
       section.hidden = !shown;
     }
@@ -31,6 +31,7 @@ export function mountViews(context) {
     }
     document.getElementById("view-title").textContent = TITLES[view];
     document.title = `${TITLES[view]} · Drone Delivery`;
+    if (view !== "watch") document.getElementById("hello")?.remove();
     context.emit("view", view);
   }
 

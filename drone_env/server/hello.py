@@ -1,0 +1,170 @@
+"""What a visitor sees first: a map with a recorded flight that moves before any script has run.
+
+`hello.json` is a flight of the tour network over map 43 of skyline_medium. Of the maps below 100 of hard and of
+skyline_medium it is the one on which greedy loses most, 75 points of 95: its battery is empty after one parcel of four.
+The network flies there as well as can be.
+"""
+
+import re
+from functools import cache
+from html import escape
+from itertools import pairwise
+from typing import NamedTuple
+from zlib import crc32
+
+import numpy as np
+
+from drone_env.core.cells import CELL_KINDS, Cell
+from drone_env.core.episode import Episode
+from drone_env.episodes.record import EpisodeRecord, replay
+from drone_env.server.links import Link
+from drone_env.server.pilots import HUMAN, PILOTS
+from drone_env.server.security import ART, PAGE
+
+RIVALS = (HUMAN, "tournet", "greedy")
+SECOND, PAUSE = 4, 8
+"""Steps that are flown in a second, and how many the end of the flight is seen for."""
+UNIT = 100
+"""Of the picture, for the side of a cell: what the sheet of figures has."""
+FIELD = 180
+"""Side of a figure's field on the sheet."""
+VARIETY = {Cell.BUILDING: 4, Cell.TREE: 4}
+"""How many figures of a kind stand on the map; the sheet has more, but each makes the page larger."""
+
+
+class Hello(NamedTuple):
+    """The flight as the page has it."""
+
+    flight: Link
+    section: str
+    """HTML."""
+    motion: str
+    """The style sheet by which it moves."""
+
+
+@cache
+def hello() -> Hello:
+    """The recorded flight, flown by the rules once.
+
+    Raises:
+        InvalidValueError: if the record does not fit its flight.
+    """
+    record = EpisodeRecord.read((PAGE / "hello.json").read_bytes(), "hello.json is not a record")
+    episode = replay(record)
+    flight = Link(task=episode.task.short_name, seed=episode.seed, pilot=record.agent)
+    return Hello(flight, _section(flight, episode), _motion(episode))
+
+
+def _section(flight: Link, episode: Episode) -> str:
+    yourself = flight.model_copy(update={"pilot": HUMAN})
+    race = Link(task=flight.task, seed=flight.seed, pilots=",".join(RIVALS))
+    score = f"scored {100 * episode.score:.1f}, and nobody can do better on this map."
+    who = f"{PILOTS[flight.pilot].name}, the network that flies here,"
+    return f"""<section id="hello" class="hello" aria-labelledby="hello-title">
+<div class="hello-words">
+<h2 id="hello-title">Deliver all parcels before the battery is empty: {who} {score}</h2>
+<p class="hello-actions"><a class="button primary" href="?{escape(yourself.query())}">Fly it yourself</a>
+<a class="button" href="?{escape(race.query())}">Race the network</a></p>
+</div>
+{_picture(episode)}
+</section>"""
+
+
+def _picture(flown: Episode) -> str:
+    """The map at the start of a flight, with its way, as inline SVG. The policy of the page allows it no styles."""
+    start, task = Episode(flown.task, seed=flown.seed), flown.task
+    grid = start.grid()
+    grid[start.position[::-1]] = start.under
+    city = [
+        _use(_figure(Cell(kind), x, y), x, y)
+        for (y, x), kind in np.ndenumerate(grid)
+        if kind not in (Cell.ROAD, Cell.DELIVERY)
+    ]
+    parcels = [
+        _use(name, x, y, f"hello-{name} hello-{name}{number}")
+        for number, (x, y, _) in enumerate(start.parcels)
+        for name in ("parcel", "delivered")
+    ]
+    wide, high = task.width * UNIT, task.height * UNIT
+    lines = [f"M{at} 0V{high}" for at in range(UNIT, wide, UNIT)] + [
+        f"M0 {at}H{wide}" for at in range(UNIT, high, UNIT)
+    ]
+    way = " ".join(f"{x},{y}" for x, y in _way(flown))
+    length = sum(move != (0, 0) for move in _moves(_way(flown)))
+    drone = _use("drone", *start.position, "hello-drone")
+    drawn = [*city, *parcels, drone]
+    figures = _figures({name for use in drawn for name in re.findall(r'#hello-(\w+)"', use)})
+    return f"""<svg class="hello-map" viewBox="-20 -20 {wide + 40} {high + 40}" role="img" \
+aria-label="A drone flies over a city and delivers {task.deliveries} parcels">
+<defs>{figures}</defs>
+<rect class="hello-ground" width="{wide}" height="{high}" rx="12"/><path class="hello-grid" d="{"".join(lines)}"/>
+{"".join(city)}<rect class="hello-night" width="{wide}" height="{high}" rx="12"/>
+<polyline class="hello-way" points="{way}" pathLength="{length}"/>
+{"".join(parcels)}{drone}
+</svg>"""
+
+
+def _figures(names: set[str]) -> str:
+    """Figures of the sheet as symbols, with the shadows that they cast."""
+    sheet = (ART / "figures.svg").read_text(encoding="utf-8")
+    shadows = re.findall("<filter .*?</filter>", sheet)
+    found = dict(re.findall(r'<svg id="(\w+)".*?>(.*?)</svg>', sheet, re.DOTALL))
+    box = f'viewBox="{-FIELD / 2:g} {-FIELD / 2:g} {FIELD} {FIELD}"'
+    symbols = [f'<symbol id="hello-{name}" {box}>{found[name]}</symbol>' for name in sorted(names)]
+    return re.sub(r">\s+<", "><", "".join([*shadows, *symbols]))
+
+
+def _figure(kind: Cell, x: int, y: int) -> str:
+    """The name of a figure: of a building there are several."""
+    several = VARIETY.get(kind)
+    return f"{CELL_KINDS[kind].name}{'' if several is None else crc32(bytes((x, y))) % several}"
+
+
+def _use(figure: str, x: int, y: int, names: str = "") -> str:
+    """A figure in a cell. What moves is placed by a transform, which a style replaces."""
+    left, top = x * UNIT + (UNIT - FIELD) // 2, y * UNIT + (UNIT - FIELD) // 2
+    at = f'class="{names}" ' if names else ""
+    return f'<use {at}href="#hello-{figure}" x="{left}" y="{top}" width="{FIELD}" height="{FIELD}"/>'
+
+
+def _way(flown: Episode) -> list[tuple[int, int]]:
+    """The middle of the drone's cell at the start and after each step."""
+    start = Episode(flown.task, seed=flown.seed).position
+    cells = [start, *((step.x, step.y) for step in flown.path)]
+    return [(x * UNIT + UNIT // 2, y * UNIT + UNIT // 2) for x, y in cells]
+
+
+def _moves(way: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """How far the drone comes in each step: to the right, and down."""
+    return [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(way)]
+
+
+def _motion(flown: Episode) -> str:
+    """Keyframes at the steps of the flight, for those who do not ask for less motion."""
+    way, whole = _way(flown), flown.steps + PAUSE
+    moves = _moves(way)
+    turns = [0, *(step for step in range(1, flown.steps) if moves[step] != moves[step - 1]), flown.steps]
+
+    def at(step: int) -> str:
+        share = f"{100 * step / whole:.2f}%"
+        return f"{share},100%" if step == flown.steps else share
+
+    def ahead(step: int) -> int:
+        return sum(move != (0, 0) for move in moves[step:])
+
+    frames = {
+        "drone": [
+            f"{at(n)}{{transform:translate({way[n][0] - way[0][0]}px,{way[n][1] - way[0][1]}px)}}" for n in turns
+        ],
+        "way": [f"{at(n)}{{stroke-dashoffset:{ahead(n)}}}" for n in turns],
+    }
+    for number, (x, y, _) in enumerate(flown.parcels):
+        delivered = next(step for step, flew in enumerate(flown.path, 1) if (flew.x, flew.y) == (x, y))
+        frames[f"parcel{number}"] = ["0%{opacity:1}", f"{at(delivered)}{{opacity:0}}"]
+        frames[f"delivered{number}"] = ["0%{opacity:0}", f"{at(delivered)}{{opacity:1}}"]
+    rules = [f".hello-way{{stroke-dasharray:{ahead(0)}}}"]
+    for name, steps in frames.items():
+        pace = "linear" if name in ("drone", "way") else "step-end"
+        rules.append(f".hello-{name}{{animation:hello-{name} {whole / SECOND:g}s {pace} infinite}}")
+        rules.append(f"@keyframes hello-{name}{{{''.join(steps)}}}")
+    return "\n".join(["@media (prefers-reduced-motion: no-preference) {", *rules, "}\n"])

@@ -1,0 +1,101 @@
+"""The page, what stands in its head for sites that show links to it, and the picture beside such a link."""
+
+from functools import partial
+from hashlib import sha256
+from html import escape
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+
+from drone_env.core.tasks import get_task
+from drone_env.errors import DroneEnvError
+from drone_env.server.hello import hello
+from drone_env.server.links import Link, title_of
+from drone_env.server.map_choice import DEFAULT_TASK
+from drone_env.server.pilots import called
+from drone_env.server.problems import answers
+from drone_env.server.security import PAGE
+from drone_env.server.state import Shared, SharedParts
+
+router = APIRouter(tags=["page"])
+PICTURE = {200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}}
+FRESH = "max-age=3600"
+"""How long a picture may be shown unasked: what flies in it may be trained further."""
+NAME = "Drone Delivery"
+ABOUT = "A drone delivers parcels on a generated city grid. Fly it, race a network, and see what every move gave away."
+
+
+@router.get("/", include_in_schema=False)
+def page(request: Request, shared: SharedParts) -> Response:
+    """The page; where its address asks for nothing, with a flight that moves before any script has run."""
+    # An opened page soon shows what can still be reached, and the first solver compiles for seconds.
+    shared.values.request(get_task(DEFAULT_TASK), 0)
+    html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- link -->", _head(request, shared))
+    if not request.url.query:
+        style = '<link rel="stylesheet" href="static/css/hello.css">'
+        html = html.replace("<!-- hello -->", hello().section).replace("</head>", f"{style}\n</head>")
+    return _known(request, html.encode(), "text/html; charset=utf-8")
+
+
+@router.get("/static/css/hello.css", include_in_schema=False)
+def hello_style(request: Request) -> Response:
+    """How that flight is shown, and how it moves."""
+    style = (PAGE / "css" / "hello.css").read_text(encoding="utf-8") + hello().motion
+    return _known(request, style.encode(), "text/css; charset=utf-8")
+
+
+@router.get("/preview.png", response_class=Response, responses=PICTURE | answers(404, 422, 503))
+async def preview(request: Request, shared: SharedParts, link: Annotated[Link, Query()]) -> Response:
+    """The picture for a link to the page with this query: its map, with the flight up to its step.
+
+    A person is not flown for. A flight that is not in the cache is flown, at most to its end, beside those that
+    `/replay` and `/annotate` look at.
+    """
+    previews = request.app.state.previews
+    picture = previews.get(link) or await shared.study(partial(previews.draw, link))
+    return _known(request, picture, "image/png", {"Cache-Control": FRESH})
+
+
+def _known(request: Request, content: bytes, media_type: str, headers: dict[str, str] | None = None) -> Response:
+    """An answer with a strong tag; without its content where the caller has that already."""
+    tag = f'"{sha256(content).hexdigest()[:32]}"'
+    headers = {"ETag": tag, **(headers or {})}
+    if tag in request.headers.get("if-none-match", ""):
+        return Response(status_code=304, headers=headers)
+    return Response(content, media_type=media_type, headers=headers)
+
+
+def _head(request: Request, shared: Shared) -> str:
+    """What sites are told that show a link to this address.
+
+    Where the server wants a token they are told the same of all: who asks has none, and what is flown and stored here
+    is not for everybody.
+    """
+    title, link = _told(request, shared) if shared.settings.token is None else (None, None)
+    told = {"og:type": "website", "og:site_name": NAME, "og:title": title or NAME, "og:description": ABOUT}
+    if link is not None:
+        told["og:image"] = f"{request.base_url}preview.png?{link.query()}"
+        told |= {"og:image:width": "1200", "og:image:height": "630"}
+    told["twitter:card"] = "summary" if link is None else "summary_large_image"
+    lines = [
+        f'<meta {"name" if name.startswith("twitter") else "property"}="{name}" content="{escape(text)}">'
+        for name, text in told.items()
+    ]
+    return "\n".join(lines)
+
+
+def _told(request: Request, shared: Shared) -> tuple[str | None, Link]:
+    """The title of what the address leads to, and the link whose picture goes with it.
+
+    What leads to no flight has no title, and the picture of the flight on the page: what is wrong with an address,
+    the page itself says.
+    """
+    try:
+        link = Link.of(request.query_params)
+        if link.episode:
+            record = shared.store.episode(link.episode).record
+            return title_of(record.task, record.seed, [called(record.agent)], link.step), link
+        link.check()
+        return link.title(), link
+    except DroneEnvError:
+        return None, hello().flight

@@ -1,0 +1,240 @@
+"""The page as sites see it that show links to it: its head, the picture of a link, and the flight before any script."""
+
+import io
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+from starlette.testclient import TestClient
+
+from drone_env.agents import make_agent
+from drone_env.core.episode import Episode
+from drone_env.core.rollout import rollout
+from drone_env.core.tasks import get_task
+from drone_env.envs.rendering import draw_card
+from drone_env.episodes.record import EpisodeRecord, record_of, replay
+from drone_env.planning.optimal import solve
+from drone_env.server import preview
+from drone_env.server.app import create_app
+from drone_env.server.hello import hello
+from drone_env.server.links import Link
+from drone_env.server.preview import Previews
+from drone_env.server.security import PAGE
+from drone_env.server.settings import Settings
+from drone_env.server.state import Shared
+from tests.api.networks import put_trained
+
+
+def flown(task: str, seed: int, agent: str, steps: int | None = None) -> Episode:
+    pilot, episode = make_agent(agent, get_task(task)), Episode(task, "tiered", seed)
+    pilot.reset(seed)
+    whole = rollout(episode.copy(), pilot.act)
+    return episode.fly(whole.actions[:steps])
+
+
+class Meta(HTMLParser):
+    """The `meta` elements of a page, by name."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.found: dict[str, str] = {}
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        name = given.get("property") or given.get("name")
+        if tag == "meta" and name:
+            self.found[name] = str(given["content"])
+
+
+def told(client: TestClient, address: str, **headers: str) -> dict[str, str]:
+    return Meta(client.get(address, headers=headers).text).found
+
+
+class TestPreview:
+    def test_it_is_the_picture_of_the_flight_up_to_the_step(self, shared_client: TestClient) -> None:
+        answer = shared_client.get("/preview.png?task=hard&seed=7&pilot=greedy&step=9")
+        assert answer.headers["Content-Type"] == "image/png"
+        assert Image.open(io.BytesIO(answer.content)).size == (1200, 630)
+        episode = flown("hard", 7, "greedy", 9)
+        assert answer.content == draw_card(episode, [("Greedy", True), ("step 9", False)])
+
+    def test_an_ended_flight_has_its_score_and_the_optimum_beside_it_and_a_person_is_not_flown_for(
+        self, shared_client: TestClient
+    ) -> None:
+        answer = shared_client.get("/preview.png?task=hard&seed=7&pilots=greedy,human&step=1000")
+        episode = flown("hard", 7, "greedy")
+        words = [("Greedy", True), (f"score {100 * episode.score:.1f}", False), ("You", True), ("at the start", False)]
+        best = f"optimum {100 * solve('hard', 7).score:.1f}"
+        assert answer.content == draw_card(episode, [*words, ("", False), (best, False)])
+        map_alone = shared_client.get("/preview.png?task=hard&seed=7").content
+        assert map_alone == draw_card(Episode("hard", seed=7), [])
+
+    def test_a_stored_flight_is_shown_as_it_was_flown(self, client: TestClient) -> None:
+        record = record_of(flown("easy", 5, "random"), "somebody")
+        stored = client.app.state.shared.store.add_episode(record)  # pyright: ignore
+        answer = client.get(f"/preview.png?episode={stored}&step=3&task=hard")
+        assert answer.content == draw_card(flown("easy", 5, "random", 3), [("somebody", True), ("step 3", False)])
+        assert told(client, f"/?episode={stored}")["og:title"] == "somebody: Easy, map 5"
+
+    @pytest.mark.parametrize(
+        ("query", "status", "says"),
+        [
+            ("task=hard", 422, "task=hard&seed=7"),
+            ("task=nowhere&seed=7", 404, "unknown task 'nowhere'; allowed: easy"),
+            ("task=hard&seed=7&pilot=nobody", 404, "unknown pilot 'nobody'"),
+            ("task=hard&seed=7&profile=none", 404, "unknown reward profile 'none'"),
+            ("task=hard&seed=x", 422, "the number of a map is a whole number from 0 to"),
+            ("task=hard&seed=7&step=-1", 422, "step: "),
+            ("task=hard&seed=7&pilots=greedy,greedy,greedy,greedy,greedy", 422, "at most 4 pilots"),
+            ("task=skyline_easy&seed=7&pilot=pathqnet", 422, "there is no network for 'skyline_easy'"),
+            ("episode=nothing", 404, "unknown episode 'nothing'"),
+        ],
+    )
+    def test_what_is_wrong_is_told(self, shared_client: TestClient, query: str, status: int, says: str) -> None:
+        answer = shared_client.get(f"/preview.png?{query}")
+        assert (answer.status_code, answer.headers["Content-Type"]) == (status, "application/json")
+        assert says in answer.json()["detail"]
+
+    def test_it_is_drawn_once_and_known_by_its_tag(
+        self, client: TestClient, monkeypatch: pytest.MonkeyPatch, settings: dict[str, Any]
+    ) -> None:
+        drawn: list[Link] = []
+        draw = Previews.draw
+        monkeypatch.setattr(Previews, "draw", lambda self, link: drawn.append(link) or draw(self, link))
+        address = "/preview.png?task=easy&seed=7&pilot=greedy"
+        first = client.get(f"{address}&utm_source=a-site")
+        again = client.get(address)
+        assert (len(drawn), again.content) == (1, first.content)
+        assert again.headers["ETag"] == first.headers["ETag"]
+        assert again.headers["Cache-Control"] == "max-age=3600"
+        known = client.get(address, headers={"If-None-Match": first.headers["ETag"]})
+        assert (known.status_code, known.content) == (304, b"")
+        # A network that is trained further flies another flight.
+        for _ in range(2):
+            put_trained(get_task("easy"), settings["data"])
+            assert client.get("/preview.png?task=easy&seed=7&pilot=trained").status_code == 200
+        assert len(drawn) == 3
+
+    def test_no_more_is_kept_than_there_is_room_for(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        previews = Previews(Shared(Settings(data=tmp_path)))
+        links = [Link(task="easy", seed=seed) for seed in range(4)]
+        sizes = [len(previews.draw(link)) for link in links[:2]]
+        monkeypatch.setattr(preview, "MAX_BYTES", 2 * max(sizes))
+        for link in links[2:]:
+            previews.draw(link)
+        kept = [previews.get(link) is not None for link in links]
+        assert kept[:2] == [False, False]
+        assert kept[3]
+
+
+class TestHead:
+    @pytest.mark.parametrize(
+        ("query", "title"),
+        [
+            ("task=hard&seed=7&pilot=pathqnet", "PathQNet: Hard, map 7"),
+            ("task=hard&seed=7&pilot=pathqnet&step=38", "PathQNet: Hard, map 7, step 38"),
+            ("task=skyline_medium&seed=43&pilots=tournet,greedy", "Tournet against Greedy: Skyline Medium, map 43"),
+            ("task=easy&seed=7&pilot=human", "Fly it yourself: Easy, map 7"),
+            ("task=easy&seed=7", "Easy, map 7"),
+        ],
+    )
+    def test_it_tells_of_the_flight_that_the_address_asks_for(
+        self, shared_client: TestClient, query: str, title: str
+    ) -> None:
+        head = told(shared_client, f"/?{query}")
+        assert head["og:title"] == title
+        assert head["twitter:card"] == "summary_large_image"
+        where, _, asked = head["og:image"].partition("?")
+        assert where == "http://testserver/preview.png"
+        assert set(asked.split("&")) == set(query.split("&"))
+
+    @pytest.mark.parametrize("query", ["", "?task=<b>&seed=7", "?seed=x", "?task=hard", "?episode=nothing"])
+    def test_what_leads_to_no_flight_has_the_picture_of_the_flight_on_the_page(
+        self, shared_client: TestClient, query: str
+    ) -> None:
+        head = told(shared_client, f"/{query}")
+        assert head["og:title"] == "Drone Delivery"
+        assert head["og:image"] == f"http://testserver/preview.png?{hello().flight.query()}"
+        assert shared_client.get(head["og:image"]).status_code == 200
+
+    def test_what_callers_write_is_text_there(self, client: TestClient) -> None:
+        name = '"><script>alert(1)</script>'
+        record = record_of(flown("easy", 5, "random"), name)
+        stored = client.app.state.shared.store.add_episode(record)  # pyright: ignore
+        assert "<script>alert" not in client.get(f"/?episode={stored}").text
+        assert told(client, f"/?episode={stored}")["og:title"] == f"{name}: Easy, map 5"
+
+    def test_addresses_are_those_that_callers_see(self, tmp_path: Path) -> None:
+        with TestClient(
+            create_app(Settings(data=tmp_path)), root_path="/drones", base_url="https://a.example"
+        ) as client:
+            assert told(client, "/")["og:image"].startswith("https://a.example/drones/preview.png?task=")
+
+    def test_without_the_token_nothing_is_told_or_shown_of_any_flight(self, tmp_path: Path) -> None:
+        with TestClient(create_app(Settings.model_validate({"data": tmp_path, "token": "s3cret"}))) as client:
+            record = record_of(flown("easy", 5, "random"), "somebody")
+            stored = client.app.state.shared.store.add_episode(record)  # pyright: ignore
+            head = told(client, f"/?episode={stored}")
+            assert (head["og:title"], head["twitter:card"]) == ("Drone Delivery", "summary")
+            assert "og:image" not in head
+            for query in (f"episode={stored}", "task=easy&seed=7"):
+                assert client.get(f"/preview.png?{query}").status_code == 401
+            allowed = client.get("/preview.png?task=easy&seed=7", headers={"Authorization": "Bearer s3cret"})
+            assert allowed.status_code == 200
+
+    def test_the_page_is_known_by_its_tag(self, shared_client: TestClient) -> None:
+        first = shared_client.get("/")
+        assert first.headers["Cache-Control"] == "no-cache"
+        known = shared_client.get("/", headers={"If-None-Match": first.headers["ETag"]})
+        assert (known.status_code, known.content) == (304, b"")
+        other = shared_client.get("/?task=easy&seed=7", headers={"If-None-Match": first.headers["ETag"]})
+        assert other.status_code == 200
+
+
+class TestHello:
+    def test_the_flight_is_as_good_as_can_be_where_greedy_loses_most_of_it(self) -> None:
+        record = EpisodeRecord.read((PAGE / "hello.json").read_bytes(), "")
+        task, seed, best = record.task, record.seed, solve(record.task, record.seed).score
+        assert seed < 100
+        assert record.score == best
+        assert flown(task, seed, record.agent).score == best
+        assert flown(task, seed, "greedy").score < best / 2
+
+    def test_it_stands_on_the_page_of_the_bare_address_alone(self, shared_client: TestClient) -> None:
+        html = shared_client.get("/").text
+        assert html.count('<section id="hello"') == html.count("static/css/hello.css") == 1
+        for query in ("?task=easy&seed=7&pilot=greedy", "?episode=nothing"):
+            html = shared_client.get(f"/{query}").text
+            assert not any(part in html for part in ('id="hello"', "hello.css"))
+
+    def test_its_drone_and_parcels_move_by_the_steps_of_the_record(self, shared_client: TestClient) -> None:
+        record = EpisodeRecord.read((PAGE / "hello.json").read_bytes(), "")
+        episode = Episode(record.task, seed=record.seed)
+        x, y = episode.position
+        path = replay(record).path
+        style = shared_client.get("/static/css/hello.css").text
+        motion = style.partition("@media (prefers-reduced-motion: no-preference)")[2]
+        frames = re.search(r"@keyframes hello-drone\{(.*)\}", motion)
+        assert frames
+        seen = [
+            (float(at), int(right), int(down))
+            for at, right, down in re.findall(
+                r"([\d.]+)%[^{]*\{transform:translate\((-?\d+)px,(-?\d+)px\)\}", frames[1]
+            )
+        ]
+        ended = seen[-1][0]
+        cells = [(x, y), *((step.x, step.y) for step in path)]
+        for at, right, down in seen:
+            step = round(at / ended * len(path))
+            assert (right, down) == (100 * (cells[step][0] - x), 100 * (cells[step][1] - y))
+        assert len(seen) > 10
+        assert motion.count("@keyframes hello-delivered") == record.deliveries
+
+    def test_the_policy_lets_all_of_it_through(self, shared_client: TestClient) -> None:
+        section = re.search('<section id="hello".*?</section>', shared_client.get("/").text, re.DOTALL)
+        assert section
+        assert not re.search(r"<style|<script|style=|\son\w+=", section[0])
