@@ -22,6 +22,8 @@ export class Router extends Emitter {
     this.address = read(location);
     /** The last one with a flight that can be flown: what Watch and Race come back to. */
     this.flight = this.address;
+    /** The last replay. */
+    this.replay = this.address.view === "replay" ? this.address : { view: "replay" };
     window.addEventListener("popstate", () => this.show(read(location)));
   }
 
@@ -32,11 +34,11 @@ export class Router extends Emitter {
     this.show(next);
   }
 
-  /** Goes to another view; to the last flight, where it is one for flying. */
+  /** Goes to another view, to what stood there last. */
   open(view) {
     if (view === "watch") this.go({ ...this.flight, view, pilots: this.flight.pilots.slice(0, 1) });
     else if (view === "race") this.go({ ...this.flight, view, pilots: [] });
-    else this.go({ view });
+    else this.go(view === "replay" ? this.replay : { view });
   }
 
   /** Says what is flown: a new entry for Back, unless the present address left open just this. @param {Partial<Address>} flown */
@@ -49,6 +51,7 @@ export class Router extends Emitter {
 
   show(address) {
     this.address = address;
+    if (address.view === "replay") this.replay = address;
     if (FLYING.has(address.view) && address.task !== null) this.flight = address;
     this.emit("address", address);
   }
