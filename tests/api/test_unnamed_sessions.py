@@ -140,5 +140,5 @@ class TestUnnamed:
 
     def test_all_workers_know_their_session(self, start: Callable[..., TestClient]) -> None:
         one, other = start(), start()
-        one.post("/reset")
+        one.post("/reset", json={"seed": 7})  # on some maps one step delivers, and the next is none
         assert [worker.post("/step", json=UP).json()["step_count"] for worker in (other, one)] == [1, 2]
