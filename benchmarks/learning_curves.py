@@ -53,7 +53,7 @@ def main() -> None:
     colours: dict[str, str] = {}
     for task, axes in zip(TASKS, panels, strict=True):
         for name, seconds, share in [of_tour_network(*run, task) for run in runs] + of_peers(arguments.peers, task):
-            label = name if name not in colours or axes is not panels[0] else None
+            label = None if name in colours else name
             colour = colours.setdefault(name, f"C{len(colours)}")
             axes.plot(seconds, share, color=colour, label=label, linewidth=1.4)
         key = episodes_key(get_task(task), "greedy", split_seeds("validation", 200), "validation")

@@ -10,7 +10,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode, Observation
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
-from drone_env.planning.from_observation import episode_of
+from drone_env.planning.from_observation import episode_of, require_observations
 
 TARGET_TELEMETRY = (3, 4)
 """Where the target stands in the telemetry. Of equally near parcels it is the first by number, which nobody sees."""
@@ -64,11 +64,13 @@ class PlannedAgent(ABC):
         """The next actions of the plans, int64[N]. The first call makes them: no parcel may be delivered yet.
 
         Raises:
-            InvalidValueError: if they are not as many as the maps that `reset_batch` was told of.
+            InvalidValueError: if they are no observations of the task, or not as many as the maps that `reset_batch`
+                was told of.
         """
         if len(grids) != len(self.seeds):
             raise InvalidValueError(f"reset_batch was told of {len(self.seeds)} maps, and these are {len(grids)}")
         if self._plans is None:
+            require_observations(self.task, grids, telemetry)
             self._plans = iter(self.plan_all(grids, telemetry).T)
         return next(self._plans, np.full(len(grids), Action.WAIT))
 

@@ -75,9 +75,6 @@ def step(tables: Tables, rewards: Rewards, grid: Buffer, state: Buffer, action: 
     if under == DELIVERY_CELL:
         deliver(tables, state)
         happened = DELIVERY
-        if far == 0:
-            choose_target(tables, state)
-        state[OUTCOME] = outcome(tables, state)
     elif battery == 0 or steps == tables.max_steps:
         state[OUTCOME] = outcome(tables, state)
         if state[OUTCOME] == BATTERY_DEAD:
@@ -87,12 +84,15 @@ def step(tables: Tables, rewards: Rewards, grid: Buffer, state: Buffer, action: 
 
 
 def deliver(tables: Tables, state: Buffer) -> None:
-    """Deliver the parcel that waits for the drone on its cell."""
+    """Deliver the parcel that waits for the drone on its cell; if that was the target, the next becomes it."""
     state[UNDER] = DELIVERED_CELL
     state[DELIVERIES_DONE] += 1
     for i in range(PARCELS, PARCELS + tables.deliveries):
         if state[i] == state[CELL]:
             state[i] += DELIVERED_FLAG
+    if state[TARGET] == state[CELL]:
+        choose_target(tables, state)
+    state[OUTCOME] = outcome(tables, state)
 
 
 def choose_target(tables: Tables, state: Buffer) -> None:

@@ -37,10 +37,8 @@ def hidden_kind(task: TaskConfig, grid: npt.NDArray[np.uint8]) -> int:
     return missing[0] if missing else Cell.ROAD
 
 
-def drone_positions(
-    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
-) -> npt.NDArray[np.int64]:
-    """(x, y) of the drones of N observations, int64[N, 2]. Compiled code can look into the grids after it.
+def require_observations(task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> None:
+    """See that these are N observations of a task, so that compiled code finds what it looks for.
 
     Args:
         task: The task.
@@ -48,7 +46,7 @@ def drone_positions(
         telemetry: float32[N, telemetry_size]
 
     Raises:
-        InvalidValueError: if they are no observations of the task.
+        InvalidValueError: if they are not.
     """
     n, height, width = len(grids), task.height, task.width
     if grids.shape != (n, height, width) or telemetry.shape != (n, task.telemetry_size) or grids.dtype != np.uint8:
@@ -59,7 +57,18 @@ def drone_positions(
         )
     if (grids >= N_CELL_KINDS).any():
         raise InvalidValueError(f"the kinds of cells are 0 to {N_CELL_KINDS - 1}, got {grids.max()}")
-    positions = np.rint(telemetry[:, :2] * np.array([width, height]))
-    if not ((positions >= 0) & (positions < (width, height))).all():
+
+
+def drone_positions(
+    task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
+) -> npt.NDArray[np.int64]:
+    """(x, y) of the drones of N observations, int64[N, 2].
+
+    Raises:
+        InvalidValueError: if they are no observations of the task, or a drone is beside its grid.
+    """
+    require_observations(task, grids, telemetry)
+    positions = np.rint(telemetry[:, :2] * np.array([task.width, task.height]))
+    if not ((positions >= 0) & (positions < (task.width, task.height))).all():
         raise InvalidValueError(f"an observation has its drone beside the grid of {task.id!r}")
     return positions.astype(np.int64)

@@ -14,6 +14,7 @@ from zlib import crc32
 
 import numpy as np
 
+from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.episodes.record import EpisodeRecord, replay
@@ -159,7 +160,9 @@ def _motion(flown: Episode) -> str:
         "way": [f"{at(n)}{{stroke-dashoffset:{ahead(n)}}}" for n in turns],
     }
     for number, (x, y, _) in enumerate(flown.parcels):
-        delivered = next(step for step, flew in enumerate(flown.path, 1) if (flew.x, flew.y) == (x, y))
+        delivered = next(
+            step for step, flew in enumerate(flown.path, 1) if (flew.event, flew.x, flew.y) == (Event.DELIVERY, x, y)
+        )
         frames[f"parcel{number}"] = ["0%{opacity:1}", f"{at(delivered)}{{opacity:0}}"]
         frames[f"delivered{number}"] = ["0%{opacity:0}", f"{at(delivered)}{{opacity:1}}"]
     rules = [f".hello-way{{stroke-dasharray:{ahead(0)}}}"]

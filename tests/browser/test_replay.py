@@ -74,6 +74,12 @@ def test_an_episode_replays_from_its_link_with_slider_and_steps(page: Page, serv
     slider(page).fill("3")
     expect(where).to_contain_text(f"Step 3 of {episode['steps']} · {frames[3]['action']}")
     assert facts(page)["Score"] == points(episode["score"])
+    # A file has no address: the one of the episode is a step back.
+    replayed(page, flown("easy", 7, "greedy", label="me"))
+    expect(page).to_have_url(f"{server.url}/?view=replay")
+    page.go_back()
+    expect(page.locator(".replay-title")).to_contain_text(f"map {episode['seed']}, flown by greedy")
+    expect(page).to_have_url(f"{server.url}/?episode={episode['id']}")
 
 
 def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(page: Page) -> None:

@@ -210,7 +210,7 @@ def test_what_is_no_observation_of_the_task_is_refused(name: str) -> None:
         (grids, np.full_like(telemetry, np.nan)),
     ):
         agent.reset_batch(np.arange(3))
-        with pytest.raises(ValueError):  # noqa: PT011 - the test of views holds what it says
+        with pytest.raises(InvalidValueError, match=r"observation|kinds of cells|reset_batch was told"):
             agent.act_batch(*wrong)
     agent.reset_batch(np.arange(3))
     assert len(agent.act_batch(grids, telemetry)) == 3

@@ -89,3 +89,14 @@ export function toast(text) {
 export function announce(text) {
   document.getElementById("announcer").textContent = text;
 }
+
+/** Copies an address. */
+export async function copyLink(url) {
+  try {
+    await navigator.clipboard.writeText(String(url));
+    toast("Link copied.");
+  } catch {
+    // Without leave to write the clipboard, as in a frame of another site, the visitor copies it by hand.
+    window.prompt("The link to this flight:", url);
+  }
+}

@@ -87,11 +87,16 @@ export class Fleet extends Emitter {
   /** What an address asks for, filled up with what is flown now. @param {import("./router.js").Address} address */
   asks({ task = null, seed = null, profile = null, pilots }, most) {
     const known = this.task(task ?? this.setup.task) ?? this.context.tasks[0];
-    const chosen = pilots.length ? pilots : this.setup.pilots.filter((id) => this.flies(id, known));
-    // The visitor's own network comes first, if one was trained for the task.
-    const full = most > 1 && chosen.length < 2 ? [...new Set([...chosen, ...this.able(known)])].slice(0, most) : chosen;
-    const one = full.length ? full : this.able(known).slice(0, 1);
-    return { task: task === null || this.task(task) ? known.short_name : task, seed, profile, pilots: most > 1 ? one : one.slice(0, 1) };
+    const named = pilots.length ? pilots : this.setup.pilots.filter((id) => this.flies(id, known));
+    // Where too few are named others join in, the visitor's own network first, if one was trained for the task.
+    const enough = named.length >= Math.min(most, 2);
+    const flown = enough ? named : [...new Set([...named, ...this.able(known)])].slice(0, most);
+    return {
+      task: task === null || this.task(task) ? known.short_name : task, // the server says what is wrong with another
+      seed,
+      profile,
+      pilots: most > 1 ? flown : flown.slice(0, 1),
+    };
   }
 
   /** Starts other flights: what is named in `change` is new, the rest as it was. */

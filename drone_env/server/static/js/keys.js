@@ -1,5 +1,6 @@
 // The keyboard: everything on the stage without a mouse.
 import { SPEEDS } from "./fleet.js";
+import { isFlown } from "./router.js";
 
 const FLY = {
   ArrowUp: "UP",
@@ -50,7 +51,7 @@ export function mountKeys(context, fleet, { help }) {
       help();
       return;
     }
-    if (context.view !== "watch" && context.view !== "race") return;
+    if (!isFlown(context.view)) return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     const direction = fleet.human >= 0 && !fleet.over ? FLY[key] : undefined;
     if (direction) fleet.fly(direction);

@@ -1,7 +1,6 @@
 // The flight plan on the left: which task, which map, who flies.
-import { el, icon, setText, toast } from "./dom.js";
+import { copyLink, el, icon, setText, toast } from "./dom.js";
 import { title } from "./format.js";
-import { copyLink } from "./link.js";
 import { linkOf } from "./router.js";
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
@@ -24,7 +23,8 @@ export function mountPlan(root, context, fleet) {
 
   fleet.on("setup", update);
   fleet.on("refused", (detail) => {
-    const another = el("button.button.small", { text: "Fly another map", press: () => fleet.start(fleet.asks({ pilots: [] }, 1)) });
+    const press = () => fleet.start(fleet.asks({ pilots: [] }, 1));
+    const another = el("button.button.small", { text: "Fly another map", press });
     problem.replaceChildren(detail, " ", ...(fleet.active.length ? [] : [another]));
     problem.hidden = false;
   });

@@ -1,9 +1,8 @@
 // Replay: a stored episode, or a file dropped on the page, flown again by the server and annotated move by move.
-import { announce, download, el, fact } from "./dom.js";
+import { announce, copyLink, download, el, fact } from "./dom.js";
 import { readFlights } from "./flight_file.js";
 import { fixed, outcome, points, title } from "./format.js";
 import { taken } from "./keys.js";
-import { copyLink } from "./link.js";
 import { CityMap } from "./map.js";
 import { mountMoves } from "./moves.js";
 import { Player } from "./player.js";
@@ -131,7 +130,8 @@ class Replay {
 
   /** A file; several flights in it are offered in a list, and the first is shown. */
   async openFile(file) {
-    this.context.emit("open", "replay");
+    // A file has no address of its own.
+    this.context.router.go({ view: "replay" });
     await this.attempt(async (current) => {
       const records = await readFlights(file);
       if (!current()) return;

@@ -2,8 +2,9 @@
 // show what the address says.
 import { Emitter } from "./emitter.js";
 
-const FLYING = new Set(["watch", "race"]);
-const VIEWS = new Set([...FLYING, "replay", "history", "specs", "logs"]);
+const VIEWS = new Set(["watch", "race", "replay", "history", "specs", "logs"]);
+/** Whether flights are flown in a view. */
+export const isFlown = (view) => view === "watch" || view === "race";
 
 /**
  * @typedef {Object} Address Null and an empty list stand for what it does not say.
@@ -52,7 +53,7 @@ export class Router extends Emitter {
   show(address) {
     this.address = address;
     if (address.view === "replay") this.replay = address;
-    if (FLYING.has(address.view) && address.task !== null) this.flight = address;
+    if (isFlown(address.view) && address.task !== null) this.flight = address;
     this.emit("address", address);
   }
 }
@@ -91,7 +92,7 @@ export function linkOf({ view, task, seed, profile, pilots, episode }) {
   const say = (name, value) => {
     if (value !== null && value !== undefined && value !== "") parts.push(`${name}=${encodeURIComponent(value)}`);
   };
-  if (FLYING.has(view) || view === undefined) {
+  if (isFlown(view) || view === undefined) {
     say("task", task);
     say("seed", seed);
     if (pilots.length) parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);

@@ -12,7 +12,7 @@ import { mountKeys } from "./keys.js";
 import { mountLegend } from "./legend.js";
 import { mountPlan } from "./plan.js";
 import { mountResults } from "./results.js";
-import { says } from "./router.js";
+import { isFlown, says } from "./router.js";
 import { mountStandings } from "./standings.js";
 import { mountTelemetry } from "./telemetry.js";
 import { mountThinking } from "./thinking.js";
@@ -54,7 +54,7 @@ export function mountStage(context) {
   context.on("arrows", arrows);
   context.on("maps", arrows);
   context.on("missions", () => {
-    if (onStage(context.view)) context.router.flies(fleet.setup);
+    if (isFlown(context.view)) context.router.flies(fleet.setup);
   });
   context.on("ended", (i) => {
     if (context.players.filter((player) => !player.empty).length > 1) explain(context, context.players[i]);
@@ -67,12 +67,10 @@ export function mountStage(context) {
   return fleet;
 }
 
-const onStage = (view) => view === "watch" || view === "race";
-
 /** Flies what the address says: one pilot in Watch, at least two in Race, on the same map; elsewhere the flight rests. */
 function follow({ router, most }, fleet) {
   const { address } = router;
-  if (!onStage(address.view)) {
+  if (!isFlown(address.view)) {
     if (fleet.playing) fleet.pause();
     return;
   }

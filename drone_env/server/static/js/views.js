@@ -1,5 +1,5 @@
 // Which view is shown: that of the address.
-import { linkOf } from "./router.js";
+import { isFlown } from "./router.js";
 
 const TITLES = {
   watch: "Watch a flight",
@@ -20,7 +20,7 @@ export function mountViews(context) {
     context.view = view;
     document.body.dataset.view = view;
     for (const section of document.querySelectorAll("main > section:not(#hello)")) {
-      const shown = section.id === "stage" ? view === "watch" || view === "race" : section.id === `view-${view}`;
+      const shown = section.id === "stage" ? isFlown(view) : section.id === `view-${view}`;
       section.hidden = !shown;
     }
     for (const link of links) {
@@ -36,7 +36,6 @@ export function mountViews(context) {
   }
 
   for (const link of links) {
-    link.href = linkOf({ view: link.dataset.view, pilots: [] });
     link.addEventListener("click", (event) => {
       if (event.ctrlKey || event.metaKey || event.shiftKey) return; // a tab of its own
       event.preventDefault();
