@@ -75,6 +75,7 @@ def step(tables: Tables, rewards: Rewards, grid: Buffer, state: Buffer, action: 
     if under == DELIVERY_CELL:
         deliver(tables, state)
         happened = DELIVERY
+        state[OUTCOME] = outcome(tables, state)
     elif battery == 0 or steps == tables.max_steps:
         state[OUTCOME] = outcome(tables, state)
         if state[OUTCOME] == BATTERY_DEAD:
@@ -92,7 +93,6 @@ def deliver(tables: Tables, state: Buffer) -> None:
             state[i] += DELIVERED_FLAG
     if state[TARGET] == state[CELL]:
         choose_target(tables, state)
-    state[OUTCOME] = outcome(tables, state)
 
 
 def choose_target(tables: Tables, state: Buffer) -> None:

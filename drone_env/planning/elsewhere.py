@@ -18,7 +18,7 @@ from drone_env.core.drone import distance
 from drone_env.core.episode import Episode
 from drone_env.core.observation import write_telemetry
 from drone_env.core.rewards import Rewards, tabulate_rewards
-from drone_env.core.rules import choose_target, deliver, step
+from drone_env.core.rules import choose_target, deliver, outcome, step
 from drone_env.core.tables import (
     BATTERY,
     CELL,
@@ -60,6 +60,7 @@ def place_drone(tables: Tables, grid: Any, state: Any, cell: int) -> None:
     put_drone(tables, grid, state, cell, state[STEPS], state[BATTERY])
     if state[UNDER] == DELIVERY_CELL:
         deliver(tables, state)
+        state[OUTCOME] = outcome(tables, state)
     if state[TARGET] != NOWHERE:
         state[DISTANCE] = distance(tables, cell, state[TARGET])
 
