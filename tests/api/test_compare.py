@@ -135,7 +135,6 @@ def test_an_agents_maps_are_those_that_it_flew(client: TestClient, flights: dict
     ]
     ids = [one["id"] for one in get(client, "/episodes", task="easy", agent="human with values", seed="4")["episodes"]]
     assert ids == [one.id for one in reversed(flights["human with values"][4])]
-    assert len(get(client, "/history/easy", agent="random")["episodes"]) == 7
 
 
 def test_two_agents_are_paired_by_the_maps_that_both_flew(
@@ -243,7 +242,7 @@ def test_a_run_that_is_damaged_or_has_just_begun_stops_nothing(tmp_path: Path) -
         calls = path / "calls.jsonl"
         calls.write_text(calls.read_text() + "no call\n")
         cut, _ = get(client, "/leaderboard/easy/models")["unranked"]
-        assert "calls.jsonl is no call" in cut["reason"]
+        assert "of cut/calls.jsonl is no call" in cut["reason"]
         refused = client.get(f"/episodes/{flight}/calls")
         assert (refused.status_code, refused.json()["code"]) == (404, "damaged_run")
         # As it is before its first call.

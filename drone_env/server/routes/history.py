@@ -29,7 +29,6 @@ SUMMARIES = 5
 ROLLING = 20
 LINES = 50
 POLL_SECONDS = 0.25
-Agent = Annotated[str | None, Query(max_length=200, description="By this agent only.")]
 
 
 class Requests(Message):
@@ -55,7 +54,7 @@ def memory_logs(shared: SharedParts) -> EpisodeSummaries:
 def episodes(
     shared: SharedParts,
     task: Annotated[str | None, Query(max_length=100, description="Of this task only.")] = None,
-    agent: Agent = None,
+    agent: Annotated[str | None, Query(max_length=200, description="By this agent only.")] = None,
     seed: Annotated[int | None, Query(ge=0, le=MAX_SEED, description="Over the map of this number only.")] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     before: Annotated[int | None, Query(ge=1, le=MAX_SEED, description="`next` of the page before.")] = None,
@@ -73,11 +72,9 @@ def episode(shared: SharedParts, episode_id: str) -> EpisodeRecord:
 
 
 @router.get("/history/{task_name}", responses=answers(404, 422, 503))
-def history(
-    shared: SharedParts, task_name: str, last: Annotated[int, Query(ge=1, le=1000)] = 200, agent: Agent = None
-) -> History:
+def history(shared: SharedParts, task_name: str, last: Annotated[int, Query(ge=1, le=1000)] = 200) -> History:
     """The last finished episodes of a task, for charts."""
-    found = shared.store.listed(last, task_name, agent)[::-1]
+    found = shared.store.listed(last, task_name)[::-1]
     wins = [episode.success for episode in found]
     return History(
         task=get_task(task_name).id,
