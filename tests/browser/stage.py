@@ -11,7 +11,7 @@ FASTEST = "8"
 SIGNS = {
     "Race": "#maps figure:nth-of-type(4)",
     "Replay": ".replay-moves button",
-    "History": "tr[data-episode]",
+    "Compare": "[data-episode]",
     "Specifications": ".specs-table",
     "Logs": "#log-requests li",
 }

@@ -7,7 +7,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 
 from tests.browser.conftest import MARKUP
-from tests.browser.stage import FASTEST, fly, pictures, results, view, whole_view
+from tests.browser.stage import FASTEST, fly, pictures, results, whole_view
 
 MISSION = "/?task=easy&seed=7&pilot=pathqnet"
 PAGE_BYTES = 300_000
@@ -42,14 +42,19 @@ def test_axe_finds_nothing_serious_in_any_view_dark_or_light(page: Page) -> None
     dialog.get_by_role("button", name="Look at the flight").click()
     expect(page.get_by_role("button", name=re.compile("^Step 1, "))).to_be_visible()
     found += findings(page)
-    view(page, "History")
+    page.goto("/?view=compare&task=easy&pilots=greedy,random")
+    page.evaluate(Axe().axe_script)
     # One row, and one line of a log, is enough: all are alike, and axe takes its time for each.
-    page.get_by_role("combobox", name="Task").select_option("easy")
-    page.get_by_role("combobox", name="Agent").select_option(MARKUP)
-    expect(page.locator("tr[data-episode]")).to_have_count(1)
-    page.locator("tr[data-episode]").click()
+    page.get_by_role("combobox", name="Pilot").select_option(MARKUP)
+    expect(page.locator("[data-episode]")).to_have_count(1)
+    expect(page.get_by_role("heading", name="Greedy against Random")).to_be_visible()
+    found += findings(page, "main")
+    page.get_by_role("checkbox", name="Compare Random").uncheck()
+    expect(page.get_by_role("region", name="Maps that Greedy flew")).to_be_visible()
+    found += findings(page, "main")
+    page.locator("[data-episode]").click()
     expect(page.locator(".facts").get_by_text("Optimum")).to_be_visible()
-    for name in ("Replay", "Race", "History", "Specifications", "Logs"):
+    for name in ("Replay", "Race", "Specifications", "Logs"):
         whole_view(page, name)
         page.evaluate("document.querySelectorAll('.log li ~ li').forEach(line => line.remove())")
         found += findings(page, "main")

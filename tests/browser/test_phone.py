@@ -60,8 +60,11 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
     assert box["x"] >= 0
     assert box["x"] + box["width"] <= NARROW["width"]
     dialog.get_by_role("button", name="Close").click()
-    view(phone, "History")
-    phone.locator("tr[data-episode]").first.click()
+    phone.goto("/?view=compare&task=easy&pilots=greedy,random")
+    expect(phone.get_by_role("heading", name="Greedy against Random")).to_be_visible()
+    wide["Paired"] = too_wide(phone)
+    phone.goto("/?view=compare&task=easy&pilots=random")
+    phone.get_by_role("button", name="Open the flight of Random").first.click()
     expect(phone.locator(".facts").get_by_text("Optimum")).to_be_visible()
     for name in SIGNS:
         whole_view(phone, name)

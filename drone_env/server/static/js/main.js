@@ -9,7 +9,6 @@ import { askForToken } from "./token.js";
 import { mountViews } from "./views.js";
 import { mountTheme } from "./theme.js";
 import { mountConnection } from "./connection.js";
-import * as history from "./history.js";
 import * as logs from "./logs.js";
 import * as replay from "./replay.js";
 import * as specs from "./specs.js";
@@ -27,7 +26,12 @@ async function boot() {
   mountTheme(context);
   mountConnection(context);
   mountStage(context);
-  for (const [id, view] of Object.entries({ history, logs, replay, specs })) view.mount(part(`view-${id}`), context);
+  for (const [id, view] of Object.entries({ logs, replay, specs })) view.mount(part(`view-${id}`), context);
+  let compare = null;
+  context.on("view", (view) => {
+    // Most visits never come to it: it is loaded with the first one that does.
+    if (view === "compare") compare ??= import("./compare.js").then(({ mount }) => mount(part("view-compare"), context));
+  });
   mountViews(context);
   live.connect();
 }

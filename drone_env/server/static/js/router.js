@@ -2,7 +2,8 @@
 // show what the address says.
 import { Emitter } from "./emitter.js";
 
-const VIEWS = new Set(["watch", "race", "replay", "history", "specs", "logs"]);
+const VIEWS = new Set(["watch", "race", "replay", "compare", "specs", "logs"]);
+const FORMER = { history: "compare" };
 /** Whether flights are flown in a view. */
 export const isFlown = (view) => view === "watch" || view === "race";
 
@@ -31,6 +32,7 @@ export class Router extends Emitter {
   /** Goes to another address, from which Back comes here. @param {Partial<Address>} address */
   go(address) {
     const next = { ...NOTHING, ...address };
+    if (next.view === "fly") next.view = next.episode ? "replay" : next.pilots.length > 1 ? "race" : "watch";
     if (linkOf(next).href !== linkOf(this.address).href) history.pushState(null, "", linkOf(next));
     this.show(next);
   }
@@ -67,14 +69,20 @@ export function says(address, flown) {
   return ["task", "seed", "pilots"].every((name) => open(name) || same(name)) && same("profile");
 }
 
+function decoded(text) {
+  return new URLSearchParams(`=${text}`).get("");
+}
+
 /** @returns {Address} */
 function read({ search, hash }) {
   const link = new URLSearchParams(search);
-  const pilots = (link.get("pilots") ?? link.get("pilot") ?? "").split(",").filter(Boolean);
+  // Split before it is decoded: the names of agents may have commas.
+  const pilots = (search.match(/[?&]pilots?=([^&]*)/)?.[1] ?? "").split(",").filter(Boolean).map(decoded);
   const seed = link.get("seed");
   const episode = link.get("episode") || null;
   // Links of earlier versions name the view behind a #.
-  const named = [link.get("view"), hash.slice(1)].find((view) => VIEWS.has(view));
+  const asked = [link.get("view"), hash.slice(1)].map((view) => FORMER[view] ?? view);
+  const named = asked.find((view) => VIEWS.has(view));
   return {
     view: named ?? (episode ? "replay" : pilots.length > 1 ? "race" : "watch"),
     task: link.get("task"),
@@ -92,10 +100,17 @@ export function linkOf({ view, task, seed, profile, pilots, episode }) {
   const say = (name, value) => {
     if (value !== null && value !== undefined && value !== "") parts.push(`${name}=${encodeURIComponent(value)}`);
   };
-  if (isFlown(view) || view === undefined) {
+  const sayPilots = () => {
+    if (pilots.length) parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);
+  };
+  if (view === "compare") {
+    say("view", view);
+    say("task", task);
+    sayPilots();
+  } else if (isFlown(view) || view === undefined) {
     say("task", task);
     say("seed", seed);
-    if (pilots.length) parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);
+    sayPilots();
     say("profile", profile);
     if (view === "race" && pilots.length < 2) say("view", view);
   } else if (view === "replay" && episode) say("episode", episode);

@@ -5,7 +5,7 @@ const TITLES = {
   watch: "Watch a flight",
   race: "Race pilots",
   replay: "Replay a flight",
-  history: "History of episodes",
+  compare: "Compare pilots",
   specs: "Technical specifications",
   logs: "Logs",
 };
