@@ -6,8 +6,6 @@ from typing import Any
 
 from playwright.sync_api import Locator, Page, expect
 
-FASTEST = "8"
-"""The last notch of the slider: 60 steps per second."""
 SIGNS = {
     "Race": "#maps figure:nth-of-type(4)",
     "Replay": ".replay-moves button",
@@ -30,25 +28,40 @@ def whole_view(page: Page, name: str) -> None:
 
 
 def fastest(page: Page) -> None:
-    page.get_by_role("slider", name="Speed").fill(FASTEST)
+    page.get_by_role("combobox", name="Speed").select_option("60")
 
 
 def slow(page: Page) -> None:
     """Two steps per second: slow enough that a flight does not end before it is paused."""
-    page.get_by_role("slider", name="Speed").fill("2")
+    page.get_by_role("combobox", name="Speed").select_option("2")
 
 
-def fly(page: Page) -> None:
-    """Start, as fast as it goes."""
+def fly(page: Page, button: str = "Start") -> None:
+    """Start, or go on, as fast as it goes."""
     fastest(page)
-    page.get_by_role("button", name="Start", exact=True).click()
+    page.get_by_role("button", name=button, exact=True).click()
 
 
 def results(page: Page) -> Locator:
-    """The results, once they are there."""
-    dialog = page.locator("dialog#results")
-    expect(dialog).to_be_visible()
-    return dialog
+    """What stands under the map once the flight that is looked at has ended."""
+    strip = page.locator(".strip")
+    expect(strip).to_be_visible()
+    return strip
+
+
+def step(page: Page) -> None:
+    """One step forward."""
+    page.get_by_role("button", name="Step", exact=True).click()
+
+
+def pilot(page: Page, name: str) -> Locator:
+    """The button that has a pilot fly alone."""
+    return page.get_by_role("group", name="Pilots").get_by_role("button", name=name, exact=True)
+
+
+def along(page: Page, name: str) -> Locator:
+    """The box that has a pilot fly along."""
+    return page.get_by_role("checkbox", name=f"{name} flies along", exact=True)
 
 
 def counter(page: Page) -> int:
@@ -65,9 +78,9 @@ def fixed(value: float, digits: int = 2) -> str:
     return str(rounded).replace("-", "\u2212")
 
 
-def points(score: float) -> str:
+def points(score: float, digits: int = 1) -> str:
     """A score as the page writes it, times 100."""
-    return fixed(score * 100, 1)
+    return fixed(score * 100, digits)
 
 
 def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
@@ -84,7 +97,7 @@ def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
 
 
 def pictures(page: Page) -> list[str]:
-    """What stands on the canvases of the maps, as data URLs: of each map the city and the flight.
+    """What stands on the canvases of the maps, as data URLs: of each map the city, what is known of its cells, the flights.
 
     What is asked to be drawn is drawn in the next frame, and anew once the fonts are there.
     """
@@ -92,7 +105,7 @@ def pictures(page: Page) -> list[str]:
         """async () => {
             await document.fonts.ready;
             for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
-            return [...document.querySelectorAll("#maps canvas")].map(canvas => canvas.toDataURL());
+            return [...document.querySelectorAll("#boards canvas")].map(canvas => canvas.toDataURL());
         }"""
     )
 
