@@ -27,7 +27,7 @@ import { mountThinking } from "./thinking.js";
 const LINGER = 300;
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context */
-export function mount(root, context) {
+export function mountFly(root, context) {
   const { stage } = context;
   const fleet = new Fleet(context);
   const past = new Past(context, fleet);
