@@ -189,34 +189,40 @@ def test_the_graph_shows_what_was_possible_and_leads_to_each_moment(page: Page, 
     page.keyboard.press("ArrowRight")
     expect_frame(page, flight[worst + 1], 60)
     slider.focus()
-    for key, at in (("Home", 0), ("ArrowRight", 1), ("End", last)):
+    for key, at in (("End", last), ("ArrowLeft", last - 1), ("Home", 0)):
         page.keyboard.press(key)
         expect_frame(page, flight[at], 60)
-    assert marked(page, worst), "the worst move has a mark on its moment"
-    assert not any(marked(page, move["step"]) for move in moves[:-1] if move["label"] in ("best", "good"))
-    assert marked(page, last, "--map-box"), "the delivery has a box on its moment"
+    pictures(page)  # drawn by now
+    faults = {move["step"] for move in moves if move["label"] not in ("best", "good")}
+    assert colours_of_the_graph(page, "--bad", "--warn", "--accent") & set(range(1, last)) == faults - {last}
+    assert colours_of_the_graph(page, "--map-box") == {last}, "where the parcel is delivered"
 
 
-def marked(page: Page, at: int, colour: str = "") -> bool:
-    """Whether the graph has the colour of a fault, or another one, at a step."""
-    return page.locator(".timeline-graph").evaluate(
-        """(canvas, [at, colour]) => {
+def colours_of_the_graph(page: Page, *names: str) -> set[int]:
+    """The steps at which the graph has one of these colours of the style sheet."""
+    found = page.locator(".timeline-graph").evaluate(
+        """(canvas, names) => {
             const rgb = name => {
                 const probe = document.body.appendChild(document.createElement("i"));
                 probe.style.color = `var(${name})`;
-                const found = getComputedStyle(probe).color.match(/[0-9]+/g).map(Number);
+                const found = getComputedStyle(probe).color.match(/[0-9]+/g).slice(0, 3).join();
                 probe.remove();
-                return found.slice(0, 3).join();
+                return found;
             };
-            const wanted = (colour ? [colour] : ["--bad", "--warn", "--accent"]).map(rgb);
-            const slider = document.querySelector("#timeline");
-            const x = 2 + at / slider.max * (canvas.width - 4);
-            const { data } = canvas.getContext("2d").getImageData(Math.round(x), 0, 1, canvas.height);
-            const seen = Array.from({ length: canvas.height }, (_, i) => [...data.slice(4 * i, 4 * i + 3)].join());
-            return wanted.some(one => seen.includes(one));
+            const wanted = new Set(names.map(rgb));
+            const { width, height } = canvas;
+            const copy = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
+            copy.drawImage(canvas, 0, 0);
+            const steps = Number(document.querySelector("#timeline").max);
+            return Array.from({ length: steps + 1 }, (_, step) => {
+                const { data } = copy.getImageData(Math.round(2 + step / steps * (width - 4)), 0, 1, height);
+                const seen = Array.from({ length: height }, (_, i) => data.slice(4 * i, 4 * i + 3).join());
+                return seen.some(one => wanted.has(one));
+            });
         }""",
-        [at, colour],
+        list(names),
     )
+    return {at for at, there in enumerate(found) if there}
 
 
 def test_a_map_that_is_typed_is_flown_and_its_legend_shows_what_can_be_met_on_it(page: Page, server: Server) -> None:
