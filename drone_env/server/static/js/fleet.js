@@ -32,11 +32,11 @@ export class Fleet extends Emitter {
     this.slow = 0;
     const { live } = context;
     live.on("state", ({ state }) => (state === "open" ? this.resume() : this.lost()));
-    live.on("missions", (message) => this.begin(message));
+    live.on("flights", (message) => this.begin(message));
     live.on("frames", ({ frames }) => this.move(frames));
-    live.on("values", ({ mission, values, regrets }) => context.players[mission].setValues(values, regrets));
+    live.on("values", ({ flight, values, regrets }) => context.players[flight].setValues(values, regrets));
     live.on("playing", ({ playing, speed }) => this.setPlaying(playing, speed));
-    live.on("ended", ({ mission, episode }) => this.ended(mission, episode));
+    live.on("ended", ({ flight, episode }) => this.ended(flight, episode));
     live.on("error", (message) => this.refused(message));
     // A page that is closed gives its sessions back: nobody could attach to them, and they take the room of others.
     window.addEventListener("pagehide", ({ persisted }) => persisted || live.send({ type: "end" }));
@@ -152,7 +152,7 @@ export class Fleet extends Emitter {
     const player = this.context.players[mission];
     if (mission < 0 || !player.last || player.last.done) return;
     player.seek(player.frames.length - 1);
-    this.context.live.send({ type: "fly", mission, direction });
+    this.context.live.send({ type: "fly", flight: mission, direction });
     if (this.automatic && !this.playing) this.context.live.send({ type: "step" });
   }
 
@@ -174,22 +174,22 @@ export class Fleet extends Emitter {
     this.setPlaying(false, this.speed);
   }
 
-  begin({ missions, number, playing, speed }) {
+  begin({ flights, number, playing, speed }) {
     // The answer to `end`: this page is about to go.
-    if (!missions.length) return;
+    if (!flights.length) return;
     const { players } = this.context;
     players.forEach((player, i) => {
-      const flight = missions[i];
+      const flight = flights[i];
       if (!flight) player.clear();
-      else player.load(flight.mission, flight.frames, { atEnd: true });
+      else player.load(flight.opening, flight.frames, { atEnd: true });
       player.episode = null;
     });
     // What has been chosen since this was asked for is on its way, and stays chosen.
     const newest = number === this.number;
     if (newest) {
       this.asked = null;
-      const { seed, short_name } = missions[0].mission;
-      this.setup = { ...this.setup, seed, task: short_name, pilots: missions.map(({ mission }) => mission.pilot) };
+      const { seed, short_name } = flights[0].opening;
+      this.setup = { ...this.setup, seed, task: short_name, pilots: flights.map(({ opening }) => opening.pilot) };
     }
     this.speed = playing ? speed : this.speed;
     this.setPlaying(playing, this.speed);
@@ -201,7 +201,7 @@ export class Fleet extends Emitter {
 
   move(frames) {
     clearTimeout(this.slow);
-    for (const { mission, frame } of frames) this.context.players[mission]?.push(frame);
+    for (const { flight, frame } of frames) this.context.players[flight]?.push(frame);
   }
 
   setPlaying(playing, speed) {

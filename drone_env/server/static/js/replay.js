@@ -168,7 +168,7 @@ class Replay {
 
   async show(record, current) {
     const { api } = this.context;
-    const { mission, frames } = await api.post("replay", record);
+    const { opening: mission, frames } = await api.post("replay", record);
     if (!current()) return;
     this.record = record;
     this.link.hidden = this.episode === null;
