@@ -110,6 +110,28 @@ def pictures(page: Page) -> list[str]:
     )
 
 
+def painted(canvas: Locator, *names: str) -> list[str]:
+    """Those of some colours of the style sheet that stand on a canvas."""
+    return canvas.evaluate(
+        """async (canvas, names) => {
+            await new Promise(requestAnimationFrame);
+            const { width, height } = canvas;
+            const picture = (...size) => new OffscreenCanvas(...size).getContext("2d", { willReadFrequently: true });
+            const copy = picture(width, height);
+            copy.drawImage(canvas, 0, 0);
+            const there = new Set(new Uint32Array(copy.getImageData(0, 0, width, height).data.buffer));
+            const pen = picture(1, 1);
+            const style = getComputedStyle(document.documentElement);
+            return names.filter(name => {
+                pen.fillStyle = style.getPropertyValue(name);
+                pen.fillRect(0, 0, 1, 1);
+                return there.has(new Uint32Array(pen.getImageData(0, 0, 1, 1).data.buffer)[0]);
+            });
+        }""",
+        list(names),
+    )
+
+
 def percent(share: float) -> str:
     """A share as the page writes it."""
     return f"{fixed(share * 100, 0)} %"

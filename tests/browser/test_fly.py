@@ -5,13 +5,12 @@ import json
 import re
 from collections.abc import Callable
 
-import httpx
 import pytest
 from playwright.sync_api import Page, WebSocketRoute, expect
 
 from drone_env.episodes.record import parse_record
 from tests.api.serving import Server
-from tests.browser.flights import flown, frames
+from tests.browser.flights import flown, frames, posted
 from tests.browser.stage import (
     counter,
     expect_frame,
@@ -157,7 +156,7 @@ def test_the_graph_shows_what_was_possible_and_leads_to_each_moment(page: Page, 
     # Chance delivers on this map, but late: it gives something away.
     record = flown("easy", 82, "random")
     flight = frames(server.url, record)
-    annotation = httpx.post(f"{server.url}/annotate", json=json.loads(record.to_json())).json()
+    annotation = posted(server.url, "annotate", record)
     moves, last = annotation["moves"], len(flight) - 1
     page.goto("/?task=easy&seed=82&pilot=random")
     fly(page)

@@ -65,7 +65,7 @@ export function mountPlan(root, context, fleet, acts) {
     return el("div.pilot", { style: { "--lane": `var(--pilot-${pilot.colour})` } }, name, box, about);
   }
 
-  const chosen = () => (stage.tracks.length ? fleet.setup.pilots : []);
+  const chosen = () => (stage.world && !fleet.shown ? [] : fleet.setup.pilots);
 
   function choosePilots(ids) {
     // The next arrow is to fly, not to choose another pilot.
