@@ -241,6 +241,8 @@ export class Fleet extends Emitter {
     const newest = number === this.number;
     const { fork, step } = this.setup;
     if (fork !== null) this.tracks.at(-1).forkedAt = fork;
+    // What stands beside them does not go on.
+    for (const track of this.how.beside) track.live = false;
     if (newest) {
       this.asked = null;
       const { seed, short_name } = flights[0].opening;
