@@ -6,14 +6,15 @@ from typing import Any
 
 from playwright.sync_api import Locator, Page, expect
 
+FASTEST = "60"
+"""Steps per second, the last choice."""
 SIGNS = {
-    "Race": "#maps figure:nth-of-type(4)",
-    "Replay": ".replay-moves button",
-    "History": "tr[data-episode]",
-    "Specifications": ".specs-table",
-    "Logs": "#log-requests li",
+    "Fly": "#boards .map",
+    "Compare": "#view-compare table",
+    "Learn": "#view-learn .specs-table",
+    "API": "#log-requests li",
 }
-"""What stands in a view once it has all that it shows. A flight must have been replayed before, and one have ended."""
+"""What stands in a view once it has all that it shows."""
 
 
 def view(page: Page, name: str) -> None:
@@ -27,25 +28,26 @@ def whole_view(page: Page, name: str) -> None:
     expect(page.locator(SIGNS[name]).first).to_be_visible()
 
 
-def fastest(page: Page) -> None:
-    page.get_by_role("combobox", name="Speed").select_option("60")
+def show(page: Page, path: str) -> None:
+    """Go to an address of the page as Back and Forward do: what is loaded stays, which costs less than `goto`."""
+    page.evaluate("path => { history.pushState(null, '', path); dispatchEvent(new PopStateEvent('popstate')); }", path)
 
 
-def slow(page: Page) -> None:
-    """Two steps per second: slow enough that a flight does not end before it is paused."""
-    page.get_by_role("combobox", name="Speed").select_option("2")
+def at_speed(page: Page, steps: str) -> None:
+    """So many steps per second, as the choices are written."""
+    page.get_by_role("combobox", name="Speed").select_option(steps)
 
 
 def fly(page: Page, button: str = "Start") -> None:
     """Start, or go on, as fast as it goes."""
-    fastest(page)
+    at_speed(page, FASTEST)
     page.get_by_role("button", name=button, exact=True).click()
 
 
-def results(page: Page) -> Locator:
-    """What stands under the map once the flight that is looked at has ended."""
+def ended(page: Page) -> Locator:
+    """The strip below the map that says how the flight went, once it has ended and is annotated."""
     strip = page.locator(".strip")
-    expect(strip).to_be_visible()
+    expect(strip).to_contain_text("a best flight takes")
     return strip
 
 
@@ -97,7 +99,7 @@ def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
 
 
 def pictures(page: Page) -> list[str]:
-    """What stands on the canvases of the maps, as data URLs: of each map the city, what is known of its cells, the flights.
+    """What stands on the canvases of the maps, as data URLs: of each map the city, what is known of its cells, what moves.
 
     What is asked to be drawn is drawn in the next frame, and anew once the fonts are there.
     """

@@ -12,15 +12,15 @@ from drone_env.episodes.record import parse_record
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, posted
 from tests.browser.stage import (
+    at_speed,
     counter,
+    ended,
     expect_frame,
     fixed,
     fly,
     pictures,
     pilot,
     points,
-    results,
-    slow,
     step,
 )
 
@@ -72,7 +72,7 @@ def test_it_waits_for_start_shows_each_step_as_the_server_has_it_and_saves_them(
     # There is no record before the end.
     expect(page.get_by_role("button", name="Record", exact=True)).to_be_disabled()
     fly(page, "Go on")
-    results(page)
+    ended(page)
     with page.expect_download() as saved:
         page.get_by_role("button", name="Record", exact=True).click()
     assert parse_record(saved.value.path().read_bytes(), "it").actions == record.actions
@@ -83,7 +83,7 @@ def test_start_pause_a_step_go_on_the_end_play_it_again_reset_and_a_new_map(page
     flight = frames(server.url, flown("medium", 8, "greedy"))
     with page.expect_websocket() as socket:
         page.goto("/?task=medium&seed=8&pilot=greedy")
-    slow(page)
+    at_speed(page, "2")  # slow enough that it does not end before it is paused
     page.get_by_role("button", name="Start", exact=True).click()
     expect(page.get_by_role("button", name="Step", exact=True)).to_be_disabled()
     expect(page.locator("#step-counter")).to_have_text(re.compile("^Step ([2-9]|[1-9][0-9]) of 100"))
@@ -96,7 +96,7 @@ def test_start_pause_a_step_go_on_the_end_play_it_again_reset_and_a_new_map(page
     step(page)
     expect_frame(page, flight[at + 1], 100)
     fly(page, "Go on")
-    results(page)
+    ended(page)
     expect_frame(page, flight[-1], 100)
     # What has ended is played again, from any step.
     last = len(flight) - 1
@@ -137,7 +137,9 @@ def test_the_network_shows_what_it_thinks_of_each_move(page: Page, server: Serve
             row = thoughts.get_by_role("row").filter(has_text=action)
             expect(row.get_by_role("cell").first).to_have_text(fixed(value, 3))
         lead = fixed(ranked[0][1] - ranked[1][1], 3)
-        expect(page.locator("#confidence")).to_have_text(f"The network's {ranked[0][0]} leads {ranked[1][0]} by {lead}.")
+        expect(page.locator("#confidence")).to_have_text(
+            f"The network's {ranked[0][0]} leads {ranked[1][0]} by {lead}."
+        )
         expect(thoughts.locator("tr:has(td.best)")).to_have_count(1)
         expect(thoughts.locator("tr:has(td.best)")).to_contain_text(ranked[0][0])
         city, _, with_arrows = pictures(page)
@@ -160,7 +162,7 @@ def test_the_graph_shows_what_was_possible_and_leads_to_each_moment(page: Page, 
     moves, last = annotation["moves"], len(flight) - 1
     page.goto("/?task=easy&seed=82&pilot=random")
     fly(page)
-    results(page)
+    ended(page)
     buttons = page.get_by_role("list", name="Moves").get_by_role("button")
     expect(buttons).to_have_count(last)
     for label, count in annotation["counts"].items():
@@ -234,7 +236,7 @@ def test_a_map_that_is_typed_is_flown_and_its_legend_shows_what_can_be_met_on_it
         "aria-label", re.compile("^City map of Easy, 10 by 10 cells, map 7, 1 parcel")
     )
     fly(page)
-    results(page)
+    ended(page)
     expect_frame(page, frames(server.url, flown("easy", 7, "optimal"))[-1], 60)
     legend = page.get_by_role("list", name="Legend").get_by_role("listitem")
     expect(legend.filter(has_text="Delivery")).to_be_visible()

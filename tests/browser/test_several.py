@@ -36,7 +36,9 @@ def test_four_are_ranked_while_they_fly_as_their_agents_do_and_each_is_annotated
         now = {agent: value[at] for agent, value in values.items()}
         expect(names).to_have_text(ranked(now))
         chance = standings(page).filter(has_text="Random").get_by_role("cell")
-        expect(chance).to_have_text([str(at), "0/1", points(now["random"]), points(values["random"][0] - now["random"])])
+        expect(chance).to_have_text(
+            [str(at), "0/1", points(now["random"]), points(values["random"][0] - now["random"])]
+        )
     assert ranked(now)[0] != "Random"
     fly(page, "Go on")
     optimum = flights["optimal"][-1]["score"]

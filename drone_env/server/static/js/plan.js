@@ -41,7 +41,11 @@ export function mountPlan(root, context, fleet, acts) {
       value: task.short_name,
       "aria-label": title(task.short_name),
       "aria-describedby": "task-note",
-      on: { change: () => chooseTask(task) },
+      on: {
+        change: () => chooseTask(task),
+        // A click, not a key: the next arrow is for the drone, not for another task.
+        click: ({ detail }) => detail && input.blur(),
+      },
     });
     return el("label.task-option", input, el("span", { text: title(task.short_name).replace(`${family} `, "") }));
   }
