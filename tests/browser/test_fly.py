@@ -32,9 +32,11 @@ def overlapping(page: Page, panel: str) -> list[str]:
             const bounds = node => node.getBoundingClientRect();
             const words = [...panel.querySelectorAll("*")].filter(
                 node => !node.childElementCount && node.textContent && node.checkVisibility());
-            const over = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
-            const outside = node => bounds(node).bottom > bounds(panel).bottom + 1 || bounds(node).right > bounds(panel).right + 1;
-            return words.filter((a, i) => outside(a) || words.slice(i + 1).some(b => over(bounds(a), bounds(b))))
+            const cross = (a, b, from, to) => a[from] < b[to] - 1 && b[from] < a[to] - 1;
+            const over = (a, b) => cross(a, b, "left", "right") && cross(a, b, "top", "bottom");
+            const out = ({ bottom, right }, frame) => bottom > frame.bottom + 1 || right > frame.right + 1;
+            return words.filter((a, i) => out(bounds(a), bounds(panel)) ||
+                    words.slice(i + 1).some(b => over(bounds(a), bounds(b))))
                 .map(node => node.textContent.slice(0, 40));
         }"""
     )
