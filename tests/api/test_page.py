@@ -93,7 +93,8 @@ class TestPreview:
         start = Episode("hard", "tiered", 7)
         assert answer.content == draw_card(start.fly(episode.actions[:21]), words)
         whole = shared_client.get(f"/preview.png?{query}")
-        assert whole.content != answer.content
+        other = shared_client.get(f"/preview.png?{query.replace('WU&', 'UW&')}")
+        assert len({picture.content for picture in (answer, whole, other)}) == 3
         head = told(shared_client, f"/?{query}")
         assert head["og:title"] == "A person from step 20 of Greedy: Hard, map 7"
         assert shared_client.get(head["og:image"]).content == whole.content
