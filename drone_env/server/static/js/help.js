@@ -1,18 +1,10 @@
-// The help dialog: what this is, and the keys.
-import { closeBeside, el, fact } from "./dom.js";
-import { title } from "./format.js";
+// The help dialog: what this is, the keys, and where to learn more.
+import { closeBeside, el } from "./dom.js";
+import { linkTo } from "./link.js";
 
-const ABOUT =
-  "A drone delivers parcels on a city grid before its battery is empty. The score counts parcels first, then battery " +
-  "and steps left. Every flight stands beside the exact optimum of its map: what a pilot gives away can never be won " +
-  "back.";
-
-/** What flying over a city of a family costs beside the steps, by the numbers of its first task. */
-const costs = ([family, [{ drain, impassable }]]) => {
-  const parts = Object.entries(drain).map(([kind, units]) => `a step above a ${kind} drains ${units} units of battery`);
-  if (impassable.length) parts.push(`cannot be entered: ${impassable.join(", ")}`);
-  return parts.length ? fact(title(family), parts.join("; ")) : null;
-};
+/** What this is, in a sentence. */
+export const ABOUT =
+  "A drone delivers parcels on a city grid before its battery is empty: fly it yourself, or watch others fly.";
 
 const KEYS = [
   ["Space", "Start or pause; wait, when you fly"],
@@ -28,26 +20,18 @@ const KEYS = [
 ];
 
 /** @param {import("./context.js").Context} context @returns {() => void} Opens it. */
-export function mountHelp({ families, rewardProfiles }) {
+export function mountHelp({ router }) {
   const dialog = document.getElementById("help");
-  const close = el("button.button", {
-    text: "Close",
-    autofocus: "",
-    press: () => dialog.close(),
-  });
+  const close = () => dialog.close();
   dialog.append(
-    el("h2", { id: "help-title", text: "Mission control" }),
-    el("p", {
-      text: ABOUT,
-    }),
-    el(
-      "dl.costs",
-      ...[...families].map(costs),
-      ...rewardProfiles.map(({ id, summary }) => fact(`Rewards ${id}`, summary)),
-    ),
+    el("h2", { id: "help-title", text: "Help" }),
+    el("p", { text: ABOUT }),
     el("dl.keys", ...KEYS.flatMap(([key, what]) => [el("dt", el("kbd", { text: key })), el("dd", { text: what })])),
-    el("p.note", "For programs: ", el("a", { href: "docs", text: "the API and its documentation" }), "."),
-    el("div.dialog-actions", close),
+    el(
+      "div.dialog-actions",
+      el("button.button.primary", { text: "Close", autofocus: "", press: close }),
+      linkTo(router, "a.button", { view: "learn" }, "Learn to fly", { on: { click: close } }),
+    ),
   );
   closeBeside(dialog);
   const open = () => dialog.showModal();
