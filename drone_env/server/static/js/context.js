@@ -14,7 +14,7 @@ import { Player } from "./player.js";
  * @property {Object[]} kinds As `GET /kinds` tells them.
  * @property {Player[]} players The flights of Watch and Race, as many as may race; those without a flight are empty.
  * @property {Player} player The first of them.
- * @property {string} view "watch", "race", "replay", "history", "specs" or "logs".
+ * @property {string} view "watch", "race", "replay", "history", "learn" or "api".
  * @property {(event: string, f: Function) => () => void} on
  * @property {(event: string, ...args: any[]) => void} emit
  *

@@ -1,6 +1,7 @@
 // Boots the page: asks the server what there is, then mounts the parts.
 import { createApi } from "./api.js";
 import { createContext } from "./context.js";
+import { toast } from "./dom.js";
 import { loadFigures } from "./figures.js";
 import { Live } from "./live.js";
 import { mountStage } from "./stage.js";
@@ -10,9 +11,7 @@ import { mountViews } from "./views.js";
 import { mountTheme } from "./theme.js";
 import { mountConnection } from "./connection.js";
 import * as history from "./history.js";
-import * as logs from "./logs.js";
 import * as replay from "./replay.js";
-import * as specs from "./specs.js";
 
 async function boot() {
   const api = createApi(askForToken);
@@ -27,9 +26,25 @@ async function boot() {
   mountTheme(context);
   mountConnection(context);
   mountStage(context);
-  for (const [id, view] of Object.entries({ history, logs, replay, specs })) view.mount(part(`view-${id}`), context);
+  for (const [id, view] of Object.entries({ history, replay })) view.mount(part(`view-${id}`), context);
+  mountLater(context, { learn: "./learn.js", api: "./api_view.js" });
   mountViews(context);
   live.connect();
+}
+
+/** Views that are loaded when they are first shown. @param {Object<string, string>} modules By view. */
+function mountLater(context, modules) {
+  const waiting = new Map(Object.entries(modules));
+  context.on("view", async (view) => {
+    const module = waiting.get(view);
+    if (!waiting.delete(view)) return;
+    try {
+      (await import(module)).mount(document.getElementById(`view-${view}`), context);
+    } catch (error) {
+      waiting.set(view, module);
+      toast(`The view could not be loaded: ${error.message}`);
+    }
+  });
 }
 
 /** The tasks are asked for first and alone: it is there that a token may be asked for. */

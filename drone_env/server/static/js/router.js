@@ -2,7 +2,8 @@
 // show what the address says.
 import { Emitter } from "./emitter.js";
 
-const VIEWS = new Set(["watch", "race", "replay", "history", "specs", "logs"]);
+const VIEWS = new Set(["watch", "race", "replay", "history", "learn", "api"]);
+const RENAMED = { specs: "learn", logs: "api" };
 /** Whether flights are flown in a view. */
 export const isFlown = (view) => view === "watch" || view === "race";
 
@@ -14,6 +15,7 @@ export const isFlown = (view) => view === "watch" || view === "race";
  * @property {string|null} profile
  * @property {string[]} pilots
  * @property {string|null} episode Of a replay.
+ * @property {number|null} lesson Of the tutorial, from 1.
  *
  * Events: "address" (address) another one is shown.
  */
@@ -31,6 +33,7 @@ export class Router extends Emitter {
   /** Goes to another address, from which Back comes here. @param {Partial<Address>} address */
   go(address) {
     const next = { ...NOTHING, ...address };
+    if (next.view === "fly") next.view = next.episode ? "replay" : "watch";
     if (linkOf(next).href !== linkOf(this.address).href) history.pushState(null, "", linkOf(next));
     this.show(next);
   }
@@ -58,7 +61,7 @@ export class Router extends Emitter {
   }
 }
 
-const NOTHING = { view: "watch", task: null, seed: null, profile: null, pilots: [], episode: null };
+const NOTHING = { view: "watch", task: null, seed: null, profile: null, pilots: [], episode: null, lesson: null };
 
 /** Whether an address says that this is flown, or leaves it open; rewards that it does not name are the server's. */
 export function says(address, flown) {
@@ -74,7 +77,9 @@ function read({ search, hash }) {
   const seed = link.get("seed");
   const episode = link.get("episode") || null;
   // Links of earlier versions name the view behind a #.
-  const named = [link.get("view"), hash.slice(1)].find((view) => VIEWS.has(view));
+  const named = [link.get("view"), hash.slice(1)]
+    .map((view) => (Object.hasOwn(RENAMED, view) ? RENAMED[view] : view))
+    .find((view) => VIEWS.has(view));
   return {
     view: named ?? (episode ? "replay" : pilots.length > 1 ? "race" : "watch"),
     task: link.get("task"),
@@ -82,23 +87,25 @@ function read({ search, hash }) {
     profile: link.get("profile"),
     pilots,
     episode,
+    lesson: Number(link.get("lesson")) || null,
   };
 }
 
 /** The link to an address. @param {Partial<Address>} address */
-export function linkOf({ view, task, seed, profile, pilots, episode }) {
+export function linkOf({ view, task, seed, profile, pilots, episode, lesson }) {
   const url = new URL(document.baseURI);
   const parts = [];
   const say = (name, value) => {
     if (value !== null && value !== undefined && value !== "") parts.push(`${name}=${encodeURIComponent(value)}`);
   };
-  if (isFlown(view) || view === undefined) {
+  if (isFlown(view) || view === undefined || (view === "fly" && !episode)) {
     say("task", task);
     say("seed", seed);
     if (pilots.length) parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);
     say("profile", profile);
     if (view === "race" && pilots.length < 2) say("view", view);
-  } else if (view === "replay" && episode) say("episode", episode);
+    say("lesson", lesson);
+  } else if (episode) say("episode", episode);
   else say("view", view);
   url.search = parts.join("&");
   url.hash = "";

@@ -6,8 +6,8 @@ const TITLES = {
   race: "Race pilots",
   replay: "Replay a flight",
   history: "History of episodes",
-  specs: "Technical specifications",
-  logs: "Logs",
+  learn: "Learn",
+  api: "API",
 };
 
 /** @param {import("./context.js").Context} context `emit("replay", id)` and `emit("open", view)` change the view. */
