@@ -112,7 +112,7 @@ class Frame(Message):
 class ShownEpisode(Message):
     """An episode, frame by frame."""
 
-    mission: Opening
+    opening: Opening
     frames: list[Frame] = Field(description="Frame 0 is the reset; then one per step.")
 
 

@@ -44,10 +44,10 @@ def test_a_record_is_shown_frame_by_frame(shared_client: TestClient, task: str) 
     assert (frames[-1]["score"], frames[-1]["done"]) == (flown.score, True)
     assert frames[-1]["deliveries_done"] == len(frames[-1]["delivered"]) == flown.deliveries
     assert all((frame["q_values"] is None) == (task.startswith("skyline") or frame["done"]) for frame in frames)
-    mission = shown["mission"]
-    assert (mission["pilot"], mission["session"], mission["seed"]) == ("greedy", None, 7)
-    parcels = {tuple(parcel) for parcel in mission["parcels"]}
-    assert {(x, y) for y, line in enumerate(mission["cells"]) for x, cell in enumerate(line) if cell == 4} == parcels
+    opening = shown["opening"]
+    assert (opening["pilot"], opening["session"], opening["seed"]) == ("greedy", None, 7)
+    parcels = {tuple(parcel) for parcel in opening["parcels"]}
+    assert {(x, y) for y, line in enumerate(opening["cells"]) for x, cell in enumerate(line) if cell == 4} == parcels
 
 
 def test_a_flight_that_has_not_ended_is_shown_but_not_annotated(shared_client: TestClient) -> None:

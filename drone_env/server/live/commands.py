@@ -67,7 +67,7 @@ class Fly(Message):
 
     type: Literal["fly"]
     direction: Direction
-    mission: int = Field(default=0, ge=0, lt=MOST_EPISODES)
+    flight: int = Field(default=0, ge=0, lt=MOST_EPISODES)
 
 
 class Subscribe(Message):

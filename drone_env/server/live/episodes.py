@@ -66,7 +66,7 @@ class LiveEpisode:
         row = shared.store.read_session(session)
         live = cls(row, shared)
         opening = Opening.of(live.episode, live.pilot, session)
-        return live, ShownEpisode(mission=opening, frames=[live._look(), *live._follow(row)])
+        return live, ShownEpisode(opening=opening, frames=[live._look(), *live._follow(row)])
 
     @property
     def automatic(self) -> bool:

@@ -1,7 +1,7 @@
 """The WebSocket `/live`: commands of a page in, frames of its episodes out.
 
 The episodes are flown in HTTP sessions, so they outlive the connection and the process: a page that comes back attaches
-to them. On the wire they are missions.
+to them. On the wire they are flights, by their number among those of the page.
 """
 
 import asyncio
@@ -130,9 +130,9 @@ class Page:
                     await self._set_playing(any(live.automatic for live in self.episodes))
                 case Plain(type="step"):
                     await self._tell(await run_in_threadpool(self._step_all))
-                case Fly(mission=number, direction=direction):
+                case Fly(flight=number, direction=direction):
                     if number >= len(self.episodes):
-                        raise UnknownNameError("mission", str(number), [str(i) for i in range(len(self.episodes))])
+                        raise UnknownNameError("flight", str(number), [str(i) for i in range(len(self.episodes))])
                     await self._tell([(number, await run_in_threadpool(self.episodes[number].fly, direction))])
                 case Start():
                     await self._replace(await run_in_threadpool(self._start, command), command.number)
@@ -172,21 +172,21 @@ class Page:
         self._end_sent.clear()
         await self._set_playing(False)
         await run_in_threadpool(_end_all, left)
-        message = {"missions": [shown for _, shown in opened], "number": asked}
-        await self._send({"type": "missions", **message, "playing": self.playing, "speed": self.speed})
+        message = {"flights": [shown for _, shown in opened], "number": asked}
+        await self._send({"type": "flights", **message, "playing": self.playing, "speed": self.speed})
         await self._tell([])
         self._tasks.start_soon(self._answering, self._tell_values, self.episodes)
 
     async def _tell(self, moved: Moved) -> None:
         """Tell of new frames, and of episodes that have ended."""
-        frames = [{"mission": number, "frame": frame} for number, new in moved for frame in new]
+        frames = [{"flight": number, "frame": frame} for number, new in moved for frame in new]
         if frames:
             await self._send({"type": "frames", "frames": frames})
         for number, live in enumerate(self.episodes):
             if live.episode.ended and live not in self._end_sent:
                 self._end_sent.add(live)
                 for row in await run_in_threadpool(self._shared.store.listed, 1, episode_id=live.episode_id):
-                    await self._send({"type": "ended", "mission": number, "episode": row})
+                    await self._send({"type": "ended", "flight": number, "episode": row})
                 await self._send_values(number, live)
 
     async def _tell_values(self, episodes: Sequence[LiveEpisode]) -> None:
@@ -206,7 +206,7 @@ class Page:
         values = await run_in_threadpool(live.reachable)
         if values is not None:
             regrets = [values[0] - value for value in values]
-            await self._send({"type": "values", "mission": number, "values": values, "regrets": regrets})
+            await self._send({"type": "values", "flight": number, "values": values, "regrets": regrets})
 
     async def _set_playing(self, playing: bool) -> None:
         self.playing = playing

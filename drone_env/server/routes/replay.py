@@ -86,7 +86,7 @@ async def replay_record(shared: SharedParts, record: Record) -> Response:
         opening = Opening.of(start, record.agent)
         network = shared.networks.beside(record.agent, start.task)
         frames = [frame_of(episode, episode.observation(), network) for episode in chain([start], steps)]
-        return json_of(ShownEpisode(mission=opening, frames=frames))
+        return json_of(ShownEpisode(opening=opening, frames=frames))
 
     return await shared.study(flight)
 

@@ -1,0 +1,68 @@
+// What a visitor can do in Fly, by button or key.
+import { ask } from "./dom.js";
+import { SPEEDS } from "./clock.js";
+
+/** @typedef {ReturnType<typeof actionsOf>} Actions */
+
+/** @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
+export function actionsOf(context, fleet) {
+  const { stage } = context;
+  const { clock } = stage;
+
+  /** Does what would end the visitor's own flight, once he has said so. */
+  async function givingUp(act) {
+    const { own } = fleet;
+    if (own && !(await ask(`Give up your flight at step ${own.steps}?`, "Give it up", "Go on flying"))) return;
+    act();
+  }
+  /** Whether the server can fly a next step by itself. */
+  const flyable = () => fleet.shown && !fleet.over && fleet.automatic;
+  const goTo = (step) => {
+    clock.stop();
+    clock.seek(step);
+  };
+  const acts = {
+    givingUp,
+    flyable,
+    /** What Start does now, and whether something plays. @returns {[string, boolean]} */
+    word() {
+      if (clock.playing || (fleet.playing && fleet.shown)) return ["Pause", true];
+      if (clock.cursor < clock.end() || !flyable()) return ["Play", false];
+      return [clock.end() > 0 ? "Go on" : "Start", false];
+    },
+    toggle() {
+      if (clock.playing) clock.stop();
+      else if (fleet.playing) fleet.pause();
+      else if (clock.cursor === clock.end() && flyable()) fleet.play();
+      else clock.play();
+    },
+    first: () => goTo(0),
+    back: () => goTo(clock.cursor - 1),
+    last: () => goTo(clock.end()),
+    /** The next step of what was flown; at its end the pilots fly one more. */
+    forward() {
+      if (clock.cursor < clock.end()) goTo(clock.cursor + 1);
+      else if (flyable()) fleet.step();
+    },
+    undo: () => fleet.undo(),
+    reset: () => givingUp(() => fleet.start(fleet.shown ? {} : { pilots: [stage.track.pilot].filter((id) => fleet.flies(id)) })),
+    newMap: () => givingUp(() => fleet.start({ seed: null })),
+    start: (change, how) => givingUp(() => fleet.start(change, how)),
+    fork(options) {
+      const { track } = stage;
+      if (track && !track.frameAt(clock.cursor).done) givingUp(() => fleet.fork(track, clock.cursor, options));
+    },
+    faster(by) {
+      const speed = SPEEDS[SPEEDS.indexOf(clock.speed) + by];
+      if (speed) fleet.setSpeed(speed);
+    },
+    /** Shows a layer, or hides it; what a flying person asks to see, the record says. */
+    flick(layer) {
+      if (layer.when && !layer.when(stage)) return;
+      const shown = !context.shows(layer.id);
+      context.showLayer(layer.id, shown);
+      if (shown && layer.asks) fleet.help();
+    },
+  };
+  return acts;
+}
