@@ -27,7 +27,7 @@ import { mountThinking } from "./thinking.js";
 const LINGER = 300;
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context */
-export function mount(root, context) {
+export function mountFly(root, context) {
   const { stage } = context;
   const fleet = new Fleet(context);
   const past = new Past(context, fleet);
@@ -105,7 +105,9 @@ export function mount(root, context) {
   }
 
   async function fly(address) {
-    const asked = fleet.asks(address);
+    // Where the address leaves all open, the map that the server has drawn above.
+    const { task, seed } = document.getElementById("hello")?.dataset ?? {};
+    const asked = fleet.asks(task && !fleet.tracks.length ? { ...address, task, seed: Number(seed) } : address);
     const flown = fleet.tracks.length > 0 && says(asked, fleet.setup);
     if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
     else if (flown) {

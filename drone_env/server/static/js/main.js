@@ -2,16 +2,21 @@
 import { createApi } from "./api.js";
 import { createContext } from "./context.js";
 import { mountConnection } from "./connection.js";
+import { toast } from "./dom.js";
 import { loadFigures } from "./figures.js";
 import { Live } from "./live.js";
 import { Router } from "./router.js";
 import { mountTheme } from "./theme.js";
 import { askForToken } from "./token.js";
 import { mountViews } from "./views.js";
-import * as api_ from "./api_view.js";
-import * as compare from "./compare.js";
-import * as fly from "./fly.js";
-import * as learn from "./learn.js";
+import { mountFly } from "./fly.js";
+
+/** Views that are loaded when they are first shown: most visits never come to them. */
+const LATER = {
+  compare: () => import("./compare.js"),
+  learn: () => import("./learn.js"),
+  api: () => import("./api_view.js"),
+};
 
 async function boot() {
   const api = createApi(askForToken);
@@ -24,10 +29,24 @@ async function boot() {
 
   mountTheme(context);
   mountConnection(context);
-  for (const [name, view] of Object.entries({ fly, compare, learn, api: api_ }))
-    view.mount(document.getElementById(`view-${name}`), context);
+  mountFly(document.getElementById("view-fly"), context);
+  context.on("view", (name) => LATER[name] && mountLater(name, context));
   mountViews(context);
   live.connect();
+}
+
+/** Loads a view, which then hears that it is shown. */
+async function mountLater(name, context) {
+  const load = LATER[name];
+  delete LATER[name];
+  try {
+    const view = await load();
+    view.mount(document.getElementById(`view-${name}`), context);
+    if (context.view === name) context.emit("view", name);
+  } catch (error) {
+    LATER[name] = load;
+    toast(`This view could not be loaded: ${error.message}`);
+  }
 }
 
 /** The tasks are asked for first and alone: it is there that a token may be asked for. */
