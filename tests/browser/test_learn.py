@@ -125,56 +125,40 @@ def test_goals_are_reached_by_the_flights_that_their_lessons_ask_for(page: Page,
     assert goals(page, 3, stage(track(server, flight(*PADS, [Action.WAIT] * 11)))) == []
 
 
-def test_the_bar_ticks_goals_and_leads_on_and_learn_remembers_them(page: Page, server: Server) -> None:
+def test_two_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page: Page) -> None:
     page.goto("/?view=learn")
-    card = page.get_by_role("listitem").filter(has=page.get_by_role("heading", name="1. Fly yourself"))
-    expect(card.get_by_role("link")).to_have_text("Begin")
-    best = list(solve(*ALONE).actions)
-    world = {"task": "easy_delivery", "seed": ALONE[1]}
-    stages = {
-        "elsewhere": stage(track(server, flight(*ALONE, best))) | {"world": world | {"seed": 19}},
-        "begun": stage(track(server, flight(*ALONE, best[:1]))) | {"world": world},
-        "ended": stage(track(server, flight(*ALONE, best))) | {"world": world},
-    }
-    page.evaluate(
-        """async (tasks) => {
-            const { mountLesson } = await import("/static/js/lesson.js");
-            const { Emitter } = await import("/static/js/emitter.js");
-            const go = (address) => { bar.gone = address; };
-            const router = Object.assign(new Emitter(), { address: { lesson: null }, go });
-            const stage = Object.assign(new Emitter(), { world: null });
-            const root = Object.assign(document.createElement("section"), { id: "bar" });
-            document.querySelector("main").prepend(root);
-            window.bar = { router, stage };
-            mountLesson(root, { router, stage, tasks });
-        }""",
-        httpx.get(f"{server.url}/tasks").json()["tasks"],
-    )
-    shows = "name => { Object.assign(bar.stage, name); bar.stage.emit('change'); }"
-    bar = page.locator("#bar")
+    page.get_by_role("link", name="Begin: Fly yourself").click()
+    expect(page).to_have_url(re.compile(r"/\?task=easy&seed=18&pilot=human&lesson=1$"))
+    bar = page.get_by_role("region", name="Lesson")
     reached = bar.locator("[data-reached=yes]")
-    expect(bar).to_be_hidden()
-    page.evaluate("bar.router.address = { lesson: 1 }; bar.router.emit('address', bar.router.address)")
     expect(bar).to_contain_text("Lesson 1: Fly yourself")
-    page.evaluate(shows, stages["elsewhere"])
-    expect(reached).to_have_count(0)
-    page.evaluate(shows, stages["begun"])
-    expect(reached).to_have_text(["Reached: Make a move"])
-    expect(page.locator("#announcer")).to_have_text("Reached: Make a move")
     expect(bar.get_by_role("link")).to_have_text(["Back to Learn"])
-    page.evaluate(shows, stages["ended"])
+    expect(page.locator("#step-counter")).to_have_text(re.compile("Step 0 "))
+    page.keyboard.press("ArrowRight")
+    expect(reached).to_have_text(["Reached: Make a move"])
+    for key in ("ArrowRight", *["ArrowDown"] * 6):
+        page.keyboard.press(key)
     expect(reached).to_have_count(3)
-    expect(page.locator("#announcer")).to_have_text("All goals of the lesson are reached.")
-    bar.get_by_role("link", name="Next lesson").click()
-    gone = page.evaluate("bar.gone")
-    assert (gone["view"], gone["seed"], gone["pilots"], gone["lesson"]) == ("fly", BLUNDER[1], ["greedy"], 2)
+    page.keyboard.press("n")
+    expect(bar).to_be_hidden()
+    page.go_back()
 
+    bar.get_by_role("link", name="Next lesson").click()
+    expect(page).to_have_url(re.compile(r"/\?task=skyline_easy&seed=88&pilot=greedy&lesson=2$"))
+    expect(bar).to_contain_text("Lesson 2: See what a move loses")
+    expect(reached).to_have_count(0)
+    page.get_by_role("combobox", name="Speed").select_option("60")
+    page.get_by_role("button", name="Start", exact=True).click()
+    expect(reached).to_have_text(["Reached: Let Greedy fly to its end"])
+    page.locator("#worst").click()
+    expect(reached).to_have_count(2)
+
+    bar.get_by_role("link", name="Back to Learn").click()
     page.reload()
-    expect(card.get_by_role("link")).to_have_text("Fly again")
-    expect(card.locator("[data-reached=yes]")).to_have_count(3)
-    expect(page.get_by_role("link", name="Begin: See what a move loses")).to_have_class(re.compile("primary"))
-    card.get_by_role("link").click()
-    expect(page).to_have_url(re.compile("task=easy&seed=18&pilot=human&lesson=1$"))
+    for name in ("Fly again: Fly yourself", "Go on: See what a move loses", "Begin: Plan the battery"):
+        expect(page.get_by_role("link", name=name)).to_be_visible()
+    expect(page.locator(".lesson [data-reached=yes]")).to_have_count(5)
+    expect(page.locator(".lesson .primary")).to_have_text("Go on")
 
 
 def test_help_has_the_keys_and_leads_to_learn(page: Page) -> None:
@@ -258,11 +242,6 @@ def test_a_task_of_a_plugin_stands_under_its_own_family(beside: Callable[[str], 
 
     page = beside("")
     page.route("**/tasks", tasks)
-    page.goto("/")
-    for family, levels in (("City", 3), ("Skyline", 3), ("Parcel", 1)):
-        row = page.get_by_role("group", name=family, exact=True)
-        expect(row.get_by_role("radio")).to_have_count(levels)
-    expect(page.get_by_role("radio", name="Parcel Hop")).to_be_attached()
-    view(page, "Learn")
+    page.goto("/?view=learn")
     page.get_by_role("radio", name="Parcel", exact=True).check()
     assert table(page, "Technical specifications of the Parcel levels")["Id"] == ["hop"]

@@ -1,8 +1,8 @@
 // API: how programs connect to this server, and what it does now: requests, training, flights that end.
 import { address } from "./api.js";
-import { el, toast } from "./dom.js";
+import { copyText, el } from "./dom.js";
 import { fixed, moment, outcome, points, title } from "./format.js";
-import { linkTo } from "./link.js";
+import { linkOf } from "./router.js";
 
 const KEPT = 200;
 const TOKEN = "Authorization: Bearer TOKEN";
@@ -41,7 +41,7 @@ print(env.render(), observation["telemetry"], info)`,
 
 /** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
 export function mount(root, context) {
-  const { api, live, router } = context;
+  const { api, live } = context;
   const url = address(".").href.replace(/\/$/, "");
   // The page has a token where the server wants one.
   const token = api.protocols().length > 1 ? el("span", " Each call needs ", el("code", { text: TOKEN }), ".") : null;
@@ -64,33 +64,21 @@ export function mount(root, context) {
     training.clear();
     training.add(lines.map((line) => [null, el("li", { text: line })]));
   });
-  live.on("episodes", ({ episodes }) => flights.add(byTime(episodes).map((e) => [e.id, flightLine(e, router)])));
+  live.on("episodes", ({ episodes }) => flights.add(byTime(episodes).map((e) => [e.id, flightLine(e)])));
   // Another process may answer after that, which counts its requests from 1 again.
   live.on("state", ({ state }) => state === "open" && requests.clear());
 
   let unsubscribe = [];
-  const follow = (view) => {
+  context.on("view", (view) => {
     unsubscribe.forEach((end) => end());
     unsubscribe = view === "api" ? TOPICS.map((topic) => live.subscribe(topic)) : [];
-  };
-  context.on("view", follow);
-  follow(context.view);
+  });
 }
 
 function snippet([name, text]) {
-  const code = el("pre", el("code", { text }));
-  const copy = async () => {
-    try {
-      await navigator.clipboard.writeText(text);
-      toast("Copied.");
-    } catch {
-      // Without leave to write the clipboard the visitor copies it by hand.
-      getSelection().selectAllChildren(code);
-      toast("Selected: copy it with Ctrl C.");
-    }
-  };
-  const button = el("button.button.small", { text: "Copy", "aria-label": `Copy: ${name}`, press: copy });
-  return el("section.snippet", el("h3", { text: name }), button, code);
+  const press = () => copyText(text, "Copied.");
+  const copy = el("button.button.small", { text: "Copy", "aria-label": `Copy: ${name}`, press });
+  return el("section.snippet", el("h3", { text: name }), copy, el("pre", el("code", { text })));
 }
 
 const byTime = (episodes) => [...episodes].sort((a, b) => (a.finished_at < b.finished_at ? -1 : 1));
@@ -105,13 +93,13 @@ function requestLine({ time, method, path, status, milliseconds }) {
   );
 }
 
-function flightLine(e, router) {
+function flightLine(e) {
   const flight = `${title(e.task)} ${e.seed}, ${e.agent}`;
   return el(
     "li",
     el("time.dim", { datetime: e.finished_at, text: moment(e.finished_at) }),
     ` ${flight}: ${outcome(e)}, ${e.steps} steps, score ${points(e.score)} `,
-    linkTo(router, "a", { view: "fly", episode: e.id }, "Open", { "aria-label": `Open the flight ${flight}` }),
+    el("a", { href: linkOf({ episode: e.id }).search, text: "Open", "aria-label": `Open the flight ${flight}` }),
   );
 }
 

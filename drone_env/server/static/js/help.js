@@ -1,26 +1,28 @@
 // The help dialog: what this is, the keys, and where to learn more.
 import { closeBeside, el } from "./dom.js";
-import { linkTo } from "./link.js";
+import { LAYERS } from "./layers.js";
 
 /** What this is, in a sentence. */
 export const ABOUT =
   "A drone delivers parcels on a city grid before its battery is empty: fly it yourself, or watch others fly.";
 
 const KEYS = [
-  ["Space", "Start or pause; wait, when you fly"],
-  [".", "One step"],
-  ["← →", "Look back and forth in the flight"],
   ["↑ ↓ ← → or W A S D", "Fly, when you are the pilot"],
-  ["N", "New map"],
-  ["R", "The same map again"],
+  ["Space", "Start or pause; wait, when you fly"],
+  ["U", "Take a move of yours back"],
+  ["← → Home End", "Look back and forth in the flight"],
+  [".", "The next step"],
+  ["F", "Try from there: fly on yourself from the moment that is shown"],
+  ["N R", "New map; the same map again"],
   ["+ −", "Faster, slower"],
-  ["Q", "Arrows of the network's values"],
-  ["G", "Ghost on the best flight"],
+  ["Z X", "Nearer, farther"],
+  ["1 to 9", "Look at another flight"],
+  ...LAYERS.filter(({ key }) => key).map(({ key, name }) => [key.toUpperCase(), name]),
   ["?", "This help"],
 ];
 
-/** @param {import("./context.js").Context} context @returns {() => void} Opens it. */
-export function mountHelp({ router }) {
+/** @returns {() => void} Opens it. */
+export function mountHelp() {
   const dialog = document.getElementById("help");
   const close = () => dialog.close();
   dialog.append(
@@ -30,7 +32,7 @@ export function mountHelp({ router }) {
     el(
       "div.dialog-actions",
       el("button.button.primary", { text: "Close", autofocus: "", press: close }),
-      linkTo(router, "a.button", { view: "learn" }, "Learn to fly", { on: { click: close } }),
+      el("a.button", { href: "?view=learn", text: "Learn to fly", press: close }),
     ),
   );
   closeBeside(dialog);

@@ -1,9 +1,8 @@
 // Learn: what this is, the tutorial, and all numbers of the tasks.
 import { el } from "./dom.js";
 import { ABOUT } from "./help.js";
-import { goalList, lessonAddress } from "./lesson.js";
+import { goalList, lessonLink } from "./lesson.js";
 import { isComplete, LESSONS, reached } from "./lessons.js";
-import { linkTo } from "./link.js";
 import { specifications } from "./specs.js";
 
 const MORE =
@@ -14,16 +13,14 @@ const MORE =
 export function mount(root, context) {
   const lessons = el("ol.lessons");
   root.append(el("h2", { text: "Learn" }), el("p.about", { text: ABOUT + MORE }), lessons, ...specifications(context));
-  const show = (view) => {
+  context.on("view", (view) => {
     if (view !== "learn") return;
     const next = LESSONS.findIndex((_, i) => !isComplete(i + 1));
-    lessons.replaceChildren(...LESSONS.map((_, i) => card(i + 1, i === next, context)));
-  };
-  context.on("view", show);
-  show(context.view);
+    lessons.replaceChildren(...LESSONS.map((_, i) => card(i + 1, i === next)));
+  });
 }
 
-function card(number, isNext, { router }) {
+function card(number, isNext) {
   const { title, text } = LESSONS[number - 1];
   const way = isComplete(number) ? "Fly again" : reached(number).size ? "Go on" : "Begin";
   return el(
@@ -31,7 +28,9 @@ function card(number, isNext, { router }) {
     el("h3", { text: `${number}. ${title}` }),
     el("p", { text }),
     goalList(number),
-    linkTo(router, isNext ? "a.button.primary" : "a.button", lessonAddress(number), way, {
+    el(isNext ? "a.button.primary" : "a.button", {
+      href: lessonLink(number),
+      text: way,
       "aria-label": `${way}: ${title}`,
     }),
   );

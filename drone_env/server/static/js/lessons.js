@@ -68,8 +68,8 @@ export const LESSONS = [
     title: "Plan the battery",
     text:
       "In Skyline the battery does not last for the tour. It holds 11 units here; a step takes 1, above a tree 2, " +
-      "above a building 3, and obstacles block the way. The layer Range shows how far it reaches from here and from " +
-      "each pad, where each wait (Space) charges 4. Without charging nobody delivers more than two of the three " +
+      "above a building 3, and obstacles block the way. Range of the battery (B) shows how far it reaches from here " +
+      "and from each pad, where each wait (Space) charges 4. Without charging nobody delivers more than two of the three " +
       "parcels.",
     address: { view: "fly", task: "skyline_easy", seed: 84, pilots: ["human"] },
     goals: [
