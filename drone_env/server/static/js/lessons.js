@@ -69,8 +69,8 @@ export const LESSONS = [
     text:
       "In Skyline the battery does not last for the tour. It holds 11 units here; a step takes 1, above a tree 2, " +
       "above a building 3, and obstacles block the way. Range of the battery (B) shows how far it reaches from here " +
-      "and from each pad, where each wait (Space) charges 4. Without charging nobody delivers more than two of the three " +
-      "parcels.",
+      "and from each pad, where each wait (Space) charges 4. Without charging nobody delivers more than two of the " +
+      "three parcels.",
     address: { view: "fly", task: "skyline_easy", seed: 84, pilots: ["human"] },
     goals: [
       { text: "Charge: wait on a pad", done: mine(charges) },
