@@ -52,12 +52,12 @@ export const LESSONS = [
     title: "See what a move loses",
     text:
       "Greedy flies to the nearest parcel and looks no further. The optimum of this map is 96.8; Greedy scores 53.3, " +
-      "and loses the difference in a single move. Let it fly, then find that move in the timeline: a pad lies below " +
-      "the drone, where waiting charges the battery. Try from there.",
+      "and loses the difference in a single move. Let it fly, then find that move in the graph below the " +
+      "map: a pad lies below the drone, where waiting charges the battery. Try from there.",
     address: { view: "fly", task: "skyline_easy", seed: 88, pilots: ["greedy"] },
     goals: [
       { text: "Let Greedy fly to its end", done: (stage) => by("greedy", stage).some((track) => track.done) },
-      { text: "Go to its blunder in the timeline", done: (stage) => atWorst(stage, "greedy") },
+      { text: "Go to its blunder in the graph", done: (stage) => atWorst(stage, "greedy") },
       {
         text: "Try from there, and deliver all parcels",
         done: mine((track) => track.by.includes(" from step ") && delivers(track)),
