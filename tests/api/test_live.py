@@ -144,7 +144,7 @@ def test_a_frame_shows_what_the_observation_says(client: TestClient) -> None:
             assert frame[name] == state[name]
         assert (frame["x"], frame["y"], frame["step"]) == (state["drone_x"], state["drone_y"], state["step_count"])
         assert frame["target"] == state["current_target"]
-        assert frame["q_values"] == client.post("/predict", headers=header).json()["q_values"]
+        assert frame["q_values"] is None
         assert frame["event"] == state["path_history"][-1]["event"]
 
 

@@ -45,8 +45,8 @@ def told(beside: Beside) -> tuple[Page, list[str]]:
     page, sessions = beside(""), list[str]()
 
     def hear(text: str | bytes) -> None:
-        for shown in json.loads(text).get("missions", []):
-            sessions.append(shown["mission"]["session"])
+        for shown in json.loads(text).get("flights", []):
+            sessions.append(shown["opening"]["session"])
 
     page.on("websocket", lambda socket: socket.on("framereceived", hear))
     return page, sessions
@@ -168,7 +168,7 @@ def test_a_server_that_ends_each_connection_is_asked_five_times_and_then_when_th
 
         def pass_on(text: str | bytes) -> None:
             socket.send(text)
-            if json.loads(text)["type"] == "missions" and len(connections) != 7:
+            if json.loads(text)["type"] == "flights" and len(connections) != 7:
                 socket.close(code=1011)
 
         beyond.on_message(pass_on)

@@ -13,7 +13,7 @@ const MOST_ENDED = 5;
 /**
  * @typedef {"connecting"|"open"|"away"|"full"|"refused"} LinkState
  *
- * Events: every message type of the server ("missions", "frames", ...) with the message, and "state" with
+ * Events: every message type of the server ("flights", "frames", ...) with the message, and "state" with
  * {state: LinkState, wait: milliseconds until the next try, reason}.
  */
 export class Live extends Emitter {
