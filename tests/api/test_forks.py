@@ -190,6 +190,9 @@ def test_a_person_in_flight_is_shown_values_once_asked_for_and_the_record_says_s
         frame = page.until("frames")["frames"][0]["frame"]
         assert [frame[name] for name in kept_back] == [None] * 3
         page.send("help", flight=0)
+        helped = page.until("helped")
+        assert (helped["flight"], helped["by"], helped["frame"]["step"]) == (0, "human with values", 1)
+        assert helped["frame"]["q_values"] == client.post("/predict", headers=header).json()["q_values"]
         assert len(page.until("values")["values"]) == 2
         page.send("fly", direction="WAIT")
         frame = page.until("frames")["frames"][0]["frame"]
@@ -217,7 +220,8 @@ def test_a_person_takes_steps_back_and_the_record_says_so(client: TestClient) ->
             page.until("frames")
         for step in (4, 3, 2):
             page.send("undo", flight=0)
-            assert page.until("undone") == {"type": "undone", "flight": 0, "step": step}
+            by = "human with undo from step 2 of greedy"
+            assert page.until("undone") == {"type": "undone", "flight": 0, "step": step, "by": by}
             assert client.get("/state", headers=header).json()["step_count"] == step
         page.send("undo", flight=0)
         told = refusal(page)
