@@ -12,8 +12,8 @@ SIGNS = {
     "Race": "#maps figure:nth-of-type(4)",
     "Replay": ".replay-moves button",
     "History": "tr[data-episode]",
-    "Specifications": ".specs-table",
-    "Logs": "#log-requests li",
+    "Learn": ".lesson",
+    "API": "#log-requests li",
 }
 """What stands in a view once it has all that it shows. A flight must have been replayed before, and one have ended."""
 
