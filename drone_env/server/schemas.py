@@ -245,6 +245,7 @@ class PilotInfo(Message):
     id: str
     name: str
     summary: str
+    colour: int = Field(ge=1, description="Number of its colour on the page, always the same.")
     automatic: bool = Field(description="Whether it flies by itself.")
     tasks: list[str] = Field(description="Ids of the tasks that it can fly.")
 

@@ -133,6 +133,11 @@ def commands(source: random.Random, sessions: list[str]) -> Any:
     """A command that is right, or nearly so."""
     flown = {"direction": source.choice(["UP", "WAIT", "up"]), "flight": source.randrange(-1, 5)}
     pilots = ["pathqnet", "tournet", "greedy", "optimal", "random", "human", "ghost"]
+    fork = {
+        "actions": source.choices(["UP", "LEFT", "WAIT"], k=source.randrange(80)),
+        "step": source.randrange(-1, 9),
+        "of": source.choice(["human", "greedy", "human from step 3 of greedy", "x" * 200, "a\nb"]),
+    }
     return source.choice(
         [
             {
@@ -140,6 +145,7 @@ def commands(source: random.Random, sessions: list[str]) -> Any:
                 "task": source.choice([*FLOWN, "nowhere"]),
                 "seed": source.choice([None, 7, 2**53 - 1, -1]),
                 "pilots": source.choices(pilots, k=source.randrange(6)),
+                "fork": source.choice([None, None, fork]),
             },
             {"type": "attach", "sessions": source.choices([*sessions, "nobody"], k=source.randrange(6))},
             {"type": "play", "speed": source.choice([0.5, 6, 60, 61, None, "fast"])},
@@ -148,6 +154,7 @@ def commands(source: random.Random, sessions: list[str]) -> Any:
             {"type": "end"},
             source.choice([[], None, 5, "step", {"type": None}, {"type": "step", "more": 1}]),
             *[{"type": "fly", **flown}] * 2,
+            {"type": source.choice(["undo", "help"]), "flight": flown["flight"]},
             *[{"type": "step"}] * 3,
         ]
     )

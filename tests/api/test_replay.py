@@ -18,6 +18,7 @@ from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.episodes.store import Store
 from drone_env.evaluation.analysis import FlightAnalysis, analyse_flight
 from drone_env.planning.optimal import solve
+from drone_env.server.pilots import PILOTS
 from drone_env.server.state import STUDIES, WAITING_STUDIES
 
 JSON = {"Content-Type": "application/json"}
@@ -214,6 +215,9 @@ def test_the_history_of_a_task_for_charts(client: TestClient, settings: dict[str
 def test_who_can_fly_and_what_can_stand_in_a_cell(shared_client: TestClient) -> None:
     pilots = {pilot["id"]: pilot for pilot in shared_client.get("/pilots").json()["pilots"]}
     assert [name for name, pilot in pilots.items() if not pilot["automatic"]] == ["human"]
+    assert {name: pilot["colour"] for name, pilot in pilots.items()} == {
+        name: number for number, name in enumerate(PILOTS, 1) if not name.startswith("trained")
+    }
     assert pilots["pathqnet"]["tasks"] == ["easy_delivery", "medium_delivery", "hard_delivery"]
     assert pilots["greedy"]["tasks"] == pilots["tournet"]["tasks"] == pilots["tournet-search"]["tasks"] == list(TASKS)
     kinds = shared_client.get("/kinds").json()["kinds"]

@@ -116,7 +116,7 @@ def test_the_answer_to_an_older_choice_does_not_undo_a_newer_one(beside: Callabl
         server = socket.connect_to_server()
 
         def answer(text: str | bytes) -> None:
-            if json.loads(text)["type"] == "missions":
+            if json.loads(text)["type"] == "flights":
                 held.append(lambda: socket.send(text))
             else:
                 socket.send(text)

@@ -61,10 +61,11 @@ def pilots(shared: SharedParts) -> PilotList:
                 id=name,
                 name=pilot.name,
                 summary=pilot.summary,
+                colour=colour,
                 automatic=name != HUMAN,
                 tasks=tasks_of(name, shared.networks),
             )
-            for name, pilot in PILOTS.items()
+            for colour, (name, pilot) in enumerate(PILOTS.items(), 1)
             if not (name in SOURCES and SOURCES[name].trained) or tasks_of(name, shared.networks)
         ],
         most=MOST_EPISODES,

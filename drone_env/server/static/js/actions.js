@@ -27,22 +27,22 @@ export function actionsOf(context, fleet) {
     /** What Start does now, and whether something plays. @returns {[string, boolean]} */
     word() {
       if (clock.playing || (fleet.playing && fleet.shown)) return ["Pause", true];
-      if (clock.cursor < clock.end() || !flyable()) return ["Play", false];
-      return [clock.end() > 0 ? "Go on" : "Start", false];
+      if (!clock.following || !flyable()) return ["Play", false];
+      return [clock.cursor > 0 ? "Go on" : "Start", false];
     },
     toggle() {
       if (clock.playing) clock.stop();
       else if (fleet.playing) fleet.pause();
-      else if (clock.cursor === clock.end() && flyable()) fleet.play();
+      else if (clock.following && flyable()) fleet.play();
       else clock.play();
     },
     first: () => goTo(0),
     back: () => goTo(clock.cursor - 1),
-    last: () => goTo(clock.end()),
+    last: () => goTo(clock.newest()),
     /** The next step of what was flown; at its end the pilots fly one more. */
     forward() {
-      if (clock.cursor < clock.end()) goTo(clock.cursor + 1);
-      else if (flyable()) fleet.step();
+      if (clock.following && flyable()) fleet.step();
+      else goTo(clock.cursor + 1);
     },
     undo: () => fleet.undo(),
     reset: () => givingUp(() => fleet.start(fleet.shown ? {} : { pilots: [stage.track.pilot].filter((id) => fleet.flies(id)) })),

@@ -31,7 +31,7 @@ export function mountBoards(root, context) {
   function build() {
     shown = isApart ? stage.tracks : [];
     mounted.boards.forEach((board) => board.destroy());
-    grid.dataset.count = String(Math.max(1, shown.length));
+    grid.style.setProperty("--columns", String(Math.ceil(Math.sqrt(shown.length || 1))));
     cards = shown.map(card);
     const field = el("div.map-field");
     grid.replaceChildren(...(cards.length ? cards.map(({ node }) => node) : [field]));

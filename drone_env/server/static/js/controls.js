@@ -54,11 +54,12 @@ export function mountControls(root, context, fleet, acts) {
     toggle.disabled = !track || (away && !clock.playing);
     toggle.hidden = fleet.own !== null && !fleet.automatic;
     first.disabled = back.disabled = clock.cursor === 0;
-    last.disabled = clock.cursor === clock.end();
-    forward.disabled = !track || (last.disabled && (playing || away || !acts.flyable()));
+    last.disabled = clock.following;
+    const end = clock.cursor === clock.end() || clock.following;
+    forward.disabled = !track || (end && (playing || away || !acts.flyable()));
     undo.hidden = fleet.human < 0 || !fleet.shown;
     undo.disabled = fleet.own === null;
-    fork.hidden = !track || (clock.cursor === clock.end() && fleet.human >= 0 && !track.done);
+    fork.hidden = !track || (clock.following && fleet.own === track);
     fork.disabled = !track || track.frameAt(clock.cursor).done;
     reset.disabled = !fleet.tracks.length;
     speed.value = String(clock.speed);

@@ -36,7 +36,8 @@ export class Fleet extends Emitter {
     live.on("flights", (message) => this.begin(message));
     live.on("frames", ({ frames }) => this.move(frames));
     live.on("values", (message) => this.value(message));
-    live.on("undone", ({ flight, step }) => this.undone(this.tracks[flight], step));
+    live.on("undone", (message) => this.undone(message));
+    live.on("helped", (message) => this.helped(message));
     live.on("playing", ({ playing }) => this.setPlaying(playing));
     live.on("ended", ({ flight, episode }) => this.ended(this.tracks[flight], episode));
     live.on("error", (message) => this.refused(message));
@@ -197,7 +198,7 @@ export class Fleet extends Emitter {
     const flight = this.human;
     const track = this.tracks[flight];
     if (!this.shown || !track || track.done) return;
-    this.stage.clock.seek(this.stage.clock.end());
+    this.stage.clock.seek(this.stage.clock.newest());
     this.context.live.send({ type: "fly", flight, direction });
     if (this.automatic && !this.playing) this.context.live.send({ type: "step" });
   }
@@ -238,7 +239,10 @@ export class Fleet extends Emitter {
     this.tracks = flights.map((flown) => new Track(flown, this.look(flown.opening.pilot), true));
     // What has been chosen since this was asked for is on its way, and stays chosen.
     const newest = number === this.number;
-    const { step } = this.setup;
+    const { fork, step } = this.setup;
+    if (fork !== null) this.tracks.at(-1).forkedAt = fork;
+    // What stands beside them does not go on.
+    for (const track of this.how.beside) track.live = false;
     if (newest) {
       this.asked = null;
       const { seed, short_name } = flights[0].opening;
@@ -260,13 +264,11 @@ export class Fleet extends Emitter {
   /** Puts these flights on the stage: from their newest step, unless another moment is wanted. */
   show(step = null, selected = null) {
     const tracks = [...this.how.beside, ...this.tracks];
-    const forked = tracks.findIndex((track) => track.live && track.forkedAt !== null);
-    const mine = tracks.indexOf(this.tracks[this.human]);
-    const end = Math.max(...tracks.map((track) => track.steps));
-    const now = this.setup.fork === null ? end : tracks[forked]?.steps;
-    this.stage.show(worldOf(this.tracks[0].opening, this.context.tasks), tracks, {
-      step: step ?? now ?? end,
-      selected: selected ?? Math.max(0, forked, mine),
+    const front = this.setup.fork === null ? this.tracks[Math.max(0, this.human)] : tracks.at(-1);
+    const end = this.setup.fork === null ? Math.max(...tracks.map((track) => track.steps)) : front.steps;
+    this.stage.show(worldOf(front.opening, this.context.tasks), tracks, {
+      step: step ?? end,
+      selected: selected ?? tracks.indexOf(front),
     });
   }
 
@@ -280,11 +282,20 @@ export class Fleet extends Emitter {
     this.tell();
   }
 
-  undone(track, step) {
+  undone({ flight, step, by }) {
+    const track = this.tracks[flight];
+    track.by = by;
     track.frames.length = step + 1;
     this.stage.changed(track);
     this.stage.clock.seek(step);
     this.tell();
+  }
+
+  helped({ flight, by, frame }) {
+    const track = this.tracks[flight];
+    track.by = by;
+    track.frames[frame.step] = frame;
+    this.stage.changed(track);
   }
 
   /** What a fork has flown stands in its link. */

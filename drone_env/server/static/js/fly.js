@@ -129,7 +129,8 @@ export function mountFly(root, context) {
     linger = setTimeout(() => {
       const { clock, track } = stage;
       const still = !clock.playing && !stage.flying && context.view === "fly" && (fleet.shown || past.episode);
-      const step = clock.cursor || null;
+      // Where a fork stands is said by what it has flown.
+      const step = clock.following && fleet.shown && fleet.setup.fork !== null ? null : clock.cursor || null;
       if (track && still && step !== context.router.address.step) context.router.moment({ step });
     }, LINGER);
   });

@@ -54,9 +54,9 @@ export function drawTrails(ctx, view) {
 
 const position = (track, k) => [track.frames[k].x, track.frames[k].y];
 
-/** A best flight over the map, known as soon as a flight is annotated. */
-export function drawBest(ctx, { stage, layout, clock, colours }) {
-  const path = stage.tracks.find(({ annotation }) => annotation)?.annotation.optimal_path;
+/** A best flight over the map, known once the flight is annotated. */
+export function drawBest(ctx, { track, layout, clock, colours }) {
+  const path = track.annotation?.optimal_path;
   if (!path) return;
   const { cell, scale } = layout;
   const aside = cell * 0.13;

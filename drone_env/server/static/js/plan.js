@@ -92,6 +92,7 @@ export function mountPlan(root, context, fleet, acts) {
     setText(heading, [task ? title(task.short_name) : setup.task, `map ${map}`, names.join(", ")].join(" · "));
     for (const input of tasks.querySelectorAll("input")) input.checked = input.value === task?.short_name;
     setText(tasks.querySelector(".task-note"), task ? taskNote(task) : "");
+    pilots.dataset.many = String(setup.pilots.length > 1);
     for (const row of pilots.querySelectorAll(".pilot")) {
       const [name, box, about] = row.children;
       const able = fleet.flies(box.value);

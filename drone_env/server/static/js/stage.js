@@ -37,8 +37,10 @@ export class Stage extends Emitter {
     /** @type {import("./track.js").Track[]} */
     this.tracks = [];
     this.selected = 0;
+    const longest = (tracks) => Math.max(0, ...tracks.map((track) => track.steps));
     this.clock = new Clock(
-      () => Math.max(0, ...this.tracks.map((track) => track.steps)),
+      () => longest(this.tracks),
+      () => longest(this.tracks.some(({ live }) => live) ? this.tracks.filter(({ live }) => live) : this.tracks),
       () => this.tell("cursor"),
     );
     /** What `POST /values` says of the moment and the flight that are looked at; null where nobody asked. */

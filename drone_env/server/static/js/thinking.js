@@ -32,7 +32,7 @@ export function mountThinking(root, context, fleet, acts) {
   function play(action) {
     const { clock, track } = stage;
     const own = fleet.shown && track === fleet.tracks[fleet.human] && !track.done;
-    if (own && clock.cursor === clock.end()) fleet.fly(action);
+    if (own && clock.following) fleet.fly(action);
     else acts.fork({ action });
   }
 

@@ -25,6 +25,8 @@ export class Track {
     this.episode = null;
     /** The calls of a language model by step, null where none flew. */
     this.calls = null;
+    /** The step from which it goes another way than the flight that it left; null where it is nobody's fork. */
+    this.forkedAt = opening.forked_at;
     this.way = null;
   }
 
@@ -40,11 +42,6 @@ export class Track {
   /** Steps flown. */
   get steps() {
     return this.frames.length - 1;
-  }
-
-  /** The step from which it is another flight's way no longer; null where it is nobody's fork. */
-  get forkedAt() {
-    return this.opening.forked_at;
   }
 
   /** The frame at a step; its last one where it has not come so far. */
