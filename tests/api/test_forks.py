@@ -252,3 +252,19 @@ def test_nothing_is_taken_back_of_what_another_page_has_flown_meanwhile(client: 
         assert first.until("undone")["step"] == 1
         first.send("fly", direction="WAIT")
         assert first.until("frames")["frames"][0]["frame"]["q_values"] is not None
+
+
+def test_flights_are_opened_at_a_step_and_go_on_from_there(client: TestClient) -> None:
+    agents = {agent: directions(flown("easy", agent)) for agent in ("greedy", "random")}
+    steps = len(agents["greedy"]) + 2
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        by_hand, *shown = page.start("human", *agents, step=steps)
+        assert len(by_hand["frames"]) == 1
+        for flight, actions in zip(shown, agents.values(), strict=True):
+            assert [frame["action"] for frame in flight["frames"][1:]] == actions[:steps]
+        assert page.until("ended")["flight"] == 1
+        page.send("play", speed=60)
+        moved = page.flight()
+    assert list(moved) == [2]
+    assert [frame["action"] for frame in moved[2]] == agents["random"][steps:]

@@ -1,4 +1,4 @@
-"""What a page starts: a session for each flight, and where there is a fork, what was flown up to there."""
+"""What a page starts: a session for each flight, and what is flown up to the moment that is asked for."""
 
 from collections.abc import Sequence
 
@@ -47,11 +47,12 @@ def open_flights(command: Start, shared: Shared, last: Episode | None) -> Opened
         for agent in agents:
             named = options.model_copy(update={"seed": start.seed, "agent": agent})
             opened.append(LiveEpisode.attach(shared.sessions.reset(None, named)[0], shared))
+        alone, steps = (opened, command.step) if fork is None else (opened[:-1], len(fork.actions))
+        for live, shown in alone:
+            for _ in range(steps):
+                if live.automatic:
+                    shown.frames.extend(live.step())
         if fork is not None:
-            for live, shown in opened[:-1]:
-                for _ in fork.actions:
-                    if live.automatic:
-                        shown.frames.extend(live.step())
             live, shown = opened[-1]
             shown.frames.extend(live.begin_after(fork.actions))
     except BaseException:

@@ -7,9 +7,14 @@ const LEAP = 4;
 
 /** `cursor` is the step that is shown; `position` follows it smoothly and is what is drawn between two steps. */
 export class Clock {
-  /** @param {() => number} end The newest step there is. @param {() => void} moved Called when another step is shown, or it is played or stopped. */
-  constructor(end, moved) {
+  /**
+   * @param {() => number} end The last step there is. @param {() => number} newest The one that was flown last: a flight that
+   *   goes on may lie beside one that is longer. @param {() => void} moved Called when another step is shown, or it is played
+   *   or stopped.
+   */
+  constructor(end, newest, moved) {
     this.end = end;
+    this.newest = newest;
     this.moved = moved;
     this.cursor = this.position = 0;
     /** Whether new steps are shown as they come. */
@@ -24,19 +29,19 @@ export class Clock {
   jump(step) {
     this.stop();
     this.cursor = this.position = Math.max(0, Math.min(this.end(), step));
-    this.following = this.cursor === this.end();
+    this.following = this.cursor === this.newest();
   }
 
-  /** Goes to a step. Live flights are followed again from the last one on. */
+  /** Goes to a step. Live flights are followed again from the newest one on. */
   seek(step) {
     this.cursor = Math.max(0, Math.min(this.end(), Math.round(step)));
-    this.following = this.cursor === this.end();
+    this.following = this.cursor === this.newest();
     this.moved();
   }
 
   /** Shows the newest step, unless somebody looks back. */
   follow() {
-    if (this.following) this.seek(this.end());
+    if (this.following) this.seek(this.newest());
   }
 
   /** Plays what there is, from the start if we are at the end. */

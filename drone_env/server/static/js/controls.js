@@ -55,12 +55,12 @@ export function mountControls(root, context, fleet, acts) {
     toggle.hidden = fleet.own !== null && !fleet.automatic;
     first.disabled = back.disabled = clock.cursor === 0;
     last.disabled = clock.cursor === clock.end();
-    forward.disabled = !track || (last.disabled && (playing || away || !acts.flyable()));
+    forward.disabled = !track || (acts.goesOn() ? playing || away : last.disabled);
     undo.hidden = fleet.human < 0 || !fleet.shown;
     undo.disabled = fleet.own === null;
-    fork.hidden = !track || (clock.cursor === clock.end() && fleet.human >= 0 && !track.done);
+    fork.hidden = !track || fleet.atHand;
     fork.disabled = !track || track.frameAt(clock.cursor).done;
-    reset.disabled = !fleet.tracks.length;
+    reset.disabled = !track;
     speed.value = String(clock.speed);
     setText(where, track ? sentence(track, clock.cursor, stage) : "");
     where.classList.toggle("behind", !clock.following);

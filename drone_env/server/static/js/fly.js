@@ -33,7 +33,7 @@ export function mountFly(root, context) {
   const past = new Past(context, fleet);
   const acts = actionsOf(context, fleet);
   /** Whether values are kept back: a person flies who has not asked for them. */
-  context.secret = (track) => track.live && !track.done && !fleet.pilot(track.pilot).automatic && !/ with .*values/.test(track.by);
+  context.secret = (track) => track.live && !track.done && !track.asked && !fleet.pilot(track.pilot).automatic;
 
   const plan = el("aside.plan", { "aria-label": "What is flown" });
   const middle = el("div.middle");
@@ -83,7 +83,7 @@ export function mountFly(root, context) {
   fleet.on("begun", () => {
     past.leave();
     problem.clear();
-    if (context.view === "fly") context.router.flies({ ...fleet.setup, step: null });
+    if (context.view === "fly") context.router.flies({ ...fleet.setup, step: fleet.shown ? stage.clock.cursor || null : null });
   });
   stage.on("load", () => root.classList.toggle("empty", !stage.world));
   root.classList.add("empty");
@@ -118,6 +118,7 @@ export function mountFly(root, context) {
       await open(async () => {
         const base = await past.stored(address.episode);
         fleet.start(asked, { beside: [base], flown: asked.pilots.slice(-1) });
+        explain(context, base);
       });
     }
   }

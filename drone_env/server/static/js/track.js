@@ -13,12 +13,15 @@ export class Track {
     /** Who flew, as the record says it: a pilot, or several of them one after another. */
     this.by = opening.by;
     this.name = name;
+    if (opening.forked_at !== null) this.startedAt(opening.forked_at);
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = colour;
     this.frames = [...frames];
     /** Whether it is one of the past, not one that the server has flown for this page. */
     this.past = !live;
     this.live = live;
+    /** Whether a person asked for values while flying, which are kept back from others. */
+    this.asked = live && this.by.split(" from step ")[0].includes(" with values");
     /** What each move gave away, as `POST /annotate` tells it; null while that is not known. */
     this.annotation = null;
     /** The summary of the stored flight; null while it is not stored. */
@@ -26,6 +29,11 @@ export class Track {
     /** The calls of a language model by step, null where none flew. */
     this.calls = null;
     this.way = null;
+  }
+
+  /** It has left another flight's way at a step, which its name says. */
+  startedAt(step) {
+    this.name = `${this.name.split(" from step ")[0]} from step ${step}`;
   }
 
   /** The newest frame. */
