@@ -6,16 +6,15 @@ from typing import Any
 
 from playwright.sync_api import Locator, Page, expect
 
-FASTEST = "8"
-"""The last notch of the slider: 60 steps per second."""
+FASTEST = "60"
+"""Steps per second, the last choice."""
 SIGNS = {
-    "Race": "#maps figure:nth-of-type(4)",
-    "Replay": ".replay-moves button",
-    "History": "tr[data-episode]",
-    "Specifications": ".specs-table",
-    "Logs": "#log-requests li",
+    "Fly": "#boards .map",
+    "Compare": "#view-compare table",
+    "Learn": "#view-learn .specs-table",
+    "API": "#log-requests li",
 }
-"""What stands in a view once it has all that it shows. A flight must have been replayed before, and one have ended."""
+"""What stands in a view once it has all that it shows."""
 
 
 def view(page: Page, name: str) -> None:
@@ -29,26 +28,27 @@ def whole_view(page: Page, name: str) -> None:
     expect(page.locator(SIGNS[name]).first).to_be_visible()
 
 
-def fastest(page: Page) -> None:
-    page.get_by_role("slider", name="Speed").fill(FASTEST)
+def show(page: Page, path: str) -> None:
+    """Go to an address of the page as Back and Forward do: what is loaded stays, which costs less than `goto`."""
+    page.evaluate("path => { history.pushState(null, '', path); dispatchEvent(new PopStateEvent('popstate')); }", path)
 
 
-def slow(page: Page) -> None:
-    """Two steps per second: slow enough that a flight does not end before it is paused."""
-    page.get_by_role("slider", name="Speed").fill("2")
+def at_speed(page: Page, steps: str) -> None:
+    """So many steps per second, as the choices are written."""
+    page.get_by_role("combobox", name="Speed").select_option(steps)
 
 
 def fly(page: Page) -> None:
     """Start, as fast as it goes."""
-    fastest(page)
+    at_speed(page, FASTEST)
     page.get_by_role("button", name="Start", exact=True).click()
 
 
-def results(page: Page) -> Locator:
-    """The results, once they are there."""
-    dialog = page.locator("dialog#results")
-    expect(dialog).to_be_visible()
-    return dialog
+def ended(page: Page) -> Locator:
+    """The strip below the map that says how the flight went, once it has ended and is annotated."""
+    strip = page.locator(".strip")
+    expect(strip).to_contain_text("a best flight takes")
+    return strip
 
 
 def counter(page: Page) -> int:
@@ -84,7 +84,7 @@ def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
 
 
 def pictures(page: Page) -> list[str]:
-    """What stands on the canvases of the maps, as data URLs: of each map the city and the flight.
+    """What stands on the canvases of the maps, as data URLs: of each map the city, what is known of its cells, what moves.
 
     What is asked to be drawn is drawn in the next frame, and anew once the fonts are there.
     """
@@ -92,7 +92,7 @@ def pictures(page: Page) -> list[str]:
         """async () => {
             await document.fonts.ready;
             for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
-            return [...document.querySelectorAll("#maps canvas")].map(canvas => canvas.toDataURL());
+            return [...document.querySelectorAll("#boards canvas")].map(canvas => canvas.toDataURL());
         }"""
     )
 
