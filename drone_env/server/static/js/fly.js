@@ -48,7 +48,7 @@ export function mountFly(root, context) {
   root.append(plan, middle, side);
 
   mountPlan(plan, context, fleet, acts);
-  mountFiles(plan, past, open);
+  mountFiles(plan, past, openFile);
   mountLegend(plan, context);
   below("lesson", mountLesson);
   const problem = below("problems", mountProblem, fleet);
@@ -65,19 +65,25 @@ export function mountFly(root, context) {
   panel("telemetry-panel", mountTelemetry, { boards: () => boards.boards, graph });
   mountKeys(context, fleet, acts, mountHelp(context));
   mountMapValues(context);
-  listenToDrops((file) => open(() => past.openFile(file)));
+  listenToDrops((file) => openFile(() => past.openFile(file)));
 
-  /** Shows flights of the past: the live ones rest. */
+  /** Shows flights of the past: the live ones rest. @returns {Promise<boolean>} Whether they are there. */
   async function open(flights) {
     fleet.pause();
     problem.clear();
-    // A file has no address of its own.
-    if (!context.router.address.episode || context.view !== "fly") context.router.go({ view: "fly", episode: "" });
     try {
       await flights();
+      return true;
     } catch (error) {
       problem.say(error.message);
+      return false;
     }
+  }
+
+  /** The same of a file, which has no address of its own. */
+  async function openFile(flights) {
+    if (context.view !== "fly") context.router.open("fly");
+    if (await open(flights)) context.router.go({ view: "fly", episode: "" });
   }
 
   fleet.on("begun", () => {

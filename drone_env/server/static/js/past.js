@@ -14,7 +14,7 @@ export class Past {
   constructor(context, fleet) {
     this.context = context;
     this.fleet = fleet;
-    /** Id of the stored flight that is shown or on its way; null for none, or a file. */
+    /** Id of the stored flight that is shown; null for none, or a file. */
     this.episode = null;
     /** The records of a file, of which one is shown. */
     this.records = [];
@@ -23,11 +23,12 @@ export class Past {
 
   /** Shows a stored flight. @throws {ApiError} Where there is none. */
   async open(id, step) {
-    this.episode = id;
-    this.records = [];
     const asked = ++this.asked;
     const track = await this.stored(id);
-    if (asked === this.asked) this.show(track, step);
+    if (asked !== this.asked) return;
+    this.episode = id;
+    this.records = [];
+    this.show(track, step);
   }
 
   /** A stored flight as a track. */
@@ -41,18 +42,18 @@ export class Past {
 
   /** Shows the flights of a file, one of them at a time. */
   async openFile(file) {
-    this.episode = null;
     const asked = ++this.asked;
     const records = await readFlights(file);
-    if (asked !== this.asked) return;
-    this.records = records;
-    await this.openRecord(0);
+    if (asked === this.asked) await this.openRecord(0, records);
   }
 
-  async openRecord(index) {
+  async openRecord(index, records = this.records) {
     const asked = ++this.asked;
-    const track = await this.flown(this.records[index]);
-    if (asked === this.asked) this.show(track, 0);
+    const track = await this.flown(records[index]);
+    if (asked !== this.asked) return;
+    this.episode = null;
+    this.records = records;
+    this.show(track, 0);
   }
 
   /** Nothing of this is shown any more. */

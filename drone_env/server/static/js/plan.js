@@ -12,7 +12,7 @@ export function mountPlan(root, context, fleet, acts) {
   const heading = el("summary.plan-head");
   const tasks = el("fieldset.choice", el("legend", { text: "Task" }));
   const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
-  const { form, seed } = mapForm(context, fleet, acts);
+  const { form, seed, typing } = mapForm(context, fleet, acts);
   const change = () => acts.start({ profile: profile.value });
   const profile = el("select", { id: "profile", on: { change } });
   for (const { id, summary } of context.rewardProfiles)
@@ -105,7 +105,7 @@ export function mountPlan(root, context, fleet, acts) {
       row.classList.toggle("unable", !able);
       setText(about, able ? fleet.pilot(box.value).summary : "has no network here");
     }
-    if (document.activeElement !== seed) seed.value = map;
+    if (!typing()) seed.value = map;
     profile.value = (past ? stage.world.profile : setup.profile) ?? stage.world?.profile ?? profile.value;
   }
 
@@ -132,7 +132,15 @@ function mapForm({ router, stage }, fleet, acts) {
     inputmode: "numeric",
     autocomplete: "off",
   });
+  let typed = false;
+  seed.addEventListener("input", () => {
+    typed = true;
+  });
+  seed.addEventListener("blur", () => {
+    typed = false;
+  });
   const open = () => {
+    typed = false;
     if (!seed.validity.badInput && seed.value === "") seed.value = stage.world?.seed ?? "";
     else if (seed.reportValidity() && Number(seed.value) !== (fleet.shown ? fleet.setup : stage.world)?.seed)
       acts.start({ seed: Number(seed.value) });
@@ -149,5 +157,5 @@ function mapForm({ router, stage }, fleet, acts) {
   // Enter changes the number first, which opens the map.
   const submit = (event) => event.preventDefault();
   const label = el("label.eyebrow", { for: "seed", text: "Map" });
-  return { form: el("form.map-form", { on: { submit } }, label, seed, el("div.row", fresh, copy)), seed };
+  return { form: el("form.map-form", { on: { submit } }, label, seed, el("div.row", fresh, copy)), seed, typing: () => typed };
 }
