@@ -194,6 +194,12 @@ export class Fleet extends Emitter {
     if (this.playing) this.context.live.send({ type: "pause" });
   }
 
+  /** Something else is to be shown: they are paused, and those who were asked for are not waited for. */
+  rest() {
+    this.pause();
+    if (this.asked === "start") this.asked = null;
+  }
+
   step() {
     if (!this.playing && !this.over) this.context.live.send({ type: "step" });
   }

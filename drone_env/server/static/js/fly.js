@@ -69,7 +69,7 @@ export function mountFly(root, context) {
 
   /** Shows flights of the past: the live ones rest. @returns {Promise<boolean>} Whether they are there. */
   async function open(flights) {
-    fleet.pause();
+    fleet.rest();
     problem.clear();
     try {
       await flights();
@@ -87,9 +87,9 @@ export function mountFly(root, context) {
   }
 
   fleet.on("begun", () => {
-    past.leave();
+    if (!fleet.shown) return;
     problem.clear();
-    if (context.view === "fly") context.router.flies({ ...fleet.setup, step: fleet.shown ? stage.clock.cursor || null : null });
+    if (context.view === "fly") context.router.flies({ ...fleet.setup, step: stage.clock.cursor || null });
   });
   stage.on("load", () => root.classList.toggle("empty", !stage.world));
   root.classList.add("empty");
@@ -116,10 +116,8 @@ export function mountFly(root, context) {
     const asked = fleet.asks(task && !fleet.tracks.length ? { ...address, task, seed: Number(seed) } : address);
     const flown = fleet.tracks.length > 0 && says(asked, fleet.setup);
     if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
-    else if (flown) {
-      past.leave();
-      fleet.show(address.step);
-    } else if (!address.episode) fleet.start(asked);
+    else if (flown) fleet.show(address.step);
+    else if (!address.episode) fleet.start(asked);
     else {
       await open(async () => {
         const base = await past.stored(address.episode);

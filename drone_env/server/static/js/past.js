@@ -19,6 +19,9 @@ export class Past {
     /** The records of a file, of which one is shown. */
     this.records = [];
     this.asked = 0;
+    this.track = null;
+    const { stage } = context;
+    stage.on("load", () => (stage.tracks.length === 1 && stage.track === this.track) || this.leave());
   }
 
   /** Shows a stored flight. @throws {ApiError} Where there is none. */
@@ -59,7 +62,7 @@ export class Past {
   /** Nothing of this is shown any more. */
   leave() {
     this.asked += 1;
-    this.episode = null;
+    this.episode = this.track = null;
     this.records = [];
   }
 
@@ -72,6 +75,7 @@ export class Past {
 
   show(track, step) {
     const { stage, tasks } = this.context;
+    this.track = track;
     stage.show(worldOf(track.opening, tasks), [track], { step });
     explain(this.context, track);
     this.askForCalls(track);
