@@ -190,6 +190,9 @@ def test_a_person_in_flight_is_shown_values_once_asked_for_and_the_record_says_s
         frame = page.until("frames")["frames"][0]["frame"]
         assert [frame[name] for name in kept_back] == [None] * 3
         page.send("help", flight=0)
+        helped = page.until("helped")
+        assert (helped["flight"], helped["by"], helped["frame"]["step"]) == (0, "human with values", 1)
+        assert helped["frame"]["q_values"] == client.post("/predict", headers=header).json()["q_values"]
         assert len(page.until("values")["values"]) == 2
         page.send("fly", direction="WAIT")
         frame = page.until("frames")["frames"][0]["frame"]
@@ -217,7 +220,8 @@ def test_a_person_takes_steps_back_and_the_record_says_so(client: TestClient) ->
             page.until("frames")
         for step in (4, 3, 2):
             page.send("undo", flight=0)
-            assert page.until("undone") == {"type": "undone", "flight": 0, "step": step}
+            by = "human with undo from step 2 of greedy"
+            assert page.until("undone") == {"type": "undone", "flight": 0, "step": step, "by": by}
             assert client.get("/state", headers=header).json()["step_count"] == step
         page.send("undo", flight=0)
         told = refusal(page)
@@ -252,19 +256,3 @@ def test_nothing_is_taken_back_of_what_another_page_has_flown_meanwhile(client: 
         assert first.until("undone")["step"] == 1
         first.send("fly", direction="WAIT")
         assert first.until("frames")["frames"][0]["frame"]["q_values"] is not None
-
-
-def test_flights_are_opened_at_a_step_and_go_on_from_there(client: TestClient) -> None:
-    agents = {agent: directions(flown("easy", agent)) for agent in ("greedy", "random")}
-    steps = len(agents["greedy"]) + 2
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        by_hand, *shown = page.start("human", *agents, step=steps)
-        assert len(by_hand["frames"]) == 1
-        for flight, actions in zip(shown, agents.values(), strict=True):
-            assert [frame["action"] for frame in flight["frames"][1:]] == actions[:steps]
-        assert page.until("ended")["flight"] == 1
-        page.send("play", speed=60)
-        moved = page.flight()
-    assert list(moved) == [2]
-    assert [frame["action"] for frame in moved[2]] == agents["random"][steps:]

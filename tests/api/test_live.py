@@ -262,14 +262,28 @@ def test_flights_that_are_given_up_free_their_places(client: TestClient) -> None
         assert client.get("/state", headers=header).status_code == 410
 
 
-def test_without_a_seed_the_next_map_follows(client: TestClient) -> None:
+def test_without_a_seed_it_is_another_map_of_a_short_number(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = iter([7, 7, 9999])
+    monkeypatch.setattr("drone_env.server.live.start.secrets.randbelow", lambda below: next(drawn))
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
         first = page.start("greedy", "random", seed=None)
-        assert len({shown["opening"]["seed"] for shown in first}) == 1
-        episode = Episode("easy")
-        episode.reset(first[0]["opening"]["seed"])
-        assert page.start("greedy", seed=None)[0]["opening"]["seed"] == episode.reset()
+        assert {shown["opening"]["seed"] for shown in first} == {7}
+        assert page.start("greedy", seed=None)[0]["opening"]["seed"] == 9999
+
+
+def test_pilots_begin_at_the_moment_that_is_asked_for(client: TestClient) -> None:
+    whole = [Action(action).name for action in flown("easy", 7, "greedy").actions]
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        by_itself, by_hand = page.start("greedy", "human", step=3)
+        assert [frame["action"] for frame in by_itself["frames"]] == [None, *whole[:3]]
+        assert len(by_hand["frames"]) == 1
+        ended = page.start("greedy", step=1000)[0]["frames"]
+        assert [frame["action"] for frame in ended[1:]] == whole
+        assert page.until("ended")["episode"]["agent"] == "greedy"
 
 
 def test_an_open_page_keeps_its_paused_flight(tmp_path: Path, clock: Clock, eventually: Callable[..., None]) -> None:

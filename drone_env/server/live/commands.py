@@ -52,7 +52,7 @@ class Start(Message):
     """Fly one map with one to four pilots; the flights before are given up.
 
     With a fork the last pilot begins after its actions, of which it has flown those after its step; the others that fly
-    by themselves have flown as many steps, or to their end. Without one they have flown `step` steps, likewise.
+    by themselves have flown as many steps, or to their end. With a step all those have flown so many.
     """
 
     type: Literal["start"]
@@ -61,7 +61,7 @@ class Start(Message):
     seed: MapNumber | None = None
     reward_profile: str | None = Field(default=None, max_length=100)
     fork: Fork | None = None
-    step: Annotated[int, Field(ge=0, le=MAX_UNITS)] = 0
+    step: int = Field(default=0, ge=0, le=MAX_UNITS)
     number: Number = None
 
     @model_validator(mode="after")

@@ -138,8 +138,8 @@ class LiveEpisode:
         self.episode = before
         return []
 
-    def help(self) -> None:
-        """Show a person in flight what the actions are worth from now on, and say so of who flew.
+    def help(self) -> Frame:
+        """Show a person in flight what the actions are worth from now on, and say so of who flew; the frame with that.
 
         Raises:
             EpisodeError: if an agent flies this episode, or it has ended.
@@ -149,6 +149,7 @@ class LiveEpisode:
             self._recognise(row, self.episode)
             row.agent = check_agent(str(self.credit._replace(values=True)))
         self.by, self.credit = row.agent, Credit.parse(row.agent)
+        return self._look()
 
     def reachable(self) -> list[float] | None:
         """The best score that could still be reached at each frame so far; None while it is unknown or kept back."""

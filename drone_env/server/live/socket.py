@@ -131,7 +131,9 @@ class Page:
                 case ByHand(type="undo", flight=number):
                     await self._undo(number)
                 case ByHand(flight=number):  # "help"
-                    await run_in_threadpool(self._at(number).help)
+                    live = self._at(number)
+                    frame = await run_in_threadpool(live.help)
+                    await self._send({"type": "helped", "flight": number, "by": live.by, "frame": frame})
                     self._tasks.start_soon(self._answering, self._tell_values, self.episodes)
                 case Start():
                     await self._replace(await run_in_threadpool(self._start, command), command.number)
@@ -157,7 +159,8 @@ class Page:
         if missed:
             await self._tell([(number, missed)])
         else:
-            await self._send({"type": "undone", "flight": number, "step": live.episode.steps})
+            step, by = live.episode.steps, live.by
+            await self._send({"type": "undone", "flight": number, "step": step, "by": by})
 
     def _step_all(self) -> Moved:
         return [(number, live.step()) for number, live in enumerate(self.episodes) if live.automatic]

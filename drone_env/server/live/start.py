@@ -1,5 +1,6 @@
-"""What a page starts: a session for each flight, and what is flown up to the moment that is asked for."""
+"""What a page starts: a session for each flight, and where there is a fork, what was flown up to there."""
 
+import secrets
 from collections.abc import Sequence
 
 from drone_env.core.episode import Episode
@@ -13,6 +14,8 @@ from drone_env.server.pilots import Credit, agent_of
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.state import Shared
 
+MAPS = 10_000
+"""Where a page names no map, one of so many: people say the numbers to each other."""
 Opened = list[tuple[LiveEpisode, ShownEpisode]]
 
 
@@ -22,7 +25,7 @@ def open_flights(command: Start, shared: Shared, last: Episode | None) -> Opened
     Args:
         command: What to start.
         shared: The parts of the server.
-        last: What was flown before: where no map is named, the one after its map follows.
+        last: What was flown before: where no map is named, it is another.
 
     Raises:
         UnknownNameError: if there is no such task, pilot or reward profile.
@@ -36,8 +39,11 @@ def open_flights(command: Start, shared: Shared, last: Episode | None) -> Opened
     agents = list(command.pilots)
     for pilot in agents:
         agent_of(pilot, task, shared.networks)  # says why it cannot fly before anything is opened
-    options = ResetOptions(task_name=task.id, seed=command.seed, reward_profile=command.reward_profile)
-    start = start_episode(options, last.seed if last is not None and last.task == task else None)
+    seed = command.seed
+    while seed is None or (command.seed is None and last is not None and seed == last.seed):
+        seed = secrets.randbelow(MAPS)
+    options = ResetOptions(task_name=task.id, seed=seed, reward_profile=command.reward_profile)
+    start = start_episode(options, None)
     if fork is not None:
         for _ in fly_directions(start.copy(), fork.actions):
             pass  # says where it ends too early
@@ -45,13 +51,12 @@ def open_flights(command: Start, shared: Shared, last: Episode | None) -> Opened
     opened: Opened = []
     try:
         for agent in agents:
-            named = options.model_copy(update={"seed": start.seed, "agent": agent})
+            named = options.model_copy(update={"agent": agent})
             opened.append(LiveEpisode.attach(shared.sessions.reset(None, named)[0], shared))
-        alone, steps = (opened, command.step) if fork is None else (opened[:-1], len(fork.actions))
-        for live, shown in alone:
-            for _ in range(steps):
-                if live.automatic:
-                    shown.frames.extend(live.step())
+        ahead = command.step if fork is None else len(fork.actions)
+        for live, shown in opened if fork is None else opened[:-1]:
+            while live.automatic and live.episode.steps < ahead:
+                shown.frames.extend(live.step())
         if fork is not None:
             live, shown = opened[-1]
             shown.frames.extend(live.begin_after(fork.actions))

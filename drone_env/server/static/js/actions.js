@@ -46,7 +46,7 @@ export function actionsOf(context, fleet) {
     },
     first: () => goTo(0),
     back: () => goTo(clock.cursor - 1),
-    last: () => goTo(clock.end()),
+    last: () => goTo(clock.newest()),
     /** The next step of what was flown; at its end the pilots fly one more. */
     forward() {
       if (goesOn()) fleet.step();
@@ -58,7 +58,8 @@ export function actionsOf(context, fleet) {
     start,
     fork(options) {
       const { track } = stage;
-      if (track && !track.frameAt(clock.cursor).done) givingUp(() => fleet.fork(track, Math.min(clock.cursor, track.steps), options));
+      if (!track || track.frameAt(clock.cursor).done) return;
+      givingUp(() => fleet.fork(track, Math.min(clock.cursor, track.steps), options));
     },
     faster(by) {
       const speed = SPEEDS[SPEEDS.indexOf(clock.speed) + by];

@@ -54,8 +54,8 @@ export function mountControls(root, context, fleet, acts) {
     toggle.disabled = !track || (away && !clock.playing);
     toggle.hidden = fleet.own !== null && !fleet.automatic;
     first.disabled = back.disabled = clock.cursor === 0;
-    last.disabled = clock.cursor === clock.end();
-    forward.disabled = !track || (acts.goesOn() ? playing || away : last.disabled);
+    last.disabled = clock.following;
+    forward.disabled = !track || (acts.goesOn() ? playing || away : clock.cursor === clock.end());
     undo.hidden = fleet.human < 0 || !fleet.shown;
     undo.disabled = fleet.own === null;
     fork.hidden = !track || fleet.atHand;

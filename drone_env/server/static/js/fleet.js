@@ -36,7 +36,8 @@ export class Fleet extends Emitter {
     live.on("flights", (message) => this.begin(message));
     live.on("frames", ({ frames }) => this.move(frames));
     live.on("values", (message) => this.value(message));
-    live.on("undone", ({ flight, step }) => this.undone(this.tracks[flight], step));
+    live.on("undone", (message) => this.undone(message));
+    live.on("helped", (message) => this.helped(message));
     live.on("playing", ({ playing }) => this.setPlaying(playing));
     live.on("ended", ({ flight, episode }) => this.ended(this.tracks[flight], episode));
     live.on("error", (message) => this.refused(message));
@@ -228,9 +229,7 @@ export class Fleet extends Emitter {
   /** The visitor wants to see values while flying, which the record says from then on. */
   help() {
     const track = this.tracks[this.human];
-    if (!this.shown || !track || track.done) return;
-    track.asked ||= this.context.live.send({ type: "help", flight: this.human });
-    this.stage.changed(track);
+    if (this.shown && track && !track.done && !track.asked) this.context.live.send({ type: "help", flight: this.human });
   }
 
   resume() {
@@ -256,10 +255,12 @@ export class Fleet extends Emitter {
     const before = this.asked === "attach" ? this.stage.selected : null;
     const wasShown = this.shown || this.asked === "start";
     this.tracks = flights.map((flown) => new Track(flown, this.look(flown.opening.pilot), true));
-    if (this.setup.fork) this.tracks.at(-1).startedAt(this.setup.fork);
     // What has been chosen since this was asked for is on its way, and stays chosen.
     const newest = number === this.number;
-    const { step } = this.setup;
+    const { fork, step } = this.setup;
+    if (fork !== null) this.tracks.at(-1).forkedAt = fork;
+    // What stands beside them does not go on.
+    for (const track of this.how.beside) track.live = false;
     if (newest) {
       this.asked = null;
       const { seed, short_name } = flights[0].opening;
@@ -301,11 +302,20 @@ export class Fleet extends Emitter {
     this.tell();
   }
 
-  undone(track, step) {
+  undone({ flight, step, by }) {
+    const track = this.tracks[flight];
+    track.by = by;
     track.frames.length = step + 1;
     this.stage.changed(track);
     this.stage.clock.seek(this.stage.clock.newest());
     this.tell();
+  }
+
+  helped({ flight, by, frame }) {
+    const track = this.tracks[flight];
+    track.by = by;
+    track.frames[frame.step] = frame;
+    this.stage.changed(track);
   }
 
   /** What a fork has flown stands in its link. */

@@ -86,10 +86,16 @@ export function mountFly(root, context) {
     if (await open(flights)) context.router.go({ view: "fly", episode: "" });
   }
 
+  /** The moment that is shown, as the address says it: where a fork stands, what it has flown says it. */
+  function step() {
+    const { clock } = stage;
+    return clock.following && fleet.shown && fleet.setup.fork !== null ? null : clock.cursor || null;
+  }
+
   fleet.on("begun", () => {
     if (!fleet.shown) return;
     problem.clear();
-    if (context.view === "fly") context.router.flies({ ...fleet.setup, step: stage.clock.cursor || null });
+    if (context.view === "fly") context.router.flies({ ...fleet.setup, step: step() });
   });
   stage.on("load", () => root.classList.toggle("empty", !stage.world));
   root.classList.add("empty");
@@ -134,8 +140,7 @@ export function mountFly(root, context) {
     linger = setTimeout(() => {
       const { clock, track } = stage;
       const still = !clock.playing && !stage.flying && context.view === "fly" && (fleet.shown || past.episode);
-      const step = clock.cursor || null;
-      if (track && still && step !== context.router.address.step) context.router.moment({ step });
+      if (track && still && step() !== context.router.address.step) context.router.moment({ step: step() });
     }, LINGER);
   });
   // The flight that the server has put above has said its word once one is flown here.

@@ -12,28 +12,32 @@ export class Track {
     this.pilot = opening.pilot;
     /** Who flew, as the record says it: a pilot, or several of them one after another. */
     this.by = opening.by;
-    this.name = name;
-    if (opening.forked_at !== null) this.startedAt(opening.forked_at);
+    this.called = name;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = colour;
     this.frames = [...frames];
     /** Whether it is one of the past, not one that the server has flown for this page. */
     this.past = !live;
     this.live = live;
-    /** Whether a person asked for values while flying, which are kept back from others. */
-    this.asked = live && this.by.split(" from step ")[0].includes(" with values");
     /** What each move gave away, as `POST /annotate` tells it; null while that is not known. */
     this.annotation = null;
     /** The summary of the stored flight; null while it is not stored. */
     this.episode = null;
     /** The calls of a language model by step, null where none flew. */
     this.calls = null;
+    /** The step from which it goes another way than the flight that it left; null where it is nobody's fork. */
+    this.forkedAt = opening.forked_at;
     this.way = null;
   }
 
-  /** It has left another flight's way at a step, which its name says. */
-  startedAt(step) {
-    this.name = `${this.name.split(" from step ")[0]} from step ${step}`;
+  /** The pilot's name; of a fork, where it begins, too: others flew the steps before. */
+  get name() {
+    return this.forkedAt ? `${this.called} from step ${this.forkedAt}` : this.called;
+  }
+
+  /** Whether a person asked for values while flying, which are kept back from others. */
+  get asked() {
+    return this.by.split(" from step ")[0].includes(" with values");
   }
 
   /** The newest frame. */
@@ -48,11 +52,6 @@ export class Track {
   /** Steps flown. */
   get steps() {
     return this.frames.length - 1;
-  }
-
-  /** The step from which it is another flight's way no longer; null where it is nobody's fork. */
-  get forkedAt() {
-    return this.opening.forked_at;
   }
 
   /** The frame at a step; its last one where it has not come so far. */
