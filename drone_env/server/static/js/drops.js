@@ -26,7 +26,7 @@ export function mountFiles(root, past, open) {
     offered = past.records;
     flights.hidden = past.records.length < 2;
     flights.replaceChildren(...past.records.map((record, i) => el("option", { text: `${i + 1}. ${named(record)}` })));
-  }
+  });
 }
 
 /** @param {(file: File) => void} open */
