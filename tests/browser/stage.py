@@ -84,7 +84,7 @@ def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
 
 
 def pictures(page: Page) -> list[str]:
-    """What stands on the canvases of the maps, as data URLs: of each the city, its cells, and what moves.
+    """What stands on the canvases of the maps, as data URLs: of each the city, its cells, what moves.
 
     What is asked to be drawn is drawn in the next frame, and anew once the fonts are there.
     """
