@@ -163,7 +163,7 @@ def test_everything_goes_with_the_keyboard_alone(page: Page) -> None:
     ended(page)
     expect(page.get_by_role("button", name="Play")).to_be_focused()
     page.keyboard.press("?")
-    expect(page.get_by_role("dialog", name="Mission control")).to_be_visible()
+    expect(page.get_by_role("dialog", name="Help")).to_be_visible()
     page.keyboard.press("Escape")
     expect(page.get_by_role("button", name="Play")).to_be_focused()
     page.keyboard.press("n")
