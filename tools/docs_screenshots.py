@@ -7,7 +7,7 @@
     docs/images/dashboard-race.png           four pilots on one map
     docs/images/dashboard-replay.png         a flight annotated move by move
     docs/images/dashboard-history.png        episodes and charts
-    docs/images/dashboard-specifications.png the levels side by side
+    docs/images/dashboard-learn.png          the tutorial, and the levels side by side
     docs/images/dashboard-narrow.png         on a telephone
 
 Server, flights and the machine's own chromium are real; the pictures depend on its fonts a little.
@@ -90,13 +90,14 @@ def race(tabs: Tabs) -> None:
 
 
 def past(tabs: Tabs) -> None:
-    """A replay, the history, the specifications."""
+    """A replay, the history, Learn."""
     page = tabs.open("/#history")
     page.get_by_role("combobox", name="Task").select_option("medium")
     expect(page.get_by_role("figure").locator("canvas").last).to_be_visible()
     save(page, "history")
-    view(page, "Specifications")
-    save(page, "specifications")
+    view(page, "Learn")
+    expect(page.locator(".lesson").first).to_be_visible()
+    save(page, "learn")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "flight.json"
         file.write_text(flown("medium", 7, "random").to_json(), encoding="utf-8")

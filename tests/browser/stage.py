@@ -11,7 +11,7 @@ FASTEST = "60"
 SIGNS = {
     "Fly": "#boards .map",
     "Compare": "#view-compare table",
-    "Learn": "#view-learn .specs-table",
+    "Learn": ".lesson",
     "API": "#log-requests li",
 }
 """What stands in a view once it has all that it shows."""

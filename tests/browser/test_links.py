@@ -43,7 +43,7 @@ def test_a_link_opens_exactly_its_mission(page: Page, beside: Callable[[str], Pa
 def test_a_link_to_a_view_keeps_the_way_to_the_others_in_sight(page: Page, link: str) -> None:
     page.set_viewport_size({"width": 1024, "height": 600})
     page.goto(link)
-    expect(page).to_have_title("Technical specifications · Drone Delivery")
+    expect(page).to_have_title("Learn · Drone Delivery")
     expect(page.locator(".specs-table").first).to_be_visible()
     assert page.evaluate("scrollY") == 0
     # What is no view is none.
@@ -117,7 +117,7 @@ def test_the_bare_address_has_a_flight_that_moves_by_itself_until_one_is_flown(
     page.get_by_role("button", name="Step", exact=True).click()
     expect(hello).to_have_count(0)
     page.goto("/")
-    view(page, "Specifications")
+    view(page, "Learn")
     expect(hello).to_have_count(0)
     page.goto("/")
     hello.get_by_role("link", name="Fly it yourself").click()

@@ -59,10 +59,21 @@ export class Fleet extends Emitter {
     return this.tracks.findIndex(({ pilot }) => !this.pilot(pilot).automatic);
   }
 
+  /** The flight that has left another one's way; null for none. */
+  get forked() {
+    return this.setup.fork === null ? null : (this.tracks.at(-1) ?? null);
+  }
+
+  /** Whether what is looked at is the visitor's own flight, where it goes on. */
+  get atHand() {
+    const { track, clock } = this.stage;
+    return this.shown && track === this.tracks[this.human] && !track.done && clock.cursor >= track.steps;
+  }
+
   /** The visitor's own flight while it goes on, which is lost where another begins; null where there is none. */
   get own() {
     const track = this.tracks[this.human];
-    return track && this.shown && !track.done && track.steps > (track.forkedAt ?? 0) ? track : null;
+    return track && this.shown && !track.done && track.steps > (track === this.forked ? this.setup.fork : 0) ? track : null;
   }
 
   /** Whether the visitor's moves are flown: in the flight that is shown, or in one that is on its way. */
@@ -164,23 +175,24 @@ export class Fleet extends Emitter {
   /** Flies on from a step of a flight, beside it: another move, and what comes of it. */
   fork(track, step, { pilot = this.person.id, action = null } = {}) {
     const { world } = this.stage;
-    // One that flies by himself flies the same again, where the link is opened; others must be in the store.
+    // One that flies by itself flies the same again, where the link is opened; others must be in the store.
     const again = this.pilot(track.pilot).automatic && !track.past && track.forkedAt === null;
+    const pilots = [...(again ? [track.pilot] : []), pilot];
+    // It flies on beside the fork unless it has ended.
+    const along = again && !track.done;
     const change = {
       task: world.task.short_name,
       seed: world.seed,
       profile: world.profile,
-      pilots: [...(again ? [track.pilot] : []), pilot],
+      pilots,
       episode: again ? null : (track.episode?.id ?? null),
       fork: step,
       actions: lettersOf(track.actionsTo(step)),
       of: track.by,
     };
-    const after = () => {
-      this.help();
-      if (action) this.fly(action);
-    };
-    this.start(change, { play: this.pilot(pilot).automatic, beside: [track], flown: [pilot], after });
+    const after = () => action && this.fly(action);
+    const play = this.pilot(pilot).automatic;
+    this.start(change, { play, beside: along ? [] : [track], flown: along ? pilots : [pilot], after });
   }
 
   play(speed = this.stage.clock.speed) {
@@ -189,6 +201,12 @@ export class Fleet extends Emitter {
 
   pause() {
     if (this.playing) this.context.live.send({ type: "pause" });
+  }
+
+  /** Something else is to be shown: they are paused, and those who were asked for are not waited for. */
+  rest() {
+    this.pause();
+    if (this.asked === "start") this.asked = null;
   }
 
   step() {
@@ -222,7 +240,7 @@ export class Fleet extends Emitter {
   /** The visitor wants to see values while flying, which the record says from then on. */
   help() {
     const track = this.tracks[this.human];
-    if (this.shown && track && !track.done) this.context.live.send({ type: "help", flight: this.human });
+    if (this.shown && track && !track.done && !track.asked) this.context.live.send({ type: "help", flight: this.human });
   }
 
   resume() {
@@ -266,6 +284,8 @@ export class Fleet extends Emitter {
     this.emit("setup");
     this.emit("begun");
     if (!newest) return;
+    // What a fork gives away is what it is flown for.
+    if (this.setup.fork !== null) this.help();
     const { play, after, moves } = this.how;
     Object.assign(this.how, { play: false, after: null, moves: [] });
     if (play && !playing) this.play();
@@ -276,11 +296,11 @@ export class Fleet extends Emitter {
   /** Puts these flights on the stage: from their newest step, unless another moment is wanted. */
   show(step = null, selected = null) {
     const tracks = [...this.how.beside, ...this.tracks];
-    const front = this.setup.fork === null ? this.tracks[Math.max(0, this.human)] : tracks.at(-1);
-    const end = this.setup.fork === null ? Math.max(...tracks.map((track) => track.steps)) : front.steps;
-    this.stage.show(worldOf(front.opening, this.context.tasks), tracks, {
-      step: step ?? end,
+    const front = this.forked ?? this.tracks[this.human] ?? tracks[0];
+    this.stage.show(worldOf(this.tracks[0].opening, this.context.tasks), tracks, {
+      step: step ?? Math.max(...this.tracks.map((track) => track.steps)),
       selected: selected ?? tracks.indexOf(front),
+      followed: this.tracks,
     });
   }
 
@@ -299,7 +319,7 @@ export class Fleet extends Emitter {
     track.by = by;
     track.frames.length = step + 1;
     this.stage.changed(track);
-    this.stage.clock.seek(step);
+    this.stage.clock.seek(this.stage.clock.newest());
     this.tell();
   }
 
@@ -312,9 +332,9 @@ export class Fleet extends Emitter {
 
   /** What a fork has flown stands in its link. */
   tell() {
-    const track = this.tracks.find(({ forkedAt }) => forkedAt !== null);
-    if (!track || !this.shown || this.setup.fork === null) return;
-    this.setup.actions = lettersOf(track.actionsTo(track.steps));
+    const { forked } = this;
+    if (!forked || !this.shown) return;
+    this.setup.actions = lettersOf(forked.actionsTo(forked.steps));
     this.context.router.moment({ actions: this.setup.actions });
   }
 

@@ -39,7 +39,7 @@ export function mountStrip(root, context, fleet, acts) {
 
   function draw() {
     const { track } = stage;
-    const hidden = !track?.done;
+    const hidden = !track || !(track.done || track.past);
     if (root.hidden !== hidden) root.hidden = hidden;
     if (hidden) return;
     const { last, annotation } = track;
@@ -56,7 +56,7 @@ export function mountStrip(root, context, fleet, acts) {
     if (said === track) return;
     said = track;
     more.open = false;
-    if (track.live || track.episode) announce(`${outcome(last)}. Score ${points(last.score)}.`);
+    if (track.done && (track.live || track.episode)) announce(`${outcome(last)}. Score ${points(last.score)}.`);
   }
 
   async function fill() {
@@ -70,7 +70,8 @@ export function mountStrip(root, context, fleet, acts) {
   stage.on("change", draw);
 }
 
-function summary({ world }, { last, annotation, steps }) {
+function summary({ world }, { last, annotation, steps, done }) {
+  if (!done) return "This flight did not end: what its moves gave away is not known.";
   const optimum = annotation?.optimal_score ?? null;
   const parts = [`score ${points(last.score)}${optimum === null ? "" : ` of ${points(optimum)} possible`}`];
   if (annotation) parts.push(isLost(annotation.regret) ? `lost ${points(annotation.regret)}` : "nothing lost");

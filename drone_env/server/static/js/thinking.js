@@ -30,9 +30,7 @@ export function mountThinking(root, context, fleet, acts) {
 
   /** Flies a move: the visitor's own flight goes on, any other is left by a fork. */
   function play(action) {
-    const { clock, track } = stage;
-    const own = fleet.shown && track === fleet.tracks[fleet.human] && !track.done;
-    if (own && clock.following) fleet.fly(action);
+    if (fleet.atHand) fleet.fly(action);
     else acts.fork({ action });
   }
 
