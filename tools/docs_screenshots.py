@@ -6,8 +6,8 @@
     docs/images/dashboard-results.png        the Mission Results
     docs/images/dashboard-race.png           four pilots on one map
     docs/images/dashboard-replay.png         a flight annotated move by move
-    docs/images/dashboard-compare.png        two pilots map by map
-    docs/images/dashboard-specifications.png the levels side by side
+    docs/images/dashboard-history.png        episodes and charts
+    docs/images/dashboard-learn.png          the tutorial, and the levels side by side
     docs/images/dashboard-narrow.png         on a telephone
 
 Server, flights and the machine's own chromium are real; the pictures depend on its fonts a little.
@@ -90,12 +90,14 @@ def race(tabs: Tabs) -> None:
 
 
 def past(tabs: Tabs) -> None:
-    """A replay, two pilots compared, the specifications."""
-    page = tabs.open("/?view=compare&task=medium&pilots=pathqnet,greedy")
-    expect(page.get_by_role("heading", name="PathQNet against Greedy")).to_be_visible()
-    save(page, "compare")
-    view(page, "Specifications")
-    save(page, "specifications")
+    """A replay, the history, Learn."""
+    page = tabs.open("/#history")
+    page.get_by_role("combobox", name="Task").select_option("medium")
+    expect(page.get_by_role("figure").locator("canvas").last).to_be_visible()
+    save(page, "history")
+    view(page, "Learn")
+    expect(page.locator(".lesson").first).to_be_visible()
+    save(page, "learn")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "flight.json"
         file.write_text(flown("medium", 7, "random").to_json(), encoding="utf-8")
@@ -114,7 +116,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder) / "data"
         agents = ("random", "pathqnet", "greedy")
-        fill(data, [flown("medium", flight // len(agents), agents[flight % len(agents)]) for flight in range(FLIGHTS)])
+        fill(data, [flown("medium", seed, agents[seed % len(agents)]) for seed in range(FLIGHTS)])
         with serving(data) as server, launched(chromium) as browser:
             tabs = Tabs(browser, server.url)
             for take in (watch, outcome, race, past):

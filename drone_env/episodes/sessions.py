@@ -91,11 +91,24 @@ class SessionRow:
             raise EpisodeError("the episode of this session has ended: reset to fly again")
         self.actions = (*self.actions, check_action(action))
 
-    def finish(self, episode: Episode) -> str:
+    def undo(self) -> None:
+        """Take the last action back.
+
+        Raises:
+            EpisodeError: if the episode has been finished, which is kept as it is, or nothing has been flown.
+        """
+        if self.episode_id is not None:
+            raise EpisodeError("the episode of this session has ended: reset to fly again")
+        if not self.actions:
+            raise EpisodeError("nothing has been flown that could be taken back")
+        self.actions = self.actions[:-1]
+
+    def finish(self, episode: Episode, episode_id: str | None = None) -> str:
         """Note that the episode has ended, and return the id under which the store will know it.
 
         Args:
             episode: The episode of this session, flown to its end with the actions noted here.
+            episode_id: That id, for one that may be stored already, which is then kept as it is; None for a new one.
 
         Raises:
             EpisodeError: if it has been finished already, or has not ended.
@@ -103,7 +116,7 @@ class SessionRow:
         """
         if self.episode_id is not None:
             raise EpisodeError("the episode of this session has been finished already")
-        stored = StoredEpisode.of(new_episode_id(), episode, self.agent)
+        stored = StoredEpisode.of(episode_id or new_episode_id(), episode, self.agent)
         if flight_of(episode) != self.flight:
             raise InvalidValueError(f"the session flies {self.flight}, this is an episode of {flight_of(episode)}")
         if tuple(episode.actions) != self.actions:

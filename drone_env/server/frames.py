@@ -20,13 +20,19 @@ from drone_env.models import (
     Position,
     Score,
 )
+from drone_env.server.pilots import PILOTS, Credit
 
 
 class Opening(Message):
     """Who flies which map, and how it looks at the start."""
 
     session: str | None = Field(description="The session that flies it; null for a flight of the past.")
-    pilot: str = Field(description="Who flies.")
+    pilot: str = Field(description="Id of the pilot that flies; of a record that names none, its agent.")
+    by: str = Field(
+        description="Who flies or flew, in full: the pilot; ` with values`, ` with undo` or ` with values and undo` "
+        "where a person asked for that; ` from step N of ` and who flew up to there where it is a fork."
+    )
+    forked_at: Count | None = Field(description="How many of the steps others flew; null where it is no fork.")
     task: str = Field(description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
     short_name: str = Field(description="Short name of the task.")
@@ -42,15 +48,17 @@ class Opening(Message):
     start: Position = Field(description="[x, y] where the drone starts.")
 
     @classmethod
-    def of(cls, episode: Episode, pilot: str, session: str | None = None) -> "Opening":
-        """The opening of an episode that has been reset and not stepped."""
-        task = episode.task
+    def of(cls, episode: Episode, by: str, session: str | None = None) -> "Opening":
+        """The opening of an episode that has been reset and not stepped; `by` as sessions and records have it."""
+        task, credit = episode.task, Credit.parse(by)
         x, y = episode.position
         cells = episode.grid().tolist()
         cells[y][x] = episode.under
         return cls(
             session=session,
-            pilot=pilot,
+            pilot=credit.pilot if credit.pilot in PILOTS else by,
+            by=by,
+            forked_at=credit.forked_at,
             task=task.id,
             task_version=task.version,
             short_name=task.short_name,
@@ -101,7 +109,7 @@ class Frame(Message):
     outcome: OutcomeName
     q_values: dict[Direction, float] | None = Field(
         description="The network's value of each action from here: of the one that flies, else of the one that "
-        "/predict asks; null where there is none that can be read, or at the end."
+        "/predict asks; null where there is none that can be read, at the end, and for a person who has not asked."
     )
     value: Score | None = Field(
         default=None, description="The best score that can still be reached; null if not shown."
@@ -112,7 +120,7 @@ class Frame(Message):
 class ShownEpisode(Message):
     """An episode, frame by frame."""
 
-    mission: Opening
+    opening: Opening
     frames: list[Frame] = Field(description="Frame 0 is the reset; then one per step.")
 
 

@@ -61,7 +61,8 @@ def _section(flight: Link, episode: Episode) -> str:
     race = Link(task=flight.task, seed=flight.seed, pilots=",".join(RIVALS))
     score = f"scored {100 * episode.score:.1f}, and nobody can do better on this map."
     who = f"{PILOTS[flight.pilot].name}, the network that flies here,"
-    return f"""<section id="hello" class="hello" aria-labelledby="hello-title">
+    where = f'data-task="{flight.task}" data-seed="{flight.seed}"'
+    return f"""<section id="hello" class="hello" aria-labelledby="hello-title" {where}>
 <div class="hello-words">
 <h2 id="hello-title">Deliver all parcels before the battery is empty: {who} {score}</h2>
 <p class="hello-actions"><a class="button primary" href="?{escape(yourself.query())}">Fly it yourself</a>

@@ -1,6 +1,9 @@
-"""Who can fly on the page: the agents, and the person at the page."""
+"""Who can fly on the page: the agents, and the person at the page; and how it is said who flew."""
 
+import re
 from typing import NamedTuple
+
+from typing_extensions import Self
 
 from drone_env.agents import make_agent
 from drone_env.agents.base import Agent
@@ -31,9 +34,75 @@ PILOTS: dict[str, Pilot] = {
 }
 
 
+HELP = {(True, False): "with values", (False, True): "with undo", (True, True): "with values and undo"}
+CREDIT = re.compile(
+    f"(?P<pilot>.+?)( (?P<help>{'|'.join(HELP.values())}))?( from step (?P<forked_at>[1-9][0-9]*) of (?P<of>.+))?"
+)
+
+
+class Credit(NamedTuple):
+    """Who flew, as sessions and records say it in their `agent`: `human with undo from step 20 of pathqnet`.
+
+    That is a pilot; then, where there was any, ` with values`, ` with undo` or ` with values and undo`; then, where the
+    steps before were another's, ` from step N of ` and who flew those, said in the same way. Flights that differ in it
+    are counted apart.
+    """
+
+    pilot: str
+    """One of `PILOTS`, or whatever else a record names."""
+    values: bool = False
+    """Whether a person has asked, in flight, for what each action is worth."""
+    undo: bool = False
+    """Whether a person has taken back steps."""
+    forked_at: int | None = None
+    """The steps that others flew, 1 or more; None where there are none."""
+    of: str | None = None
+    """Who flew them; None likewise."""
+
+    @classmethod
+    def parse(cls, agent: str) -> Self:
+        """What an `agent` says; one that is no pilot's is a name as a whole, as far as it says none of the above."""
+        said = CREDIT.fullmatch(agent)
+        if said is None:
+            return cls(agent)
+        values, undo = next((given for given, words in HELP.items() if words == said["help"]), (False, False))
+        step = None if said["of"] is None else int(said["forked_at"])
+        return cls(said["pilot"], values, undo, step, said["of"])
+
+    @classmethod
+    def of_fork(cls, pilot: str, step: int, of: str) -> Self:
+        """Who flies where a pilot goes on from a step of a flight.
+
+        Args:
+            pilot: Who flies on.
+            step: How many steps of that flight there are.
+            of: Who flew it. On a flight of its own a pilot goes on as if there were no fork; a person has then taken
+                back steps.
+        """
+        before = cls.parse(of)
+        while before.forked_at is not None and before.of is not None and step <= before.forked_at:
+            before = cls.parse(before.of)
+        if step == 0:
+            return cls(pilot)
+        if before.pilot == pilot:
+            return before._replace(undo=before.undo or pilot == HUMAN)
+        return cls(pilot, forked_at=step, of=str(before))
+
+    @property
+    def additions(self) -> list[str]:
+        """What is said of who flew beside the pilot."""
+        fork = None if self.of is None else f"from step {self.forked_at} of {self.of}"
+        return [said for said in (HELP.get((self.values, self.undo)), fork) if said]
+
+    def __str__(self) -> str:
+        return " ".join([self.pilot, *self.additions])
+
+
 def called(agent: str) -> str:
-    """What people call who has flown: a pilot, a person, or whatever a record names."""
-    return "A person" if agent == HUMAN else PILOTS[agent].name if agent in PILOTS else agent
+    """What people call who has flown: a pilot, a person, or whatever a record names; with help, and from which step."""
+    credit = Credit.parse(agent)
+    name = "A person" if credit.pilot == HUMAN else getattr(PILOTS.get(credit.pilot), "name", credit.pilot)
+    return str(credit._replace(pilot=name, of=credit.of and called(credit.of)))
 
 
 def tasks_of(pilot: str, networks: Networks) -> list[str]:

@@ -14,7 +14,7 @@ class Page:
     def __init__(self, socket: WebSocketTestSession) -> None:
         self.socket = socket
         self.ended: list[int] = []
-        """The missions that were told to have ended, while they flew by themselves."""
+        """The flights that were told to have ended, while they flew by themselves."""
 
     def send(self, kind: str, **fields: Any) -> None:
         self.socket.send_text(json.dumps({"type": kind, **fields}))
@@ -29,16 +29,16 @@ class Page:
 
     def start(self, *pilots: str, task: str = "easy", seed: int | None = 7, **fields: Any) -> list[Message]:
         self.send("start", task=task, seed=seed, pilots=pilots, **fields)
-        return self.until("missions")["missions"]
+        return self.until("flights")["flights"]
 
     def flight(self) -> dict[int, list[Message]]:
-        """The frames of each mission until all have ended."""
+        """The frames of each flight until all have ended."""
         frames: dict[int, list[Message]] = {}
         while True:
             message = json.loads(self.socket.receive_text())
             for moved in message["frames"] if message["type"] == "frames" else ():
-                frames.setdefault(moved["mission"], []).append(moved["frame"])
+                frames.setdefault(moved["flight"], []).append(moved["frame"])
             if message["type"] == "ended":
-                self.ended.append(message["mission"])
+                self.ended.append(message["flight"])
             if message["type"] == "playing" and not message["playing"]:
                 return frames

@@ -131,8 +131,13 @@ def test_an_oversized_frame_ends_its_connection_alone(server: Server) -> None:
 
 def commands(source: random.Random, sessions: list[str]) -> Any:
     """A command that is right, or nearly so."""
-    flown = {"direction": source.choice(["UP", "WAIT", "up"]), "mission": source.randrange(-1, 5)}
+    flown = {"direction": source.choice(["UP", "WAIT", "up"]), "flight": source.randrange(-1, 5)}
     pilots = ["pathqnet", "tournet", "greedy", "optimal", "random", "human", "ghost"]
+    fork = {
+        "actions": source.choices(["UP", "LEFT", "WAIT"], k=source.randrange(80)),
+        "step": source.randrange(-1, 9),
+        "of": source.choice(["human", "greedy", "human from step 3 of greedy", "x" * 200, "a\nb"]),
+    }
     return source.choice(
         [
             {
@@ -140,6 +145,7 @@ def commands(source: random.Random, sessions: list[str]) -> Any:
                 "task": source.choice([*FLOWN, "nowhere"]),
                 "seed": source.choice([None, 7, 2**53 - 1, -1]),
                 "pilots": source.choices(pilots, k=source.randrange(6)),
+                "fork": source.choice([None, None, fork]),
             },
             {"type": "attach", "sessions": source.choices([*sessions, "nobody"], k=source.randrange(6))},
             {"type": "play", "speed": source.choice([0.5, 6, 60, 61, None, "fast"])},
@@ -148,6 +154,7 @@ def commands(source: random.Random, sessions: list[str]) -> Any:
             {"type": "end"},
             source.choice([[], None, 5, "step", {"type": None}, {"type": "step", "more": 1}]),
             *[{"type": "fly", **flown}] * 2,
+            {"type": source.choice(["undo", "help"]), "flight": flown["flight"]},
             *[{"type": "step"}] * 3,
         ]
     )
@@ -165,15 +172,15 @@ def test_any_command_of_a_page_at_any_time_leaves_the_server_well(server: Server
                 try:
                     while True:
                         message = json.loads(socket.recv(timeout=0.002))
-                        for shown in message["missions"] if message["type"] == "missions" else ():
-                            sessions = [*sessions, shown["mission"]["session"]][-20:]
+                        for shown in message["flights"] if message["type"] == "flights" else ():
+                            sessions = [*sessions, shown["opening"]["session"]][-20:]
                 except TimeoutError:
                     continue
             if source.random() < 0.5:
                 socket.socket.close()  # without a goodbye
     with websockets_client.connect(server.url.replace("http", "ws") + "/live") as socket:
         socket.send(json.dumps({"type": "start", "task": "easy", "seed": 7, "pilots": ["greedy"]}))
-        while json.loads(socket.recv(timeout=60))["type"] != "missions":
+        while json.loads(socket.recv(timeout=60))["type"] != "flights":
             pass
     assert httpx.get(f"{server.url}/health", timeout=60).status_code == 200
     assert "Traceback" not in server.log.read_text()

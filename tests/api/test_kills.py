@@ -91,15 +91,15 @@ def ask(socket: Any, kind: str, answer: str, **fields: Any) -> dict[str, Any]:
 
 
 def fly_on_the_page(server: Server, session: str | None, flown: int) -> str:
-    """Come back to a mission of the page, or start one; see what was flown, and fly one step more."""
+    """Come back to a flight of the page, or start one; see what was flown, and fly one step more."""
     with websockets.sync.client.connect(f"{server.url.replace('http', 'ws')}/live", open_timeout=60) as socket:
         if session is None:
-            shown = ask(socket, "start", "missions", task="hard", seed=7, pilots=["greedy"])["missions"][0]
+            shown = ask(socket, "start", "flights", task="hard", seed=7, pilots=["greedy"])["flights"][0]
         else:
-            shown = ask(socket, "attach", "missions", sessions=[session])["missions"][0]
+            shown = ask(socket, "attach", "flights", sessions=[session])["flights"][0]
         assert len(shown["frames"]) == flown + 1
         ask(socket, "step", "frames")
-        return shown["mission"]["session"]
+        return shown["opening"]["session"]
 
 
 def test_nothing_acknowledged_is_lost_when_the_server_is_killed(
@@ -110,10 +110,10 @@ def test_nothing_acknowledged_is_lost_when_the_server_is_killed(
     finished: list[tuple[int, float]] = []
     carried: list[Pilot] = [Pilot(server.url, number) for number in range(4)]
     moments = random.Random(1)
-    mission: str | None = None
+    session: str | None = None
     try:
         for kill in range(KILLS):
-            mission = fly_on_the_page(server, mission, kill)
+            session = fly_on_the_page(server, session, kill)
             for pilot in carried:
                 pilot.start()
             # Long enough that episodes end, and at another place of a step each time.
@@ -141,7 +141,7 @@ def test_nothing_acknowledged_is_lost_when_the_server_is_killed(
                 successor.random, successor.expected = pilot.random, pilot.expected
                 successors.append(successor)
             carried = successors
-        fly_on_the_page(server, mission, KILLS)
+        fly_on_the_page(server, session, KILLS)
     finally:
         server.kill()
         for pilot in carried:

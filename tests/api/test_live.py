@@ -1,4 +1,4 @@
-"""The WebSocket of the page: missions that fly by themselves or by hand, and come back after a loss."""
+"""The WebSocket of the page: flights that fly by themselves or by hand, and come back after a loss."""
 
 import itertools
 import json
@@ -44,8 +44,8 @@ def test_a_race_is_what_the_agents_fly(client: TestClient, task: str) -> None:
     pilots = ["pathqnet", "greedy", "optimal", "random"]
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
-        missions = page.start(*pilots, task=task, reward_profile="composite")
-        assert [mission["mission"]["pilot"] for mission in missions] == pilots
+        flights = page.start(*pilots, task=task, reward_profile="composite")
+        assert [flight["opening"]["pilot"] for flight in flights] == pilots
         page.send("play", speed=60)
         assert page.until("playing")["playing"]
         frames = page.flight()
@@ -116,7 +116,7 @@ def test_a_broken_network_grounds_its_own_pilot_alone(client: TestClient, settin
         assert shipped["frames"][0]["q_values"] is not None
         assert greedy["frames"][0]["q_values"] is None
         page.send("step")
-        assert [moved["mission"] for moved in page.until("frames")["frames"]] == [0, 1]
+        assert [moved["flight"] for moved in page.until("frames")["frames"]] == [0, 1]
         page.send("start", task="medium", seed=7, pilots=["trained"])
         # The values of the map before may come meanwhile.
         told = page.until("error")
@@ -129,13 +129,13 @@ def test_a_frame_shows_what_the_observation_says(client: TestClient) -> None:
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
         (shown,) = page.start("human", task="medium")
-        mission, frame = shown["mission"], shown["frames"][0]
-        header = {"X-Session-Id": mission["session"]}
+        opening, frame = shown["opening"], shown["frames"][0]
+        header = {"X-Session-Id": opening["session"]}
         grid = client.get("/state", headers=header).json()["grid"]
-        x, y = mission["start"]
+        x, y = opening["start"]
         assert grid[y][x] == 6
-        grid[y][x] = mission["cells"][y][x]
-        assert grid == mission["cells"]
+        grid[y][x] = opening["cells"][y][x]
+        assert grid == opening["cells"]
         for direction in ("UP", "DOWN", "LEFT", "RIGHT", "WAIT", "UP"):
             page.send("fly", direction=direction)
             frame = page.until("frames")["frames"][0]["frame"]
@@ -144,7 +144,7 @@ def test_a_frame_shows_what_the_observation_says(client: TestClient) -> None:
             assert frame[name] == state[name]
         assert (frame["x"], frame["y"], frame["step"]) == (state["drone_x"], state["drone_y"], state["step_count"])
         assert frame["target"] == state["current_target"]
-        assert frame["q_values"] == client.post("/predict", headers=header).json()["q_values"]
+        assert frame["q_values"] is None
         assert frame["event"] == state["path_history"][-1]["event"]
 
 
@@ -153,7 +153,7 @@ def test_an_agent_is_told_its_regret_in_flight_and_a_person_after_the_end(client
         page = Page(socket)
         page.start("random", "human")
         known = page.until("values")
-        assert known["mission"] == 0
+        assert known["flight"] == 0
         page.send("step")
         frame = page.until("frames")["frames"][0]["frame"]
         episode = Episode("easy")
@@ -164,14 +164,14 @@ def test_an_agent_is_told_its_regret_in_flight_and_a_person_after_the_end(client
         assert frame["value"] == solver.value(episode)
         assert frame["regret"] == optimum - frame["value"]
         while not frame["done"]:
-            page.send("fly", mission=1, direction="WAIT")
+            page.send("fly", flight=1, direction="WAIT")
             frame = page.until("frames")["frames"][0]["frame"]
             assert frame["done"] or (frame["value"], frame["regret"]) == (None, None)
         values = page.until("values")
         start = Episode("easy")
         start.reset(7)
         analysis = analyse_actions(start, [Action.WAIT] * frame["step"], "human")
-        assert values["mission"] == 1
+        assert values["flight"] == 1
         assert values["values"] == list(analysis.values)
         assert values["regrets"] == [analysis.values[0] - value for value in analysis.values]
 
@@ -197,30 +197,30 @@ def test_a_page_that_comes_back_goes_on_where_it_was(client: TestClient) -> None
     pilots = ["random", "optimal", "human"]
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
-        sessions = [shown["mission"]["session"] for shown in page.start(*pilots)]
+        sessions = [shown["opening"]["session"] for shown in page.start(*pilots)]
         for _ in range(3):
             page.send("step")
             page.until("frames")
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
         page.send("attach", sessions=sessions)
-        missions = page.until("missions")["missions"]
-        assert [mission["mission"]["pilot"] for mission in missions] == pilots
-        assert [len(mission["frames"]) for mission in missions] == [4, 4, 1]
+        flights = page.until("flights")["flights"]
+        assert [flight["opening"]["pilot"] for flight in flights] == pilots
+        assert [len(flight["frames"]) for flight in flights] == [4, 4, 1]
         page.send("play", speed=60)
         assert page.until("playing")["playing"]
         frames = page.flight()
     for number in (0, 1):
-        whole = names(missions[number]["frames"][1:] + frames[number])
+        whole = names(flights[number]["frames"][1:] + frames[number])
         assert whole == [Action(action).name for action in flown("easy", 7, pilots[number]).actions]
 
 
 def test_two_pages_on_one_session_never_fly_it_astray(client: TestClient) -> None:
     with client.websocket_connect("/live") as one, client.websocket_connect("/live") as other:
         first, second = Page(one), Page(other)
-        session = first.start("random", task="medium")[0]["mission"]["session"]
+        session = first.start("random", task="medium")[0]["opening"]["session"]
         second.send("attach", sessions=[session])
-        second.until("missions")
+        second.until("flights")
         flights: list[list[Message]] = [[], []]
         for turn in range(12):
             for page, seen in ((first, flights[0]), (second, flights[1]))[:: 1 if turn % 3 else -1]:
@@ -248,36 +248,50 @@ def test_a_page_has_one_map_solved_at_a_time_and_none_when_it_has_gone(
         go_on.set()
 
 
-def test_missions_that_are_given_up_free_their_places(client: TestClient) -> None:
+def test_flights_that_are_given_up_free_their_places(client: TestClient) -> None:
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
         first = page.start("greedy", "random")
         second = page.start("optimal")
         for shown in first:
-            assert client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).status_code == 410
-        header = {"X-Session-Id": second[0]["mission"]["session"]}
+            assert client.get("/state", headers={"X-Session-Id": shown["opening"]["session"]}).status_code == 410
+        header = {"X-Session-Id": second[0]["opening"]["session"]}
         assert client.get("/state", headers=header).status_code == 200
         page.send("end")
-        assert page.until("missions")["missions"] == []
+        assert page.until("flights")["flights"] == []
         assert client.get("/state", headers=header).status_code == 410
 
 
-def test_without_a_seed_the_next_map_follows(client: TestClient) -> None:
+def test_without_a_seed_it_is_another_map_of_a_short_number(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = iter([7, 7, 9999])
+    monkeypatch.setattr("drone_env.server.live.start.secrets.randbelow", lambda below: next(drawn))
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
         first = page.start("greedy", "random", seed=None)
-        assert len({shown["mission"]["seed"] for shown in first}) == 1
-        episode = Episode("easy")
-        episode.reset(first[0]["mission"]["seed"])
-        assert page.start("greedy", seed=None)[0]["mission"]["seed"] == episode.reset()
+        assert {shown["opening"]["seed"] for shown in first} == {7}
+        assert page.start("greedy", seed=None)[0]["opening"]["seed"] == 9999
 
 
-def test_an_open_page_keeps_its_paused_mission(tmp_path: Path, clock: Clock, eventually: Callable[..., None]) -> None:
+def test_pilots_begin_at_the_moment_that_is_asked_for(client: TestClient) -> None:
+    whole = [Action(action).name for action in flown("easy", 7, "greedy").actions]
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        by_itself, by_hand = page.start("greedy", "human", step=3)
+        assert [frame["action"] for frame in by_itself["frames"]] == [None, *whole[:3]]
+        assert len(by_hand["frames"]) == 1
+        ended = page.start("greedy", step=1000)[0]["frames"]
+        assert [frame["action"] for frame in ended[1:]] == whole
+        assert page.until("ended")["episode"]["agent"] == "greedy"
+
+
+def test_an_open_page_keeps_its_paused_flight(tmp_path: Path, clock: Clock, eventually: Callable[..., None]) -> None:
     # Looked for every 0.25 s; idle by the test's clock alone.
     app = create_app(Settings(data=tmp_path, idle_seconds=1), clock)
     with TestClient(app) as client:
         with client.websocket_connect("/live") as socket:
-            session = Page(socket).start("human")[0]["mission"]["session"]
+            session = Page(socket).start("human")[0]["opening"]["session"]
             header = {"X-Session-Id": session}
             for _ in range(3):
                 clock.now += 0.9
@@ -300,7 +314,7 @@ def test_the_observation_model_still_fits(client: TestClient) -> None:
         (shown,) = page.start("human", task=get_task("skyline_easy").id)
         page.send("fly", direction="WAIT")
         page.until("frames")
-        header = {"X-Session-Id": shown["mission"]["session"]}
+        header = {"X-Session-Id": shown["opening"]["session"]}
         observation = client.post("/step", headers=header, json={"direction": "WAIT"}).json()
         assert DroneObservation.model_validate_json(json.dumps(observation)).step_count == 2
         page.send("fly", direction="WAIT")

@@ -36,8 +36,11 @@ from tests.api.live_page import Page
         ({"type": "start", "task": "skyline_easy", "pilots": ["greedy", "pathqnet"]}, "unsupported"),
         ({"type": "attach", "sessions": ["nobody"]}, "session_gone"),
         ({"type": "fly", "direction": "UP"}, "wrong_moment"),
-        ({"type": "fly", "direction": "UP", "mission": 3}, "unknown_name"),
+        ({"type": "fly", "direction": "UP", "flight": 3}, "unknown_name"),
         ({"type": "fly", "direction": "up"}, "invalid_request"),
+        ({"type": "undo"}, "wrong_moment"),
+        ({"type": "undo", "flight": 3}, "unknown_name"),
+        ({"type": "help"}, "wrong_moment"),
         ({"type": "play", "speed": 1e9}, "invalid_request"),
         ({"type": "subscribe", "topics": ["passwords"]}, "invalid_request"),
     ],
@@ -53,7 +56,7 @@ def test_what_cannot_be_obeyed_is_told_and_changes_nothing(shared_client: TestCl
         assert message["detail"]
         page.send("step")
         assert page.until("frames")["frames"][0]["frame"]["step"] == 1
-        state = shared_client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()
+        state = shared_client.get("/state", headers={"X-Session-Id": shown["opening"]["session"]}).json()
         assert state["step_count"] == 1
 
 
@@ -67,7 +70,7 @@ def test_a_session_that_is_not_the_page_s_is_refused(client: TestClient, session
 def test_a_session_that_was_taken_elsewhere_is_not_flown(client: TestClient, seed: int, steps: int) -> None:
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
-        header = {"X-Session-Id": page.start("greedy")[0]["mission"]["session"]}
+        header = {"X-Session-Id": page.start("greedy")[0]["opening"]["session"]}
         page.until("values")
         page.send("step")
         page.until("frames")
@@ -111,8 +114,8 @@ def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
         assert page.until("frames")["frames"][0]["frame"]["value"] is None
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
-        page.send("attach", sessions=[shown["mission"]["session"]])
-        assert len(page.until("missions")["missions"][0]["frames"]) == 2
+        page.send("attach", sessions=[shown["opening"]["session"]])
+        assert len(page.until("flights")["flights"][0]["frames"]) == 2
         assert len(page.until("values")["values"]) == 2
 
 
@@ -174,7 +177,7 @@ def test_news_of_the_server(
         page.send("subscribe", topics=[])
         client.get("/health")
         page.send("start", task="easy", pilots=["greedy"])
-        page.until("missions")
+        page.until("flights")
 
 
 class TestToken:
@@ -216,8 +219,8 @@ def test_a_full_house_of_pages_is_told_so(tmp_path: Path) -> None:
         while message["type"] != "error":
             message = json.loads(socket.receive_text())
         assert message["code"] == "no_room"
-        # The place that the first of the two had is free again, and the mission before them is flown on.
+        # The place that the first of the two had is free again, and the flight before them is flown on.
         assert client.post("/reset").status_code == 200
         page.send("step")
         assert page.until("frames")["frames"][0]["frame"]["step"] == 1
-        assert client.get("/state", headers={"X-Session-Id": shown["mission"]["session"]}).json()["step_count"] == 1
+        assert client.get("/state", headers={"X-Session-Id": shown["opening"]["session"]}).json()["step_count"] == 1

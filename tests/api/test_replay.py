@@ -18,6 +18,7 @@ from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.episodes.store import Store
 from drone_env.evaluation.analysis import FlightAnalysis, analyse_flight
 from drone_env.planning.optimal import solve
+from drone_env.server.pilots import PILOTS
 from drone_env.server.state import STUDIES, WAITING_STUDIES
 
 JSON = {"Content-Type": "application/json"}
@@ -44,10 +45,10 @@ def test_a_record_is_shown_frame_by_frame(shared_client: TestClient, task: str) 
     assert (frames[-1]["score"], frames[-1]["done"]) == (flown.score, True)
     assert frames[-1]["deliveries_done"] == len(frames[-1]["delivered"]) == flown.deliveries
     assert all((frame["q_values"] is None) == (task.startswith("skyline") or frame["done"]) for frame in frames)
-    mission = shown["mission"]
-    assert (mission["pilot"], mission["session"], mission["seed"]) == ("greedy", None, 7)
-    parcels = {tuple(parcel) for parcel in mission["parcels"]}
-    assert {(x, y) for y, line in enumerate(mission["cells"]) for x, cell in enumerate(line) if cell == 4} == parcels
+    opening = shown["opening"]
+    assert (opening["pilot"], opening["session"], opening["seed"]) == ("greedy", None, 7)
+    parcels = {tuple(parcel) for parcel in opening["parcels"]}
+    assert {(x, y) for y, line in enumerate(opening["cells"]) for x, cell in enumerate(line) if cell == 4} == parcels
 
 
 def test_a_flight_that_has_not_ended_is_shown_but_not_annotated(shared_client: TestClient) -> None:
@@ -214,6 +215,9 @@ def test_the_history_of_a_task_for_charts(client: TestClient, settings: dict[str
 def test_who_can_fly_and_what_can_stand_in_a_cell(shared_client: TestClient) -> None:
     pilots = {pilot["id"]: pilot for pilot in shared_client.get("/pilots").json()["pilots"]}
     assert [name for name, pilot in pilots.items() if not pilot["automatic"]] == ["human"]
+    assert {name: pilot["colour"] for name, pilot in pilots.items()} == {
+        name: number for number, name in enumerate(PILOTS, 1) if not name.startswith("trained")
+    }
     assert pilots["pathqnet"]["tasks"] == ["easy_delivery", "medium_delivery", "hard_delivery"]
     assert pilots["greedy"]["tasks"] == pilots["tournet"]["tasks"] == pilots["tournet-search"]["tasks"] == list(TASKS)
     kinds = shared_client.get("/kinds").json()["kinds"]

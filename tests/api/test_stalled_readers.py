@@ -78,7 +78,7 @@ def test_pings_whose_answers_nobody_reads_are_not_piled_up(server: Server) -> No
         assert pushed(page, b"\x89\xe4" + bytes(4 + 100)) < LITTLE
 
 
-def flown_mission(server: Server) -> list[str]:
+def flown_flights(server: Server) -> list[str]:
     """The sessions of a race of two that has ended, which is told in some 100 KB."""
     with websockets.sync.client.connect(server.url.replace("http", "ws") + "/live", open_timeout=60) as page:
         page.send(json.dumps({"type": "start", "task": "easy", "seed": 7, "pilots": ["random"] * 2}))
@@ -87,17 +87,17 @@ def flown_mission(server: Server) -> list[str]:
         sessions: list[str] = []
         while len(ended) < 2:
             message = json.loads(page.recv(timeout=60))
-            if message["type"] == "missions":
-                sessions = [shown["mission"]["session"] for shown in message["missions"]]
+            if message["type"] == "flights":
+                sessions = [shown["opening"]["session"] for shown in message["flights"]]
             elif message["type"] == "frames":
                 page.send(json.dumps({"type": "step"}))
             elif message["type"] == "ended":
-                ended.add(message["mission"])
+                ended.add(message["flight"])
         return sessions
 
 
 def test_pages_that_do_not_read_hold_up_nobody_and_are_read_from_no_more(server: Server) -> None:
-    attach = frame(json.dumps({"type": "attach", "sessions": flown_mission(server)}))
+    attach = frame(json.dumps({"type": "attach", "sessions": flown_flights(server)}))
     host = urlsplit(server.url).netloc
     with open_page(server) as page, connected(server) as listener:
         listener.sendall(f"GET /terminal_logs HTTP/1.1\r\nHost: {host}\r\nAccept: text/event-stream\r\n\r\n".encode())
@@ -108,7 +108,7 @@ def test_pages_that_do_not_read_hold_up_nobody_and_are_read_from_no_more(server:
                 assert http.get("/nowhere/" + "x" * 190).status_code == 404
         with websockets.sync.client.connect(server.url.replace("http", "ws") + "/live", open_timeout=60) as other:
             other.send(json.dumps({"type": "start", "task": "easy", "seed": 7, "pilots": ["greedy"]}))
-            while json.loads(other.recv(timeout=60))["type"] != "missions":
+            while json.loads(other.recv(timeout=60))["type"] != "flights":
                 pass
     assert httpx.get(f"{server.url}/health", timeout=60).status_code == 200
     assert "Traceback" not in server.log.read_text()

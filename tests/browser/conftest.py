@@ -58,20 +58,14 @@ def shared(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
 @pytest.fixture(scope="package")
 def loaded(shared: Tabs) -> Page:
     # Without motion a map is drawn once a step, not sixty times a second.
-    return shared.open("/#specs", reduced_motion="reduce")
+    return shared.open("/?view=learn", reduced_motion="reduce")
 
 
 @contextmanager
 def lent(page: Page, tabs: Tabs) -> Generator[Page, None, None]:
-    """A page that other tests have used: loading one takes longer than most of what is done in it.
-
-    It does not go on to the next level by itself.
-    """
+    """A page that other tests have used: loading one takes longer than most of what is done in it."""
     tabs.forget()
-    page.evaluate(
-        "localStorage.clear(); localStorage.setItem('drone-env-cycle', 'off');"
-        "document.querySelectorAll('dialog[open]').forEach(one => one.close())"
-    )
+    page.evaluate("localStorage.clear(); document.querySelectorAll('dialog[open]').forEach(one => one.close())")
     yield page
     assert tabs.unexpected() == []
 

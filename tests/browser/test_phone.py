@@ -60,11 +60,8 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
     assert box["x"] >= 0
     assert box["x"] + box["width"] <= NARROW["width"]
     dialog.get_by_role("button", name="Close").click()
-    phone.goto("/?view=compare&task=easy&pilots=greedy,random")
-    expect(phone.get_by_role("heading", name="Greedy against Random")).to_be_visible()
-    wide["Paired"] = too_wide(phone)
-    phone.goto("/?view=compare&task=easy&pilots=random")
-    phone.get_by_role("button", name="Open the flight of Random").first.click()
+    view(phone, "History")
+    phone.locator("tr[data-episode]").first.click()
     expect(phone.locator(".facts").get_by_text("Optimum")).to_be_visible()
     for name in SIGNS:
         whole_view(phone, name)
@@ -73,7 +70,7 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
 
 
 def test_the_specifications_fit(phone: Page) -> None:
-    view(phone, "Specifications")
+    view(phone, "Learn")
     table = phone.locator(".specs-table")
     expect(table).to_be_visible()
     assert table.evaluate("table => table.scrollWidth <= table.parentElement.clientWidth")

@@ -2,12 +2,15 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
+from pydantic import Field, TypeAdapter, ValidationError, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 from pydantic_core import PydanticCustomError
+from typing_extensions import Self
 
+from drone_env.core.tasks import MAX_UNITS
 from drone_env.errors import InvalidValueError, text_of
-from drone_env.models import MAX_SEED, Direction, Message, Seed
+from drone_env.models import MAX_SEED, Count, Direction, Message, Seed
 from drone_env.server.incoming import parse_json
+from drone_env.server.schemas import AgentName
 from drone_env.server.state import LONGEST_ID
 
 MOST_EPISODES = 4
@@ -27,18 +30,45 @@ Number = Annotated[
     int | None,
     Field(ge=0, le=MAX_SEED, description="The answer repeats it."),
 ]
+FlightNumber = Annotated[int, Field(ge=0, lt=MOST_EPISODES)]
 Topic = Literal["requests", "training", "episodes"]
 
 
+class Fork(Message):
+    """A moment of a flight, and the moves from there on."""
+
+    actions: list[Direction] = Field(max_length=MAX_UNITS, description="From the start of the map on.")
+    step: Count = Field(description="How many of them are of the flight that it forks from.")
+    of: AgentName = Field(description="Who flew that.")
+
+    @model_validator(mode="after")
+    def _step_is_there(self) -> Self:
+        if self.step > len(self.actions):
+            raise ValueError(f"a fork from step {self.step} has all actions up to there, got {len(self.actions)}")
+        return self
+
+
 class Start(Message):
-    """Fly one map with one to four pilots; the flights before are given up."""
+    """Fly one map with one to four pilots; the flights before are given up.
+
+    With a fork the last pilot begins after its actions, of which it has flown those after its step; the others that fly
+    by themselves have flown as many steps, or to their end. With a step all those have flown so many.
+    """
 
     type: Literal["start"]
     task: str = Field(max_length=100)
     pilots: list[str] = Field(min_length=1, max_length=MOST_EPISODES)
     seed: MapNumber | None = None
     reward_profile: str | None = Field(default=None, max_length=100)
+    fork: Fork | None = None
+    step: int = Field(default=0, ge=0, le=MAX_UNITS)
     number: Number = None
+
+    @model_validator(mode="after")
+    def _fork_has_a_map(self) -> Self:
+        if self.fork is not None and self.seed is None:
+            raise ValueError("a fork needs the seed of its map")
+        return self
 
 
 class Attach(Message):
@@ -67,7 +97,14 @@ class Fly(Message):
 
     type: Literal["fly"]
     direction: Direction
-    mission: int = Field(default=0, ge=0, lt=MOST_EPISODES)
+    flight: FlightNumber = 0
+
+
+class ByHand(Message):
+    """Take back the last step of a flight that a person flies; show what its actions are worth from now on."""
+
+    type: Literal["undo", "help"]
+    flight: FlightNumber = 0
 
 
 class Subscribe(Message):
@@ -77,7 +114,7 @@ class Subscribe(Message):
     topics: list[Topic] = Field(max_length=3)
 
 
-Command = Start | Attach | Play | Plain | Fly | Subscribe
+Command = Start | Attach | Play | Plain | Fly | ByHand | Subscribe
 _COMMAND: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discriminator="type")])
 
 

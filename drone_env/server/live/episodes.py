@@ -1,6 +1,8 @@
 """One episode that a page flies: a session, its pilot, and how far the page has seen it."""
 
+from collections.abc import Iterable
 from contextlib import suppress
+from hashlib import sha256
 from typing import TYPE_CHECKING
 
 from typing_extensions import Self
@@ -8,11 +10,13 @@ from typing_extensions import Self
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.episodes.finished import check_agent
+from drone_env.episodes.record import record_of
 from drone_env.episodes.sessions import SessionRow
 from drone_env.errors import EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import Direction
 from drone_env.server.frames import Frame, Opening, ShownEpisode, frame_of
-from drone_env.server.pilots import HUMAN, PILOTS, agent_of
+from drone_env.server.pilots import HUMAN, PILOTS, Credit, agent_of
 from drone_env.server.state import Shared
 
 if TYPE_CHECKING:
@@ -34,10 +38,11 @@ class LiveEpisode:
     """
 
     def __init__(self, row: SessionRow, shared: Shared) -> None:
-        if row.agent not in PILOTS:
+        self.by, self.credit = row.agent, Credit.parse(row.agent)
+        self.pilot = self.credit.pilot
+        if self.pilot not in PILOTS:
             raise EpisodeError(f"this session is flown by {row.agent!r}, not from the page")
         self.session = row.id
-        self.pilot = row.agent
         self.episode_id = row.episode_id
         self.episode = row.begin()
         self._sessions = shared.sessions
@@ -65,17 +70,38 @@ class LiveEpisode:
         """
         row = shared.store.read_session(session)
         live = cls(row, shared)
-        opening = Opening.of(live.episode, live.pilot, session)
-        return live, ShownEpisode(mission=opening, frames=[live._look(), *live._follow(row)])
+        opening = Opening.of(live.episode, row.agent, session)
+        return live, ShownEpisode(opening=opening, frames=[live._look(), *live._follow(row.actions)])
 
     @property
     def automatic(self) -> bool:
         """Whether it flies by itself, and has not ended."""
         return self._agent is not None and not self.episode.ended
 
+    @property
+    def first(self) -> int:
+        """The steps that others have flown, before the pilot began."""
+        return self.credit.forked_at or 0
+
     def step(self) -> list[Frame]:
         """Let the pilot of an automatic episode fly one step; the frames that follow from it."""
         return self._fly(self._decide())
+
+    def begin_after(self, actions: Iterable[Direction]) -> list[Frame]:
+        """Fly what a fork has behind it when it is started, and return the frames of it.
+
+        Raises:
+            EpisodeError: if an agent is said to have flown what it would not fly.
+        """
+        frames = self._follow([Action[direction] for direction in actions], check=True)
+        with self._sessions.store.session(self.session) as row:
+            for action in self.episode.actions:
+                row.append(action)
+            if self.episode.ended:
+                # Named by what it is: however often a link to it is opened, it is kept once.
+                record = record_of(self.episode, row.agent).to_json()
+                self.episode_id = row.finish(self.episode, sha256(record.encode()).hexdigest()[:16])
+        return frames
 
     def fly(self, direction: Direction) -> list[Frame]:
         """Fly one step by hand.
@@ -83,11 +109,47 @@ class LiveEpisode:
         Raises:
             EpisodeError: if an agent flies this episode, or it has ended.
         """
-        if self.pilot != HUMAN:
-            raise EpisodeError(f"{self.pilot} flies this episode: start one with the pilot {HUMAN!r} to fly yourself")
-        if self.episode.ended:
-            raise EpisodeError("this episode has ended: start another")
+        self._check_by_hand()
         return self._fly(Action[direction])
+
+    def undo(self) -> list[Frame]:
+        """Take back the last step flown by hand, and say so of who flew.
+
+        Returns:
+            None but where another page has flown on meanwhile: the frames of that, with nothing taken back.
+
+        Raises:
+            EpisodeError: if an agent flies this episode, it has ended, or the person has flown nothing yet.
+        """
+        self._check_by_hand()
+        if self.episode.steps <= self.first:
+            since = f"since step {self.first}, where the fork begins" if self.first else "yet"
+            raise EpisodeError(f"there is nothing to take back: you have not flown {since}")
+        before = self._at_start().fly(self.episode.actions[:-1])
+        with self._sessions.store.session(self.session) as row:
+            self._recognise(row, self.episode)
+            alone = len(row.actions) == self.episode.steps
+            if alone:
+                row.undo()
+                row.agent = check_agent(str(self.credit._replace(undo=True)))
+        self.by, self.credit = row.agent, Credit.parse(row.agent)
+        if not alone:
+            return self._follow(row.actions[self.episode.steps :])
+        self.episode = before
+        return []
+
+    def help(self) -> Frame:
+        """Show a person in flight what the actions are worth from now on, and say so of who flew; the frame with that.
+
+        Raises:
+            EpisodeError: if an agent flies this episode, or it has ended.
+        """
+        self._check_by_hand()
+        with self._sessions.store.session(self.session) as row:
+            self._recognise(row, self.episode)
+            row.agent = check_agent(str(self.credit._replace(values=True)))
+        self.by, self.credit = row.agent, Credit.parse(row.agent)
+        return self._look()
 
     def reachable(self) -> list[float] | None:
         """The best score that could still be reached at each frame so far; None while it is unknown or kept back."""
@@ -119,24 +181,42 @@ class LiveEpisode:
     def _fly(self, action: int) -> list[Frame]:
         flown = self.episode.copy()  # where the step cannot be kept, nothing has changed here
         with self._sessions.store.session(self.session) as row:
-            if row.agent != self.pilot or not row.follows(flown):
-                raise SessionGoneError("this session flies another episode by now: start a new one")
+            self._recognise(row, flown)
             # Another page may have gone on with the same session: then this one catches up.
             alone = len(row.actions) == flown.steps
             if alone:
                 row.step(flown, action)
         self.episode_id = row.episode_id
         if not alone:
-            return self._follow(row)
+            return self._follow(row.actions[self.episode.steps :])
         self.episode = flown
         return [self._look()]
 
-    def _follow(self, row: SessionRow) -> list[Frame]:
-        """Fly what the session has flown and this has not, and return the frames of it."""
+    def _recognise(self, row: SessionRow, flown: Episode) -> None:
+        """See whether the session still flies this episode. Another page may have asked for help with it meanwhile."""
+        credit = self.credit if row.agent == self.by else Credit.parse(row.agent)
+        same = self.credit._replace(values=credit.values, undo=credit.undo)
+        if credit != same or not row.follows(flown):
+            raise SessionGoneError("this session flies another episode by now: start a new one")
+        self.by, self.credit = row.agent, credit
+
+    def _check_by_hand(self) -> None:
+        if self.pilot != HUMAN:
+            raise EpisodeError(f"{self.pilot} flies this episode: start one with the pilot {HUMAN!r} to fly yourself")
+        if self.episode.ended:
+            raise EpisodeError("this episode has ended: start another")
+
+    def _follow(self, actions: Iterable[int], *, check: bool = False) -> list[Frame]:
+        """Fly what has been flown already, and return the frames; `check` refuses what the agent would not fly."""
         frames: list[Frame] = []
-        for action in row.actions[self.episode.steps :]:
-            if self._agent is not None:
-                self._decide()
+        for action in actions:
+            # Where others flew it was not asked, and some plan anew each time.
+            own = self._agent is not None and self.episode.steps >= self.first
+            if own and self._decide() != action and check:
+                step, flies = self.episode.steps + 1, Action(self._decide()).name
+                raise EpisodeError(
+                    f"step {step} of the fork is said to be flown by {self.pilot}, which flies {flies} there"
+                )
             self.episode.step(action)
             frames.append(self._look())
         return frames
@@ -150,15 +230,20 @@ class LiveEpisode:
             value = solver.value(self.episode)
             if self._optimum is None:
                 self._optimum = solver.value(self._at_start())
-        frame = frame_of(self.episode, self._observation, self._network, value, self._optimum)
+        network = self._network if self._shown else None
+        frame = frame_of(self.episode, self._observation, network, value, self._optimum)
         own = frame.q_values if self._agent is self._network else None
         self._decision = Action[max(own, key=own.__getitem__)] if own else None
         return frame
 
+    @property
+    def _shown(self) -> bool:
+        """Whether values are shown: they are kept from a person in flight who has not asked for them."""
+        return self.pilot != HUMAN or self.credit.values or self.episode.ended
+
     def _solver(self) -> "Solver | None":
-        """The solver of the map; None while there is none, and for a person in flight: values would show good moves."""
-        shown = self.pilot != HUMAN or self.episode.ended
-        return self._values.get(self.episode.task, self.episode.seed) if shown else None
+        """The solver of the map; None while there is none, or it is kept back."""
+        return self._values.get(self.episode.task, self.episode.seed) if self._shown else None
 
     def _at_start(self) -> Episode:
         return Episode(self.episode.task, self.episode.reward_profile, self.episode.seed)

@@ -1,7 +1,7 @@
 """The WebSocket `/live`: commands of a page in, frames of its episodes out.
 
 The episodes are flown in HTTP sessions, so they outlive the connection and the process: a page that comes back attaches
-to them. On the wire they are missions.
+to them. On the wire they are flights, by their number among those of the page.
 """
 
 import asyncio
@@ -17,17 +17,14 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from drone_env.core.tasks import get_task
 from drone_env.errors import TooLargeError, UnknownNameError
-from drone_env.server.frames import Frame, ShownEpisode
+from drone_env.server.frames import Frame
 from drone_env.server.incoming import TRY_LATER, received
-from drone_env.server.live.commands import Attach, Fly, Plain, Play, Start, Subscribe, parse_command
+from drone_env.server.live.commands import Attach, ByHand, Fly, Plain, Play, Start, Subscribe, parse_command
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.live.feeds import Feed
-from drone_env.server.map_choice import start_episode
-from drone_env.server.pilots import agent_of
+from drone_env.server.live.start import Opened, end_all, open_flights
 from drone_env.server.problems import FAILED, printable, status_of
-from drone_env.server.schemas import ResetOptions
 from drone_env.server.state import Shared
 
 log = logging.getLogger(__name__)
@@ -37,7 +34,6 @@ PROTOCOL = "drone-env"
 TOO_MANY_PAGES = "too many pages are open"
 SPEED = 6.0
 FEED_SECONDS = 0.25
-Opened = list[tuple[LiveEpisode, ShownEpisode]]
 Moved = list[tuple[int, list[Frame]]]
 
 
@@ -130,10 +126,15 @@ class Page:
                     await self._set_playing(any(live.automatic for live in self.episodes))
                 case Plain(type="step"):
                     await self._tell(await run_in_threadpool(self._step_all))
-                case Fly(mission=number, direction=direction):
-                    if number >= len(self.episodes):
-                        raise UnknownNameError("mission", str(number), [str(i) for i in range(len(self.episodes))])
-                    await self._tell([(number, await run_in_threadpool(self.episodes[number].fly, direction))])
+                case Fly(flight=number, direction=direction):
+                    await self._tell([(number, await run_in_threadpool(self._at(number).fly, direction))])
+                case ByHand(type="undo", flight=number):
+                    await self._undo(number)
+                case ByHand(flight=number):  # "help"
+                    live = self._at(number)
+                    frame = await run_in_threadpool(live.help)
+                    await self._send({"type": "helped", "flight": number, "by": live.by, "frame": frame})
+                    self._tasks.start_soon(self._answering, self._tell_values, self.episodes)
                 case Start():
                     await self._replace(await run_in_threadpool(self._start, command), command.number)
                 case Attach():
@@ -141,25 +142,25 @@ class Page:
                 case Plain():  # "end"
                     await self._replace([], None)
 
+    def _at(self, number: int) -> LiveEpisode:
+        if number >= len(self.episodes):
+            raise UnknownNameError("flight", str(number), [str(i) for i in range(len(self.episodes))])
+        return self.episodes[number]
+
     def _start(self, command: Start) -> Opened:
-        task = get_task(command.task)
-        for pilot in command.pilots:
-            agent_of(pilot, task, self._shared.networks)  # says why it cannot fly before anything is opened
-        last = self.episodes[0].episode if self.episodes and self.episodes[0].episode.task == task else None
-        options = ResetOptions(task_name=task.id, seed=command.seed, reward_profile=command.reward_profile)
-        seed = start_episode(options, None if last is None else last.seed).seed
-        opened: Opened = []
-        try:
-            for pilot in command.pilots:
-                named = options.model_copy(update={"seed": seed, "agent": pilot})
-                opened += self._attach([self._shared.sessions.reset(None, named)[0]])
-        except BaseException:
-            _end_all([live for live, _ in opened])
-            raise
-        return opened
+        return open_flights(command, self._shared, self.episodes[0].episode if self.episodes else None)
 
     def _attach(self, sessions: Sequence[str]) -> Opened:
         return [LiveEpisode.attach(session, self._shared) for session in dict.fromkeys(sessions)]
+
+    async def _undo(self, number: int) -> None:
+        live = self._at(number)
+        missed = await run_in_threadpool(live.undo)
+        if missed:
+            await self._tell([(number, missed)])
+        else:
+            step, by = live.episode.steps, live.by
+            await self._send({"type": "undone", "flight": number, "step": step, "by": by})
 
     def _step_all(self) -> Moved:
         return [(number, live.step()) for number, live in enumerate(self.episodes) if live.automatic]
@@ -171,22 +172,22 @@ class Page:
         self.episodes = [live for live, _ in opened]
         self._end_sent.clear()
         await self._set_playing(False)
-        await run_in_threadpool(_end_all, left)
-        message = {"missions": [shown for _, shown in opened], "number": asked}
-        await self._send({"type": "missions", **message, "playing": self.playing, "speed": self.speed})
+        await run_in_threadpool(end_all, left)
+        message = {"flights": [shown for _, shown in opened], "number": asked}
+        await self._send({"type": "flights", **message, "playing": self.playing, "speed": self.speed})
         await self._tell([])
         self._tasks.start_soon(self._answering, self._tell_values, self.episodes)
 
     async def _tell(self, moved: Moved) -> None:
         """Tell of new frames, and of episodes that have ended."""
-        frames = [{"mission": number, "frame": frame} for number, new in moved for frame in new]
+        frames = [{"flight": number, "frame": frame} for number, new in moved for frame in new]
         if frames:
             await self._send({"type": "frames", "frames": frames})
         for number, live in enumerate(self.episodes):
             if live.episode.ended and live not in self._end_sent:
                 self._end_sent.add(live)
                 for row in await run_in_threadpool(self._shared.store.listed, 1, episode_id=live.episode_id):
-                    await self._send({"type": "ended", "mission": number, "episode": row})
+                    await self._send({"type": "ended", "flight": number, "episode": row})
                 await self._send_values(number, live)
 
     async def _tell_values(self, episodes: Sequence[LiveEpisode]) -> None:
@@ -206,7 +207,7 @@ class Page:
         values = await run_in_threadpool(live.reachable)
         if values is not None:
             regrets = [values[0] - value for value in values]
-            await self._send({"type": "values", "mission": number, "values": values, "regrets": regrets})
+            await self._send({"type": "values", "flight": number, "values": values, "regrets": regrets})
 
     async def _set_playing(self, playing: bool) -> None:
         self.playing = playing
@@ -263,8 +264,3 @@ def _problem(error: Exception) -> dict[str, str]:
         # Unforeseen: a page that lost its connection for it would come back and meet it again, forever.
         log.error("/live failed", exc_info=error)
     return {"code": code, "detail": FAILED if status == 500 else printable(str(error))}
-
-
-def _end_all(episodes: Sequence[LiveEpisode]) -> None:
-    for live in episodes:
-        live.end()

@@ -35,7 +35,7 @@ async def tasks() -> TaskList:
     """All tasks with all their numbers, and the reward profiles."""
     return TaskList(
         tasks=[TaskInfo.of(task, task.id in PUBLISHED) for task in TASKS.values()],
-        reward_profiles=[ProfileInfo(id=profile.id, summary=profile.summary) for profile in REWARD_PROFILES.values()],
+        reward_profiles=[ProfileInfo.of(profile) for profile in REWARD_PROFILES.values()],
     )
 
 
@@ -61,10 +61,11 @@ def pilots(shared: SharedParts) -> PilotList:
                 id=name,
                 name=pilot.name,
                 summary=pilot.summary,
+                colour=colour,
                 automatic=name != HUMAN,
                 tasks=tasks_of(name, shared.networks),
             )
-            for name, pilot in PILOTS.items()
+            for colour, (name, pilot) in enumerate(PILOTS.items(), 1)
             if not (name in SOURCES and SOURCES[name].trained) or tasks_of(name, shared.networks)
         ],
         most=MOST_EPISODES,

@@ -84,9 +84,9 @@ async def replay_record(shared: SharedParts, record: Record) -> Response:
         steps = replay_steps(record)
         start = next(steps)
         opening = Opening.of(start, record.agent)
-        network = shared.networks.beside(record.agent, start.task)
+        network = shared.networks.beside(opening.pilot, start.task)
         frames = [frame_of(episode, episode.observation(), network) for episode in chain([start], steps)]
-        return json_of(ShownEpisode(mission=opening, frames=frames))
+        return json_of(ShownEpisode(opening=opening, frames=frames))
 
     return await shared.study(flight)
 

@@ -1,189 +1,133 @@
-// Tables of who flies how well: the leaderboard, its rows down to maps, and the runs of language models.
-import { el, table } from "./dom.js";
-import { fixed, percent, points } from "./format.js";
+// The boards in the middle: one map with all flights, or one for each of them side by side.
+import { Board } from "./board.js";
+import { el, icon, setText } from "./dom.js";
+import { isLost, outcome, points } from "./format.js";
 
-/** So many maps are shown at first: those where most was lost. */
-const FIRST = 10;
-
-/**
- * A table that scrolls sideways where it has no room.
- *
- * @param {string} caption
- * @param {[string, (row: any) => Node|string, boolean?][]} columns Name, what stands there, whether it is a number.
- * @param {any[]} rows
- * @param {(row: any) => Node|null} [below] What a row has opened.
- */
-export function grid(caption, columns, rows, below = () => null) {
-  const lines = (row) => {
-    const opened = below(row);
-    return [
-      el("tr", ...columns.map(([, cell, number]) => el(number ? "td.num" : "td", cell(row)))),
-      ...(opened ? [el("tr", el("td.opened", { colspan: columns.length }, el("div", opened)))] : []),
-    ];
+/** @param {HTMLElement} root @param {import("./context.js").Context} context @returns {{boards: Board[], apart: (apart: boolean) => void}} */
+export function mountBoards(root, context) {
+  const { stage, camera } = context;
+  const grid = el("div.boards", { id: "boards" });
+  const tool = (label, d, press) => el("button.icon-button", { "aria-label": label, title: label, press }, icon(d));
+  const move = (act) => () => {
+    act();
+    context.emit("camera");
   };
-  const names = columns.map(([name, , number]) => [name, number]);
-  return el(
-    "div.scroller",
-    { tabindex: "0", role: "region", "aria-label": caption },
-    table("table.table", {}, caption, names, el("tbody", ...rows.flatMap(lines))),
-  );
-}
-
-/** Where a score lies from 0 to 1, as a bar with its interval as whiskers, beside the number. */
-function scoreBar(score, ci, colour) {
-  const [low, high] = (ci ?? [score, score]).map((bound) => Math.min(Math.max(bound, 0), 1));
-  const style = { "--at": score, "--low": low, "--high": high, "--colour": colour };
-  const bar = el("span.bar", { "aria-hidden": "true" }, el("i"), el("b"));
-  return el("div.score-bar", { style }, within(score, ci, points), bar);
-}
-
-/** A figure and half of its interval. */
-function within(value, ci, write) {
-  const margin = ci ? ` ± ${write((ci[1] - ci[0]) / 2)}` : "";
-  return el("span.within", write(value), el("span.margin", { text: margin }));
-}
-
-const lost = (row) => {
-  const some = row.regret_maps < row.maps && row.regret !== null ? ` on ${row.regret_maps} maps` : "";
-  return el("span", within(row.regret, row.regret_ci95, points), some);
-};
-
-/** The colour of a pilot; others have none of their own. */
-const colourOf = ({ pilots }, agent) => {
-  const pilot = pilots.find(({ id }) => agent === id || agent.startsWith(`${id} `));
-  return pilot?.colour ? `var(--pilot-${pilot.colour})` : "var(--ink-3)";
-};
-
-/** A button that opens what is below its row. */
-const opener = (open, key, ...contents) =>
-  el("button.opener", { "aria-expanded": String(open), data: { key } }, ...contents);
-
-/**
- * @param {import("./context.js").Context} context
- * @param {Object} board As `/leaderboard` answers.
- * @param {string[]} chosen Whose maps are open, or who are paired.
- * @param {Node|null} maps What is open below the row of the one that is chosen.
- * @param {(agents: string[]) => void} choose
- */
-export function leaderboard(context, board, chosen, maps, choose) {
-  if (!board.rows.length) return el("p.note", { text: "Nobody has flown this task yet. Fly it, and it stands here." });
-  const isOpen = ({ agent }) => chosen.length === 1 && chosen[0] === agent;
-  const pick = ({ agent, name }) => {
-    const others = chosen.filter((one) => one !== agent);
-    return el("input", {
-      type: "checkbox",
-      checked: chosen.includes(agent),
-      "aria-label": `Compare ${name}`,
-      data: { key: `pick ${agent}` },
-      // Of three the first one goes.
-      on: { change: ({ target }) => choose(target.checked ? [...others, agent].slice(-2) : others) },
-    });
-  };
-  const who = (row) => {
-    const button = opener(
-      isOpen(row),
-      `open ${row.agent}`,
-      el("i.dot", { style: { "--colour": colourOf(context, row.agent) }, "aria-hidden": "true" }),
-      el("span", row.name, row.kind === "model" ? el("span.margin", { text: " language model" }) : ""),
-    );
-    button.addEventListener("click", () => choose(isOpen(row) ? [] : [row.agent]));
-    return button;
-  };
-  const columns = [
-    ["Pair", pick],
-    ["Pilot", who],
-    ["Score", (row) => scoreBar(row.score, row.score_ci95, colourOf(context, row.agent))],
-    ["Lost", lost, true],
-    ["Success", (row) => within(row.success_rate, row.success_ci95, percent), true],
-    ["Steps", (row) => fixed(row.steps, 1), true],
-    ["Maps", (row) => String(row.maps), true],
-    ["Flights", (row) => String(row.flights), true],
-    ["Reward", (row) => el("span", fixed(row.reward), el("span.margin", ` ${row.reward_profile ?? ""}`)), true],
-  ];
-  const how = "A name opens its maps; two that are ticked are compared over the maps that both flew.";
-  const forks = board.forks ? ` Flights that fork from another one are left out: ${board.forks}.` : "";
-  return el(
-    "div",
-    grid("Leaderboard, the best score first", columns, board.rows, (row) => (isOpen(row) ? maps : null)),
-    el("p.note.below", {
-      text: `Scores times 100, means over the maps that each flew, ± 95 %. ${how}${forks}`,
+  const farther = tool("Farther", "M6 12h12", move(() => camera.nearer(-1)));
+  const nearer = tool("Nearer", "M12 6v12M6 12h12", move(() => camera.nearer(1)));
+  const follow = tool(
+    "Follow the drone",
+    "M12 4v3M12 17v3M4 12h3M17 12h3M8 12a4 4 0 1 0 8 0a4 4 0 1 0-8 0",
+    move(() => {
+      camera.following = true;
     }),
   );
-}
+  const tools = el("div.map-tools", { role: "group", "aria-label": "Map" }, nearer, farther, follow);
+  root.append(el("div.boards-field", grid, tools));
+  const mounted = { boards: [], apart };
+  let cards = [];
+  let isApart = false;
+  let shown = [];
 
-/**
- * The maps that somebody flew, the worst first; each opens its flight, or lists its flights.
- *
- * @param {import("./context.js").Context} context
- * @param {string} name Who flew, in words.
- * @param {Object[]} maps As `/leaderboard/{task}/maps` answers.
- * @param {import("./flights.js").Flights} flights Where several over one map are listed.
- * @param {string} agent
- */
-export function mapsOf(context, name, maps, flights, agent) {
-  const regret = ({ optimum, score }) => (optimum === null ? null : optimum - score);
-  const sorted = [...maps].sort((x, y) => (regret(y) ?? -1) - (regret(x) ?? -1) || x.seed - y.seed);
-  const open = ({ id, seed, flights: count }) => [
-    el("button.button.small", {
-      text: "Open",
-      "aria-label": `Open the flight of ${name} over map ${seed}`,
-      press: () => context.router.go({ view: "fly", episode: id }),
-    }),
-    count > 1 ? el("button.button.small", { text: `${count} flights`, press: () => flights.filter(agent, seed) }) : "",
-  ];
-  const columns = [
-    ["Map", ({ seed }) => String(seed), true],
-    ["Lost", (map) => points(regret(map)), true],
-    ["Score", ({ score }) => points(score), true],
-    ["Optimum", ({ optimum }) => points(optimum), true],
-    ["Success", ({ success }) => percent(success), true],
-    ["Steps", ({ steps }) => fixed(steps, steps % 1 ? 1 : 0), true],
-    // Flights that were flown in another server are not kept here.
-    ["", (map) => (map.id ? el("span.buttons", ...open(map)) : "")],
-  ];
-  return shortened(sorted, FIRST, (shown) => grid(`Maps that ${name} flew, the worst first`, columns, shown));
-}
+  function build() {
+    shown = isApart ? stage.tracks : [];
+    mounted.boards.forEach((board) => board.destroy());
+    grid.style.setProperty("--columns", String(Math.ceil(Math.sqrt(shown.length || 1))));
+    cards = shown.map(card);
+    const field = el("div.map-field");
+    grid.replaceChildren(...(cards.length ? cards.map(({ node }) => node) : [field]));
+    mounted.boards = cards.length
+      ? cards.map(({ field, track }) => new Board(field, context, track))
+      : [new Board(field, context)];
+    draw();
+  }
 
-/** The first of many maps, and a button for all of them. */
-export function shortened(all, first, draw) {
-  if (all.length <= first) return draw(all);
-  const more = el("button.button.small.more", { text: `All ${all.length} maps` });
-  const part = el("div", draw(all.slice(0, first)), more);
-  more.addEventListener("click", () => {
-    part.replaceChildren(draw(all));
-    part.firstElementChild.focus();
+  function card(track, i) {
+    const field = el("div.map-field");
+    const state = el("span.card-state");
+    const press = () => stage.select(i);
+    const head = el("button.card-head", { press }, el("span.card-name", { text: track.name }), state);
+    const node = el("figure.card", { style: { "--lane": `var(${track.colour})` } }, head, field);
+    return { node, head, field, state, track };
+  }
+
+  function draw() {
+    for (const { node, head, state, track } of cards) {
+      const frame = track.frameAt(stage.clock.cursor);
+      const lost = isLost(frame.regret) ? ` · −${points(frame.regret)}` : "";
+      const how = frame.done
+        ? `${points(frame.score)} · ${outcome(frame)}`
+        : `step ${frame.step} · ${frame.deliveries_done}/${stage.world.parcels.length}${lost}`;
+      setText(state, how);
+      node.classList.toggle("selected", track === stage.track);
+      head.setAttribute("aria-pressed", String(track === stage.track));
+    }
+    farther.disabled = follow.disabled = camera.zoom === 1;
+    follow.hidden = camera.following || camera.zoom === 1;
+  }
+
+  /** Each flight on a board of its own, or all on one. */
+  function apart(wanted) {
+    isApart = wanted && stage.tracks.length > 1;
+    build();
+  }
+
+  stage.on("load", () => {
+    if (stage.world) camera.reset();
+    isApart = isApart && stage.tracks.length > 1;
+    if (isApart || shown.length) build();
   });
-  return part;
+  stage.on("change", draw);
+  context.on("camera", draw);
+  listenToDrags(grid, context);
+  build();
+  return mounted;
 }
 
-/** The runs of language models, on the board of the maps that they flew, each with its maps below. */
-export function runsOf(context, { boards, unranked }, flights) {
-  const columns = [
-    ["Model", (row) => row.model],
-    ["Prompt", (row) => row.prompt],
-    ["Score", (row) => scoreBar(row.score, row.score_ci95, "var(--accent)")],
-    ["Lost", (row) => points(row.regret), true],
-    ["Success", (row) => percent(row.success_rate), true],
-    ["Random to optimum", (row) => percent(row.normalised), true],
-    ["Steps", (row) => fixed(row.steps, 1), true],
-    ["Flights", (row) => String(row.flights), true],
-    ["Errored", (row) => String(row.errored), true],
-    ["Unusable", (row) => String(row.waits), true],
-    ["Tokens", (row) => row.tokens.toLocaleString(), true],
-  ];
-  const maps = (row) => [
-    el("summary", { text: `Maps of ${row.model}, ${row.run}` }),
-    mapsOf(context, row.model, row.maps, flights, row.model),
-  ];
-  const draw = ({ maps: which, rows }) => [
-    el("h3", { text: which }),
-    grid(`Runs of language models over ${which}, the best first`, columns, rows),
-    ...rows.map((row) => el("details", ...maps(row))),
-  ];
-  const why = ({ run, reason }) => el("li", { text: `${run}: ${reason}` });
-  return [
-    el("h2", { text: "Language models" }),
-    ...boards.flatMap(draw),
-    unranked.length ? el("div.note", "Not ranked:", el("ul", ...unranked.map(why))) : "",
-  ];
+/** A drag moves a map that is larger than its window, and so do two fingers, which also take it nearer. */
+function listenToDrags(grid, context) {
+  const { camera } = context;
+  const pointers = new Map();
+  let apart = 0;
+
+  const spread = () => {
+    const [a, b] = [...pointers.values()];
+    return Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY);
+  };
+  grid.addEventListener("pointerdown", (event) => {
+    pointers.set(event.pointerId, event);
+    if (pointers.size === 2) apart = spread();
+  });
+  const gone = (event) => pointers.delete(event.pointerId);
+  for (const type of ["pointerup", "pointercancel", "pointerleave"]) grid.addEventListener(type, gone);
+  grid.addEventListener("pointermove", (event) => {
+    const before = pointers.get(event.pointerId);
+    if (!before) return;
+    pointers.set(event.pointerId, event);
+    // One finger flies where the visitor does.
+    if (pointers.size === 1 && event.pointerType !== "mouse" && document.body.classList.contains("human-flies")) return;
+    if (pointers.size === 2 && Math.abs(Math.log(spread() / apart)) > 0.3) {
+      camera.nearer(spread() > apart ? 1 : -1);
+      apart = spread();
+    }
+    const cell = cellOf(event.currentTarget, context);
+    camera.pan((event.clientX - before.clientX) / cell, (event.clientY - before.clientY) / cell);
+    context.emit("camera");
+  });
+  grid.addEventListener(
+    "wheel",
+    (event) => {
+      if (!event.ctrlKey) return;
+      event.preventDefault();
+      if (camera.nearer(event.deltaY < 0 ? 1 : -1)) context.emit("camera");
+    },
+    { passive: false },
+  );
+}
+
+/** Side of a cell in CSS pixels. */
+function cellOf(grid, { camera, stage }) {
+  const { width, height } = grid.querySelector(".map").getBoundingClientRect();
+  const scale = window.devicePixelRatio || 1;
+  const size = { width: width * scale, height: height * scale, scale };
+  return camera.layout(stage.world, size, [stage.frame.x, stage.frame.y]).cell / scale;
 }

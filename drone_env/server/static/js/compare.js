@@ -2,7 +2,7 @@
 import { el } from "./dom.js";
 import { title } from "./format.js";
 import { Flights } from "./flights.js";
-import { leaderboard, mapsOf, runsOf } from "./boards.js";
+import { leaderboard, mapsOf, runsOf } from "./rankings.js";
 import { paired } from "./paired.js";
 import { Training } from "./training.js";
 

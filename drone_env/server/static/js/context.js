@@ -1,6 +1,8 @@
 // What all parts of the page share.
+import { Camera } from "./camera.js";
 import { Emitter } from "./emitter.js";
-import { Player } from "./player.js";
+import { LAYERS } from "./layers.js";
+import { Stage } from "./stage.js";
 
 /**
  * @typedef {Object} Context
@@ -10,26 +12,35 @@ import { Player } from "./player.js";
  * @property {Object[]} tasks As `GET /tasks` tells them.
  * @property {Map<string, Object[]>} families The same by family.
  * @property {Object[]} rewardProfiles Likewise.
- * @property {Object[]} pilots As `GET /pilots` tells them.
+ * @property {Object[]} pilots As `GET /pilots` tells them. @property {number} most How many may fly at once.
  * @property {Object[]} kinds As `GET /kinds` tells them.
- * @property {Player[]} players The flights of Watch and Race, as many as may race; those without a flight are empty.
- * @property {Player} player The first of them.
- * @property {string} view "watch", "race", "replay", "compare", "specs" or "logs".
+ * @property {Stage} stage The map, the flights and the moment that are shown in Fly.
+ * @property {Camera} camera @property {(id: string) => boolean} shows Whether a layer is shown.
+ * @property {string} view "fly", "compare", "learn" or "api".
  * @property {(event: string, f: Function) => () => void} on
  * @property {(event: string, ...args: any[]) => void} emit
  *
- * Events: "view" (name) another view is shown; "theme" (name) the colours have changed; "missions" (players) flights
- * have been started; "maps" (CityMaps) they are drawn; "ended" (index, EpisodeSummary) one has ended and is stored;
- * "selected" (index) one of the maps was chosen.
- * Wishes: "open" (view) another view; "replay" (episode id) the replay of a stored episode; "select" (index) a map;
- * "explain" (player) what each move of an ended flight gave away; "arrows" whether the values of the actions stand on
- * the maps may have changed.
+ * Events: "view" (name) another view is shown; "theme" (name) the colours have changed; "layers" others are shown; "camera" the
+ * map is seen from elsewhere.
  */
 
 /** @returns {Context} */
 export function createContext(parts) {
-  const players = Array.from({ length: parts.most }, () => new Player());
   const families = new Map();
   for (const task of parts.tasks) families.set(task.family, [...(families.get(task.family) ?? []), task]);
-  return Object.assign(new Emitter(), parts, { families, players, player: players[0], view: "watch" });
+  const layers = new Set(LAYERS.filter(({ name, on }) => on || !name).map(({ id }) => id));
+  const context = Object.assign(new Emitter(), parts, {
+    families,
+    stage: new Stage(),
+    camera: new Camera(),
+    view: "fly",
+    shows: (id) => layers.has(id),
+    /** Shows a layer, or hides it. */
+    showLayer(id, shown) {
+      if (shown) layers.add(id);
+      else layers.delete(id);
+      context.emit("layers");
+    },
+  });
+  return context;
 }

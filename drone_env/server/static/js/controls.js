@@ -1,109 +1,83 @@
-// Below the maps: start, pause, single step, speed, and the strip of the flight.
+// Below the maps: the graph, and the transport of flights that go on or have ended.
+import { SPEEDS } from "./clock.js";
 import { el, icon, setText } from "./dom.js";
-import { SPEEDS } from "./fleet.js";
-import { nextFrame } from "./loop.js";
+import { signed, title } from "./format.js";
 import { mountTimeline } from "./timeline.js";
 
-const PLAY = "!M7 4.500v15l13-7.500z";
-const PAUSE = "!M7 5h3.500v14H7zM13.500 5H17v14h-3.500z";
+const PLAY = ["!M7 4.500v15l13-7.500z"];
+const PAUSE = ["!M7 5h3.500v14H7z", "!M13.500 5H17v14h-3.500z"];
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
-export function mountControls(root, context, fleet) {
-  const start = el("button.button.primary", {
-    id: "start",
-    press: () => fleet.toggle(),
+/**
+ * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
+ * @param {import("./actions.js").Actions} acts @returns {HTMLCanvasElement} The graph.
+ */
+export function mountControls(root, context, fleet, acts) {
+  const { stage } = context;
+  const { clock } = stage;
+  const button = (id, label, key, drawing, press) =>
+    el("button.icon-button", { id, "aria-label": label, title: `${label} (${key})`, press }, icon(...drawing));
+  const toggle = el("button.button.primary", { id: "start", press: acts.toggle });
+  const first = button("first", "First step", "Home", ["M18 6l-7 6 7 6", "M6.500 6v12"], acts.first);
+  const back = button("back", "Step back", "←", ["M15 6l-7 6 7 6"], acts.back);
+  const forward = button("step", "Step", "→ or .", ["M9 6l7 6-7 6"], acts.forward);
+  const last = button("last", "Last step", "End", ["M6 6l7 6-7 6", "M17.500 6v12"], acts.last);
+  const undo = el("button.button", { id: "undo", title: "Take the last move back (U)", text: "Undo", press: acts.undo });
+  const reset = el("button.button", {
+    id: "reset",
+    title: "The same map from its start (R)",
+    text: "Reset",
+    press: acts.reset,
   });
-  const step = el(
-    "button.button",
-    { id: "step", title: "One step (.)", press: () => fleet.step() },
-    icon("!M5 5v14l9-7z", "M18 5v14"),
-    el("span", { text: "Step" }),
-  );
-  const again = el(
-    "button.icon-button",
-    {
-      id: "restart",
-      title: "Same map again (R)",
-      "aria-label": "Fly the same map again",
-      press: () => fleet.start(),
-    },
-    icon("M5 12a7 7 0 1 0 2.200-5.100M5 4v4h4"),
-  );
-  const speed = el("input", {
-    type: "range",
-    id: "speed",
-    min: "0",
-    max: String(SPEEDS.length - 1),
-    step: "1",
-    on: { input: () => fleet.setSpeed(SPEEDS[Number(speed.value)]) },
+  const fork = el("button.button", {
+    id: "fork",
+    title: "Fly on from this step, beside the flight (F)",
+    text: "Try from here",
+    press: () => acts.fork(),
   });
-  const speedText = el("output", { for: "speed" });
-  const bar = el(
-    "div.controls",
-    start,
-    step,
-    again,
-    el("div.speed", el("label", { for: "speed", text: "Speed" }), speed, speedText),
+  const speed = el(
+    "select",
+    { id: "speed", "aria-label": "Speed", on: { change: () => fleet.setSpeed(Number(speed.value)) } },
+    ...SPEEDS.map((steps) => el("option", { value: String(steps), text: `${steps} steps/s` })),
   );
+  const where = el("p.where", { id: "step-counter" });
   const strip = el("div");
-  const counter = el("span.counter", { id: "step-counter" });
-  const ghost = el("input", {
-    type: "checkbox",
-    id: "show-ghost",
-    checked: true,
-    "aria-label": "Ghost on the best flight",
-  });
-  const ghostSwitch = el(
-    "label.switch",
-    { id: "ghost-switch", title: "The best flight as a ghost (G)", hidden: true },
-    ghost,
-    el("span", { text: "Best flight" }),
-  );
-  root.append(strip, el("div.controls-row", bar, el("div.where", ghostSwitch, counter)));
-  const timeline = mountTimeline(strip, context, {
-    label: "Step of the flight that is shown",
-    seek: (k) => fleet.active.forEach((player) => player.seek(k)),
-  });
+  const buttons = el("div.transport", { role: "group", "aria-label": "Playback" }, first, back, forward, last);
+  root.append(strip, el("div.controls", toggle, buttons, speed, undo, fork, reset), where);
+  const graph = mountTimeline(strip, context);
 
   function update() {
-    const { playing, over } = fleet;
-    const words = over ? "Fly again" : playing ? "Pause" : context.player.frames.length > 1 ? "Go on" : "Start";
-    start.replaceChildren(icon(playing ? PAUSE : PLAY), el("span", { text: words }));
-    start.title = over ? "Same map again (Space)" : `${words} (Space)`;
-    start.hidden = !fleet.automatic && !over;
-    step.hidden = !fleet.automatic;
-    const away = context.live.state !== "open" || !fleet.active.length;
-    start.disabled = away;
-    step.disabled = away || playing || over;
-    speed.value = String(Math.max(0, SPEEDS.indexOf(fleet.speed)));
-    speed.setAttribute("aria-valuetext", `${fleet.speed} steps per second`);
-    setText(speedText, `${fleet.speed}/s`);
-    speed.parentElement.hidden = !fleet.automatic;
+    const { track } = stage;
+    const [word, playing] = acts.word();
+    toggle.replaceChildren(icon(...(playing ? PAUSE : PLAY)), el("span", { text: word }));
+    toggle.title = `${word} (Space)`;
+    const away = context.live.state !== "open" && fleet.shown && !stage.over;
+    toggle.disabled = !track || (away && !clock.playing);
+    toggle.hidden = fleet.own !== null && !fleet.automatic;
+    first.disabled = back.disabled = clock.cursor === 0;
+    last.disabled = clock.following;
+    forward.disabled = !track || (acts.goesOn() ? playing || away : clock.cursor === clock.end());
+    undo.hidden = fleet.human < 0 || !fleet.shown;
+    undo.disabled = fleet.own === null;
+    fork.hidden = !track || fleet.atHand;
+    fork.disabled = !track || track.frameAt(clock.cursor).done;
+    reset.disabled = !track;
+    speed.value = String(clock.speed);
+    setText(where, track ? sentence(track, clock.cursor, stage) : "");
+    where.classList.toggle("behind", !clock.following);
   }
 
-  let words = "";
-  function progress() {
-    timeline.refresh();
-    const shown = Math.max(0, ...fleet.active.map((player) => player.cursor));
-    const most = context.player.mission?.max_steps ?? 0;
-    const behind = fleet.active.some((player) => !player.following);
-    setText(counter, most ? `Step ${shown} of ${most}` : "");
-    counter.classList.toggle("behind", behind);
-    counter.title = behind ? "Looking back: End follows the flight again" : "";
-    const state = `${fleet.over}${context.player.frames.length > 1}`;
-    if (state !== words) update();
-    words = state;
-  }
-
-  for (const player of context.players) player.on("change", () => nextFrame(progress));
-  fleet.on("playing", update);
+  stage.on("change", update);
+  for (const event of ["playing", "setup", "begun"]) fleet.on(event, update);
   context.live.on("state", update);
-  fleet.on("setup", update);
-  context.on("missions", (players) => {
-    timeline.show(players);
-    update();
-    progress();
-  });
   update();
-  return timeline;
+  return graph;
+}
+
+/** Where we are, in words: `Step 12 of 35 · LEFT · Delivery · reward +0.90`. */
+function sentence(track, step, { world }) {
+  const frame = track.frameAt(step);
+  const of = track.done ? track.steps : world.maxSteps;
+  const parts = [`Step ${frame.step} of ${of}`];
+  if (frame.action) parts.push(frame.action, title(frame.event), `reward ${signed(frame.reward)}`);
+  return parts.join(" · ");
 }

@@ -77,6 +77,21 @@ export function download(name, blob) {
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }
 
+/** Asks a question with two answers. @returns {Promise<boolean>} Whether the first was given. */
+export function ask(question, yes, no) {
+  const dialog = document.getElementById("ask");
+  const answer = (text, value, tag) => el(tag, { type: "submit", value, text });
+  const buttons = [answer(yes, "yes", "button.button"), answer(no, "no", "button.button.primary")];
+  const head = el("h2", { id: "ask-title", text: question });
+  dialog.replaceChildren(el("form", { method: "dialog" }, head, el("div.dialog-actions", ...buttons)));
+  dialog.returnValue = "no";
+  dialog.showModal();
+  buttons[1].focus();
+  return new Promise((resolve) => {
+    dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true });
+  });
+}
+
 /** A short message at the foot of the page, also for screen readers. */
 export function toast(text) {
   const node = el("div.toast", { text });
@@ -90,13 +105,16 @@ export function announce(text) {
   document.getElementById("announcer").textContent = text;
 }
 
-/** Copies an address. */
-export async function copyLink(url) {
+/** Copies a text. */
+export async function copyText(text, said) {
   try {
-    await navigator.clipboard.writeText(String(url));
-    toast("Link copied.");
+    await navigator.clipboard.writeText(text);
+    toast(said);
   } catch {
     // Without leave to write the clipboard, as in a frame of another site, the visitor copies it by hand.
-    window.prompt("The link to this flight:", url);
+    window.prompt("To copy:", text);
   }
 }
+
+/** Copies an address. */
+export const copyLink = (url) => copyText(String(url), "Link copied.");

@@ -65,7 +65,7 @@ function inSize([x, y], size) {
  * @param {number} size Its width in device pixels. @param {number} heading Radians, 0 is up.
  * @param {number} spin Angle of the rotors. @param {number} lift 0 on the ground, 1 in flight: how far its shadow lies.
  */
-export function drawDrone(ctx, x, y, size, heading, spin, lift, colours) {
+export function drawDrone(ctx, x, y, size, heading, spin, lift, colour, colours) {
   ctx.save();
   ctx.translate(x, y);
   ctx.rotate(heading);
@@ -73,7 +73,7 @@ export function drawDrone(ctx, x, y, size, heading, spin, lift, colours) {
   ctx.shadowOffsetX = ctx.shadowOffsetY = size * (0.06 + 0.12 * lift);
   drawFigure(ctx, "drone", 0, 0, size);
   ctx.shadowColor = "transparent";
-  ctx.strokeStyle = colours.accent;
+  ctx.strokeStyle = colour;
   ctx.lineWidth = Math.max(1.2, size * 0.05);
   const rotor = size * 0.23;
   ctx.beginPath();
@@ -91,10 +91,10 @@ export function drawDrone(ctx, x, y, size, heading, spin, lift, colours) {
 }
 
 /** Brackets around the current target. @param {number} breath In [0, 1], opens them a little. */
-export function drawTarget(ctx, x, y, cell, breath, colours) {
+export function drawTarget(ctx, x, y, cell, breath, colour) {
   const half = cell * (0.47 + 0.07 * breath);
   const end = half - cell * 0.2;
-  ctx.strokeStyle = colours.accent;
+  ctx.strokeStyle = colour;
   ctx.lineWidth = Math.max(1.5, cell * 0.08);
   ctx.lineCap = "square";
   ctx.beginPath();

@@ -1,73 +1,116 @@
 // The live flights of this page: what is asked of the server, and what it tells.
 import { toast } from "./dom.js";
 import { Emitter } from "./emitter.js";
+import { worldOf } from "./stage.js";
+import { Track } from "./track.js";
 
-export const SPEEDS = [0.5, 1, 2, 4, 6, 10, 15, 30, 60];
-const DEFAULT_SPEED = 6;
-const HUMAN_SPEED = 8;
 const PATIENCE = 2500;
+/** Actions as links write them. */
+const LETTERS = { U: "UP", D: "DOWN", L: "LEFT", R: "RIGHT", W: "WAIT" };
+const lettersOf = (actions) => actions.map((action) => action[0]).join("");
 
 /**
- * @typedef {Object} Setup What is flown.
- * @property {string} task Short name. @property {number|null} seed null for any map. @property {string|null} profile null for the
- *   server's.
- * @property {string[]} pilots One to four ids.
+ * What is flown is kept as the address says it: see `Address` of router.js.
  *
- * Events: "setup" other flights were chosen, "playing" started, paused or another speed, "refused" (text).
+ * Events: "setup" other flights were chosen, "playing" started, paused or another speed, "refused" (text), "begun" the server
+ * flies what was chosen, "ended" (track) one has ended and is stored.
  */
 export class Fleet extends Emitter {
   /** @param {import("./context.js").Context} context */
   constructor(context) {
     super();
     this.context = context;
-    /** @type {Setup} */
-    this.setup = { task: context.tasks[0].short_name, seed: null, profile: null, pilots: [] };
+    this.stage = context.stage;
+    /** @type {Partial<import("./router.js").Address>} */
+    this.setup = { view: "fly", task: context.tasks[0].short_name, seed: null, profile: null, pilots: [] };
+    /** The flights that the server flies for us. @type {Track[]} */
+    this.tracks = [];
     this.playing = false;
-    this.speed = DEFAULT_SPEED;
     this.asked = null;
     this.number = 0;
-    this.playAfterStart = false;
-    this.wanted = false;
+    this.how = { play: false, beside: [], flown: null, after: null, moves: [] };
     this.waiting = false;
     this.slow = 0;
     const { live } = context;
     live.on("state", ({ state }) => (state === "open" ? this.resume() : this.lost()));
-    live.on("missions", (message) => this.begin(message));
+    live.on("flights", (message) => this.begin(message));
     live.on("frames", ({ frames }) => this.move(frames));
-    live.on("values", ({ mission, values, regrets }) => context.players[mission].setValues(values, regrets));
-    live.on("playing", ({ playing, speed }) => this.setPlaying(playing, speed));
-    live.on("ended", ({ mission, episode }) => this.ended(mission, episode));
+    live.on("values", (message) => this.value(message));
+    live.on("undone", (message) => this.undone(message));
+    live.on("helped", (message) => this.helped(message));
+    live.on("playing", ({ playing }) => this.setPlaying(playing));
+    live.on("ended", ({ flight, episode }) => this.ended(this.tracks[flight], episode));
     live.on("error", (message) => this.refused(message));
     // A page that is closed gives its sessions back: nobody could attach to them, and they take the room of others.
     window.addEventListener("pagehide", ({ persisted }) => persisted || live.send({ type: "end" }));
   }
 
-  /** The players that have a flight. */
-  get active() {
-    return this.context.players.filter((player) => !player.empty);
-  }
-
-  /** Whether all flights have ended. */
   get over() {
-    return this.active.length > 0 && this.active.every((player) => player.last.done);
+    return this.tracks.length > 0 && this.tracks.every((track) => track.done);
   }
 
-  /** The index of the flight that the visitor flies; -1 for none. */
+  /** Whether these flights are on the stage, not one of the past. */
+  get shown() {
+    return this.tracks.length > 0 && this.tracks.every((track) => this.stage.tracks.includes(track));
+  }
+
+  /** The number of the flight that the visitor flies; -1 for none. */
   get human() {
-    const { players } = this.context;
-    return this.setup.pilots.findIndex((id, i) => i < players.length && !this.pilot(id).automatic);
+    return this.tracks.findIndex(({ pilot }) => !this.pilot(pilot).automatic);
   }
 
-  /** Whether there is somebody to start. */
+  /** The flight that has left another one's way; null for none. */
+  get forked() {
+    return this.setup.fork === null ? null : (this.tracks.at(-1) ?? null);
+  }
+
+  /** Whether what is looked at is the visitor's own flight, where it goes on. */
+  get atHand() {
+    const { track, clock } = this.stage;
+    return this.shown && track === this.tracks[this.human] && !track.done && clock.cursor >= track.steps;
+  }
+
+  /** The visitor's own flight while it goes on, which is lost where another begins; null where there is none. */
+  get own() {
+    const track = this.tracks[this.human];
+    return track && this.shown && !track.done && track.steps > (track === this.forked ? this.setup.fork : 0) ? track : null;
+  }
+
+  /** Whether the visitor's moves are flown: in the flight that is shown, or in one that is on its way. */
+  get byHand() {
+    if (this.asked === "start") return this.how.flown.includes(this.person.id);
+    const track = this.tracks[this.human];
+    return this.shown && Boolean(track) && !track.done;
+  }
+
+  /** The pilot who is the visitor. */
+  get person() {
+    return this.context.pilots.find(({ automatic }) => !automatic);
+  }
+
+  /** Whether somebody flies by himself. */
   get automatic() {
-    return this.setup.pilots.some((id) => this.pilot(id).automatic);
+    return this.tracks.some(({ pilot }) => this.pilot(pilot).automatic);
   }
 
   /** @returns {Object} What the server tells of a pilot; a stand-in where it does not know it. */
   pilot(id) {
     return (
-      this.context.pilots.find((pilot) => pilot.id === id) ?? { id, name: id, summary: "", automatic: true, tasks: [] }
+      this.context.pilots.find((pilot) => pilot.id === id) ?? {
+        id,
+        name: id,
+        summary: "",
+        automatic: true,
+        tasks: [],
+        colour: "other",
+      }
     );
+  }
+
+  /** How a pilot is called and coloured. */
+  look(id) {
+    const { name, colour } = this.pilot(id);
+    return { name, colour: `--pilot-${colour}` };
   }
 
   task(name = this.setup.task) {
@@ -79,152 +122,244 @@ export class Fleet extends Emitter {
     return !task || this.pilot(id).tasks.includes(task.id);
   }
 
-  /** Ids of all who fly a task by themselves, as the server lists them. */
+  /** Ids of all who fly a task by themselves, as the server lists them: the visitor's own network first. */
   able(task = this.task()) {
     return this.context.pilots.filter(({ id, automatic }) => automatic && this.flies(id, task)).map(({ id }) => id);
   }
 
   /** What an address asks for, filled up with what is flown now. @param {import("./router.js").Address} address */
-  asks({ task = null, seed = null, profile = null, pilots }, most) {
+  asks(address) {
+    const { task = null, seed = null, profile = null, pilots = [], step = null } = address;
+    const { episode = null, fork = null, actions = null, of = null } = address;
     const known = this.task(task ?? this.setup.task) ?? this.context.tasks[0];
     const named = pilots.length ? pilots : this.setup.pilots.filter((id) => this.flies(id, known));
-    // Where too few are named others join in, the visitor's own network first, if one was trained for the task.
-    const enough = named.length >= Math.min(most, 2);
-    const flown = enough ? named : [...new Set([...named, ...this.able(known)])].slice(0, most);
     return {
+      view: "fly",
       task: task === null || this.task(task) ? known.short_name : task, // the server says what is wrong with another
       seed,
       profile,
-      pilots: most > 1 ? flown : flown.slice(0, 1),
+      pilots: named.length ? named : this.able(known).slice(0, 1),
+      episode,
+      step,
+      ...(fork === null ? { fork: null, actions: null, of: null } : { fork, actions, of }),
     };
   }
 
-  /** Starts other flights: what is named in `change` is new, the rest as it was. */
-  start(change = {}, { play = false } = {}) {
-    this.setup = { ...this.setup, ...change };
-    this.playAfterStart = play;
+  /**
+   * Starts other flights: what is named in `change` is new, the rest as it was; forks and moments are not kept.
+   *
+   * @param {{play?: boolean, beside?: Track[], flown?: string[], after?: () => void}} how Whether to play at once, flights of
+   *   the past to show beside them, those pilots of the setup who are still to be flown, what to do then, and the visitor's
+   *   moves until then.
+   */
+  start(change = {}, { play = false, beside = [], flown = null, after = null, moves = [] } = {}) {
+    const nothing = { fork: null, actions: null, of: null, step: null, episode: null };
+    const { live } = this.context;
+    if (live.state !== "open" && this.tracks.length) {
+      toast("The server is away: your flight is kept, and another cannot begin before it is back.");
+      this.emit("setup");
+      return;
+    }
+    this.setup = { ...this.setup, ...nothing, ...change };
+    this.how = { play, beside, flown: flown ?? this.setup.pilots, after, moves };
     this.emit("setup");
     this.asked = "start";
-    const { task, seed, profile, pilots } = this.setup;
+    const { task, seed, profile, fork, actions, of, step } = this.setup;
+    const what = { task, seed, reward_profile: profile, pilots: this.how.flown };
+    if (fork !== null) what.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork, of };
+    else if (step) what.step = step;
     // Without a connection it is started as soon as there is one.
-    const what = { task, seed, reward_profile: profile, pilots };
-    this.waiting = !this.context.live.send({ type: "start", number: ++this.number, ...what });
+    this.waiting = !live.send({ type: "start", number: ++this.number, ...what });
   }
 
-  /** Called when flights are to be seen for the first time: until then none is flown. */
-  want(setup) {
-    this.wanted = true;
-    this.setup = setup;
-    this.emit("setup");
-    if (this.context.live.state === "open") this.start();
+  /** Flies on from a step of a flight, beside it: another move, and what comes of it. */
+  fork(track, step, { pilot = this.person.id, action = null } = {}) {
+    const { world } = this.stage;
+    // One that flies by itself flies the same again, where the link is opened; others must be in the store.
+    const again = this.pilot(track.pilot).automatic && !track.past && track.forkedAt === null;
+    const pilots = [...(again ? [track.pilot] : []), pilot];
+    // It flies on beside the fork unless it has ended.
+    const along = again && !track.done;
+    const change = {
+      task: world.task.short_name,
+      seed: world.seed,
+      profile: world.profile,
+      pilots,
+      episode: again ? null : (track.episode?.id ?? null),
+      fork: step,
+      actions: lettersOf(track.actionsTo(step)),
+      of: track.by,
+    };
+    const after = () => action && this.fly(action);
+    const play = this.pilot(pilot).automatic;
+    this.start(change, { play, beside: along ? [] : [track], flown: along ? pilots : [pilot], after });
   }
 
-  play(speed = this.speed) {
-    this.speed = speed;
+  play(speed = this.stage.clock.speed) {
     if (!this.over && this.automatic) this.context.live.send({ type: "play", speed });
   }
 
   pause() {
-    this.context.live.send({ type: "pause" });
+    if (this.playing) this.context.live.send({ type: "pause" });
   }
 
-  /** Starts or pauses; after the end, flies the same map again. */
-  toggle() {
-    if (this.over) this.start({}, { play: true });
-    else if (this.playing) this.pause();
-    else this.play();
+  /** Something else is to be shown: they are paused, and those who were asked for are not waited for. */
+  rest() {
+    this.pause();
+    if (this.asked === "start") this.asked = null;
   }
 
   step() {
     if (!this.playing && !this.over) this.context.live.send({ type: "step" });
   }
 
-  /** Another speed, at once where something flies. */
   setSpeed(speed) {
-    this.speed = speed;
+    this.stage.clock.speed = speed;
     if (this.playing) this.play(speed);
     else this.emit("playing");
   }
 
   /** One move of the visitor. The others move along unless they fly by themselves. */
   fly(direction) {
-    const mission = this.human;
-    const player = this.context.players[mission];
-    if (mission < 0 || !player.last || player.last.done) return;
-    player.seek(player.frames.length - 1);
-    this.context.live.send({ type: "fly", mission, direction });
+    if (!this.byHand) return;
+    if (this.asked === "start") {
+      this.how.moves.push(direction);
+      return;
+    }
+    const flight = this.human;
+    this.stage.clock.seek(this.stage.clock.newest());
+    this.context.live.send({ type: "fly", flight, direction });
     if (this.automatic && !this.playing) this.context.live.send({ type: "step" });
   }
 
+  /** Takes the visitor's last move back. */
+  undo() {
+    if (this.own) this.context.live.send({ type: "undo", flight: this.human });
+  }
+
+  /** The visitor wants to see values while flying, which the record says from then on. */
+  help() {
+    const track = this.tracks[this.human];
+    if (this.shown && track && !track.done && !track.asked) this.context.live.send({ type: "help", flight: this.human });
+  }
+
   resume() {
-    const sessions = this.active.map((player) => player.mission.session);
-    if (!this.wanted) return;
-    if (this.waiting || !sessions.length) {
-      this.start({}, { play: this.playAfterStart });
+    if (this.waiting) {
+      this.start(this.setup, this.how);
       return;
     }
     // What has ended needs no session: it stays as it is.
-    if (this.over) return;
+    if (!this.tracks.length || this.over) return;
     this.asked = "attach";
+    const sessions = this.tracks.map(({ opening }) => opening.session);
     this.context.live.send({ type: "attach", number: ++this.number, sessions });
   }
 
   lost() {
-    if (this.playing) this.playAfterStart = true;
-    this.setPlaying(false, this.speed);
+    if (this.playing) this.how.play = true;
+    this.setPlaying(false);
   }
 
-  begin({ missions, number, playing, speed }) {
+  begin({ flights, number, playing }) {
     // The answer to `end`: this page is about to go.
-    if (!missions.length) return;
-    const { players } = this.context;
-    players.forEach((player, i) => {
-      const flight = missions[i];
-      if (!flight) player.clear();
-      else player.load(flight.mission, flight.frames, { atEnd: true });
-      player.episode = null;
-    });
+    if (!flights.length) return;
+    const before = this.asked === "attach" ? this.stage.selected : null;
+    const wasShown = this.shown || this.asked === "start";
+    this.tracks = flights.map((flown) => new Track(flown, this.look(flown.opening.pilot), true));
     // What has been chosen since this was asked for is on its way, and stays chosen.
     const newest = number === this.number;
+    const { fork, step } = this.setup;
+    if (fork !== null) this.tracks.at(-1).forkedAt = fork;
+    // What stands beside them does not go on.
+    for (const track of this.how.beside) track.live = false;
     if (newest) {
       this.asked = null;
-      const { seed, short_name } = missions[0].mission;
-      this.setup = { ...this.setup, seed, task: short_name, pilots: missions.map(({ mission }) => mission.pilot) };
+      const { seed, short_name } = flights[0].opening;
+      const rest = this.setup.pilots.slice(0, this.setup.pilots.length - this.how.flown.length);
+      const pilots = [...rest, ...this.tracks.map(({ pilot }) => pilot)];
+      this.setup = { ...this.setup, seed, task: short_name, pilots };
     }
-    this.speed = playing ? speed : this.speed;
-    this.setPlaying(playing, this.speed);
+    this.setPlaying(playing);
+    if (wasShown) this.show(step, before);
     this.emit("setup");
-    this.context.emit("missions", this.active);
-    if (newest && this.playAfterStart && !playing) this.play();
-    if (newest) this.playAfterStart = false;
+    this.emit("begun");
+    if (!newest) return;
+    // What a fork gives away is what it is flown for.
+    if (this.setup.fork !== null) this.help();
+    const { play, after, moves } = this.how;
+    Object.assign(this.how, { play: false, after: null, moves: [] });
+    if (play && !playing) this.play();
+    after?.();
+    for (const direction of moves) this.fly(direction);
+  }
+
+  /** Puts these flights on the stage: from their newest step, unless another moment is wanted. */
+  show(step = null, selected = null) {
+    const tracks = [...this.how.beside, ...this.tracks];
+    const front = this.forked ?? this.tracks[this.human] ?? tracks[0];
+    this.stage.show(worldOf(this.tracks[0].opening, this.context.tasks), tracks, {
+      step: step ?? Math.max(...this.tracks.map((track) => track.steps)),
+      selected: selected ?? tracks.indexOf(front),
+      followed: this.tracks,
+    });
   }
 
   move(frames) {
     clearTimeout(this.slow);
-    for (const { mission, frame } of frames) this.context.players[mission]?.push(frame);
+    for (const { flight, frame } of frames) {
+      const track = this.tracks[flight];
+      track?.frames.push(frame);
+      if (track) this.stage.changed(track);
+    }
+    this.tell();
   }
 
-  setPlaying(playing, speed) {
-    this.playing = playing;
+  undone({ flight, step, by }) {
+    const track = this.tracks[flight];
+    track.by = by;
+    track.frames.length = step + 1;
+    this.stage.changed(track);
+    this.stage.clock.seek(this.stage.clock.newest());
+    this.tell();
+  }
+
+  helped({ flight, by, frame }) {
+    const track = this.tracks[flight];
+    track.by = by;
+    track.frames[frame.step] = frame;
+    this.stage.changed(track);
+  }
+
+  /** What a fork has flown stands in its link. */
+  tell() {
+    const { forked } = this;
+    if (!forked || !this.shown) return;
+    this.setup.actions = lettersOf(forked.actionsTo(forked.steps));
+    this.context.router.moment({ actions: this.setup.actions });
+  }
+
+  value({ flight, values, regrets }) {
+    const track = this.tracks[flight];
+    if (!track) return;
+    values.forEach((value, i) => track.frames[i] && Object.assign(track.frames[i], { value, regret: regrets[i] }));
+    this.stage.changed(track);
+  }
+
+  setPlaying(playing) {
+    this.playing = this.stage.flying = playing;
     clearTimeout(this.slow);
     // The best flight over the largest maps takes seconds to be found, in which nobody moves.
     if (playing) this.slow = setTimeout(() => toast("A pilot is still working this map out."), PATIENCE);
-    if (playing) this.speed = speed;
-    for (const player of this.context.players) {
-      player.flying = playing && Boolean(player.last) && !player.last.done;
-      player.speed = this.setup.pilots.length === 1 && !this.automatic ? HUMAN_SPEED : this.speed;
-      player.tell("change");
-    }
+    this.stage.tell("cursor");
     this.emit("playing");
   }
 
-  ended(mission, episode) {
-    const player = this.context.players[mission];
-    if (!player) return;
-    player.episode = episode;
-    player.flying = false;
-    player.tell("frames");
-    this.context.emit("ended", mission, episode);
+  ended(track, episode) {
+    if (!track) return;
+    track.episode = episode;
+    track.live = false;
+    this.stage.changed(track);
+    this.emit("ended", track);
   }
 
   refused({ code, detail }) {
@@ -232,7 +367,7 @@ export class Fleet extends Emitter {
     this.asked = null;
     if (asked !== "start" && code === "session_gone") {
       toast("The server has ended that flight meanwhile: it starts again.");
-      this.start({}, { play: this.playAfterStart || this.playing });
+      this.start(this.setup, { ...this.how, play: this.how.play || this.playing });
       return;
     }
     this.emit("refused", detail);

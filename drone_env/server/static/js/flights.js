@@ -1,5 +1,5 @@
 // The newest flights over a task, by all or by one, with charts of those that are listed.
-import { grid } from "./boards.js";
+import { grid } from "./rankings.js";
 import { Chart } from "./charts.js";
 import { el } from "./dom.js";
 import { fixed, moment, outcome, percent, points } from "./format.js";

@@ -13,42 +13,32 @@ const SWIPE = 24;
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
 export function mountHuman(root, context, fleet) {
-  const buttons = Object.keys(ARROW).map((direction) =>
-    el(
-      "button.pad-button",
-      {
-        data: { direction },
-        "aria-label": WORDS[direction],
-        press: () => fleet.fly(direction),
-      },
-      icon(ARROW[direction]),
-    ),
-  );
+  const buttons = Object.entries(ARROW).map(([direction, drawing]) => {
+    const press = () => fleet.fly(direction);
+    return el("button.pad-button", { data: { direction }, "aria-label": WORDS[direction], press }, icon(drawing));
+  });
   const pad = el("div.pad", { role: "group", "aria-label": "Fly", hidden: true }, ...buttons);
   root.append(pad);
 
   function update() {
-    pad.hidden = fleet.human < 0;
-    const over = fleet.human >= 0 && (context.players[fleet.human].last?.done ?? true);
-    for (const button of buttons) button.disabled = over;
-    root.classList.toggle("human", fleet.human >= 0);
-    document.body.classList.toggle("human-flies", !over && fleet.human >= 0);
+    const own = fleet.shown ? fleet.tracks[fleet.human] : undefined;
+    pad.hidden = !own;
+    for (const button of buttons) button.disabled = own?.done ?? true;
+    document.body.classList.toggle("human-flies", Boolean(own) && !own.done);
   }
 
   fleet.on("setup", update);
-  context.on("missions", update);
-  context.on("ended", update);
-  listenToSwipes(document.getElementById("deck"), fleet);
+  context.stage.on("change", update);
+  listenToSwipes(document.getElementById("boards"), fleet);
   update();
 }
 
-function listenToSwipes(deck, fleet) {
+function listenToSwipes(boards, fleet) {
   let from = null;
-  deck.addEventListener("pointerdown", (event) => {
-    const onMap = event.target instanceof HTMLCanvasElement && event.target.closest(".map");
-    from = onMap && event.pointerType !== "mouse" ? [event.clientX, event.clientY] : null;
+  boards.addEventListener("pointerdown", (event) => {
+    from = event.isPrimary && event.pointerType !== "mouse" ? [event.clientX, event.clientY] : null;
   });
-  deck.addEventListener("pointerup", (event) => {
+  boards.addEventListener("pointerup", (event) => {
     if (!from || fleet.human < 0) return;
     const dx = event.clientX - from[0];
     const dy = event.clientY - from[1];

@@ -1,15 +1,14 @@
 // The instruments of one flight: score beside what is still possible, battery, steps, parcels, reward.
 import { el, setText } from "./dom.js";
 import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
-import { nextFrame } from "./loop.js";
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context */
 export function mountInstruments(root, context) {
-  const { player } = context;
+  const { stage } = context;
   const score = el("strong.hero-number", { id: "score" });
   const scoreNote = el("span.hero-note", { id: "score-note" });
   const possible = row("Still possible", "possible", "The best score that can still be reached from here");
-  const lost = row("Given away", "given-away", "What the optimum of this map had more: it cannot be won back");
+  const lost = row("Lost", "lost", "What the optimum of this map had more: it cannot be won back");
   const reach = el("div.reach", { "aria-hidden": "true" }, el("i.reach-value"), el("i.reach-lost"));
   const head = el(
     "div.score",
@@ -46,7 +45,8 @@ export function mountInstruments(root, context) {
   );
 
   function draw() {
-    const { frame, mission } = player;
+    const { frame, world } = stage;
+    root.hidden = !frame;
     if (!frame) return;
     setText(score, points(frame.score));
     setText(scoreNote, frame.done ? outcome(frame) : "provisional");
@@ -58,21 +58,20 @@ export function mountInstruments(root, context) {
     reach.style.setProperty("--value", String(frame.value ?? 0));
     reach.style.setProperty("--lost", String(frame.regret ?? 0));
     reach.hidden = frame.value === null;
-    fill(battery, frame.battery, `${frame.battery_units} of ${mission.battery_capacity}`, percent(frame.battery));
+    fill(battery, frame.battery, `${frame.battery_units} of ${world.capacity}`, percent(frame.battery));
     battery.dataset.low = String(frame.battery < 0.2);
-    fill(steps, frame.step / mission.max_steps, `${frame.step} of ${mission.max_steps}`, `step ${frame.step}`);
-    drawPips(parcels, frame.deliveries_done, mission.deliveries_total);
+    fill(steps, frame.step / world.maxSteps, `${frame.step} of ${world.maxSteps}`, `step ${frame.step}`);
+    drawPips(parcels, frame.deliveries_done, world.parcels.length);
     setText(reward.value, frame.step ? signed(frame.reward, 3) : "–");
     setText(total.value, fixed(frame.reward_total, 2));
     setText(efficiency.value, fixed(frame.efficiency, 1));
     setText(target.value, frame.target ? `[${frame.target.join(", ")}], ${frame.distance} away` : "–");
     setText(below.value, frame.cell_below === "pad" ? "Pad: WAIT charges" : title(frame.cell_below));
-    ground.hidden = !context.tasks.find((task) => task.id === mission.task)?.pads;
+    ground.hidden = !world.task.pads;
   }
 
-  const redraw = () => nextFrame(draw);
-  player.on("change", redraw);
-  redraw();
+  stage.on("change", draw);
+  draw();
 }
 
 function row(name, id, hint = null) {

@@ -1,6 +1,5 @@
-// The keyboard: everything on the stage without a mouse.
-import { SPEEDS } from "./fleet.js";
-import { isFlown } from "./router.js";
+// The keyboard: everything in Fly without a mouse.
+import { LAYERS } from "./layers.js";
 
 const FLY = {
   ArrowUp: "UP",
@@ -16,33 +15,31 @@ const FLY = {
 
 /**
  * @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
- * @param {{help: () => void}} actions
+ * @param {import("./actions.js").Actions} acts @param {() => void} help
  */
-export function mountKeys(context, fleet, { help }) {
-  const flick = (id) => {
-    const box = document.getElementById(id);
-    if (box && !box.disabled) box.click();
-  };
-  const scrub = (by) => fleet.active.forEach((player) => player.seek(player.cursor + by));
-  const faster = (by) => {
-    const at = SPEEDS.indexOf(fleet.speed) + by;
-    if (at >= 0 && at < SPEEDS.length) fleet.setSpeed(SPEEDS[at]);
-  };
+export function mountKeys(context, fleet, acts, help) {
+  const { camera, stage } = context;
+  const see = (by) => camera.nearer(by) && context.emit("camera");
   const KEYS = {
-    " ": () => fleet.toggle(),
-    ".": () => fleet.step(),
-    n: () => fleet.start({ seed: null }),
-    r: () => fleet.start(),
-    "+": () => faster(1),
-    "=": () => faster(1),
-    "-": () => faster(-1),
-    ArrowLeft: () => scrub(-1),
-    ArrowRight: () => scrub(1),
-    Home: () => scrub(-Infinity),
-    End: () => scrub(Infinity),
-    g: () => flick("show-ghost"),
-    q: () => flick("show-arrows"),
+    " ": acts.toggle,
+    ".": acts.forward,
+    n: acts.newMap,
+    r: acts.reset,
+    f: () => acts.fork(),
+    u: acts.undo,
+    Backspace: acts.undo,
+    "+": () => acts.faster(1),
+    "=": () => acts.faster(1),
+    "-": () => acts.faster(-1),
+    z: () => see(1),
+    x: () => see(-1),
+    ArrowLeft: acts.back,
+    ArrowRight: acts.forward,
+    Home: acts.first,
+    End: acts.last,
   };
+  for (const layer of LAYERS) if (layer.key) KEYS[layer.key] = () => acts.flick(layer);
+  for (let i = 0; i < 9; i++) KEYS[String(i + 1)] = () => stage.select(i);
 
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
@@ -51,9 +48,9 @@ export function mountKeys(context, fleet, { help }) {
       help();
       return;
     }
-    if (!isFlown(context.view)) return;
+    if (context.view !== "fly") return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    const direction = fleet.human >= 0 && !fleet.over ? FLY[key] : undefined;
+    const direction = fleet.byHand ? FLY[key] : undefined;
     if (direction) fleet.fly(direction);
     else if (KEYS[key]) KEYS[key]();
     else return;
@@ -62,7 +59,7 @@ export function mountKeys(context, fleet, { help }) {
 }
 
 /** Whether the focused element needs the key for itself. */
-export function taken({ target, key }) {
+function taken({ target, key }) {
   if (target.matches("textarea, select, input:not([type=radio], [type=checkbox], [type=range])")) return true;
   const arrow = key.startsWith("Arrow") || key === "Home" || key === "End";
   if (target.matches("input[type=range], .events, .moves, pre")) return arrow;

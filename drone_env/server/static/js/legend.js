@@ -17,9 +17,9 @@ export function mountLegend(root, context) {
   root.append(el("ul.legend", { "aria-label": "Legend" }, ...signs.map(({ entry }) => entry)));
 
   /** Only what can be met on the map that is shown. */
-  context.on("missions", ([player]) => {
-    if (!player?.mission) return;
-    const there = new Set(player.mission.cells.flat());
+  context.stage.on("load", () => {
+    if (!context.stage.world) return;
+    const there = new Set(context.stage.world.cells.flat());
     for (const { kind, entry } of signs) entry.hidden = kind.name !== "delivered" && !there.has(kind.id);
   });
 }

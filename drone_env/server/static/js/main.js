@@ -1,17 +1,22 @@
 // Boots the page: asks the server what there is, then mounts the parts.
 import { createApi } from "./api.js";
 import { createContext } from "./context.js";
+import { mountConnection } from "./connection.js";
+import { toast } from "./dom.js";
 import { loadFigures } from "./figures.js";
 import { Live } from "./live.js";
-import { mountStage } from "./stage.js";
 import { Router } from "./router.js";
+import { mountTheme } from "./theme.js";
 import { askForToken } from "./token.js";
 import { mountViews } from "./views.js";
-import { mountTheme } from "./theme.js";
-import { mountConnection } from "./connection.js";
-import * as logs from "./logs.js";
-import * as replay from "./replay.js";
-import * as specs from "./specs.js";
+import { mountFly } from "./fly.js";
+
+/** Views that are loaded when they are first shown: most visits never come to them. */
+const LATER = {
+  compare: () => import("./compare.js"),
+  learn: () => import("./learn.js"),
+  api: () => import("./api_view.js"),
+};
 
 async function boot() {
   const api = createApi(askForToken);
@@ -21,19 +26,27 @@ async function boot() {
   const live = new Live(api.protocols);
   const router = new Router();
   const context = createContext({ router, api, live, tasks, rewardProfiles: reward_profiles, pilots, most, kinds });
-  const part = (id) => document.getElementById(id);
 
   mountTheme(context);
   mountConnection(context);
-  mountStage(context);
-  for (const [id, view] of Object.entries({ logs, replay, specs })) view.mount(part(`view-${id}`), context);
-  let compare = null;
-  context.on("view", (view) => {
-    // Most visits never come to it: it is loaded with the first one that does.
-    if (view === "compare") compare ??= import("./compare.js").then(({ mount }) => mount(part("view-compare"), context));
-  });
+  mountFly(document.getElementById("view-fly"), context);
+  context.on("view", (name) => LATER[name] && mountLater(name, context));
   mountViews(context);
   live.connect();
+}
+
+/** Loads a view, which then hears that it is shown. */
+async function mountLater(name, context) {
+  const load = LATER[name];
+  delete LATER[name];
+  try {
+    const view = await load();
+    view.mount(document.getElementById(`view-${name}`), context);
+    if (context.view === name) context.emit("view", name);
+  } catch (error) {
+    LATER[name] = load;
+    toast(`This view could not be loaded: ${error.message}`);
+  }
 }
 
 /** The tasks are asked for first and alone: it is there that a token may be asked for. */

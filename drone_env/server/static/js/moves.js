@@ -1,64 +1,86 @@
-// The list of a flight's moves with their marks, as beside a game of chess. Shared by Watch, Race and Replay.
-import { el, setText } from "./dom.js";
-import { ARROWS, percent, points } from "./format.js";
-import { nextFrame } from "./loop.js";
+// What happened, step by step: in the server's words, and once a flight is annotated its moves with their marks, as beside
+// a game of chess.
+import { announce, el, setText } from "./dom.js";
+import { ARROWS, percent, points, signed } from "./format.js";
 
 /** From best to worst, with what several of them are called. */
 const LABELS = { best: "best", good: "good", inaccuracy: "inaccuracies", mistake: "mistakes", blunder: "blunders" };
+const QUIET = new Set(["step", "wait", null]);
 
-/**
- * @param {HTMLElement} root Filled with the list.
- * @param {import("./player.js").Player} player Its `annotation` is listed; a click on a move seeks there.
- * @returns {() => void} Draws it again, with the move that is shown in sight: for a list that was hidden.
- */
-export function mountMoves(root, player) {
+/** @param {HTMLElement} root @param {import("./context.js").Context} context */
+export function mountMoves(root, context) {
+  const { stage } = context;
   const summary = el("div.accuracy");
-  const list = el("ol.moves", { "aria-label": "Moves" });
-  const detail = el("p.note.move-detail", { "aria-live": "off" });
-  root.classList.add("annotated");
-  root.append(summary, list, detail);
+  const list = el("ol.moves", { id: "moves", "aria-label": "Moves" });
+  const detail = el("p.note.move-detail", { id: "move-detail", "aria-live": "off" });
+  root.append(el("h2.eyebrow", { text: "Moves" }), summary, list, detail);
   let shown = null;
+  let annotation = null;
   let marked = null;
+  let heard = 0;
 
   function draw() {
-    const { annotation, cursor } = player;
-    if (annotation !== shown) {
-      shown = annotation;
-      list.replaceChildren(...(annotation?.moves ?? []).map(moveButton));
+    const { track, clock } = stage;
+    if (track !== shown || track?.annotation !== annotation || (track && list.childElementCount > track.steps)) {
+      shown = track;
+      annotation = track?.annotation ?? null;
+      list.replaceChildren();
       summary.replaceChildren(...(annotation ? counts(annotation) : []));
-      marked = null;
+      heard = track?.steps ?? 0;
     }
-    if (!annotation) {
-      setText(detail, "");
-      return;
-    }
-    marked?.removeAttribute("aria-current");
-    marked = list.children[cursor - 1]?.firstElementChild ?? null;
-    marked?.setAttribute("aria-current", "step");
-    if (marked) keepInSight(list, marked);
-    setText(detail, describe(annotation, cursor));
+    if (!track) return;
+    const fresh = track.frames.slice(list.childElementCount + 1);
+    list.append(...fresh.map((frame) => moveButton(frame, annotation?.moves[frame.step - 1])));
+    if (track.live && track.steps > heard && (!QUIET.has(track.last.event) || track.done)) announce(track.last.message);
+    heard = track.steps;
+    const step = Math.min(clock.cursor, track.steps);
+    mark(list.children[step - 1]?.firstElementChild ?? null);
+    setText(detail, describe(track, step));
   }
 
-  function moveButton(move) {
+  function mark(button) {
+    if (button === marked) return;
+    marked?.removeAttribute("aria-current");
+    marked = button;
+    sight.disconnect();
+    if (!button) return;
+    button.setAttribute("aria-current", "step");
+    sight.observe(button);
+  }
+
+  // Asked for while a frame is made, the place of a button would cost a layout of the page.
+  const sight = new IntersectionObserver(
+    ([{ target, intersectionRatio }]) => {
+      sight.disconnect();
+      // Scrolls the list alone, never the page.
+      if (intersectionRatio < 0.9) list.scrollTop = target.offsetTop - list.offsetTop - list.clientHeight / 2;
+    },
+    { root: list },
+  );
+
+  function moveButton(frame, move) {
+    const said = `Step ${frame.step}, ${frame.action}${move ? `, ${move.label}` : ""}`;
     return el(
       "li",
       el(
         "button.move",
         {
-          data: { label: move.label },
-          "aria-label": spoken(move),
-          press: () => player.seek(move.step),
+          data: { label: move?.label ?? "", event: frame.event },
+          "aria-label": said,
+          title: frame.message,
+          press: () => {
+            stage.clock.stop();
+            stage.clock.seek(frame.step);
+          },
         },
-        el("span.move-step", { text: String(move.step) }),
-        el("span.move-arrow", { text: ARROWS[move.action] ?? move.action }),
-        el("span.move-mark", { text: move.mark }),
+        el("span.move-step", { text: String(frame.step) }),
+        el("span.move-arrow", { text: ARROWS[frame.action] ?? frame.action }),
+        el("span.move-mark", { text: move?.mark ?? "" }),
       ),
     );
   }
 
-  player.on("change", () => nextFrame(draw));
-  draw();
-  return draw;
+  stage.on("change", draw);
 }
 
 function counts(annotation) {
@@ -66,12 +88,8 @@ function counts(annotation) {
     .filter((label) => annotation.counts[label])
     .map((label) => {
       const count = annotation.counts[label];
-      return el(
-        "span.move-count",
-        { data: { label } },
-        el("i", { "aria-hidden": "true" }),
-        el("span", { text: `${count} ${count > 1 ? LABELS[label] : label}` }),
-      );
+      const text = `${count} ${count > 1 ? LABELS[label] : label}`;
+      return el("span.move-count", { data: { label } }, el("i", { "aria-hidden": "true" }), el("span", { text }));
     });
   const accuracy = annotation.accuracy === null ? "–" : percent(annotation.accuracy);
   return [
@@ -80,23 +98,15 @@ function counts(annotation) {
   ];
 }
 
-function spoken(move) {
-  return `Step ${move.step}, ${move.action}, ${move.label}`;
-}
-
-function describe(annotation, cursor) {
-  const move = annotation.moves[cursor - 1];
-  if (!move)
-    return `Optimum of this map: ${points(annotation.optimal_score)} in ${annotation.optimal_steps} steps. This flight gave away ${points(annotation.regret)}.`;
-  const best = move.best_actions.join(" or ");
-  if (move.label === "best") return `Step ${move.step}: ${move.action} gives nothing away.`;
-  return `Step ${move.step}: ${move.action} gives away ${points(move.regret, 2)}. Best was ${best}.`;
-}
-
-/** Scrolls the list alone, never the page. */
-function keepInSight(list, node) {
-  const top = node.offsetTop - list.offsetTop;
-  if (top < list.scrollTop || top + node.offsetHeight > list.scrollTop + list.clientHeight) {
-    list.scrollTop = top - list.clientHeight / 2;
-  }
+/** The step that is shown, in words: what happened, and what it gave away. */
+function describe(track, step) {
+  const frame = track.frameAt(step);
+  const reward = frame.step ? ` Reward ${signed(frame.reward, 3)}.` : "";
+  const move = track.annotation?.moves[step - 1];
+  if (!move) return `${frame.message}${reward}`;
+  const gave =
+    move.label === "best"
+      ? "Nothing lost."
+      : `Lost ${points(move.regret, 2)}: best was ${move.best_actions.join(" or ")}.`;
+  return `${frame.message} ${gave}${reward}`;
 }

@@ -1,5 +1,5 @@
 // Two pilots over the maps that both flew.
-import { grid, shortened } from "./boards.js";
+import { grid, shortened } from "./rankings.js";
 import { el, fact } from "./dom.js";
 import { points, signed } from "./format.js";
 

@@ -13,10 +13,6 @@ const NAMES = [
   "warn",
   "bad",
   "font",
-  "lane-1",
-  "lane-2",
-  "lane-3",
-  "lane-4",
   "map-ground",
   "map-grid",
   "map-edge",
@@ -40,17 +36,21 @@ export function palette() {
     if (name.startsWith("map-")) read.map[camel(name)] = value;
     else read[camel(name)] = value;
   }
-  read.lanes = [1, 2, 3, 4].map((lane) => ({ ...read, accent: read[`lane${lane}`] }));
+  read.named = new Map();
   return read;
+}
+
+/** The colour behind a custom property, such as that of a pilot: `--pilot-3`. */
+export function colourOf(name) {
+  const { named } = palette();
+  if (!named.has(name)) named.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+  return named.get(name);
 }
 
 /** Another theme is shown: the colours are read again. */
 export function forgetPalette() {
   read = null;
 }
-
-/** The colours with another accent: that of one of the racers. @param {number} lane 0 to 3 */
-export const lanePalette = (lane) => palette().lanes[lane];
 
 /** The colour of a move's label, such as "blunder". */
 export function labelColour(label) {

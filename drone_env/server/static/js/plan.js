@@ -1,145 +1,132 @@
-// The flight plan on the left: which task, which map, who flies.
-import { copyLink, el, icon, setText, toast } from "./dom.js";
+// What is flown: which task, which map, who flies, what the steps pay.
+import { copyLink, el, setText, toast } from "./dom.js";
 import { title } from "./format.js";
 import { linkOf } from "./router.js";
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
-export function mountPlan(root, context, fleet) {
+/**
+ * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
+ * @param {import("./actions.js").Actions} acts
+ */
+export function mountPlan(root, context, fleet, acts) {
+  const { stage } = context;
+  const heading = el("summary.plan-head");
   const tasks = el("fieldset.choice", el("legend", { text: "Task" }));
-  const pilots = el("fieldset.choice", el("legend", { text: "Pilot" }));
-  const problem = el("p.problem", { role: "alert", hidden: true });
-  const { form, seed } = mapForm(fleet);
-  const profile = el("select", { id: "profile", on: { change: () => fleet.start({ profile: profile.value }) } });
+  const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
+  const { form, seed, typing } = mapForm(context, fleet, acts);
+  const change = () => acts.start({ profile: profile.value });
+  const profile = el("select", { id: "profile", on: { change } });
   for (const { id, summary } of context.rewardProfiles)
     profile.append(el("option", { value: id, text: title(id), title: summary }));
   const rewards = el("div.field", el("label.eyebrow", { for: "profile", text: "Rewards" }), profile);
-  root.append(tasks, pilots, form, rewards);
-  // Above the maps: on narrow screens the plan is far below.
-  document.getElementById("deck").prepend(problem);
-
-  drawTasks();
-  drawPilots();
-  update();
-
-  fleet.on("setup", update);
-  fleet.on("refused", (detail) => {
-    const press = () => fleet.start(fleet.asks({ pilots: [] }, 1));
-    const another = el("button.button.small", { text: "Fly another map", press });
-    problem.replaceChildren(detail, " ", ...(fleet.active.length ? [] : [another]));
-    problem.hidden = false;
+  const narrow = matchMedia("(max-width: 1099px)");
+  const details = el("details.plan-details", { open: !narrow.matches }, heading, tasks, pilots, form, rewards);
+  narrow.addEventListener("change", () => {
+    details.open = !narrow.matches;
   });
-  context.on("missions", () => {
-    problem.hidden = true;
-  });
-  context.on("view", () => {
-    drawPilots();
-    update();
-  });
+  root.append(details);
 
-  function drawTasks() {
-    for (const [family, members] of context.families) {
-      const name = title(family);
-      tasks.append(
-        el(
-          "div.task-row",
-          { role: "group", "aria-label": name },
-          el("span.task-group", { text: name, "aria-hidden": "true" }),
-          ...members.map((task) => taskOption(task, name)),
-        ),
-      );
-    }
-    tasks.append(el("p.note.task-note", { id: "task-note" }));
+  for (const [family, members] of context.families) {
+    const name = title(family);
+    const group = el("span.task-group", { text: name, "aria-hidden": "true" });
+    const options = members.map((task) => taskOption(task, name));
+    tasks.append(el("div.task-row", { role: "group", "aria-label": name }, group, ...options));
   }
+  tasks.append(el("p.note.task-note", { id: "task-note" }));
+  for (const pilot of context.pilots) pilots.append(pilotRow(pilot));
 
   function taskOption(task, family) {
-    const label = title(task.short_name).replace(`${family} `, "");
     const input = el("input", {
       type: "radio",
       name: "task",
       value: task.short_name,
       "aria-label": title(task.short_name),
       "aria-describedby": "task-note",
-      on: { change: () => chooseTask(task) },
+      on: {
+        change: () => chooseTask(task),
+        // A click, not a key: the next arrow is for the drone, not for another task.
+        click: ({ detail }) => detail && input.blur(),
+      },
     });
-    return el("label.task-option", input, el("span", { text: label }));
+    return el("label.task-option", input, el("span", { text: title(task.short_name).replace(`${family} `, "") }));
+  }
+
+  /** A click on the name has the pilot fly alone, the box has it fly along. */
+  function pilotRow(pilot) {
+    const name = el("button.pilot-name", {
+      text: pilot.name,
+      "aria-describedby": `about-${pilot.id}`,
+      press: () => choosePilots([pilot.id]),
+    });
+    const box = el("input", {
+      type: "checkbox",
+      name: "pilot",
+      value: pilot.id,
+      "aria-label": `${pilot.name} flies along`,
+      title: "Flies along",
+      on: { change: () => choosePilots(withOrWithout(chosen(), pilot.id)) },
+    });
+    const about = el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary });
+    return el("div.pilot", { style: { "--lane": `var(--pilot-${pilot.colour})` } }, name, box, about);
+  }
+
+  const isPast = () => Boolean(stage.world) && !fleet.shown;
+  const chosen = () => (isPast() ? [] : fleet.setup.pilots);
+
+  function choosePilots(ids) {
+    // The next arrow is to fly, not to choose another pilot.
+    if (ids.includes(fleet.person.id)) document.activeElement.blur();
+    acts.start({ pilots: ids }).finally(update);
   }
 
   /** Pilots that cannot fly the task give way, and the page says so. */
   function chooseTask(task) {
     const able = fleet.setup.pilots.filter((id) => fleet.flies(id, task));
-    const wanted = context.view === "race" ? 2 : 1;
-    for (const id of fleet.able(task)) if (able.length < wanted && !able.includes(id)) able.push(id);
     const left = fleet.setup.pilots.filter((id) => !able.includes(id)).map((id) => fleet.pilot(id).name);
     if (left.length) toast(`${left.join(" and ")} cannot fly ${title(task.short_name)}.`);
-    fleet.start({ task: task.short_name, seed: null, pilots: able });
-  }
-
-  function drawPilots() {
-    const race = context.view === "race";
-    pilots.querySelectorAll(".pilot").forEach((node) => node.remove());
-    setText(pilots.querySelector("legend"), race ? `Pilots, up to ${context.most}` : "Pilot");
-    for (const pilot of context.pilots) {
-      const input = el("input", {
-        type: race ? "checkbox" : "radio",
-        name: "pilot",
-        value: pilot.id,
-        "aria-label": pilot.name,
-        "aria-describedby": `about-${pilot.id}`,
-        on: { change: () => choosePilot(pilot.id, race) },
-      });
-      pilots.append(
-        el(
-          "label.pilot",
-          input,
-          el("span.pilot-name", { text: pilot.name }),
-          el("span.pilot-note", { id: `about-${pilot.id}`, text: pilot.summary }),
-        ),
-      );
-    }
-  }
-
-  function choosePilot(id, race) {
-    const { setup } = fleet;
-    // The next arrow is to fly, not to choose another pilot.
-    if (!fleet.pilot(id).automatic) document.activeElement.blur();
-    if (!race) {
-      fleet.start({ pilots: [id] });
-      return;
-    }
-    const chosen = setup.pilots.includes(id) ? setup.pilots.filter((other) => other !== id) : [...setup.pilots, id];
-    fleet.start({ pilots: chosen });
+    const pilots = able.length ? able : fleet.able(task).slice(0, 1);
+    acts.start({ task: task.short_name, seed: null, pilots }).finally(update);
   }
 
   function update() {
+    // A flight of the past is flown by whoever flew it: what is chosen here is what a click would change.
     const { setup } = fleet;
-    const task = fleet.task();
+    const past = isPast();
+    const task = past ? stage.world.task : fleet.task();
+    const names = past ? stage.tracks.map(({ name }) => name) : setup.pilots.map((id) => fleet.pilot(id).name);
+    const map = (past ? stage.world.seed : setup.seed) ?? "";
+    setText(heading, [task ? title(task.short_name) : setup.task, `map ${map}`, names.join(", ")].join(" · "));
     for (const input of tasks.querySelectorAll("input")) input.checked = input.value === task?.short_name;
     setText(tasks.querySelector(".task-note"), task ? taskNote(task) : "");
-    for (const input of pilots.querySelectorAll("input")) {
-      input.checked = setup.pilots.includes(input.value);
-      const able = fleet.flies(input.value);
-      const last = context.view === "race" && input.checked && setup.pilots.length <= 2;
-      const full = context.view === "race" && !input.checked && setup.pilots.length >= context.most;
-      input.disabled = !able || last || full;
-      input.closest(".pilot").classList.toggle("unable", !able);
-      setText(
-        input.closest(".pilot").querySelector(".pilot-note"),
-        able ? fleet.pilot(input.value).summary : "has no network here",
-      );
+    pilots.dataset.many = String(setup.pilots.length > 1);
+    for (const row of pilots.querySelectorAll(".pilot")) {
+      const [name, box, about] = row.children;
+      const able = fleet.flies(box.value, task);
+      box.checked = !past && setup.pilots.includes(box.value);
+      const last = box.checked && setup.pilots.length === 1;
+      name.disabled = !able;
+      name.setAttribute("aria-pressed", String(box.checked));
+      box.disabled = !able || last || (!box.checked && setup.pilots.length >= context.most);
+      row.classList.toggle("unable", !able);
+      setText(about, able ? fleet.pilot(box.value).summary : "has no network here");
     }
-    if (document.activeElement !== seed) seed.value = setup.seed ?? "";
-    profile.value = setup.profile ?? context.player.mission?.reward_profile ?? profile.value;
+    if (!typing()) seed.value = map;
+    profile.value = (past ? stage.world.profile : setup.profile) ?? stage.world?.profile ?? profile.value;
   }
+
+  fleet.on("setup", update);
+  stage.on("load", update);
+  update();
 }
+
+const withOrWithout = (ids, id) => (ids.includes(id) ? ids.filter((other) => other !== id) : [...ids, id]);
 
 function taskNote(task) {
   const parcels = task.deliveries === 1 ? "one parcel" : `${task.deliveries} parcels`;
-  const time = `${task.max_steps} steps`;
   const charge = task.pads ? `, a battery of ${task.battery_capacity} that pads recharge` : "";
-  return `Deliver ${parcels} on ${task.width} × ${task.height} cells in ${time}${charge}.`;
+  return `Deliver ${parcels} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
 }
 
-function mapForm(fleet) {
+function mapForm({ router, stage }, fleet, acts) {
   const seed = el("input.input", {
     id: "seed",
     type: "number",
@@ -149,44 +136,30 @@ function mapForm(fleet) {
     inputmode: "numeric",
     autocomplete: "off",
   });
+  let typed = false;
+  seed.addEventListener("input", () => {
+    typed = true;
+  });
+  seed.addEventListener("blur", () => {
+    typed = false;
+  });
   const open = () => {
-    if (seed.validity.badInput || seed.value !== "") {
-      if (seed.reportValidity()) fleet.start({ seed: Number(seed.value) });
-    } else seed.value = fleet.setup.seed ?? "";
+    typed = false;
+    if (!seed.validity.badInput && seed.value === "") seed.value = stage.world?.seed ?? "";
+    else if (seed.reportValidity() && Number(seed.value) !== (fleet.shown ? fleet.setup : stage.world)?.seed)
+      acts.start({ seed: Number(seed.value) });
   };
   seed.addEventListener("change", open);
-  const fresh = el("button.button.small", {
-    id: "new-map",
-    press: () => fleet.start({ seed: null }),
-    title: "Another map (N)",
-    text: "New map",
+  const fresh = el("button.button.small", { id: "new-map", press: acts.newMap, title: "Another map (N)", text: "New map" });
+  const copy = el("button.button.small", {
+    id: "copy-link",
+    "aria-label": "Copy link to this moment",
+    title: "Copy link to this moment",
+    text: "Copy link",
+    press: () => copyLink(linkOf(router.address)),
   });
-  const copy = el(
-    "button.button.small",
-    {
-      id: "copy-link",
-      "aria-label": "Copy link to this flight",
-      title: "Copy link to this flight",
-      press: () => copyLink(linkOf(fleet.setup)),
-    },
-    icon(
-      "M10 14a4 4 0 0 0 6 .4l2.6-2.6a4 4 0 0 0-5.7-5.7L11.500 7.500M14 10a4 4 0 0 0-6-.4l-2.600 2.600a4 4 0 0 0 5.700 5.700l1.400-1.400",
-    ),
-    el("span", { text: "Copy link" }),
-  );
-  const form = el(
-    "form.map-form",
-    {
-      on: {
-        submit: (event) => {
-          event.preventDefault();
-          open();
-        },
-      },
-    },
-    el("label.eyebrow", { for: "seed", text: "Map" }),
-    seed,
-    el("div.row", fresh, copy),
-  );
-  return { form, seed };
+  // Enter changes the number first, which opens the map.
+  const submit = (event) => event.preventDefault();
+  const label = el("label.eyebrow", { for: "seed", text: "Map" });
+  return { form: el("form.map-form", { on: { submit } }, label, seed, el("div.row", fresh, copy)), seed, typing: () => typed };
 }

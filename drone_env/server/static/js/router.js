@@ -1,11 +1,10 @@
-// The address of the page is its state: which view is shown, and which flight stands in it. Back, forward and reload
-// show what the address says.
+// The address of the page is its state: which view is shown, which flight stands in it, and which moment of it. Back,
+// forward and reload show what the address says.
 import { Emitter } from "./emitter.js";
 
-const VIEWS = new Set(["watch", "race", "replay", "compare", "specs", "logs"]);
-const FORMER = { history: "compare" };
-/** Whether flights are flown in a view. */
-export const isFlown = (view) => view === "watch" || view === "race";
+const VIEWS = new Set(["fly", "compare", "learn", "api"]);
+/** What views were called in links of earlier versions. */
+const OLDER = { watch: "fly", race: "fly", replay: "fly", history: "compare", specs: "learn", logs: "api" };
 
 /**
  * @typedef {Object} Address Null and an empty list stand for what it does not say.
@@ -13,8 +12,13 @@ export const isFlown = (view) => view === "watch" || view === "race";
  * @property {string|null} task Short name, id or grader.
  * @property {number|string|null} seed What is no number of a map goes to the server as it is: its answer says what is allowed.
  * @property {string|null} profile
- * @property {string[]} pilots
- * @property {string|null} episode Of a replay.
+ * @property {string[]} pilots In Compare, too, those who are compared.
+ * @property {string|null} episode A stored flight.
+ * @property {number|null} step The moment that is shown; the start of a stored flight, and what is flown last of another.
+ * @property {number|null} fork The step from which the last pilot has gone another way than `of`.
+ * @property {string|null} actions All that this pilot has flown, a letter for each.
+ * @property {string|null} of Who flew up to the fork.
+ * @property {number|null} lesson
  *
  * Events: "address" (address) another one is shown.
  */
@@ -22,99 +26,114 @@ export class Router extends Emitter {
   constructor() {
     super();
     this.address = read(location);
-    /** The last one with a flight that can be flown: what Watch and Race come back to. */
-    this.flight = this.address;
-    /** The last replay. */
-    this.replay = this.address.view === "replay" ? this.address : { view: "replay" };
+    /** The last one of Fly: what the other views come back to. */
+    this.flight = this.address.view === "fly" ? this.address : NOTHING;
     window.addEventListener("popstate", () => this.show(read(location)));
   }
 
   /** Goes to another address, from which Back comes here. @param {Partial<Address>} address */
   go(address) {
     const next = { ...NOTHING, ...address };
-    if (next.view === "fly") next.view = next.episode ? "replay" : next.pilots.length > 1 ? "race" : "watch";
     if (linkOf(next).href !== linkOf(this.address).href) history.pushState(null, "", linkOf(next));
     this.show(next);
   }
 
   /** Goes to another view, to what stood there last. */
   open(view) {
-    if (view === "watch") this.go({ ...this.flight, view, pilots: this.flight.pilots.slice(0, 1) });
-    else if (view === "race") this.go({ ...this.flight, view, pilots: [] });
-    else this.go(view === "replay" ? this.replay : { view });
+    this.go(view === "fly" ? this.flight : { view });
+  }
+
+  /** Goes where a link of this page leads. */
+  follow(href) {
+    this.go(read(new URL(href)));
   }
 
   /** Says what is flown: a new entry for Back, unless the present address left open just this. @param {Partial<Address>} flown */
   flies(flown) {
-    const next = { ...this.address, ...flown };
+    const { lesson } = this.address;
+    const next = { ...NOTHING, lesson, ...flown };
     if (says(this.address, next)) history.replaceState(null, "", linkOf(next));
     else history.pushState(null, "", linkOf(next));
     this.address = this.flight = next;
   }
 
+  /** Says which moment is shown, or what a fork has flown since: the same flight, so no new entry. @param {Partial<Address>} now */
+  moment(now) {
+    this.address = this.flight = { ...this.address, ...now };
+    history.replaceState(null, "", linkOf(this.address));
+  }
+
   show(address) {
     this.address = address;
-    if (address.view === "replay") this.replay = address;
-    if (isFlown(address.view) && address.task !== null) this.flight = address;
+    if (address.view === "fly") this.flight = address;
     this.emit("address", address);
   }
 }
 
-const NOTHING = { view: "watch", task: null, seed: null, profile: null, pilots: [], episode: null };
+const NOTHING = {
+  view: "fly",
+  task: null,
+  seed: null,
+  profile: null,
+  pilots: [],
+  episode: null,
+  step: null,
+  fork: null,
+  actions: null,
+  of: null,
+  lesson: null,
+};
 
 /** Whether an address says that this is flown, or leaves it open; rewards that it does not name are the server's. */
 export function says(address, flown) {
   const open = (name) => address[name] === null || address[name].length === 0;
   const same = (name) => String(address[name]) === String(flown[name]);
-  return ["task", "seed", "pilots"].every((name) => open(name) || same(name)) && same("profile");
-}
-
-function decoded(text) {
-  return new URLSearchParams(`=${text}`).get("");
+  return (
+    address.view === flown.view &&
+    ["task", "seed", "pilots"].every((name) => open(name) || same(name)) &&
+    ["profile", "episode", "fork"].every(same)
+  );
 }
 
 /** @returns {Address} */
 function read({ search, hash }) {
   const link = new URLSearchParams(search);
-  // Split before it is decoded: the names of agents may have commas.
-  const pilots = (search.match(/[?&]pilots?=([^&]*)/)?.[1] ?? "").split(",").filter(Boolean).map(decoded);
-  const seed = link.get("seed");
-  const episode = link.get("episode") || null;
+  const text = (name) => link.get(name) || null;
+  const number = (name) => {
+    const value = text(name);
+    return value !== null && Number.isSafeInteger(Number(value)) ? Number(value) : value;
+  };
+  const count = (name) => (typeof number(name) === "number" ? Math.max(0, number(name)) : null);
   // Links of earlier versions name the view behind a #.
-  const asked = [link.get("view"), hash.slice(1)].map((view) => FORMER[view] ?? view);
-  const named = asked.find((view) => VIEWS.has(view));
+  const named = [link.get("view"), hash.slice(1)].map((view) => (Object.hasOwn(OLDER, view) ? OLDER[view] : view));
   return {
-    view: named ?? (episode ? "replay" : pilots.length > 1 ? "race" : "watch"),
-    task: link.get("task"),
-    seed: !seed ? null : Number.isSafeInteger(Number(seed)) ? Number(seed) : seed,
-    profile: link.get("profile"),
-    pilots,
-    episode,
+    view: named.find((view) => VIEWS.has(view)) ?? "fly",
+    task: text("task"),
+    seed: number("seed"),
+    profile: text("profile"),
+    pilots: (text("pilots") ?? text("pilot") ?? "").split(",").filter(Boolean),
+    episode: text("episode"),
+    step: count("step"),
+    fork: count("fork"),
+    actions: text("actions"),
+    of: text("of"),
+    lesson: count("lesson"),
   };
 }
 
 /** The link to an address. @param {Partial<Address>} address */
-export function linkOf({ view, task, seed, profile, pilots, episode }) {
+export function linkOf(address) {
+  const { view, pilots, ...rest } = { ...NOTHING, ...address };
+  const parts = view === "fly" ? [] : [`view=${view}`];
+  const say = (name) => {
+    if (rest[name] !== null && rest[name] !== "") parts.push(`${name}=${encodeURIComponent(rest[name])}`);
+  };
+  say("episode");
+  say("task");
+  say("seed");
+  if (pilots.length) parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);
+  for (const name of ["profile", "fork", "of", "actions", "step", "lesson"]) say(name);
   const url = new URL(document.baseURI);
-  const parts = [];
-  const say = (name, value) => {
-    if (value !== null && value !== undefined && value !== "") parts.push(`${name}=${encodeURIComponent(value)}`);
-  };
-  const sayPilots = () => {
-    if (pilots.length) parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);
-  };
-  if (view === "compare") {
-    say("view", view);
-    say("task", task);
-    sayPilots();
-  } else if (isFlown(view) || view === undefined) {
-    say("task", task);
-    say("seed", seed);
-    sayPilots();
-    say("profile", profile);
-    if (view === "race" && pilots.length < 2) say("view", view);
-  } else if (view === "replay" && episode) say("episode", episode);
-  else say("view", view);
   url.search = parts.join("&");
   url.hash = "";
   return url;

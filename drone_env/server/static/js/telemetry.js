@@ -1,7 +1,6 @@
 // The raw numbers for those who want them, and the files to take away: CSV of the flights, PNG of map and chart.
 import { download, el, setText, toast } from "./dom.js";
 import { fixed } from "./format.js";
-import { nextFrame } from "./loop.js";
 import { palette } from "./palette.js";
 
 const COLUMNS = [
@@ -25,59 +24,70 @@ const COLUMNS = [
   "message",
 ];
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet */
-export function mountTelemetry(root, context, fleet, { maps, charts }) {
-  const { player } = context;
+/**
+ * @param {HTMLElement} root @param {import("./context.js").Context} context
+ * @param {{boards: () => import("./board.js").Board[], graph: HTMLCanvasElement}} drawn
+ */
+export function mountTelemetry(root, context, { boards, graph }) {
+  const { stage } = context;
   const vector = el("p.telemetry-vector", { id: "telemetry" });
   const raw = el("pre.raw", { id: "raw-frame", tabindex: "0", "aria-label": "Frame as the server sent it" });
-  const details = el(
-    "details.telemetry",
-    el("summary", { text: "Raw telemetry" }),
-    el("p.note", { text: "What the network is given beside the grid:" }),
-    vector,
-    raw,
-  );
-  const files = el(
-    "div.files",
-    el("button.button.quiet.small", { id: "save-csv", text: "CSV", press: saveCsv }),
-    el("button.button.quiet.small", { id: "save-png", text: "Map PNG", press: savePng }),
-  );
-  root.append(details, files);
+  const note = el("p.note", { text: "What the network is given beside the grid:" });
+  const details = el("details.telemetry", el("summary", { text: "Raw telemetry" }), note, vector, raw);
+  const button = (id, text, press) => el("button.button.quiet.small", { id, text, press });
+  const record = button("save-record", "Record", saveRecord);
+  const files = [button("save-csv", "CSV", saveCsv), button("save-png", "PNG", savePng), record];
+  root.append(details, el("div.files", ...files));
 
   function draw() {
-    if (!details.open || !player.frame) return;
-    setText(vector, player.frame.telemetry.map((number) => fixed(number, 4)).join("   "));
-    setText(raw, JSON.stringify(player.frame, null, 1));
+    root.hidden = !stage.frame;
+    record.disabled = !stage.track?.record && !stage.track?.episode;
+    if (!details.open || !stage.frame) return;
+    setText(vector, stage.frame.telemetry.map((number) => fixed(number, 4)).join("   "));
+    setText(raw, JSON.stringify(stage.frame, null, 1));
   }
 
   function saveCsv() {
-    if (!fleet.active.length) return;
-    const rows = fleet.active.flatMap(({ mission, frames }) =>
-      frames.map((frame) =>
-        [mission.pilot, mission.task, mission.seed, ...COLUMNS.map((name) => frame[name])].map(cell).join(","),
-      ),
+    const { task, seed } = stage.world;
+    const rows = stage.tracks.flatMap(({ by, frames }) =>
+      frames.map((frame) => [by, task.id, seed, ...COLUMNS.map((name) => frame[name])].map(cell).join(",")),
     );
     const text = [["pilot", "task", "seed", ...COLUMNS].join(","), ...rows].join("\r\n");
     download(`${name()}.csv`, new Blob([`${text}\r\n`], { type: "text/csv" }));
   }
 
+  async function saveRecord() {
+    const { track } = stage;
+    const kept = track.record ?? (await context.api.get(`episodes/${encodeURIComponent(track.episode.id)}`));
+    const text = `${JSON.stringify(kept, null, 2)}\n`;
+    download(`${name()}.json`, new Blob([text], { type: "application/json" }));
+  }
+
   function savePng() {
-    if (!fleet.active.length) return;
-    sheet(maps(), charts(), caption()).toBlob((blob) => {
+    sheet(boards(), [graph], caption()).toBlob((blob) => {
       if (blob) download(`${name()}.png`, blob);
       else toast("The picture could not be made.");
     }, "image/png");
   }
 
-  const name = () => `${fleet.setup.task}-${fleet.setup.seed}-${fleet.setup.pilots.join("-")}`;
+  /** The flights as the name of a file. */
+  function name() {
+    const words = [stage.world.task.short_name, stage.world.seed, ...stage.tracks.map(({ by }) => by)];
+    return words
+      .join("-")
+      .replace(/[^\w.-]+/g, "_")
+      .slice(0, 100);
+  }
+
   const caption = () =>
-    fleet.active.map(
-      ({ mission, frame }) =>
-        `${fleet.pilot(mission.pilot).name} · ${mission.task} · map ${mission.seed} · step ${frame.step} · score ${fixed(frame.score * 100, 1)}`,
-    );
+    stage.tracks.map((track) => {
+      const frame = track.frameAt(stage.clock.cursor);
+      const where = `${stage.world.task.id} · map ${stage.world.seed}`;
+      return `${track.name} · ${where} · step ${frame.step} · score ${fixed(frame.score * 100, 1)}`;
+    });
 
   details.addEventListener("toggle", draw);
-  player.on("change", () => nextFrame(draw));
+  stage.on("change", draw);
 }
 
 function cell(value) {
@@ -85,10 +95,10 @@ function cell(value) {
   return /[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
 }
 
-/** All maps with what they are, and the charts below them. */
-function sheet(maps, charts, captions) {
+/** All boards with what they show, and the charts below them. */
+function sheet(boards, charts, captions) {
   const colours = palette();
-  const images = maps.map((map) => map.image());
+  const images = boards.map((board) => board.image());
   const columns = images.length > 1 ? 2 : 1;
   const rows = Math.ceil(images.length / columns);
   const scale = window.devicePixelRatio || 1;
@@ -106,7 +116,7 @@ function sheet(maps, charts, captions) {
   images.forEach((image, i) => {
     const x = (i % columns) * image.width + Math.round((width - columns * image.width) / 2);
     const y = Math.floor(i / columns) * (image.height + head);
-    ctx.fillText(captions[i], x + 12 * scale, y + head / 2, image.width - 24 * scale);
+    ctx.fillText(images.length > 1 ? captions[i] : captions.join("  |  "), x + 12 * scale, y + head / 2, image.width - 24 * scale);
     ctx.drawImage(image, x, y + head);
   });
   let y = height + gap;

@@ -1,76 +1,65 @@
-// What the network thinks of each action, as bars, and how far its first choice lies ahead.
-import { el, setText } from "./dom.js";
-import { ARROWS, fixed } from "./format.js";
-import { nextFrame } from "./loop.js";
+// Each move from here: what the network thinks of it, and what would still be possible after it.
+import { el, setText, table } from "./dom.js";
+import { ARROWS, fixed, isLost, points } from "./format.js";
 
+const COLUMNS = [["Move"], ["Network", true], ["Still possible", true], ["Loses", true]];
 const ACTIONS = ["UP", "DOWN", "LEFT", "RIGHT", "WAIT"];
 
-/** @param {HTMLElement} root @param {import("./context.js").Context} context */
-export function mountThinking(root, context) {
-  const { player } = context;
-  const bars = ACTIONS.map((action) => {
-    const value = el("span.q-value");
-    const node = el(
-      "li.q",
-      { data: { action } },
-      el("span.q-action", el("i", { "aria-hidden": "true", text: ARROWS[action] }), el("span", { text: action })),
-      el("div.q-bar", { "aria-hidden": "true" }, el("i")),
-      value,
-    );
-    return { action, node, value };
+/**
+ * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
+ * @param {import("./actions.js").Actions} acts
+ */
+export function mountThinking(root, context, fleet, acts) {
+  const { stage } = context;
+  const rows = ACTIONS.map((action) => {
+    const cells = COLUMNS.slice(1).map(() => el("td.num"));
+    const press = () => play(action);
+    const name = el("button.q-move", { press, "aria-label": `Play ${action}` }, el("i", { text: ARROWS[action] }), action);
+    return { action, cells, name, node: el("tr", { data: { action } }, el("th", { scope: "row" }, name), ...cells) };
   });
-  const lead = el("span.confidence-text", { id: "confidence" });
-  const meter = el("div.confidence-bar", { "aria-hidden": "true" }, el("i"));
-  const confidence = el("div.confidence", el("span.gauge-name", { text: "Confidence" }), meter, lead);
-  const none = el("p.note", { text: "There is no PathQNet for this task.", hidden: true });
-  const arrows = el("input", { type: "checkbox", id: "show-arrows", checked: true, "aria-label": "Arrows on the map" });
-  arrows.addEventListener("change", () => context.emit("arrows"));
-  const list = el(
-    "ol.q-list",
-    { id: "q-values", "aria-label": "Value of each action" },
-    ...bars.map(({ node }) => node),
-  );
-  root.append(
-    el(
-      "div.panel-head",
-      el("h2.eyebrow", { text: "What PathQNet thinks" }),
-      el("label.switch", arrows, el("span", { text: "Arrows" })),
-    ),
-    list,
-    confidence,
-    none,
-  );
+  const body = el("tbody", ...rows.map(({ node }) => node));
+  const shown = table("table.table.thoughts", { id: "q-values" }, "Each move from here", COLUMNS, body);
+  const lead = el("p.note", { id: "confidence" });
+  const ask = el("button.button.small", {
+    id: "ask-values",
+    text: "Show what is possible",
+    title: "The record then says that you flew with values",
+    press: () => fleet.help(),
+  });
+  root.append(el("div.panel-head", el("h2.eyebrow", { text: "Each move from here" }), ask), shown, lead);
 
-  function draw() {
-    const { frame } = player;
-    if (!frame) return;
-    const values = frame.q_values;
-    none.hidden = values !== null || frame.done;
-    list.hidden = confidence.hidden = !none.hidden;
-    if (!values) {
-      for (const bar of bars) {
-        setText(bar.value, "–");
-        bar.node.style.setProperty("--share", "0");
-        bar.node.classList.remove("best");
-      }
-      setText(lead, "–");
-      confidence.style.setProperty("--share", "0");
-      return;
-    }
-    const ranked = ACTIONS.filter((a) => a in values).sort((a, b) => values[b] - values[a]);
-    const [best, second] = ranked;
-    const least = values[ranked.at(-1)];
-    const spread = values[best] - least || 1;
-    for (const { action, node, value } of bars) {
-      setText(value, fixed(values[action], 3));
-      node.style.setProperty("--share", String(0.04 + (0.96 * (values[action] - least)) / spread));
-      node.classList.toggle("best", action === best);
-    }
-    const gap = values[best] - values[second];
-    const share = gap / spread;
-    confidence.style.setProperty("--share", String(share));
-    setText(lead, `${best} leads ${second} by ${fixed(gap, 3)}`);
+  /** Flies a move: the visitor's own flight goes on, any other is left by a fork. */
+  function play(action) {
+    if (fleet.atHand) fleet.fly(action);
+    else acts.fork({ action });
   }
 
-  player.on("change", () => nextFrame(draw));
+  function draw() {
+    const { track, frame, values } = stage;
+    root.hidden = !track;
+    if (!track) return;
+    const network = frame.q_values;
+    const exact = values?.answer?.q_values ?? null;
+    const best = exact && Math.max(...Object.values(exact));
+    const first = network && Math.max(...Object.values(network));
+    for (const { action, cells, name, node } of rows) {
+      setText(cells[0], network ? fixed(network[action], 3) : "–");
+      setText(cells[1], exact ? points(exact[action]) : "–");
+      setText(cells[2], exact ? (isLost(best - exact[action]) ? points(best - exact[action]) : "0") : "–");
+      cells[0].classList.toggle("best", network !== null && network[action] === first);
+      node.classList.toggle("best", exact !== null && !isLost(best - exact[action]));
+      name.disabled = frame.done;
+    }
+    ask.hidden = !context.secret(track);
+    setText(lead, frame.done ? "" : said(network, exact));
+  }
+
+  /** How far the network's first choice lies ahead of its second. */
+  function said(network, exact) {
+    if (!network) return exact ? "" : "No network has a say here.";
+    const [a, b] = ACTIONS.filter((action) => action in network).sort((x, y) => network[y] - network[x]);
+    return `The network's ${a} leads ${b} by ${fixed(network[a] - network[b], 3)}.`;
+  }
+
+  stage.on("change", draw);
 }

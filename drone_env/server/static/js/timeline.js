@@ -1,91 +1,165 @@
-// The flight as a strip: a bar per step as high as its reward, parcels as marks; a slider lies over it.
+// The flights as an evaluation graph: by step, the score that was still possible, a line for each; a slider lies over it.
 import { el } from "./dom.js";
 import { cleared, fit } from "./fitted.js";
+import { points } from "./format.js";
 import { nextFrame } from "./loop.js";
-import { labelColour, lanePalette } from "./palette.js";
+import { colourOf, labelColour, palette } from "./palette.js";
 
-/**
- * @param {HTMLElement} root @param {import("./context.js").Context} context
- * @param {{label: string, seek: (k: number) => void}} options `seek` is called when the slider is moved.
- * @returns {{show: (players: import("./player.js").Player[]) => void, refresh: () => void, canvas: HTMLCanvasElement}}
- */
-export function mountTimeline(root, context, { label, seek }) {
-  const canvas = el("canvas.timeline-strip", { "aria-hidden": "true" });
+const MARKED = { inaccuracy: 2.5, mistake: 4, blunder: 5.5 };
+const ROOM = { top: 8, bottom: 14, side: 2 };
+/** Lines that lie on one another stay visible side by side, so many pixels apart. */
+const ASIDE = 1.5;
+/** Of the fewest steps that the graph is wide. */
+const SHORTEST = 10;
+
+/** @param {HTMLElement} root @param {import("./context.js").Context} context @returns {HTMLCanvasElement} */
+export function mountTimeline(root, context) {
+  const { stage } = context;
+  const canvas = el("canvas.timeline-graph", { "aria-hidden": "true" });
   const slider = el("input.timeline-slider", {
     type: "range",
+    id: "timeline",
     min: "0",
     max: "0",
     step: "1",
     value: "0",
-    "aria-label": label,
-  });
-  slider.addEventListener("input", () => seek(Number(slider.value)));
-  slider.addEventListener("pointermove", (event) => {
-    slider.title = tip(Math.round((event.offsetX / slider.clientWidth) * Number(slider.max)));
+    "aria-label": "Step of the flight that is shown",
+    on: {
+      input: () => {
+        stage.clock.stop();
+        stage.clock.seek(Number(slider.value));
+      },
+      pointermove: (event) => {
+        const step = Math.round((event.offsetX / slider.clientWidth) * Number(slider.max));
+        slider.title = tip(stage.track, step);
+      },
+    },
   });
   root.classList.add("timeline");
   root.append(canvas, slider);
-  let players = [];
-
-  /** What happened in a step: that of the first flight that has it. */
-  function tip(step) {
-    const frame = players.find((player) => player.frames[step])?.frames[step];
-    return frame ? `Step ${step}: ${frame.message}` : "";
-  }
 
   function draw() {
     const ctx = cleared(canvas, size);
-    if (!ctx || !players.length) return;
+    if (!ctx || !stage.tracks.length) return;
     const { width, height } = size;
-    const lane = height / players.length;
-    players.forEach((player, i) => drawLane(ctx, player, i, i * lane, width, lane - (players.length > 1 ? 2 : 0)));
+    const { clock, track, tracks } = stage;
+    const colours = palette();
+    const x = (step) => ROOM.side + (step / wide()) * (width - 2 * ROOM.side);
+    const [low, high] = range(tracks);
+    const y = (value) => ROOM.top + ((high - value) / (high - low)) * (height - ROOM.top - ROOM.bottom);
+    drawScale(ctx, y, [low, high], width, colours);
+    drawEvents(ctx, track, x, height, colours);
+    tracks.forEach((one, i) => drawLine(ctx, one, x, y, (i - stage.selected) * ASIDE, one === track));
+    drawMarks(ctx, track, x, y, height);
+    ctx.fillStyle = colours.ink;
+    ctx.fillRect(x(clock.cursor) - 1, 0, 2, height);
   }
 
+  /** Steps from left to right: what has been flown, and while it is flown some more. */
+  const wide = () => Math.max(SHORTEST, stage.clock.end(), stage.over ? 0 : Math.min(stage.world.maxSteps, stage.clock.end() + 5));
+
   function refresh() {
-    const newest = Math.max(0, ...players.map((player) => player.frames.length - 1));
-    const shown = Math.max(0, ...players.map((player) => player.cursor));
-    if (slider.max !== String(newest)) slider.max = String(newest);
-    slider.value = String(shown);
+    if (!stage.world) return nextFrame(draw);
+    const newest = stage.clock.end();
+    slider.max = String(newest);
+    slider.value = String(stage.clock.cursor);
     slider.disabled = newest === 0;
-    slider.setAttribute("aria-valuetext", `step ${shown} of ${newest} flown`);
-    // The slider reaches as far as has been flown; the strip is as long as the flight may be.
-    const most = Math.max(1, ...players.map((player) => player.mission?.max_steps ?? 1));
-    slider.style.width = `${Math.max((newest / most) * 100, 0)}%`;
+    slider.setAttribute("aria-valuetext", tip(stage.track, stage.clock.cursor));
+    slider.style.width = `${(newest / wide()) * 100}%`;
     nextFrame(draw);
   }
 
   const size = fit(root, [canvas], draw);
   context.on("theme", () => nextFrame(draw));
-  return {
-    canvas,
-    refresh,
-    show(shown) {
-      players = shown.filter((player) => !player.empty);
-      refresh();
-    },
-  };
+  document.fonts.ready.then(() => nextFrame(draw));
+  stage.on("change", refresh);
+  return canvas;
 }
 
-function drawLane(ctx, player, index, top, width, height) {
-  const { mission, frames, cursor } = player;
-  const colours = lanePalette(index);
-  const step = width / mission.max_steps;
-  const bar = Math.max(1, step - (step > 4 ? 1 : 0.25));
-  ctx.fillStyle = colours.panel;
-  ctx.fillRect(0, top, width, height);
-  const most = Math.max(...frames.map((frame) => Math.abs(frame.reward)), 1e-9);
-  for (let k = 1; k < frames.length; k++) {
-    const frame = frames[k];
-    const x = (k - 1) * step;
-    const move = player.annotation?.moves[k - 1];
-    const high = Math.max(2, (Math.abs(frame.reward) / most) * (height - 4));
-    ctx.globalAlpha = k > cursor ? 0.3 : 1;
-    if (frame.event === "delivery") ctx.fillStyle = colours.map.box;
-    else if (move && move.label !== "best" && move.label !== "good") ctx.fillStyle = labelColour(move.label);
-    else ctx.fillStyle = colours.lineStrong;
-    ctx.fillRect(x, top + height - high, bar, high);
+/** From the least to the most that was possible, in tens. */
+function range(tracks) {
+  const all = tracks.flatMap(({ frames }) => frames.map(({ value, score }) => value ?? score));
+  const high = Math.min(1, Math.ceil(Math.max(...all) * 10) / 10);
+  return [Math.max(0, Math.min(high - 0.2, Math.floor(Math.min(...all) * 10) / 10)), high];
+}
+
+/** A step in words: what happened, what was still possible. */
+function tip(track, step) {
+  const frame = track?.frames[step];
+  if (!frame) return `Step ${step}`;
+  const move = track.annotation?.moves[step - 1];
+  const gave = move && move.label !== "best" ? ` ${move.label}: lost ${points(move.regret)}.` : "";
+  const possible = frame.value === null ? "" : ` ${points(frame.value)} still possible.`;
+  return `Step ${step}: ${frame.message}${gave}${possible}`;
+}
+
+function drawScale(ctx, y, [low, high], width, colours) {
+  ctx.font = `11px ${colours.font}`;
+  ctx.fillStyle = colours.ink3;
+  ctx.strokeStyle = colours.line;
+  ctx.lineWidth = 1;
+  ctx.textAlign = "right";
+  ctx.textBaseline = "bottom";
+  for (const value of [low, high]) {
+    const at = Math.round(y(value)) + 0.5;
+    ctx.beginPath();
+    ctx.moveTo(0, at);
+    ctx.lineTo(width, at);
+    ctx.stroke();
   }
+  ctx.fillText(points(low, 0), width - 4, y(low) - 2);
+  ctx.textBaseline = "top";
+  ctx.fillText(`${points(high, 0)} still possible`, width - 4, y(high) + 3);
+}
+
+/** Deliveries and charges of the flight that is looked at, below the graph. */
+function drawEvents(ctx, { frames }, x, height, colours) {
+  frames.forEach((frame, step) => {
+    const before = frames[step - 1];
+    if (frame.event === "delivery") {
+      ctx.fillStyle = colours.map.box;
+      ctx.fillRect(x(step) - 3, height - 10, 6, 8);
+    } else if (before && frame.battery_units > before.battery_units) {
+      ctx.fillStyle = colours.good;
+      ctx.beginPath();
+      ctx.arc(x(step), height - 6, 2.5, 0, 2 * Math.PI);
+      ctx.fill();
+    }
+  });
+}
+
+/** The score that was still possible; where that is not known, the score so far, dashed. */
+function drawLine(ctx, { frames, colour }, x, y, aside, front) {
+  const known = frames.some(({ value }) => value !== null);
+  ctx.strokeStyle = colourOf(colour);
+  ctx.globalAlpha = front ? 1 : 0.7;
+  ctx.lineWidth = front ? 2.5 : 1.5;
+  ctx.lineJoin = "round";
+  ctx.setLineDash(known ? [] : [3, 3]);
+  ctx.beginPath();
+  let before = null;
+  frames.forEach(({ value, score }, step) => {
+    const now = known ? value : score;
+    if (now === null) return;
+    // What a move gives away is gone at once.
+    if (before !== null) ctx.lineTo(x(step), y(before) + aside);
+    ctx.lineTo(x(step), y(now) + aside);
+    before = now;
+  });
+  ctx.stroke();
+  ctx.setLineDash([]);
   ctx.globalAlpha = 1;
-  ctx.fillStyle = colours.accent;
-  ctx.fillRect(Math.min(cursor * step, width - 2), top, 2, height);
+}
+
+/** Where the flight that is looked at gave something away, the larger the worse. */
+function drawMarks(ctx, track, x, y) {
+  for (const { step, label } of track.annotation?.moves ?? []) {
+    const size = MARKED[label];
+    const value = track.valueAt(step);
+    if (!size || value === null) continue;
+    ctx.fillStyle = labelColour(label);
+    ctx.beginPath();
+    ctx.arc(x(step), y(value), size, 0, 2 * Math.PI);
+    ctx.fill();
+  }
 }

@@ -1,16 +1,8 @@
 // Which view is shown: that of the address.
-import { isFlown } from "./router.js";
 
-const TITLES = {
-  watch: "Watch a flight",
-  race: "Race pilots",
-  replay: "Replay a flight",
-  compare: "Compare pilots",
-  specs: "Technical specifications",
-  logs: "Logs",
-};
+const TITLES = { fly: "Fly", compare: "Compare pilots", learn: "Learn", api: "API and logs" };
 
-/** @param {import("./context.js").Context} context `emit("replay", id)` and `emit("open", view)` change the view. */
+/** @param {import("./context.js").Context} context */
 export function mountViews(context) {
   const { router } = context;
   const links = [...document.querySelectorAll(".views a")];
@@ -19,10 +11,7 @@ export function mountViews(context) {
     const first = !document.body.dataset.view;
     context.view = view;
     document.body.dataset.view = view;
-    for (const section of document.querySelectorAll("main > section:not(#hello)")) {
-      const shown = section.id === "stage" ? isFlown(view) : section.id === `view-${view}`;
-      section.hidden = !shown;
-    }
+    for (const section of document.querySelectorAll("main > .view")) section.hidden = section.id !== `view-${view}`;
     for (const link of links) {
       if (link.dataset.view === view) {
         link.setAttribute("aria-current", "page");
@@ -31,19 +20,18 @@ export function mountViews(context) {
     }
     document.getElementById("view-title").textContent = TITLES[view];
     document.title = `${TITLES[view]} · Drone Delivery`;
-    if (view !== "watch") document.getElementById("hello")?.remove();
+    if (view !== "fly") document.getElementById("hello")?.remove();
     context.emit("view", view);
   }
 
-  for (const link of links) {
-    link.addEventListener("click", (event) => {
-      if (event.ctrlKey || event.metaKey || event.shiftKey) return; // a tab of its own
-      event.preventDefault();
-      router.open(link.dataset.view);
-    });
-  }
+  // All links to addresses of this page, wherever they stand: no need to load it anew.
+  document.addEventListener("click", (event) => {
+    const link = event.target.closest?.("a[data-view], a[href^='?']");
+    if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return; // a tab of its own
+    event.preventDefault();
+    if (link.dataset.view) router.open(link.dataset.view);
+    else router.follow(link.href);
+  });
   router.on("address", show);
-  context.on("open", (view) => router.open(view));
-  context.on("replay", (episode) => router.go({ view: "replay", episode }));
   show(router.address);
 }

@@ -1,0 +1,146 @@
+// Draws a map with the flights over it on three canvases: the city, what is known of its cells, and what moves.
+import { el } from "./dom.js";
+import { fit } from "./fitted.js";
+import { title } from "./format.js";
+import { LAYERS } from "./layers.js";
+import { lessMotion, nextFrame, noFrame } from "./loop.js";
+import { palette } from "./palette.js";
+
+const SPIN = 0.03;
+const PLACES = ["ground", "cells", "air"];
+
+export class Board {
+  /**
+   * @param {HTMLElement} root Filled with the canvases, which take its size.
+   * @param {import("./context.js").Context} context For the stage, the camera, the layers that are shown, and the theme.
+   * @param {import("./track.js").Track|null} only The one flight that is drawn; null for all, the selected one in front.
+   */
+  constructor(root, context, only = null) {
+    this.context = context;
+    this.stage = context.stage;
+    this.only = only;
+    this.names = [];
+    for (const kind of context.kinds) this.names[kind.id] = kind.name;
+    this.canvases = PLACES.map((place) => el(`canvas.map-${place}`, { "aria-hidden": "true" }));
+    const [, , air] = this.canvases;
+    air.removeAttribute("aria-hidden");
+    air.setAttribute("role", "img");
+    root.classList.add("map");
+    root.replaceChildren(...this.canvases);
+    this.before = 0;
+    this.spin = 0;
+    this.drawn = {};
+    this.draw = this.draw.bind(this);
+    // A canvas that has another size is empty: it is drawn at once, before the browser shows it.
+    this.size = fit(root, [air], () => {
+      this.drawn = {};
+      this.draw(performance.now());
+    });
+    const anew = () => this.reload();
+    const ends = [
+      this.stage.on("load", anew),
+      this.stage.on("change", () => this.refresh()),
+      context.on("layers", () => this.refresh()),
+      context.on("camera", () => this.refresh()),
+      context.on("theme", anew),
+      this.size.stop,
+      () => noFrame(this.draw),
+    ];
+    this.destroy = () => ends.forEach((end) => end());
+    document.fonts.ready.then(anew);
+    anew();
+  }
+
+  /** The flight that is drawn in full. */
+  get track() {
+    return this.only ?? this.stage.track;
+  }
+
+  /** Draws again in the next animation frame. */
+  refresh() {
+    nextFrame(this.draw);
+  }
+
+  /** Draws the city again, too: another map, size or theme. */
+  reload() {
+    this.drawn = {};
+    this.canvases[2].setAttribute("aria-label", this.stage.world ? describe(this.stage.world) : "No flight");
+    this.refresh();
+  }
+
+  draw(now) {
+    const { stage, track } = this;
+    const { world, clock } = stage;
+    if (!this.size.width || !this.size.height) return;
+    const [ground, cells, air] = this.canvases;
+    const ctx = air.getContext("2d");
+    ctx.setTransform(1, 0, 0, 1, 0, 0);
+    ctx.clearRect(0, 0, air.width, air.height);
+    if (!world || !track) {
+      for (const canvas of [ground, cells]) canvas.width = 0;
+      return;
+    }
+    const passed = Math.min(now - this.before, 100);
+    this.before = now;
+    const still = lessMotion();
+    const moving = clock.advance(still ? Infinity : passed) || clock.playing || stage.flying;
+    if (moving && !still) this.spin += passed * SPIN;
+    const size = { width: air.width, height: air.height, scale: this.size.scale };
+    const layout = this.context.camera.layout(world, size, track.at(clock.position));
+    const view = {
+      stage,
+      world,
+      track,
+      tracks: this.only ? [this.only] : stage.tracks,
+      clock,
+      layout,
+      colours: palette(),
+      names: this.names,
+      spin: this.spin,
+      breath: moving && !still ? 0.5 - 0.5 * Math.cos(now / 260) : 0,
+    };
+    const shown = LAYERS.filter((layer) => this.context.shows(layer.id));
+    // What lies in cells is drawn for the whole map, and moved by the browser as the camera moves.
+    this.drawCells(ground, view, shown, "ground", "");
+    this.drawCells(cells, view, shown, "cells", this.only ? "" : stage.values?.key);
+    for (const layer of shown) if (layer.place === "air") layer.draw(ctx, view);
+    if (moving && !still) this.refresh();
+  }
+
+  drawCells(canvas, view, shown, place, about) {
+    const { world, layout } = view;
+    const zoomed = this.context.camera.zoom > 1;
+    const layers = shown.filter((layer) => layer.place === place);
+    const { scale, cell } = layout;
+    const own = zoomed ? { ...layout, left: 1, top: 1 } : layout;
+    const key = [about, ...layers.map(({ id }) => id), cell, own.left, own.top, zoomed].join(" ");
+    if (this.drawn[place] !== key) {
+      this.drawn[place] = key;
+      const width = zoomed ? world.width * cell + 2 : this.canvases[2].width;
+      const height = zoomed ? world.height * cell + 2 : this.canvases[2].height;
+      Object.assign(canvas, { width, height });
+      Object.assign(canvas.style, { width: `${width / scale}px`, height: `${height / scale}px` });
+      for (const layer of layers) layer.draw(canvas.getContext("2d"), { ...view, layout: own });
+    }
+    canvas.style.transform = zoomed
+      ? `translate(${(layout.left - own.left) / scale}px, ${(layout.top - own.top) / scale}px)`
+      : "";
+    canvas.at = zoomed ? [layout.left - own.left, layout.top - own.top] : [0, 0];
+  }
+
+  /** The map as it stands, as an image of its own. @returns {HTMLCanvasElement} */
+  image() {
+    const [, , air] = this.canvases;
+    const canvas = el("canvas", { width: air.width, height: air.height });
+    const ctx = canvas.getContext("2d");
+    ctx.fillStyle = palette().ground;
+    ctx.fillRect(0, 0, canvas.width, canvas.height);
+    for (const one of this.canvases) if (one.width) ctx.drawImage(one, ...(one.at ?? [0, 0]));
+    return canvas;
+  }
+}
+
+function describe({ task, seed, width, height, parcels }) {
+  const many = `${parcels.length} ${parcels.length === 1 ? "parcel" : "parcels"}`;
+  return `City map of ${title(task.short_name)}, ${width} by ${height} cells, map ${seed}, ${many}. The events are listed below.`;
+}

@@ -1,0 +1,91 @@
+// Which part of the map is in sight, and how large: handed to whatever draws.
+
+const LABEL_ROOM = 22;
+const LABELS_FROM = 20;
+/** Cells left free around the grid: the rotors reach over it. */
+const EDGE = 0.32;
+const ZOOMS = [1, 1.5, 2, 3, 4, 6];
+/** Device pixels that the picture of a map may be wide. */
+const WIDEST = 4096;
+/** A share of the window, from its middle, in which the drone moves without the map moving with it. */
+const CALM = 0.3;
+
+/**
+ * @typedef {Object} Layout Where the grid lies in the window, in device pixels.
+ * @property {number} cell Side of a cell, whole.
+ * @property {number} left @property {number} top Corner of cell [0, 0].
+ * @property {number} scale Device pixels per CSS pixel.
+ * @property {boolean} labels Whether there is room for the numbers of columns and rows.
+ */
+
+export class Camera {
+  constructor() {
+    this.reset();
+  }
+
+  /** The whole map. */
+  reset() {
+    this.zoom = 1;
+    /** The cell in the middle of the window; it is kept to while the drone is not followed. */
+    this.centre = null;
+    this.following = true;
+  }
+
+  /** One step nearer or farther. @returns {boolean} Whether that was possible. */
+  nearer(by) {
+    const next = ZOOMS[ZOOMS.indexOf(this.zoom) + by];
+    if (!next) return false;
+    this.zoom = next;
+    if (next === 1) this.reset();
+    return true;
+  }
+
+  /** Moves the map by cells; from then on the drone is not followed. */
+  pan(dx, dy) {
+    if (this.zoom === 1 || !this.centre) return;
+    this.centre = [this.centre[0] - dx, this.centre[1] - dy];
+    this.following = false;
+  }
+
+  /** @param {import("./stage.js").World} world @param {{width: number, height: number, scale: number}} size Device pixels. @param {number[]} at [x, y] of the drone. @returns {Layout} */
+  layout(world, size, at) {
+    const whole = fitted(world, size);
+    if (this.zoom === 1) return whole;
+    const most = Math.floor(WIDEST / Math.max(world.width, world.height));
+    const cell = Math.max(whole.cell, Math.min(Math.floor(whole.cell * this.zoom), most));
+    const middle = [at[0] + 0.5, at[1] + 0.5];
+    this.centre ??= middle;
+    const along = (axis, cells, room) => {
+      if (this.following) {
+        const calm = (room / cell) * CALM;
+        this.centre[axis] = within(this.centre[axis], middle[axis] - calm, middle[axis] + calm);
+      }
+      const half = room / cell / 2;
+      this.centre[axis] = cells <= 2 * half ? cells / 2 : within(this.centre[axis], half - EDGE, cells - half + EDGE);
+      return Math.round(room / 2 - this.centre[axis] * cell);
+    };
+    this.centre = [...this.centre];
+    const left = along(0, world.width, size.width);
+    const top = along(1, world.height, size.height);
+    return { cell, left, top, scale: size.scale, labels: false };
+  }
+}
+
+const within = (value, least, most) => Math.max(least, Math.min(most, value));
+
+/** The whole map in the middle: whole device pixels per cell, so that lines are sharp. */
+function fitted(world, { width, height, scale }) {
+  const place = (room) =>
+    Math.floor(Math.min((width - room) / (world.width + EDGE), (height - room) / (world.height + EDGE)));
+  const room = LABEL_ROOM * scale;
+  const labels = place(room + 2) >= LABELS_FROM * scale;
+  const cell = Math.max(1, place(labels ? room + 2 : 2));
+  const before = labels ? room : 0;
+  return {
+    cell,
+    scale,
+    labels,
+    left: Math.floor((width - world.width * cell - before) / 2 + before),
+    top: Math.floor((height - world.height * cell - before) / 2 + before),
+  };
+}

@@ -1,0 +1,52 @@
+// What does not move: the ground, its grid and numbers, and what stands on it.
+import { drawFigure } from "./figures.js";
+
+/** @param {CanvasRenderingContext2D} ctx */
+export function drawCity(ctx, { world, layout, names, colours }) {
+  const { cell, left, top } = layout;
+  const field = [left, top, world.width * cell, world.height * cell];
+  ctx.fillStyle = colours.map.ground;
+  ctx.fillRect(...field);
+  drawGrid(ctx, world, layout, colours);
+  world.cells.forEach((row, y) =>
+    row.forEach((kind, x) =>
+      drawFigure(ctx, names[kind], left + (x + 0.5) * cell, top + (y + 0.5) * cell, cell, variety(x, y)),
+    ),
+  );
+  ctx.fillStyle = colours.map.night;
+  ctx.fillRect(...field);
+  if (layout.labels) drawLabels(ctx, world, layout, colours);
+}
+
+/** A number that belongs to a cell: the same city always looks the same. */
+const variety = (x, y) => Math.imul(x * 977 + y * 331 + 7, 2654435761) >>> 16;
+
+function drawGrid(ctx, world, { cell, left, top, scale }, colours) {
+  ctx.strokeStyle = colours.map.grid;
+  const line = Math.max(1, Math.round(scale));
+  ctx.lineWidth = line;
+  const half = (line % 2) / 2;
+  ctx.beginPath();
+  for (let x = 1; x < world.width; x++) {
+    ctx.moveTo(left + x * cell + half, top);
+    ctx.lineTo(left + x * cell + half, top + world.height * cell);
+  }
+  for (let y = 1; y < world.height; y++) {
+    ctx.moveTo(left, top + y * cell + half);
+    ctx.lineTo(left + world.width * cell, top + y * cell + half);
+  }
+  ctx.stroke();
+  ctx.strokeStyle = colours.map.edge;
+  ctx.strokeRect(left - half, top - half, world.width * cell + 2 * half, world.height * cell + 2 * half);
+}
+
+function drawLabels(ctx, world, { cell, left, top, scale }, colours) {
+  ctx.fillStyle = colours.map.label;
+  ctx.font = `500 ${11 * scale}px ${colours.font}`;
+  ctx.textAlign = "center";
+  ctx.textBaseline = "alphabetic";
+  for (let x = 0; x < world.width; x++) ctx.fillText(String(x), left + (x + 0.5) * cell, top - 6 * scale);
+  ctx.textAlign = "right";
+  ctx.textBaseline = "middle";
+  for (let y = 0; y < world.height; y++) ctx.fillText(String(y), left - 6 * scale, top + (y + 0.53) * cell);
+}

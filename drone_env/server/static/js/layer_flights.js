@@ -1,0 +1,162 @@
+// What moves: trails, parcels, target, the network's values as arrows, the best flight and the drones.
+import { drawArrow, drawDrone, drawFigure, drawMark, drawTarget } from "./figures.js";
+import { colourOf, labelColour } from "./palette.js";
+
+export const STEP = { UP: [0, -1], DOWN: [0, 1], LEFT: [-1, 0], RIGHT: [1, 0] };
+const DOT = { inaccuracy: 0.09, mistake: 0.13, blunder: 0.16 };
+const RECENT = [9, 5, 2];
+const SMALLEST_DRONE = 22;
+const LARGE_DRONE = 56;
+/** How far aside, in cells, what flies in the same cell is drawn. */
+const ASIDE = 0.09;
+
+/** The middle of a cell in device pixels. */
+const middle = ({ left, top, cell }, [x, y]) => [left + (x + 0.5) * cell, top + (y + 0.5) * cell];
+
+/** A little larger than its cell, but neither lost on a small map nor a monster on a large one. */
+const droneSize = ({ cell, scale }) =>
+  Math.max(Math.min(cell * 1.2, Math.max(LARGE_DRONE * scale, cell * 0.8)), SMALLEST_DRONE * scale);
+
+/** All flights, the one that is looked at last: it lies above the others. */
+const inOrder = ({ tracks, track }) => [...tracks.filter((other) => other !== track), track];
+
+export function drawTrails(ctx, view) {
+  const { layout, clock, track } = view;
+  const { cell } = layout;
+  ctx.lineCap = ctx.lineJoin = "round";
+  inOrder(view).forEach((one, i) => {
+    const aside = one === track ? 0 : (i + 1) * ASIDE;
+    const end = Math.min(Math.floor(clock.position), one.steps);
+    const here = middle(layout, one.at(clock.position));
+    ctx.strokeStyle = colourOf(one.colour);
+    ctx.globalAlpha = one === track ? 0.42 : 0.5;
+    // Units are cells: a way is drawn as it was made, wherever the map lies.
+    ctx.setTransform(cell, 0, 0, cell, layout.left + aside * cell, layout.top + aside * cell);
+    ctx.lineWidth = Math.max(1.5 / cell, 0.09);
+    ctx.stroke(one.wayTo(end));
+    ctx.setTransform(1, 0, 0, 1, 0, 0);
+    if (one !== track) return;
+    ctx.beginPath();
+    ctx.moveTo(...middle(layout, position(one, end)));
+    ctx.lineTo(...here);
+    ctx.stroke();
+    // The last steps, the newest the strongest: strokes of several lengths over one another, without seams.
+    ctx.lineWidth = Math.max(2, cell * 0.13);
+    for (const steps of RECENT) {
+      ctx.beginPath();
+      for (let k = Math.max(0, end - steps); k <= end; k++) ctx.lineTo(...middle(layout, position(one, k)));
+      ctx.lineTo(...here);
+      ctx.stroke();
+    }
+  });
+  ctx.globalAlpha = 1;
+}
+
+const position = (track, k) => [track.frames[k].x, track.frames[k].y];
+
+/** A best flight over the map, known once the flight is annotated. */
+export function drawBest(ctx, { track, layout, clock, colours }) {
+  const path = track.annotation?.optimal_path;
+  if (!path) return;
+  const { cell, scale } = layout;
+  const aside = cell * 0.13;
+  ctx.strokeStyle = colours.map.ghost;
+  ctx.lineWidth = Math.max(1.5 * scale, cell * 0.06);
+  ctx.setLineDash([cell * 0.2, cell * 0.16]);
+  ctx.lineCap = "butt";
+  ctx.beginPath();
+  for (const point of path) {
+    const [x, y] = middle(layout, point);
+    ctx.lineTo(x + aside, y + aside);
+  }
+  ctx.stroke();
+  ctx.setLineDash([]);
+  ctx.globalAlpha = 0.5;
+  const here = path[Math.min(Math.round(clock.position), path.length - 1)];
+  drawFigure(ctx, "drone", ...middle(layout, here), droneSize(layout));
+  ctx.globalAlpha = 1;
+}
+
+/** Parcels as they stand for the flight that is looked at, its target, and where it gave something away. */
+export function drawParcels(ctx, { world, track, layout, clock, breath }) {
+  const { cell, scale } = layout;
+  const frame = track.frameAt(Math.round(clock.position));
+  const delivered = new Set(frame.delivered.map(String));
+  for (const parcel of world.parcels) {
+    drawFigure(ctx, delivered.has(String(parcel)) ? "delivered" : "parcel", ...middle(layout, parcel), cell);
+  }
+  if (frame.target) drawTarget(ctx, ...middle(layout, frame.target), cell, breath, colourOf(track.colour));
+  for (const move of track.annotation?.moves ?? []) {
+    const size = DOT[move.label];
+    if (!size) continue;
+    ctx.fillStyle = labelColour(move.label);
+    ctx.beginPath();
+    ctx.arc(...middle(layout, position(track, move.step - 1)), Math.max(2 * scale, cell * size), 0, 2 * Math.PI);
+    ctx.fill();
+  }
+}
+
+/** Arrows as long as an action is good beside the others; the best one stands out. Waiting is a ring. */
+export function drawThoughts(ctx, { track, layout, clock, colours }) {
+  const values = track.frameAt(clock.cursor).q_values;
+  if (!values) return;
+  const { cell } = layout;
+  const [x, y] = middle(layout, track.at(clock.position));
+  const size = droneSize(layout);
+  const all = Object.values(values);
+  const best = Math.max(...all);
+  const spread = best - Math.min(...all) || 1;
+  for (const [action, value] of Object.entries(values)) {
+    const strength = (value - (best - spread)) / spread;
+    ctx.fillStyle = ctx.strokeStyle = value === best ? colourOf("--network") : colours.ink;
+    ctx.globalAlpha = value === best ? 0.95 : 0.12 + 0.4 * strength;
+    const width = Math.max(3, cell * 0.11);
+    if (action !== "WAIT") pointTo(ctx, action, x, y, size * 0.56, cell * (0.18 + 0.62 * strength), width);
+    else if (value === best) {
+      ctx.lineWidth = width * 0.7;
+      ctx.beginPath();
+      ctx.arc(x, y, size * 0.68, 0, 2 * Math.PI);
+      ctx.stroke();
+    }
+  }
+  ctx.globalAlpha = 1;
+}
+
+function pointTo(ctx, action, x, y, from, length, width) {
+  const [dx, dy] = STEP[action];
+  const to = from + length;
+  drawArrow(ctx, x + dx * from, y + dy * from, x + dx * to, y + dy * to, width);
+}
+
+export function drawDrones(ctx, view) {
+  const { track, layout, clock, spin, colours } = view;
+  const { cell } = layout;
+  const size = droneSize(layout);
+  inOrder(view).forEach((one, i) => {
+    const [x, y] = middle(layout, one.at(clock.position));
+    const lift = one.frameAt(Math.round(clock.position)).done ? 0.15 : 1;
+    const front = one === track;
+    const aside = front ? 0 : (i + 1) * ASIDE * cell;
+    ctx.globalAlpha = front ? 1 : 0.75;
+    if (front) drawBetterMoves(ctx, view, x, y, size);
+    const wide = front ? size : size * 0.8;
+    drawDrone(ctx, x + aside, y + aside, wide, one.heading(clock.position), spin, lift, colourOf(one.colour), colours);
+  });
+  ctx.globalAlpha = 1;
+  const move = track.annotation?.moves[clock.cursor - 1];
+  if (!move?.mark || clock.position !== clock.cursor) return;
+  const [x, y] = middle(layout, track.at(clock.position));
+  const side = Math.max(18 * layout.scale, size * 0.5);
+  drawMark(ctx, x + size * 0.46, y - size * 0.46, side, move.mark, labelColour(move.label), colours);
+}
+
+/** What would have been best from here, where something else was flown. */
+function drawBetterMoves(ctx, { track, clock, layout, colours }, x, y, size) {
+  const next = track.annotation?.moves[clock.cursor];
+  if (!next || next.label === "best" || clock.position !== clock.cursor) return;
+  const { cell } = layout;
+  ctx.fillStyle = colours.map.ghost;
+  for (const action of next.best_actions) {
+    if (STEP[action]) pointTo(ctx, action, x, y, size * 0.56, cell * 0.8, Math.max(3, cell * 0.13));
+  }
+}

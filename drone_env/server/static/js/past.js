@@ -1,0 +1,111 @@
+// Flights of the past: a stored one, or those in a file, flown again by the server and annotated move by move.
+import { ApiError } from "./api.js";
+import { toast } from "./dom.js";
+import { readFlights } from "./flight_file.js";
+import { title } from "./format.js";
+import { worldOf } from "./stage.js";
+import { Track } from "./track.js";
+
+/** @param {object} record */
+export const named = ({ task, seed, agent }) => `${title(String(task))}, map ${seed}, ${agent}`;
+
+export class Past {
+  /** @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet Knows the pilots. */
+  constructor(context, fleet) {
+    this.context = context;
+    this.fleet = fleet;
+    /** Id of the stored flight that is shown; null for none, or a file. */
+    this.episode = null;
+    /** The records of a file, of which one is shown. */
+    this.records = [];
+    this.asked = 0;
+    this.track = null;
+    const { stage } = context;
+    stage.on("load", () => (stage.tracks.length === 1 && stage.track === this.track) || this.leave());
+  }
+
+  /** Shows a stored flight. @throws {ApiError} Where there is none. */
+  async open(id, step) {
+    const asked = ++this.asked;
+    const track = await this.stored(id);
+    if (asked !== this.asked) return;
+    this.episode = id;
+    this.records = [];
+    this.show(track, step);
+  }
+
+  /** A stored flight as a track. */
+  async stored(id) {
+    const { api } = this.context;
+    const record = await api.get(`episodes/${encodeURIComponent(id)}`);
+    const track = await this.flown(record);
+    track.episode = { id };
+    return track;
+  }
+
+  /** Shows the flights of a file, one of them at a time. */
+  async openFile(file) {
+    const asked = ++this.asked;
+    const records = await readFlights(file);
+    if (asked === this.asked) await this.openRecord(0, records);
+  }
+
+  async openRecord(index, records = this.records) {
+    const asked = ++this.asked;
+    const track = await this.flown(records[index]);
+    if (asked !== this.asked) return;
+    this.episode = null;
+    this.records = records;
+    this.show(track, 0);
+  }
+
+  /** Nothing of this is shown any more. */
+  leave() {
+    this.asked += 1;
+    this.episode = this.track = null;
+    this.records = [];
+  }
+
+  async flown(record) {
+    const flown = await this.context.api.post("replay", record);
+    const track = new Track(flown, this.fleet.look(flown.opening.pilot));
+    track.record = record;
+    return track;
+  }
+
+  show(track, step) {
+    const { stage, tasks } = this.context;
+    this.track = track;
+    stage.show(worldOf(track.opening, tasks), [track], { step });
+    explain(this.context, track);
+    this.askForCalls(track);
+  }
+
+  /** What a language model was asked and has answered, where one flew. */
+  async askForCalls(track) {
+    if (!track.episode || this.context.pilots.some(({ id }) => id === track.pilot)) return;
+    const { calls, model } = await this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`);
+    if (!calls.length) return;
+    track.calls = { model, steps: new Map(calls.map((call) => [call.step, call])) };
+    this.context.stage.changed(track);
+  }
+}
+
+/** Annotates a flight that has ended: what each of its moves gave away. Says so where that cannot be. */
+export async function explain({ api, stage }, track) {
+  if (track.annotation || !track.done) return;
+  try {
+    const record = track.record ?? (await api.get(`episodes/${encodeURIComponent(track.episode.id)}`));
+    track.record = record;
+    const annotation = await api.post("annotate", record);
+    track.annotation = annotation;
+    annotation.moves.forEach(({ value }, i) => Object.assign(track.frames[i], lost(value, annotation)));
+    Object.assign(track.last, lost(annotation.score, annotation));
+    stage.changed(track);
+  } catch (error) {
+    if (!(error instanceof ApiError)) throw error;
+    toast(error.message);
+  }
+}
+
+const lost = (value, { optimal_score: optimum }) => ({ value, regret: Math.max(0, optimum - value) });

@@ -1,0 +1,144 @@
+// Under the map once the flight that is looked at has ended: how it went, its worst move, and what comes next.
+import { announce, copyLink, copyText, el, fact, setText } from "./dom.js";
+import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
+import { linkOf } from "./router.js";
+
+/**
+ * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
+ * @param {import("./actions.js").Actions} acts
+ */
+export function mountStrip(root, context, fleet, acts) {
+  const { stage } = context;
+  let worst = null;
+  const head = el("h2", { id: "results-title" });
+  const why = el("span.note");
+  const seek = (step) => () => {
+    stage.clock.stop();
+    stage.clock.seek(worst.step + step);
+  };
+  const see = el("button.link", { id: "worst", title: "Look at it", press: seek(0) });
+  const tryIt = el("button.button.small", {
+    id: "try-worst",
+    text: "Try from there",
+    press: () => {
+      seek(-1)();
+      acts.fork();
+    },
+  });
+  const worstLine = el("div.strip-worst", see, tryIt);
+  const next = el("button.button.small.primary", { id: "next", press: () => goOn(context, fleet, acts) });
+  const copy = el("button.button.small", { text: "Copy result", press: () => copyText(result(stage), "Result copied.") });
+  const share = el("button.button.small", { text: "Copy link", press: () => copyLink(linkOf(context.router.address)) });
+  const more = el("details.strip-more", el("summary", { text: "Efficiency, and all flights of this task" }));
+  const body = el("div.strip-body");
+  more.append(body);
+  more.addEventListener("toggle", () => more.open && fill());
+  root.append(el("div.strip-words", head, " ", why), worstLine, el("div.strip-actions", next, copy, share), more);
+  root.hidden = true;
+  let said = null;
+
+  function draw() {
+    const { track } = stage;
+    const hidden = !track || !(track.done || track.past);
+    if (root.hidden !== hidden) root.hidden = hidden;
+    if (hidden) return;
+    const { last, annotation } = track;
+    root.dataset.outcome = last.outcome;
+    setText(head, `${track.name}: ${outcome(last)}.`);
+    setText(why, summary(stage, track));
+    worst = annotation?.moves.reduce((a, b) => (b.regret > a.regret ? b : a), annotation.moves[0]) ?? null;
+    worstLine.hidden = !worst || !isLost(worst.regret);
+    if (worst) {
+      setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}`);
+    }
+    const after = nextTask(context.families, stage.world.task);
+    setText(next, `Next: ${title(after.short_name)}`);
+    if (said === track) return;
+    said = track;
+    more.open = false;
+    if (track.done && (track.live || track.episode)) announce(`${outcome(last)}. Score ${points(last.score)}.`);
+  }
+
+  async function fill() {
+    const { track, world } = stage;
+    const analysis = el("div.analysis", { "aria-busy": "true" }, el("p.note", { text: "Counting …" }));
+    body.replaceChildren(efficiencyBar(track.last), analysis);
+    analysis.replaceChildren(...counted(await context.api.get(`analyse/${encodeURIComponent(world.task.id)}`), world));
+    analysis.removeAttribute("aria-busy");
+  }
+
+  stage.on("change", draw);
+}
+
+function summary({ world }, { last, annotation, steps, done }) {
+  if (!done) return "This flight did not end: what its moves gave away is not known.";
+  const optimum = annotation?.optimal_score ?? null;
+  const parts = [`score ${points(last.score)}${optimum === null ? "" : ` of ${points(optimum)} possible`}`];
+  if (annotation) parts.push(isLost(annotation.regret) ? `lost ${points(annotation.regret)}` : "nothing lost");
+  parts.push(`${last.deliveries_done} of ${world.parcels.length} parcels`, `${steps} steps`);
+  if (annotation) parts.push(`a best flight takes ${annotation.optimal_steps}`);
+  return `${parts.join(", ")}.`.replace(/^./, (letter) => letter.toUpperCase());
+}
+
+/** The flights in a line to send to somebody: `You 15, PathQNet 8, optimum 8 · Hard, map 7`, and where to see it. */
+function result({ tracks, world }) {
+  const steps = (track) =>
+    track.last.outcome === "delivered"
+      ? String(track.steps)
+      : `${track.last.deliveries_done} of ${world.parcels.length} parcels`;
+  const flown = tracks.filter(({ done }) => done).map((track) => `${track.name} ${steps(track)}`);
+  const best = tracks.find(({ annotation }) => annotation)?.annotation;
+  if (best) flown.push(`optimum ${best.optimal_steps}`);
+  const map = linkOf({ task: world.task.short_name, seed: world.seed });
+  return `${flown.join(", ")} · ${title(world.task.short_name)}, map ${world.seed} · ${map}`;
+}
+
+/** Easy, Medium, Hard, Easy; every family goes round. */
+function nextTask(families, task) {
+  const group = families.get(task.family);
+  return group[(group.indexOf(task) + 1) % group.length];
+}
+
+function goOn(context, fleet, acts) {
+  const next = nextTask(context.families, context.stage.world.task);
+  const flown = fleet.shown ? fleet.setup.pilots : [context.stage.track.pilot];
+  const able = [...new Set(flown)].filter((id) => fleet.flies(id, next));
+  acts.start({ task: next.short_name, seed: null, pilots: able.length ? able : fleet.able(next).slice(0, 1) });
+}
+
+/** Three parts as wide as their weights, each filled by what is left or done. */
+function efficiencyBar({ efficiency, efficiency_parts: parts }) {
+  return el(
+    "div.efficiency",
+    { "aria-label": "Efficiency", role: "group" },
+    el("p", { id: "efficiency-sum", text: `Efficiency ${fixed(efficiency, 1)} of 100` }),
+    ...parts.map(({ name, weight, share }) =>
+      el(
+        "div.efficiency-part",
+        { style: { "--weight": String(weight), "--share": String(share) } },
+        el("div.efficiency-bar", { "aria-hidden": "true" }, el("i")),
+        el("span.efficiency-name", { text: title(name) }),
+        el("span.efficiency-share", { text: `${percent(share)} · weighs ${weight} %` }),
+      ),
+    ),
+  );
+}
+
+/** What all finished flights of the task come to. */
+function counted(figures, { task }) {
+  const many = figures.episodes === 1 ? "The only flight" : `All ${figures.episodes} flights`;
+  const rows = [
+    ["Mean score", points(figures.average_score)],
+    ["Mean lost", points(figures.mean_regret)],
+    ["Success rate", percent(figures.success_rate)],
+    ["Success trend", figures.success_trend === null ? "–" : `${signed(figures.success_trend * 100, 0)} points`],
+    ["Mean steps", fixed(figures.average_steps, 1)],
+    ["Mean reward", fixed(figures.average_reward)],
+  ];
+  const shares = Object.entries(figures.action_distribution).map(([action, share]) => `${action} ${percent(share)}`);
+  return [
+    el("h3", { text: `${many} of ${title(task.short_name)} here` }),
+    el("dl.numbers", ...rows.map(([name, text]) => fact(name, text))),
+    el("p.note", { text: shares.join(" · ") }),
+  ];
+}

@@ -1,0 +1,258 @@
+"""Forks of flights on the page, and help for who flies by hand: what is shown, and who is said to have flown."""
+
+import json
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from drone_env.agents import make_agent
+from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
+from drone_env.core.rollout import rollout
+from drone_env.episodes.record import record_of
+from drone_env.evaluation.analysis import analyse_flight
+from drone_env.models import DIRECTIONS, Direction
+from tests.api.live_page import Message, Page
+
+MOVES: list[Direction] = ["LEFT", "LEFT", "UP", "WAIT", "DOWN", "RIGHT", "RIGHT", "UP"]
+"""What a person flies instead."""
+
+
+def flown(task: str, agent: str, steps: int | None = None, start: Episode | None = None) -> Episode:
+    """A flight over map 7, from where `start` stands."""
+    pilot, episode = make_agent(agent, task), Episode(task, "tiered", 7) if start is None else start.copy()
+    pilot.reset(7)
+    return (Episode(task, "tiered", 7)).fly(rollout(episode, pilot.act).actions[:steps])
+
+
+def directions(episode: Episode) -> list[Direction]:
+    return [DIRECTIONS[action] for action in episode.actions]
+
+
+def fork(of: Episode, step: int, by: str, *moves: Direction) -> dict[str, Any]:
+    return {"actions": [*directions(of)[:step], *moves], "step": step, "of": by}
+
+
+def refusal(page: Page) -> Message:
+    """What is told of a command that is refused."""
+    while True:
+        message = json.loads(page.socket.receive_text())
+        if message["type"] == "error":
+            return message
+        assert message["type"] in ("playing", "values"), message
+
+
+def stored(client: TestClient) -> list[tuple[str, int]]:
+    return [(row["agent"], row["steps"]) for row in client.get("/episodes").json()["episodes"]]
+
+
+def test_a_fork_is_told_the_values_of_its_analysis_to_the_last_bit(client: TestClient) -> None:
+    before = flown("hard", "greedy")
+    assert before.steps > 20
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        opened = page.start("greedy", "human", task="hard", fork=fork(before, 20, "greedy"))
+        assert [len(shown["frames"]) for shown in opened] == [21, 21]
+        assert [shown["opening"]["by"] for shown in opened] == ["greedy", "human from step 20 of greedy"]
+        assert [shown["opening"]["forked_at"] for shown in opened] == [None, 20]
+        page.send("help", flight=1)
+        while page.until("values")["flight"] != 1:
+            pass
+        frames: list[Message] = []
+        for direction in MOVES:
+            page.send("fly", flight=1, direction=direction)
+            frames.append(page.until("frames")["frames"][0]["frame"])
+        page.send("help", flight=1)
+        while (told := page.until("values"))["flight"] != 1:
+            pass
+    ours = flown("hard", "greedy", 20).fly([Action[direction] for direction in MOVES])
+    analysis = analyse_flight(record_of(ours, "human"))
+    values = list(analysis.values[: ours.steps + 1])
+    assert told["values"] == values
+    assert told["regrets"] == [values[0] - value for value in values]
+    assert [frame["value"] for frame in frames] == values[21:]
+    assert [frame["regret"] for frame in frames] == [values[0] - value for value in values[21:]]
+    for step in (20, 24, 28):
+        so_far = {"task": "hard", "seed": 7, "actions": directions(ours)[:step]}
+        answer = client.post("/values", json=so_far).json()
+        assert (answer["optimum"], answer["value"]) == (values[0], values[step])
+        if step < ours.steps:
+            best = [DIRECTIONS[action] for action in analysis.moves[step].best_actions]
+            assert answer["best_actions"] == best
+            assert answer["q_values"][MOVES[step - 20]] == values[step + 1]
+
+
+def test_a_fork_is_kept_as_what_it_is_and_counted_apart(client: TestClient) -> None:
+    before = flown("easy", "greedy")
+    waits = before.task.max_steps - 4
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        _, shown = page.start("greedy", "human", fork=fork(before, 3, "greedy", "WAIT"))
+        assert shown["opening"]["pilot"] == "human"
+        for _ in range(waits):
+            page.send("fly", flight=1, direction="WAIT")
+        ended = page.until("ended")
+        assert (ended["flight"], ended["episode"]["agent"]) == (1, "human from step 3 of greedy")
+    record = client.get(f"/episodes/{ended['episode']['id']}").json()
+    assert record["actions"] == [*directions(before)[:3], *["WAIT"] * (waits + 1)]
+    replayed = client.post("/replay", json=record).json()["opening"]
+    assert (replayed["pilot"], replayed["by"], replayed["forked_at"]) == ("human", "human from step 3 of greedy", 3)
+    assert client.get("/episodes?agent=human").json()["episodes"] == []
+    assert client.get("/episodes?agent=greedy").json()["episodes"] == []
+    (row,) = client.get("/episodes", params={"agent": "human from step 3 of greedy"}).json()["episodes"]
+    assert row["id"] == ended["episode"]["id"]
+
+
+@pytest.mark.parametrize("pilot", ["greedy", "optimal", "pathqnet", "random"])
+def test_an_agent_goes_on_from_where_another_was_and_comes_back_there(client: TestClient, pilot: str) -> None:
+    before = flown("hard", "random")
+    begun = flown("hard", "random", 12)
+    expected = directions(flown("hard", pilot, start=begun) if pilot != "random" else before)
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        (shown,) = page.start(pilot, task="hard", fork=fork(before, 12, "random"))
+        session = shown["opening"]["session"]
+        for _ in range(3):
+            page.send("step")
+            page.until("frames")
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.send("attach", sessions=[session])
+        (again,) = page.until("flights")["flights"]
+        assert again["opening"]["by"] == (pilot if pilot == "random" else f"{pilot} from step 12 of random")
+        page.send("play", speed=60)
+        assert page.until("playing")["playing"]
+        frames = [*again["frames"][1:], *page.flight()[0]]
+    assert [frame["action"] for frame in frames] == expected
+    # Its moves are known to be its own where a link has brought them.
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        brought: dict[str, Any] = {"actions": expected[:20], "step": 12, "of": "random"}
+        assert len(page.start(pilot, task="hard", fork=brought)[0]["frames"]) == 21
+        wrong = next(direction for direction in DIRECTIONS if direction != expected[14])
+        brought["actions"] = [*expected[:14], wrong]
+        page.send("start", task="hard", seed=7, pilots=[pilot], fork=brought)
+        told = refusal(page)
+        assert told["code"] == "wrong_moment"
+        assert told["detail"] == f"step 15 of the fork is said to be flown by {pilot}, which flies {expected[14]} there"
+
+
+def test_a_fork_that_has_ended_is_kept_once_however_often_it_is_opened(client: TestClient) -> None:
+    before = flown("easy", "greedy")
+    whole = fork(before, 3, "greedy", *["WAIT"] * (before.task.max_steps - 3))  # type: ignore[list-item]
+    ids: set[str] = set()
+    for _ in range(2):
+        with client.websocket_connect("/live") as socket:
+            page = Page(socket)
+            (shown,) = page.start("human", fork=whole)
+            assert shown["frames"][-1]["done"]
+            ids.add(page.until("ended")["episode"]["id"])
+    assert len(ids) == 1
+    assert stored(client) == [("human from step 3 of greedy", before.task.max_steps)]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"seed": None, "fork": {"actions": [], "step": 0, "of": "x"}}, "a fork needs the seed of its map"),
+        ({"fork": {"actions": ["UP"], "step": 2, "of": "greedy"}}, "has all actions up to there, got 1"),
+        ({"fork": {"actions": ["UP"], "step": 1, "of": "a\nb"}}, "one printable line of 1 to 200 characters"),
+        ({"fork": {"actions": ["UP"], "step": 1, "of": "x" * 200}}, "one printable line of 1 to 200 characters"),
+        ({"fork": {"actions": ["WAIT"] * 61, "step": 1, "of": "x"}}, "ends after 60 steps, but there are 61 actions"),
+        ({"fork": {"actions": ["FLY"], "step": 1, "of": "x"}}, "'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"),
+        ({"pilots": ["greedy"], "fork": {"actions": ["WAIT"], "step": 1, "of": "greedy"}}, "which flies"),
+    ],
+)
+def test_a_fork_that_cannot_be_is_refused_and_opens_nothing(
+    client: TestClient, change: dict[str, Any], says: str
+) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start("greedy")
+        page.until("values")
+        opened = client.app.state.shared.store.count_sessions()  # type: ignore[attr-defined]
+        page.send("start", **{"task": "easy", "seed": 7, "pilots": ["random", "human"], **change})
+        assert says in refusal(page)["detail"]
+        assert client.app.state.shared.store.count_sessions() == opened  # type: ignore[attr-defined]
+        page.send("step")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 1
+
+
+def test_a_person_in_flight_is_shown_values_once_asked_for_and_the_record_says_so(client: TestClient) -> None:
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        (shown,) = page.start("human")
+        header = {"X-Session-Id": shown["opening"]["session"]}
+        kept_back = ("q_values", "value", "regret")
+        assert [shown["frames"][0][name] for name in kept_back] == [None] * 3
+        page.send("fly", direction="UP")
+        frame = page.until("frames")["frames"][0]["frame"]
+        assert [frame[name] for name in kept_back] == [None] * 3
+        page.send("help", flight=0)
+        helped = page.until("helped")
+        assert (helped["flight"], helped["by"], helped["frame"]["step"]) == (0, "human with values", 1)
+        assert helped["frame"]["q_values"] == client.post("/predict", headers=header).json()["q_values"]
+        assert len(page.until("values")["values"]) == 2
+        page.send("fly", direction="WAIT")
+        frame = page.until("frames")["frames"][0]["frame"]
+        assert frame["q_values"] == client.post("/predict", headers=header).json()["q_values"]
+        assert (frame["value"], frame["regret"]) != (None, None)
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.send("attach", sessions=[header["X-Session-Id"]])
+        (again,) = page.until("flights")["flights"]
+        assert (again["opening"]["by"], again["opening"]["pilot"]) == ("human with values", "human")
+        assert all(frame["q_values"] for frame in again["frames"])
+        for _ in range(58):
+            page.send("fly", direction="WAIT")
+        assert page.until("ended")["episode"]["agent"] == "human with values"
+
+
+def test_a_person_takes_steps_back_and_the_record_says_so(client: TestClient) -> None:
+    before = flown("easy", "greedy")
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        (shown,) = page.start("human", fork=fork(before, 2, "greedy"))
+        header = {"X-Session-Id": shown["opening"]["session"]}
+        for direction in ("WAIT", "WAIT", "UP"):
+            page.send("fly", direction=direction)
+            page.until("frames")
+        for step in (4, 3, 2):
+            page.send("undo", flight=0)
+            by = "human with undo from step 2 of greedy"
+            assert page.until("undone") == {"type": "undone", "flight": 0, "step": step, "by": by}
+            assert client.get("/state", headers=header).json()["step_count"] == step
+        page.send("undo", flight=0)
+        told = refusal(page)
+        assert told["code"] == "wrong_moment"
+        assert told["detail"] == "there is nothing to take back: you have not flown since step 2, where the fork begins"
+        page.send("fly", direction="DOWN")
+        assert page.until("frames")["frames"][0]["frame"]["step"] == 3
+        for _ in range(57):
+            page.send("fly", direction="WAIT")
+        episode = page.until("ended")["episode"]
+        assert episode["agent"] == "human with undo from step 2 of greedy"
+        page.send("undo", flight=0)
+        assert refusal(page)["detail"] == "this episode has ended: start another"
+    record = client.get(f"/episodes/{episode['id']}").json()
+    assert record["actions"] == [*directions(before)[:2], "DOWN", *["WAIT"] * 57]
+
+
+def test_nothing_is_taken_back_of_what_another_page_has_flown_meanwhile(client: TestClient) -> None:
+    with client.websocket_connect("/live") as one, client.websocket_connect("/live") as other:
+        first, second = Page(one), Page(other)
+        session = first.start("human")[0]["opening"]["session"]
+        first.send("fly", direction="WAIT")
+        first.until("frames")
+        second.send("attach", sessions=[session])
+        second.until("flights")
+        second.send("help")
+        second.send("fly", direction="UP")
+        second.until("frames")
+        first.send("undo")
+        assert [moved["frame"]["step"] for moved in first.until("frames")["frames"]] == [2]
+        first.send("undo")
+        assert first.until("undone")["step"] == 1
+        first.send("fly", direction="WAIT")
+        assert first.until("frames")["frames"][0]["frame"]["q_values"] is not None
