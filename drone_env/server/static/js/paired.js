@@ -1,5 +1,5 @@
 // Two pilots over the maps that both flew.
-import { grid, shortened } from "./rankings.js";
+import { colourOf, grid, shortened } from "./rankings.js";
 import { el, fact } from "./dom.js";
 import { points, signed } from "./format.js";
 
@@ -29,8 +29,9 @@ export function paired(context, task, answer, pilots, name, rows) {
       : [flight(a, pair.a, seed), flight(b, pair.b, seed)];
   const most = Math.max(...answer.pairs.map(({ difference }) => Math.abs(difference)), 1e-9);
   const bar = ({ difference }) => {
-    const [data, style] = [{ won: String(difference > 0) }, { "--share": Math.abs(difference) / most }];
-    return el("span.gap", { "aria-hidden": "true", data, style }, el("i"));
+    const more = difference > 0;
+    const style = { "--share": Math.abs(difference) / most, "--colour": colourOf(context, pilots[more ? 0 : 1]) };
+    return el("span.gap", { "aria-hidden": "true", data: { more: String(more) }, style }, el("i"));
   };
   const columns = [
     ["Map", ({ seed }) => String(seed), true],

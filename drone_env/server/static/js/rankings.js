@@ -49,7 +49,7 @@ const lost = (row) => {
 };
 
 /** The colour of a pilot; others have none of their own. */
-const colourOf = ({ pilots }, agent) => {
+export const colourOf = ({ pilots }, agent) => {
   const pilot = pilots.find(({ id }) => agent === id || agent.startsWith(`${id} `));
   return pilot?.colour ? `var(--pilot-${pilot.colour})` : "var(--ink-3)";
 };
