@@ -153,7 +153,7 @@ function mountProblem(root, context, fleet) {
   root.append(text);
   const another = el("button.button.small", {
     text: "Fly another map",
-    press: () => fleet.start(fleet.asks({ pilots: [] })),
+    press: () => fleet.another(),
   });
   const problem = {
     say(words) {
