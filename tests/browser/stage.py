@@ -11,7 +11,7 @@ FASTEST = "60"
 SIGNS = {
     "Fly": "#boards .map",
     "Compare": "#view-compare table",
-    "Learn": "#view-learn .specs-table",
+    "Learn": ".lesson",
     "API": "#log-requests li",
 }
 """What stands in a view once it has all that it shows."""
@@ -38,10 +38,10 @@ def at_speed(page: Page, steps: str) -> None:
     page.get_by_role("combobox", name="Speed").select_option(steps)
 
 
-def fly(page: Page) -> None:
-    """Start, as fast as it goes."""
+def fly(page: Page, button: str = "Start") -> None:
+    """Start, or go on, as fast as it goes."""
     at_speed(page, FASTEST)
-    page.get_by_role("button", name="Start", exact=True).click()
+    page.get_by_role("button", name=button, exact=True).click()
 
 
 def ended(page: Page) -> Locator:
@@ -49,6 +49,21 @@ def ended(page: Page) -> Locator:
     strip = page.locator(".strip")
     expect(strip).to_contain_text("a best flight takes")
     return strip
+
+
+def step(page: Page) -> None:
+    """One step forward."""
+    page.get_by_role("button", name="Step", exact=True).click()
+
+
+def pilot(page: Page, name: str) -> Locator:
+    """The button that has a pilot fly alone."""
+    return page.get_by_role("group", name="Pilots").get_by_role("button", name=name, exact=True)
+
+
+def along(page: Page, name: str) -> Locator:
+    """The box that has a pilot fly along."""
+    return page.get_by_role("checkbox", name=f"{name} flies along", exact=True)
 
 
 def counter(page: Page) -> int:
@@ -65,9 +80,9 @@ def fixed(value: float, digits: int = 2) -> str:
     return str(rounded).replace("-", "\u2212")
 
 
-def points(score: float) -> str:
+def points(score: float, digits: int = 1) -> str:
     """A score as the page writes it, times 100."""
-    return fixed(score * 100, 1)
+    return fixed(score * 100, digits)
 
 
 def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
@@ -84,7 +99,8 @@ def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
 
 
 def pictures(page: Page) -> list[str]:
-    """What stands on the canvases of the maps, as data URLs: of each map the city, what is known of its cells, what moves.
+    """What stands on the canvases of the maps, as data URLs: of each map the city, what is known of its cells,
+    what moves.
 
     What is asked to be drawn is drawn in the next frame, and anew once the fonts are there.
     """
@@ -94,6 +110,28 @@ def pictures(page: Page) -> list[str]:
             for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
             return [...document.querySelectorAll("#boards canvas")].map(canvas => canvas.toDataURL());
         }"""
+    )
+
+
+def painted(canvas: Locator, *names: str) -> list[str]:
+    """Those of some colours of the style sheet that stand on a canvas."""
+    return canvas.evaluate(
+        """async (canvas, names) => {
+            await new Promise(requestAnimationFrame);
+            const { width, height } = canvas;
+            const picture = (...size) => new OffscreenCanvas(...size).getContext("2d", { willReadFrequently: true });
+            const copy = picture(width, height);
+            copy.drawImage(canvas, 0, 0);
+            const there = new Set(new Uint32Array(copy.getImageData(0, 0, width, height).data.buffer));
+            const pen = picture(1, 1);
+            const style = getComputedStyle(document.documentElement);
+            return names.filter(name => {
+                pen.fillStyle = style.getPropertyValue(name);
+                pen.fillRect(0, 0, 1, 1);
+                return there.has(new Uint32Array(pen.getImageData(0, 0, 1, 1).data.buffer)[0]);
+            });
+        }""",
+        list(names),
     )
 
 

@@ -61,7 +61,7 @@ def test_in_tasks_pilots_messages_and_races(hostile: Page) -> None:
         hostile.get_by_role("button", name="Step", exact=True).click()
     expect(hostile.locator("#events li").first).to_contain_text(MARKUP)
     expect_only_text(hostile)
-    hostile.get_by_role("link", name="Specifications").click()
+    hostile.get_by_role("link", name="Learn").click()
     expect(hostile.get_by_role("table").first).to_contain_text(MARKUP)
     expect_only_text(hostile)
     hostile.get_by_role("link", name="Race", exact=True).click()
@@ -78,7 +78,7 @@ def test_in_agents_logs_and_records(page: Page, tmp_path: Path) -> None:
     expect(row).to_have_count(1)
     expect(row).to_contain_text(MARKUP)
     expect_only_text(page)
-    page.get_by_role("link", name="Logs").click()
+    page.get_by_role("link", name="API").click()
     expect(page.get_by_role("log", name="Training")).to_contain_text(MARKUP)
     expect_only_text(page)
     file = tmp_path / "flight.json"

@@ -70,7 +70,7 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
 
 
 def test_the_specifications_fit(phone: Page) -> None:
-    view(phone, "Specifications")
+    view(phone, "Learn")
     table = phone.locator(".specs-table")
     expect(table).to_be_visible()
     assert table.evaluate("table => table.scrollWidth <= table.parentElement.clientWidth")

@@ -91,7 +91,7 @@ def _told(request: Request, shared: Shared) -> tuple[str | None, Link]:
     the page itself says.
     """
     try:
-        link = Link.of(request.query_params)
+        link = Link.read(request.query_params)
         if link.episode:
             record = shared.store.episode(link.episode).record
             return title_of(record.task, record.seed, [called(record.agent)], link.step), link

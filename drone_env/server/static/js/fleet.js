@@ -28,7 +28,7 @@ export class Fleet extends Emitter {
     this.playing = false;
     this.asked = null;
     this.number = 0;
-    this.how = { play: false, beside: [], flown: null, after: null };
+    this.how = { play: false, beside: [], flown: null, after: null, moves: [] };
     this.waiting = false;
     this.slow = 0;
     const { live } = context;
@@ -74,6 +74,13 @@ export class Fleet extends Emitter {
   get own() {
     const track = this.tracks[this.human];
     return track && this.shown && !track.done && track.steps > (track === this.forked ? this.setup.fork : 0) ? track : null;
+  }
+
+  /** Whether the visitor's moves are flown: in the flight that is shown, or in one that is on its way. */
+  get byHand() {
+    if (this.asked === "start") return this.how.flown.includes(this.person.id);
+    const track = this.tracks[this.human];
+    return this.shown && Boolean(track) && !track.done;
   }
 
   /** The pilot who is the visitor. */
@@ -142,9 +149,10 @@ export class Fleet extends Emitter {
    * Starts other flights: what is named in `change` is new, the rest as it was; forks and moments are not kept.
    *
    * @param {{play?: boolean, beside?: Track[], flown?: string[], after?: () => void}} how Whether to play at once, flights of
-   *   the past to show beside them, those pilots of the setup who are still to be flown, and what to do then.
+   *   the past to show beside them, those pilots of the setup who are still to be flown, what to do then, and the visitor's
+   *   moves until then.
    */
-  start(change = {}, { play = false, beside = [], flown = null, after = null } = {}) {
+  start(change = {}, { play = false, beside = [], flown = null, after = null, moves = [] } = {}) {
     const nothing = { fork: null, actions: null, of: null, step: null, episode: null };
     const { live } = this.context;
     if (live.state !== "open" && this.tracks.length) {
@@ -153,7 +161,7 @@ export class Fleet extends Emitter {
       return;
     }
     this.setup = { ...this.setup, ...nothing, ...change };
-    this.how = { play, beside, flown: flown ?? this.setup.pilots, after };
+    this.how = { play, beside, flown: flown ?? this.setup.pilots, after, moves };
     this.emit("setup");
     this.asked = "start";
     const { task, seed, profile, fork, actions, of, step } = this.setup;
@@ -219,9 +227,12 @@ export class Fleet extends Emitter {
 
   /** One move of the visitor. The others move along unless they fly by themselves. */
   fly(direction) {
+    if (!this.byHand) return;
+    if (this.asked === "start") {
+      this.how.moves.push(direction);
+      return;
+    }
     const flight = this.human;
-    const track = this.tracks[flight];
-    if (!this.shown || !track || track.done) return;
     this.stage.clock.seek(this.stage.clock.newest());
     this.context.live.send({ type: "fly", flight, direction });
     if (this.automatic && !this.playing) this.context.live.send({ type: "step" });
@@ -281,10 +292,11 @@ export class Fleet extends Emitter {
     if (!newest) return;
     // What a fork gives away is what it is flown for.
     if (this.setup.fork !== null) this.help();
-    const { play, after } = this.how;
-    Object.assign(this.how, { play: false, after: null });
+    const { play, after, moves } = this.how;
+    Object.assign(this.how, { play: false, after: null, moves: [] });
     if (play && !playing) this.play();
     after?.();
+    for (const direction of moves) this.fly(direction);
   }
 
   /** Puts these flights on the stage: from their newest step, unless another moment is wanted. */

@@ -63,7 +63,7 @@ export function mountFly(root, context) {
   panel("calls", mountCalls);
   panel("moves-panel", mountMoves);
   panel("telemetry-panel", mountTelemetry, { boards: () => boards.boards, graph });
-  mountKeys(context, fleet, acts, mountHelp(context));
+  mountKeys(context, fleet, acts, mountHelp());
   mountMapValues(context);
   listenToDrops((file) => openFile(() => past.openFile(file)));
 

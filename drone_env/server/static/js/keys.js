@@ -50,8 +50,7 @@ export function mountKeys(context, fleet, acts, help) {
     }
     if (context.view !== "fly") return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    const flown = fleet.tracks[fleet.human];
-    const direction = flown && fleet.shown && !flown.done ? FLY[key] : undefined;
+    const direction = fleet.byHand ? FLY[key] : undefined;
     if (direction) fleet.fly(direction);
     else if (KEYS[key]) KEYS[key]();
     else return;

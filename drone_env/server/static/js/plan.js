@@ -41,7 +41,11 @@ export function mountPlan(root, context, fleet, acts) {
       value: task.short_name,
       "aria-label": title(task.short_name),
       "aria-describedby": "task-note",
-      on: { change: () => chooseTask(task) },
+      on: {
+        change: () => chooseTask(task),
+        // A click, not a key: the next arrow is for the drone, not for another task.
+        click: ({ detail }) => detail && input.blur(),
+      },
     });
     return el("label.task-option", input, el("span", { text: title(task.short_name).replace(`${family} `, "") }));
   }
@@ -66,7 +70,7 @@ export function mountPlan(root, context, fleet, acts) {
   }
 
   const isPast = () => Boolean(stage.world) && !fleet.shown;
-  const chosen = () => (stage.tracks.length && !isPast() ? fleet.setup.pilots : []);
+  const chosen = () => (isPast() ? [] : fleet.setup.pilots);
 
   function choosePilots(ids) {
     // The next arrow is to fly, not to choose another pilot.
