@@ -105,6 +105,8 @@ export function mountFly(root, context) {
   /** Shows what the address says. */
   async function follow(view) {
     const { address } = context.router;
+    // The flight that the server has put above is for those who ask for nothing.
+    if (address.task || address.episode !== null) document.getElementById("hello")?.remove();
     if (view !== "fly") {
       fleet.pause();
       stage.clock.stop();
@@ -143,8 +145,11 @@ export function mountFly(root, context) {
       if (track && still && step() !== context.router.address.step) context.router.moment({ step: step() });
     }, LINGER);
   });
-  // The flight that the server has put above has said its word once one is flown here.
-  stage.on("frames", () => stage.clock.end() && document.getElementById("hello")?.remove());
+  // The flight that the server has put above has said its word once one is flown here, or another is chosen.
+  let loads = 0;
+  const heard = (enough) => enough && document.getElementById("hello")?.remove();
+  stage.on("frames", () => heard(stage.clock.end() > 0));
+  stage.on("load", () => heard(++loads > 1));
 }
 
 /** What went wrong, above the maps; where nothing is flown, with a way on. */
@@ -153,7 +158,7 @@ function mountProblem(root, context, fleet) {
   root.append(text);
   const another = el("button.button.small", {
     text: "Fly another map",
-    press: () => fleet.start(fleet.asks({ pilots: [] })),
+    press: () => fleet.another(),
   });
   const problem = {
     say(words) {
