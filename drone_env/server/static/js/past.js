@@ -84,10 +84,15 @@ export class Past {
   /** What a language model was asked and has answered, where one flew. */
   async askForCalls(track) {
     if (!track.episode || this.context.pilots.some(({ id }) => id === track.pilot)) return;
-    const { calls, model } = await this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`);
-    if (!calls.length) return;
-    track.calls = { model, steps: new Map(calls.map((call) => [call.step, call])) };
-    this.context.stage.changed(track);
+    try {
+      const { calls, model } = await this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`);
+      if (!calls.length) return;
+      track.calls = { model, steps: new Map(calls.map((call) => [call.step, call])) };
+      this.context.stage.changed(track);
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      toast(error.message);
+    }
   }
 }
 
