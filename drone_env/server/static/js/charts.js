@@ -1,7 +1,7 @@
 // Charts by uPlot that follow the theme, say in words what they show, and can be saved as a picture.
 //
 // uPlot is loaded with the first chart: most visits never come to one.
-import { download, el } from "./dom.js";
+import { download, el, loaded } from "./dom.js";
 import { palette } from "./palette.js";
 
 const FILES = new URL("../vendor/uplot/", import.meta.url);
@@ -21,14 +21,6 @@ function loadUPlot() {
       throw error;
     });
   return loading;
-}
-
-function loaded(element) {
-  return new Promise((resolve, reject) => {
-    element.addEventListener("load", resolve);
-    element.addEventListener("error", () => reject(new Error("The charts could not be loaded.")));
-    document.head.append(element);
-  });
 }
 
 /**

@@ -172,6 +172,12 @@ export class Fleet extends Emitter {
     this.waiting = !live.send({ type: "start", number: ++this.number, ...what });
   }
 
+  /** Starts what every visitor can fly: where what was asked for cannot be. */
+  another() {
+    const task = this.task() ?? this.context.tasks[0];
+    this.start({ task: task.short_name, seed: null, profile: null, pilots: this.able(task).slice(0, 1) });
+  }
+
   /** Flies on from a step of a flight, beside it: another move, and what comes of it. */
   fork(track, step, { pilot = this.person.id, action = null } = {}) {
     const { world } = this.stage;

@@ -145,8 +145,11 @@ export function mountFly(root, context) {
       if (track && still && step() !== context.router.address.step) context.router.moment({ step: step() });
     }, LINGER);
   });
-  // The flight that the server has put above has said its word once one is flown here.
-  stage.on("frames", () => stage.clock.end() && document.getElementById("hello")?.remove());
+  // The flight that the server has put above has said its word once one is flown here, or another is chosen.
+  let loads = 0;
+  const heard = (enough) => enough && document.getElementById("hello")?.remove();
+  stage.on("frames", () => heard(stage.clock.end() > 0));
+  stage.on("load", () => heard(++loads > 1));
 }
 
 /** What went wrong, above the maps; where nothing is flown, with a way on. */
@@ -155,7 +158,7 @@ function mountProblem(root, context, fleet) {
   root.append(text);
   const another = el("button.button.small", {
     text: "Fly another map",
-    press: () => fleet.start(fleet.asks({ pilots: [] })),
+    press: () => fleet.another(),
   });
   const problem = {
     say(words) {

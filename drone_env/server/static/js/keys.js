@@ -64,5 +64,6 @@ function taken({ target, key }) {
   const arrow = key.startsWith("Arrow") || key === "Home" || key === "End";
   if (target.matches("input[type=range], .events, .moves, pre")) return arrow;
   if (target.matches("input[type=radio]")) return arrow || key === " ";
-  return target.matches("button, a, summary, input[type=checkbox]") && (key === " " || key === "Enter");
+  if (target.matches("a")) return key === "Enter";
+  return target.matches("button, summary, input[type=checkbox]") && (key === " " || key === "Enter");
 }
