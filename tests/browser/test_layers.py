@@ -1,5 +1,6 @@
 """What can be laid on the map, asked of the server once a moment; and from where the map is seen."""
 
+import json
 import re
 
 from playwright.sync_api import Locator, Page, Request, Route, expect
@@ -23,11 +24,11 @@ def box(page: Page, name: str) -> Locator:
 
 
 def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_moment(page: Page) -> None:
-    asked: list[object] = []
+    asked: list[int] = []
 
     def note(request: Request) -> None:
         if request.url.endswith("/values"):
-            asked.append(len(request.post_data_json["actions"]))
+            asked.append(len(json.loads(request.post_data or "")["actions"]))
 
     show(page, "/?task=skyline_easy&seed=7&pilot=greedy")
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
