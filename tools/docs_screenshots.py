@@ -6,7 +6,7 @@
     docs/images/dashboard-fork.png       a person who tries from its worst move
     docs/images/dashboard-layers.png     what is best from each cell of a skyline city, and the battery's range
     docs/images/dashboard-several.png    four pilots on one map, their flights annotated
-    docs/images/dashboard-compare.png    who flies best
+    docs/images/dashboard-compare.png    who flies best, and two pilots map by map
     docs/images/dashboard-learn.png      the tutorial, and the levels side by side
 
 Server, flights and the machine's own chromium are real; the pictures depend on its fonts a little.
@@ -94,8 +94,8 @@ def several(tabs: Tabs) -> None:
 
 def pages(tabs: Tabs) -> None:
     """Compare and Learn."""
-    page = tabs.open("/?view=compare&task=medium&pilots=pathqnet,greedy")
-    expect(page.locator("#view-compare table").first).to_be_visible()
+    page = tabs.open("/?view=compare&task=skyline_medium&pilots=tournet,greedy")
+    expect(page.get_by_role("heading", name="Tournet against Greedy")).to_be_visible()
     page.wait_for_load_state("networkidle")
     save(page, "compare")
     view(page, "Learn")
@@ -111,8 +111,8 @@ def main() -> None:
         raise SystemExit("chromium is not installed: apt-get install chromium")
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder) / "data"
-        agents = ("random", "pathqnet", "greedy")
-        fill(data, [flown("medium", seed, agents[seed % len(agents)]) for seed in range(FLIGHTS)])
+        agents = ("random", "tournet", "greedy")
+        fill(data, [flown("skyline_medium", seed, agent) for seed in range(FLIGHTS // len(agents)) for agent in agents])
         with serving(data) as server, launched(chromium) as browser:
             tabs = Tabs(browser, server.url)
             for take in (alone, fork, layers, several, pages):

@@ -275,22 +275,23 @@ def test_the_answer_to_an_older_choice_does_not_undo_a_newer_one(beside: Callabl
 
         server.on_message(answer)
 
-    def answer_the_next() -> None:
+    def wait_for_one() -> None:
         while not held:
             page.wait_for_timeout(20)
-        held.pop(0)()
 
     page.route_web_socket("**/live", hold_the_flights)
     page.goto("/?task=easy&seed=3&pilot=greedy")
     you, number = pilot(page, "You"), page.get_by_role("spinbutton", name="Map")
+    wait_for_one()
     you.click()
     number.fill("7")
     number.press("Enter")
     for _ in range(2):
-        answer_the_next()
+        held.pop(0)()
+        wait_for_one()
         expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
         expect(you).to_have_attribute("aria-pressed", "true")
         expect(number).to_have_value("7")
-    answer_the_next()
+    held.pop(0)()
     page.get_by_role("group", name="Fly").get_by_role("button", name="Wait", exact=True).click()
     expect(page.locator("#step-counter")).to_have_text(re.compile("^Step 1 of 60"))

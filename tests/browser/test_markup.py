@@ -71,12 +71,14 @@ def test_in_tasks_pilots_messages_and_races(hostile: Page) -> None:
 
 
 def test_in_agents_logs_and_records(page: Page, tmp_path: Path) -> None:
-    view(page, "History")
-    page.get_by_role("combobox", name="Task").select_option("")
-    page.get_by_role("combobox", name="Agent").select_option(MARKUP)
-    row = page.locator("tr[data-episode]")
-    expect(row).to_have_count(1)
-    expect(row).to_contain_text(MARKUP)
+    view(page, "Compare")
+    page.get_by_role("combobox", name="Task").select_option("easy")
+    page.get_by_role("button", name=MARKUP, exact=True).click()
+    expect(page.get_by_role("region", name=f"Maps that {MARKUP} flew")).to_be_visible()
+    page.get_by_role("combobox", name="Pilot").select_option(MARKUP)
+    expect(page.locator("[data-episode]")).to_have_count(1)
+    page.get_by_role("checkbox", name="Compare Random").check()
+    expect(page.get_by_role("heading", name=f"{MARKUP} against Random")).to_be_visible()
     expect_only_text(page)
     page.get_by_role("link", name="API").click()
     expect(page.get_by_role("log", name="Training")).to_contain_text(MARKUP)

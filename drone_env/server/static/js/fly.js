@@ -105,6 +105,8 @@ export function mountFly(root, context) {
   /** Shows what the address says. */
   async function follow(view) {
     const { address } = context.router;
+    // The flight that the server has put above is for those who ask for nothing.
+    if (address.task || address.episode !== null) document.getElementById("hello")?.remove();
     if (view !== "fly") {
       fleet.pause();
       stage.clock.stop();

@@ -84,15 +84,15 @@ export class Past {
   /** What a language model was asked and has answered, where one flew. */
   async askForCalls(track) {
     if (!track.episode || this.context.pilots.some(({ id }) => id === track.pilot)) return;
-    let asked;
     try {
-      asked = await this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`);
+      const { calls, model } = await this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`);
+      if (!calls.length) return;
+      track.calls = { model, steps: new Map(calls.map((call) => [call.step, call])) };
+      this.context.stage.changed(track);
     } catch (error) {
-      if (error.status === 404) return; // no language model flew it, or its run is not kept here
-      throw error;
+      if (!(error instanceof ApiError)) throw error;
+      toast(error.message);
     }
-    track.calls = { model: asked.model, steps: new Map(asked.calls.map((call) => [call.step, call])) };
-    this.context.stage.changed(track);
   }
 }
 
