@@ -63,9 +63,16 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
         assert asked == [0]
         # What each move leaves possible stands beside, of the moment that is looked at.
         page.keyboard.press("v")
-        with page.expect_response("**/values") as answer:
+        expect(page.locator("#q-values tr.best").first).to_be_visible()
+        held: list[Route] = []
+        page.route("**/values", held.append)
+        with page.expect_request("**/values"):
             step(page)
+        expect(page.locator("#q-values tr.best")).to_have_count(0)
+        with page.expect_response("**/values") as answer:
+            held[0].continue_()
         exact = answer.value.json()["q_values"]
+        page.unroute("**/values")
         for action, value in exact.items():
             cells = page.locator(f"#q-values tr[data-action={action}]").get_by_role("cell")
             expect(cells.nth(1)).to_have_text(points(value))
