@@ -82,13 +82,13 @@ def test_it_waits_for_start_shows_each_step_as_the_server_has_it_and_saves_them(
 
 @pytest.mark.feature("D1")
 def test_start_pause_a_step_go_on_the_end_play_it_again_reset_and_a_new_map(page: Page, server: Server) -> None:
-    flight = frames(server.url, flown("medium", 8, "greedy"))
+    flight = frames(server.url, flown("easy", 6, "greedy"))
     with page.expect_websocket() as socket:
-        page.goto("/?task=medium&seed=8&pilot=greedy")
+        page.goto("/?task=easy&seed=6&pilot=greedy")
     at_speed(page, "2")  # slow enough that it does not end before it is paused
     page.get_by_role("button", name="Start", exact=True).click()
     expect(page.get_by_role("button", name="Step", exact=True)).to_be_disabled()
-    expect(page.locator("#step-counter")).to_have_text(re.compile("^Step ([2-9]|[1-9][0-9]) of 100"))
+    expect(page.locator("#step-counter")).to_have_text(re.compile("^Step ([2-9]|[1-9][0-9]) of 60"))
     with socket.value.expect_event("framereceived", says_paused):
         page.get_by_role("button", name="Pause", exact=True).click()
     expect(page.get_by_role("button", name="Go on", exact=True)).to_be_visible()
@@ -96,29 +96,29 @@ def test_start_pause_a_step_go_on_the_end_play_it_again_reset_and_a_new_map(page
     at = counter(page)
     assert at < len(flight) - 1
     step(page)
-    expect_frame(page, flight[at + 1], 100)
+    expect_frame(page, flight[at + 1], 60)
     fly(page, "Go on")
     ended(page)
-    expect_frame(page, flight[-1], 100)
+    expect_frame(page, flight[-1], 60)
     # What has ended is played again, from any step.
     last = len(flight) - 1
     for key, at in (("Home", 0), (".", 1), ("ArrowRight", 2), ("ArrowLeft", 1), ("End", last), ("ArrowLeft", last - 1)):
         page.keyboard.press(key)
-        expect_frame(page, flight[at], 100)
+        expect_frame(page, flight[at], 60)
     page.get_by_role("button", name="First step").click()
-    expect_frame(page, flight[0], 100)
+    expect_frame(page, flight[0], 60)
     page.get_by_role("button", name="Play", exact=True).click()
-    expect_frame(page, flight[-1], 100)
+    expect_frame(page, flight[-1], 60)
     for name, at in (("Step back", last - 1), ("Last step", last)):
         page.get_by_role("button", name=name).click()
-        expect_frame(page, flight[at], 100)
+        expect_frame(page, flight[at], 60)
     page.get_by_role("button", name="Reset", exact=True).click()
-    expect_frame(page, flight[0], 100)
+    expect_frame(page, flight[0], 60)
     expect(page.get_by_role("button", name="Start", exact=True)).to_be_visible()
-    expect(page.get_by_role("spinbutton", name="Map")).to_have_value("8")
+    expect(page.get_by_role("spinbutton", name="Map")).to_have_value("6")
     page.get_by_role("button", name="New map").click()
-    expect(page.get_by_role("spinbutton", name="Map")).not_to_have_value(re.compile("^8?$"))
-    expect(page.locator("#step-counter")).to_have_text("Step 0 of 100")
+    expect(page.get_by_role("spinbutton", name="Map")).not_to_have_value(re.compile("^6?$"))
+    expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
 
 
 def says_paused(frame: str | bytes) -> bool:
