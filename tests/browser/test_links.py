@@ -101,7 +101,7 @@ def test_each_flight_is_an_entry_that_back_and_forward_come_to(page: Page) -> No
 
 
 def test_back_and_reload_show_the_view_and_the_flight_that_the_address_says(page: Page, server: Server) -> None:
-    # Both in the middle of their flights: a moment that another flight does not have would not be told apart from its end.
+    # Both in the middle of their flights: a moment that another does not have would not be told apart from its end.
     first, second = flown("medium", 5, "random"), flown("medium", 6, "random")
     ids = fill(server.data, [first, second])
     shown = {id_: frames(server.url, one) for id_, one in zip(ids, (first, second), strict=True)}
@@ -241,7 +241,8 @@ def test_the_bare_address_has_a_flight_that_moves_by_itself_until_one_is_flown(
     expect(hello.get_by_role("link", name="Race the network")).to_be_visible()
     expect(where).to_have_text("Step 0 of 100")
     seed = hello.get_attribute("data-seed")
-    assert seed and len(seed) < 5, "people say the number to each other"
+    assert seed is not None
+    assert len(seed) < 5, "people say the number to each other"
     # The map that is drawn there is the one that is flown.
     expect(map_number(page)).to_have_value(seed)
     expect(hello).to_be_visible()
