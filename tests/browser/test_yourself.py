@@ -10,7 +10,7 @@ from drone_env.core.episode import Episode
 from drone_env.episodes.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import frames
-from tests.browser.stage import along, expect_frame, pictures, pilot
+from tests.browser.stage import along, expect_frame, fly, pictures, pilot
 
 
 def by_hand(server: Server, seed: int, actions: list[Action]) -> list[dict]:
@@ -89,6 +89,10 @@ def test_by_keyboard_alone_and_beside_others_who_move_along(page: Page, server: 
     expect(standings).to_have_count(2)
     expect(standings.filter(has_text="Greedy").get_by_role("cell").first).to_have_text("1")
     expect(standings.filter(has_text="You")).to_have_class("selected")
+    # Once the others have ended, nobody is left who flies by himself.
+    fly(page, "Go on")
+    expect(page.locator("#start")).to_be_hidden()
+    expect(standings.filter(has_text="Greedy").get_by_role("cell").nth(1)).to_have_text("1/1")
 
 
 def test_nothing_is_told_to_who_flies_unless_he_asks_and_then_the_record_says_so(page: Page, server: Server) -> None:
