@@ -90,7 +90,7 @@ def test_in_agents_calls_logs_and_files(page: Page, server: Server, tmp_path: Pa
     show(page, f"/?episode={listed[0]['id']}")
     expect(page.locator(".strip")).to_contain_text(MARKUP)
     page.keyboard.press("Home")
-    for said in ("#llm-answer", "#llm-prompt", ".calls h2", ".calls .note"):
+    for said in ("#llm-answer", "#llm-prompt", ".calls h2"):
         expect(page.locator(said)).to_contain_text(MARKUP)
     expect_only_text(page)
     page.unroute("**/calls")
