@@ -178,6 +178,12 @@ def test_everything_goes_with_the_keyboard_alone(page: Page) -> None:
     page.keyboard.press("n")
     expect(where).to_have_text("Step 0 of 60")
     expect(page.get_by_role("spinbutton", name="Map")).not_to_have_value("7")
+    page.keyboard.press("End")
+    page.keyboard.press(" ")
+    ended(page).get_by_role("button", name="Next: Medium").focus()
+    page.keyboard.press("Enter")
+    expect(where).to_have_text("Step 0 of 100")
+    expect(page.get_by_role("button", name="Start", exact=True)).to_be_focused()
 
 
 def test_a_dialog_that_closes_gives_the_focus_back(page: Page) -> None:
