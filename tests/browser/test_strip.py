@@ -1,6 +1,7 @@
 """The end of a flight: the strip under the map, with what went wrong, what comes next and what is shared."""
 
 import re
+from typing import Any
 
 import httpx
 import pytest
@@ -57,7 +58,8 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_and_all_flights(pag
     expect(strip).to_contain_text(f"Success trend{'+' if trend >= 0 else ''}{fixed(trend, 0)} points")
     for action, share in analysis["action_distribution"].items():
         expect(strip).to_contain_text(f"{action} {percent(share)}")
-    worst = max(annotation["moves"], key=lambda move: move["regret"])
+    moves: list[dict[str, Any]] = annotation["moves"]
+    worst = max(moves, key=lambda move: move["regret"])
     seen = strip.get_by_role("button", name=re.compile("^Worst move"))
     expect(seen).to_have_text(f"Worst move: step {worst['step']}, {worst['action']}, lost {points(worst['regret'])}")
     seen.click()

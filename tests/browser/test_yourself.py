@@ -1,6 +1,7 @@
 """Flying oneself: keys and pad, what is kept back, undo, and what asks before it destroys."""
 
 import re
+from typing import Any
 
 import httpx
 from playwright.sync_api import Locator, Page, expect
@@ -13,7 +14,7 @@ from tests.browser.flights import frames
 from tests.browser.stage import along, expect_frame, fly, pictures, pilot
 
 
-def by_hand(server: Server, seed: int, actions: list[Action]) -> list[dict]:
+def by_hand(server: Server, seed: int, actions: list[Action]) -> list[dict[str, Any]]:
     """What the server says of an easy flight with these actions."""
     episode = Episode("easy", "tiered", seed)
     for action in actions:
