@@ -10,7 +10,7 @@ FASTEST = "60"
 """Steps per second, the last choice."""
 SIGNS = {
     "Fly": "#boards .map",
-    "Compare": "#view-compare table",
+    "Compare": "#view-compare tbody tr",
     "Learn": ".lesson",
     "API": "#log-requests li",
 }

@@ -201,6 +201,25 @@ def test_a_flight_of_the_past_lends_its_map_to_what_is_flown_next(page: Page, re
         expect(seed).to_have_value(map_)
 
 
+def test_beside_a_language_models_flight_stands_what_it_was_asked_and_answered(page: Page, server: Server) -> None:
+    flights = httpx.get(f"{server.url}/episodes", params={"agent": "scripted"}).json()["episodes"]
+    id_ = next(one["id"] for one in flights if one["seed"] == 14)
+    calls = httpx.get(f"{server.url}/episodes/{id_}/calls").json()["calls"]
+    # Its first answer was none: it was asked again.
+    assert [(call["step"], call["answer"], call["outcome"]) for call in calls[:1]] == [(1, "Hm.", "illegal")]
+    show(page, f"/?episode={id_}")
+    answer, prompt = page.locator("#llm-answer"), page.locator("#llm-prompt")
+    expect(answer).to_have_text(f"Hm. (illegal)\n\nAsked again: {calls[1]['answer']}")
+    page.get_by_text("What it was asked").click()
+    for call in calls[1:]:
+        page.keyboard.press("ArrowRight")
+        expect(page.locator("#step-counter")).to_contain_text(f"Step {call['step']} of {len(calls) - 1}")
+        expect(prompt).to_have_text("\n\n".join(f"{one['role']}: {one['content']}" for one in call["messages"]))
+        expect(answer).to_contain_text(call["answer"])
+    show(page, "/?task=easy&seed=7&pilot=greedy")
+    expect(answer).to_be_hidden()
+
+
 def test_bad_files_are_refused_in_words(page: Page, shared: Tabs, record: EpisodeRecord) -> None:
     shared.expect("422")
     problem = page.locator("#view-fly").get_by_role("alert")

@@ -27,7 +27,7 @@ export function mountMapValues(context) {
     }
     const { world, track, clock } = stage;
     const actions = track.actionsTo(clock.cursor);
-    const key = `${world.task.id} ${world.seed} ${actions.join("")}`;
+    const key = stage.moment;
     if (key === stage.values?.key || asked.has(key)) return;
     if (kept.has(key)) show({ key, answer: kept.get(key) });
     else {

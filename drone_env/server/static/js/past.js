@@ -87,7 +87,9 @@ export class Past {
     try {
       const { calls, model } = await this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`);
       if (!calls.length) return;
-      track.calls = { model, steps: new Map(calls.map((call) => [call.step, call])) };
+      const steps = new Map();
+      for (const call of calls) steps.set(call.step, [...(steps.get(call.step) ?? []), call]);
+      track.calls = { model, steps };
       this.context.stage.changed(track);
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;

@@ -60,6 +60,12 @@ export class Stage extends Emitter {
     return this.track?.frameAt(this.clock.cursor) ?? null;
   }
 
+  /** The moment that is looked at, in words that no other has: a map, and what was flown over it. */
+  get moment() {
+    const { track, world, clock } = this;
+    return `${world.task.id} ${world.seed} ${track.actionsTo(clock.cursor).join("")}`;
+  }
+
   /** Whether all flights have ended. */
   get over() {
     return this.tracks.length > 0 && this.tracks.every((track) => track.done);

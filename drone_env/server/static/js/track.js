@@ -23,7 +23,7 @@ export class Track {
     this.annotation = null;
     /** The summary of the stored flight; null while it is not stored. */
     this.episode = null;
-    /** The calls of a language model by step, null where none flew. */
+    /** The calls of a language model by step, several where an answer could not be used; null where none flew. */
     this.calls = null;
     /** The step from which it goes another way than the flight that it left; null where it is nobody's fork. */
     this.forkedAt = opening.forked_at;
