@@ -19,6 +19,7 @@ from tests.browser.stage import (
     expect_frame,
     fixed,
     fly,
+    over,
     pictures,
     pilot,
     points,
@@ -136,7 +137,7 @@ def says_paused(frame: str | bytes) -> bool:
 @pytest.mark.feature("D1")
 def test_the_network_shows_what_it_thinks_of_each_move(page: Page, server: Server) -> None:
     flight = frames(server.url, flown("hard", 7, "pathqnet"))
-    page.goto("/?task=hard&seed=7&pilot=pathqnet")
+    over(page, 7, "/?task=hard&seed=7&pilot=pathqnet")
     expect_frame(page, flight[0], 160)
     thoughts = page.get_by_role("table", name="Each move from here")
     for frame in flight[:2]:
@@ -239,7 +240,7 @@ def colours_of_the_graph(page: Page, *names: str) -> set[int]:
 
 
 def test_a_map_that_is_typed_is_flown_and_its_legend_shows_what_can_be_met_on_it(page: Page, server: Server) -> None:
-    page.goto("/?task=easy&seed=3&pilot=optimal")
+    over(page, 3, "/?task=easy&seed=3&pilot=optimal")
     number = page.get_by_role("spinbutton", name="Map")
     expect(number).to_have_value("3")
     number.fill("7")

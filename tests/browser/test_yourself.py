@@ -11,7 +11,7 @@ from drone_env.core.episode import Episode
 from drone_env.episodes.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import frames
-from tests.browser.stage import along, expect_frame, fly, pictures, pilot
+from tests.browser.stage import along, expect_frame, fly, over, pictures, pilot
 
 
 def by_hand(server: Server, seed: int, actions: list[Action]) -> list[dict[str, Any]]:
@@ -81,8 +81,8 @@ def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server
 
 
 def test_you_is_chosen_by_mouse_or_keyboard_and_beside_others_who_move_along(page: Page, server: Server) -> None:
-    page.goto("/?task=easy&seed=7&pilot=greedy")
-    flown = by_hand(server, 7, [Action.RIGHT])[1]
+    over(page, 12, "/?task=easy&seed=12&pilot=greedy")
+    flown = by_hand(server, 12, [Action.RIGHT])[1]
     for chosen, key in ((pilot(page, "You"), ""), (pilot(page, "You"), "Enter"), (along(page, "Greedy"), " ")):
         expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
         chosen.press(key) if key else chosen.click()
@@ -102,7 +102,7 @@ def test_you_is_chosen_by_mouse_or_keyboard_and_beside_others_who_move_along(pag
 
 
 def test_nothing_is_told_to_who_flies_unless_he_asks_and_then_the_record_says_so(page: Page, server: Server) -> None:
-    page.goto("/?task=easy&seed=5&pilot=human")
+    over(page, 5, "/?task=easy&seed=5&pilot=human")
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
     way = to_the_parcel(5)
     page.keyboard.press(way[0])
@@ -137,7 +137,7 @@ def test_nothing_is_told_to_who_flies_unless_he_asks_and_then_the_record_says_so
 
 
 def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Page, server: Server) -> None:
-    page.goto("/?task=easy&seed=8&pilot=human")
+    over(page, 8, "/?task=easy&seed=8&pilot=human")
     undo = page.get_by_role("button", name="Undo")
     expect(undo).to_be_disabled()
     way = to_the_parcel(8)
