@@ -33,6 +33,14 @@ def show(page: Page, path: str) -> None:
     page.evaluate("path => { history.pushState(null, '', path); dispatchEvent(new PopStateEvent('popstate')); }", path)
 
 
+def over(page: Page, seed: int, path: str) -> None:
+    """The same, to a flight over a map of another number than the one that is shown."""
+    drawn = page.get_by_role("img", name=f"map {seed},").first
+    expect(drawn).to_be_hidden()
+    show(page, path)
+    expect(drawn).to_be_visible()
+
+
 def at_speed(page: Page, steps: str) -> None:
     """So many steps per second, as the choices are written."""
     page.get_by_role("combobox", name="Speed").select_option(steps)
