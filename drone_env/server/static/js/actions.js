@@ -58,7 +58,7 @@ export function actionsOf(context, fleet) {
     start,
     fork(options) {
       const { track } = stage;
-      if (!track || track.frameAt(clock.cursor).done) return;
+      if (!track || fleet.atHand || track.frameAt(clock.cursor).done) return;
       givingUp(() => fleet.fork(track, Math.min(clock.cursor, track.steps), options));
     },
     faster(by) {
