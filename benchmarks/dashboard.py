@@ -68,7 +68,8 @@ def script_spans(events: list[dict[str, Any]]) -> Iterator[tuple[float, float]]:
     for event in events:
         if event["name"] in SCRIPT and event["ts"] >= end:
             end = event["ts"] + event["dur"]
-            yield event["ts"], event["tdur"]
+            # Of a few that are short the trace has no CPU time.
+            yield event["ts"], event.get("tdur", event["dur"])
 
 
 def frame_costs(trace: list[dict[str, Any]]) -> tuple[list[float], list[float]]:

@@ -10,7 +10,7 @@ FASTEST = "60"
 """Steps per second, the last choice."""
 SIGNS = {
     "Fly": "#boards .map",
-    "Compare": "#view-compare table",
+    "Compare": "#view-compare tbody tr",
     "Learn": ".lesson",
     "API": "#log-requests li",
 }
@@ -31,6 +31,14 @@ def whole_view(page: Page, name: str) -> None:
 def show(page: Page, path: str) -> None:
     """Go to an address of the page as Back and Forward do: what is loaded stays, which costs less than `goto`."""
     page.evaluate("path => { history.pushState(null, '', path); dispatchEvent(new PopStateEvent('popstate')); }", path)
+
+
+def over(page: Page, seed: int, path: str) -> None:
+    """The same, to a flight over a map of another number than the one that is shown."""
+    drawn = page.get_by_role("img", name=f"map {seed},").first
+    expect(drawn).to_be_hidden()
+    show(page, path)
+    expect(drawn).to_be_visible()
 
 
 def at_speed(page: Page, steps: str) -> None:

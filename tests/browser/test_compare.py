@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Locator, Page, expect
 
 from drone_env.episodes.store import Store
 from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, SEEDS
 from tests.browser.flights import flown
-from tests.browser.stage import fixed, percent, points, view
-from tests.browser.tabs import PATIENCE_MS, Tabs
+from tests.browser.stage import fixed, percent, points, show, view
+from tests.browser.tabs import NARROW, PATIENCE_MS, WIDE, Tabs
+from tests.browser.test_everybody import findings
 
 
 def compare(page: Page, task: str = "easy") -> None:
@@ -137,6 +139,26 @@ def test_two_pilots_are_paired_by_map(page: Page, server: Server) -> None:
     expect(page).to_have_url(f"{server.url}/?episode={pair['a']['id']}")
 
 
+def test_it_is_for_everybody(page: Page) -> None:
+    show(page, "/?view=compare&task=easy&pilots=greedy,random")
+    page.evaluate(Axe().axe_script)
+    # One flight is enough: all are alike, and axe takes its time for each.
+    page.get_by_role("combobox", name="Pilot").select_option(MARKUP)
+    expect(page.locator("[data-episode]")).to_have_count(1)
+    found: list[str] = []
+    for pilots, region in (("greedy,random", "Greedy against Random"), ("random", "Maps that Random flew")):
+        show(page, f"/?view=compare&task=easy&pilots={pilots}")
+        expect(page.get_by_role("region", name=region)).to_be_visible()
+        found += findings(page, "main")
+        page.set_viewport_size(NARROW)
+        assert page.evaluate("document.documentElement.scrollWidth") == NARROW["width"]
+        page.set_viewport_size(WIDE)
+    assert found == []
+    # What somebody elsewhere is called is text.
+    assert page.locator("img[src=x]").count() == 0
+    expect(rows(page, "Leaderboard").filter(has_text=MARKUP)).to_have_count(1)
+
+
 def test_runs_of_language_models_have_their_own_board(page: Page, server: Server) -> None:
     compare(page)
     (board,) = get(server, "leaderboard/easy/models")["boards"]
@@ -163,6 +185,7 @@ def test_the_curve_of_a_training_grows_as_it_goes(page: Page, data: Path) -> Non
 def test_list_and_charts_show_the_same_flights(page: Page, server: Server) -> None:
     compare(page)
     known = [one["id"] for one in get(server, "episodes", task="easy", limit=200)["episodes"]]
+    page.get_by_role("combobox", name="Pilot").select_option("")
     flights = page.locator("[data-episode]")
     expect(flights).to_have_count(50)
     assert listed(page) == known[:50]

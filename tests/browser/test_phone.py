@@ -171,3 +171,41 @@ def test_a_swipe_on_the_map_flies_there(phone: Page) -> None:
         flight.dispatch_event("pointerdown", touch)
         flight.dispatch_event("pointerup", {**touch, "clientX": 150 + x, "clientY": 150 + y})
         expect(phone.locator("#step-counter")).to_contain_text(f"Step {step} of 60 · {action}")
+
+
+def test_a_map_from_nearby_moves_with_the_drone_or_with_a_finger(phone: Page) -> None:
+    show(phone, "/?task=hard&seed=11&pilot=greedy")
+    expect(phone.get_by_text("Hard · map 11 · Greedy")).to_be_visible()
+    expect(phone.locator("#step-counter")).to_have_text("Step 0 of 160")
+    ground, follow = phone.locator("#boards canvas").first, phone.get_by_role("button", name="Follow the drone")
+
+    def corner() -> tuple[float, ...]:
+        pictures(phone)
+        return place(ground)
+
+    whole = corner()
+    for _ in range(4):
+        phone.get_by_role("button", name="Nearer").tap()
+    start = corner()
+    assert start[2] - start[0] > 3 * (whole[2] - whole[0])
+    expect(follow).to_be_hidden()
+    fly(phone)
+    ended(phone)
+    assert corner()[:2] != start[:2]
+    phone.get_by_role("button", name="First step").tap()
+    before = corner()
+    # The finger moves the map, not the page; from then on it lies where the finger has left it.
+    assert phone.locator("#boards .map").evaluate("map => getComputedStyle(map).touchAction") == "none"
+    touch = {"pointerType": "touch", "isPrimary": True, "bubbles": True, "pointerId": 7, "clientX": 150, "clientY": 300}
+    ground.dispatch_event("pointerdown", touch)
+    ground.dispatch_event("pointermove", {**touch, "clientX": 130, "clientY": 290})
+    ground.dispatch_event("pointerup", touch)
+    moved = corner()
+    assert (moved[0] - before[0], moved[1] - before[1]) == pytest.approx((-20, -10), abs=1)
+    phone.get_by_role("button", name="Step", exact=True).tap()
+    assert corner() == moved
+    follow.tap()
+    expect(follow).to_be_hidden()
+    for _ in range(4):
+        phone.get_by_role("button", name="Farther").tap()
+    assert corner() == whole

@@ -8,7 +8,7 @@ from playwright.sync_api import Locator, Page, Route, expect
 from drone_env.episodes.record import parse_record
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, possible, posted
-from tests.browser.stage import along, fly, painted, pictures, pilot, points, step
+from tests.browser.stage import along, fly, over, painted, pictures, pilot, points, step
 
 SEED = 20
 """A map on which chance, too, delivers, after twelve steps."""
@@ -28,7 +28,7 @@ def test_four_are_ranked_while_they_fly_as_their_agents_do_and_each_is_annotated
     records = {agent: flown("easy", SEED, agent) for agent in NAMES}
     flights = {agent: frames(server.url, record) for agent, record in records.items()}
     values = {agent: possible(server.url, record) for agent, record in records.items()}
-    page.goto(f"/?task=easy&seed={SEED}&pilots={','.join(NAMES)}")
+    over(page, SEED, f"/?task=easy&seed={SEED}&pilots={','.join(NAMES)}")
     names = standings(page).get_by_role("rowheader")
     expect(names).to_have_text(list(NAMES.values()))
     for at in (1, 2, 3):

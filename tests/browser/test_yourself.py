@@ -1,6 +1,7 @@
 """Flying oneself: keys and pad, what is kept back, undo, and what asks before it destroys."""
 
 import re
+from typing import Any
 
 import httpx
 from playwright.sync_api import Locator, Page, expect
@@ -10,10 +11,10 @@ from drone_env.core.episode import Episode
 from drone_env.episodes.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import frames
-from tests.browser.stage import along, expect_frame, pictures, pilot
+from tests.browser.stage import along, expect_frame, fly, over, pictures, pilot
 
 
-def by_hand(server: Server, seed: int, actions: list[Action]) -> list[dict]:
+def by_hand(server: Server, seed: int, actions: list[Action]) -> list[dict[str, Any]]:
     """What the server says of an easy flight with these actions."""
     episode = Episode("easy", "tiered", seed)
     for action in actions:
@@ -47,9 +48,15 @@ def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server
     flight = iter(by_hand(server, 7, actions)[1:])
     page.goto("/?task=easy&seed=7&pilot=greedy")
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
-    # By mouse, and at once: the key comes before the server has answered.
-    pilot(page, "You").click()
-    page.keyboard.press("ArrowRight")
+    # At once: the key comes before the server has answered.
+    pilot(page, "You").evaluate(
+        """button => {
+            button.focus();
+            button.click();
+            const right = new KeyboardEvent("keydown", { key: "ArrowRight", bubbles: true });
+            document.activeElement.dispatchEvent(right);
+        }"""
+    )
     expect_frame(page, next(flight), 60)
     page.keyboard.press("ArrowUp")
     expect_frame(page, next(flight), 60)
@@ -73,26 +80,29 @@ def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server
     expect(pilot(page, "You")).to_have_attribute("aria-pressed", "true")
 
 
-def test_by_keyboard_alone_and_beside_others_who_move_along(page: Page, server: Server) -> None:
-    page.goto("/?task=easy&seed=7&pilot=greedy")
-    for chosen, key in ((pilot(page, "You"), "Enter"), (along(page, "Greedy"), " ")):
+def test_you_is_chosen_by_mouse_or_keyboard_and_beside_others_who_move_along(page: Page, server: Server) -> None:
+    over(page, 12, "/?task=easy&seed=12&pilot=greedy")
+    flown = by_hand(server, 12, [Action.RIGHT])[1]
+    for chosen, key in ((pilot(page, "You"), ""), (pilot(page, "You"), "Enter"), (along(page, "Greedy"), " ")):
         expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
-        chosen.focus()
-        page.keyboard.press(key)
-        expect(pad(page)).to_be_visible()
+        chosen.press(key) if key else chosen.click()
         page.keyboard.press("ArrowRight")
-        expect_frame(page, by_hand(server, 7, [Action.RIGHT])[1], 60)
-        if key == "Enter":
+        expect_frame(page, flown, 60)
+        if key != " ":
             page.keyboard.press("r")
             page.get_by_role("button", name="Give it up").click()
     standings = page.get_by_role("table", name="Standings").locator("tbody tr")
     expect(standings).to_have_count(2)
     expect(standings.filter(has_text="Greedy").get_by_role("cell").first).to_have_text("1")
     expect(standings.filter(has_text="You")).to_have_class("selected")
+    # Once the others have ended, nobody is left who flies by himself.
+    fly(page, "Go on")
+    expect(page.locator("#start")).to_be_hidden()
+    expect(standings.filter(has_text="Greedy").get_by_role("cell").nth(1)).to_have_text("1/1")
 
 
 def test_nothing_is_told_to_who_flies_unless_he_asks_and_then_the_record_says_so(page: Page, server: Server) -> None:
-    page.goto("/?task=easy&seed=5&pilot=human")
+    over(page, 5, "/?task=easy&seed=5&pilot=human")
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
     way = to_the_parcel(5)
     page.keyboard.press(way[0])
@@ -127,7 +137,7 @@ def test_nothing_is_told_to_who_flies_unless_he_asks_and_then_the_record_says_so
 
 
 def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Page, server: Server) -> None:
-    page.goto("/?task=easy&seed=8&pilot=human")
+    over(page, 8, "/?task=easy&seed=8&pilot=human")
     undo = page.get_by_role("button", name="Undo")
     expect(undo).to_be_disabled()
     way = to_the_parcel(8)

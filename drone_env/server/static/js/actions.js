@@ -16,7 +16,7 @@ export function actionsOf(context, fleet) {
     act();
   }
   /** Whether a step from here is a new one, which the server flies. */
-  const goesOn = () => fleet.shown && !fleet.over && fleet.automatic && clock.cursor === clock.newest();
+  const goesOn = () => fleet.shown && fleet.automatic && clock.cursor === clock.newest();
   /** Other flights: what is named is new, the rest as it is shown. A flight of the past lends its map, and its pilot if it flies. */
   function start(change, how) {
     const { track, world } = stage;

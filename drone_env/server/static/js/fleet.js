@@ -88,9 +88,9 @@ export class Fleet extends Emitter {
     return this.context.pilots.find(({ automatic }) => !automatic);
   }
 
-  /** Whether somebody flies by himself. */
+  /** Whether a pilot that flies by itself has not ended. */
   get automatic() {
-    return this.tracks.some(({ pilot }) => this.pilot(pilot).automatic);
+    return this.tracks.some(({ pilot, done }) => !done && this.pilot(pilot).automatic);
   }
 
   /** @returns {Object} What the server tells of a pilot; a stand-in where it does not know it. */
@@ -202,7 +202,7 @@ export class Fleet extends Emitter {
   }
 
   play(speed = this.stage.clock.speed) {
-    if (!this.over && this.automatic) this.context.live.send({ type: "play", speed });
+    if (this.automatic) this.context.live.send({ type: "play", speed });
   }
 
   pause() {

@@ -31,7 +31,9 @@ export function mountMoves(root, context) {
     if (!track) return;
     const fresh = track.frames.slice(list.childElementCount + 1);
     list.append(...fresh.map((frame) => moveButton(frame, annotation?.moves[frame.step - 1])));
-    if (track.live && track.steps > heard && (!QUIET.has(track.last.event) || track.done)) announce(track.last.message);
+    // How it has ended is said below the map.
+    const told = track.live && !track.done && track.steps > heard;
+    if (told && !QUIET.has(track.last.event)) announce(track.last.message);
     heard = track.steps;
     const step = Math.min(clock.cursor, track.steps);
     mark(list.children[step - 1]?.firstElementChild ?? null);

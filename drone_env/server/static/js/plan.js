@@ -19,7 +19,8 @@ export function mountPlan(root, context, fleet, acts) {
     profile.append(el("option", { value: id, text: title(id), title: summary }));
   const rewards = el("div.field", el("label.eyebrow", { for: "profile", text: "Rewards" }), profile);
   const narrow = matchMedia("(max-width: 1099px)");
-  const details = el("details.plan-details", { open: !narrow.matches }, heading, tasks, pilots, form, rewards);
+  const choices = el("div.plan-choices", tasks, pilots, form, rewards);
+  const details = el("details.plan-details", { open: !narrow.matches }, heading, choices);
   narrow.addEventListener("change", () => {
     details.open = !narrow.matches;
   });

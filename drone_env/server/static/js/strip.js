@@ -103,7 +103,11 @@ function goOn(context, fleet, acts) {
   const next = nextTask(context.families, context.stage.world.task);
   const flown = fleet.shown ? fleet.setup.pilots : [context.stage.track.pilot];
   const able = [...new Set(flown)].filter((id) => fleet.flies(id, next));
-  acts.start({ task: next.short_name, seed: null, pilots: able.length ? able : fleet.able(next).slice(0, 1) });
+  const pilots = able.length ? able : fleet.able(next).slice(0, 1);
+  acts.start({ task: next.short_name, seed: null, pilots });
+  // The strip goes, and what comes next is to start; but the keys of whoever flies himself are for the drone.
+  if (pilots.includes(fleet.person.id)) document.activeElement.blur();
+  else document.getElementById("start").focus();
 }
 
 /** Three parts as wide as their weights, each filled by what is left or done. */

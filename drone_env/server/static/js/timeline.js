@@ -52,7 +52,8 @@ export function mountTimeline(root, context) {
     drawMarks(ctx, track, x, y, height);
     ctx.fillStyle = colours.ink;
     ctx.fillRect(x(clock.cursor) - 1, 0, 2, height);
-    drawScale(ctx, y, [low, high], width, colours);
+    const known = tracks.some(({ last }) => last.value !== null);
+    drawScale(ctx, y, [low, high], known ? "still possible" : "so far", width, colours);
   }
 
   /** Steps from left to right: what has been flown, and while it is flown some more. */
@@ -93,7 +94,7 @@ function tip(track, step) {
   return `Step ${step}: ${frame.message}${gave}${possible}`;
 }
 
-function drawScale(ctx, y, [low, high], width, colours) {
+function drawScale(ctx, y, [low, high], what, width, colours) {
   ctx.font = `11px ${colours.font}`;
   ctx.fillStyle = colours.ink3;
   ctx.strokeStyle = colours.line;
@@ -115,7 +116,7 @@ function drawScale(ctx, y, [low, high], width, colours) {
   };
   write(points(low, 0), y(low) - 2);
   ctx.textBaseline = "top";
-  write(`${points(high, 0)} still possible`, y(high) + 3);
+  write(`${points(high, 0)} ${what}`, y(high) + 3);
 }
 
 /** Deliveries and charges of the flight that is looked at, below the graph. */
