@@ -209,7 +209,7 @@ def test_a_link_that_is_refused_says_why_and_offers_another(page: Page, shared: 
     shared.expect("404")
     problem = page.get_by_role("alert")
     for link, why in (
-        ("/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random,human", "at most 4"),
+        ("/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random,human", "at most 4 fly at once, not 5"),
         ("/?task=nowhere&seed=7", "nowhere"),
         ("/?episode=nothing", "nothing"),
     ):

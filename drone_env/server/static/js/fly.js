@@ -89,7 +89,8 @@ export function mountFly(root, context) {
   /** The moment that is shown, as the address says it: where a fork stands, what it has flown says it. */
   function step() {
     const { clock } = stage;
-    return clock.following && fleet.shown && fleet.setup.fork !== null ? null : clock.cursor || null;
+    if (fleet.shown && fleet.setup.fork !== null) return clock.following ? null : clock.cursor;
+    return clock.cursor || null;
   }
 
   fleet.on("begun", () => {
