@@ -15,7 +15,7 @@ from drone_env.server.incoming import TRY_LATER
 from drone_env.server.live.socket import TOO_MANY_PAGES
 from tests.api.serving import Server, serving
 from tests.browser.flights import flown, frames
-from tests.browser.stage import FASTEST, at_speed, counter, ended, expect_frame, fly, show
+from tests.browser.stage import FASTEST, at_speed, counter, ended, expect_frame, fly, show, view
 from tests.browser.tabs import PATIENCE_MS, Tabs
 from tests.tools import reserved_port
 
@@ -210,6 +210,15 @@ def test_a_server_that_ends_each_connection_is_asked_five_times_and_then_when_th
         expect(page.get_by_role("alert").filter(has_text="The server is away. Your flight is kept.")).to_be_visible()
         page.clock.run_for(1000)
         until(page, lambda: len(connections) == 8)
+        # A view that could not be loaded meanwhile is loaded then.
+        page.route("**/compare.js", lambda route: route.abort())
+        view(page, "Compare")
+        expect(page.locator("#toasts")).to_contain_text("This view could not be loaded")
+        page.unroute("**/compare.js")
+        connections[-1].close(code=1011)
+        expect(dot).to_contain_text("away")
+        page.clock.run_for(8000)
+        expect(page.get_by_role("heading", name="Who flies best")).to_be_visible()
 
 
 def test_a_full_server_is_called_full_and_never_live_before(beside: Beside, shared: Tabs) -> None:

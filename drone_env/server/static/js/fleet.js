@@ -206,6 +206,8 @@ export class Fleet extends Emitter {
   }
 
   pause() {
+    // Nor does it go on by itself once the server is back.
+    this.how.play = false;
     if (this.playing) this.context.live.send({ type: "pause" });
   }
 

@@ -25,7 +25,10 @@ async function boot() {
   mountTheme(context);
   mountConnection(context);
   mountFly(document.getElementById("view-fly"), context);
-  context.on("view", (name) => LATER[name] && mountLater(name, context));
+  const load = () => LATER[context.view] && mountLater(context.view, context);
+  context.on("view", load);
+  // What could not be loaded while the server was away.
+  live.on("state", ({ state }) => state === "open" && load());
   mountViews(context);
   live.connect();
 }
