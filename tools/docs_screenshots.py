@@ -41,8 +41,6 @@ def save(page: Page, name: str) -> None:
     # 256 colours of the page's few: a third of the size, and nobody sees it. The rare ones are those of the pilots.
     few = taken.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     few.save(IMAGES / f"dashboard-{name}.png", optimize=True)
-        IMAGES / f"dashboard-{name}.png", optimize=True
-    )
 
 
 def fly_to_the_end(page: Page) -> None:
