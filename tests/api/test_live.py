@@ -283,7 +283,11 @@ def test_pilots_begin_at_the_moment_that_is_asked_for(client: TestClient) -> Non
         assert len(by_hand["frames"]) == 1
         ended = page.start("greedy", step=1000)[0]["frames"]
         assert [frame["action"] for frame in ended[1:]] == whole
-        assert page.until("ended")["episode"]["agent"] == "greedy"
+        stored = page.until("ended")["episode"]
+        assert stored["agent"] == "greedy"
+        # However often the link is opened, it is kept once.
+        page.start("greedy", step=1000)
+        assert page.until("ended")["episode"] == stored
 
 
 def test_an_open_page_keeps_its_paused_flight(tmp_path: Path, clock: Clock, eventually: Callable[..., None]) -> None:

@@ -41,7 +41,9 @@ def letters(actions: list[str]) -> str:
 
 def raw(page: Page) -> dict[str, Any]:
     """The frame that is shown, as the page has it: every digit of it."""
-    return json.loads(page.locator("#raw-frame").inner_text())
+    shown = page.locator("#raw-frame")
+    expect(shown).not_to_be_empty()
+    return json.loads(shown.inner_text())
 
 
 def test_a_fork_from_step_20_of_hard_map_7_has_the_values_of_its_analysis_to_the_last_bit(

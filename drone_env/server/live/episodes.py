@@ -94,6 +94,19 @@ class LiveEpisode:
             EpisodeError: if an agent is said to have flown what it would not fly.
         """
         frames = self._follow([Action[direction] for direction in actions], check=True)
+        self._keep_beginning()
+        return frames
+
+    def begin_at(self, steps: int) -> list[Frame]:
+        """Let the pilot fly so many steps, or to the end, when it is started, and return the frames of them."""
+        frames: list[Frame] = []
+        while self.automatic and self.episode.steps < steps:
+            frames += self._follow([self._decide()])
+        if frames:
+            self._keep_beginning()
+        return frames
+
+    def _keep_beginning(self) -> None:
         with self._sessions.store.session(self.session) as row:
             for action in self.episode.actions:
                 row.append(action)
@@ -101,7 +114,6 @@ class LiveEpisode:
                 # Named by what it is: however often a link to it is opened, it is kept once.
                 record = record_of(self.episode, row.agent).to_json()
                 self.episode_id = row.finish(self.episode, sha256(record.encode()).hexdigest()[:16])
-        return frames
 
     def fly(self, direction: Direction) -> list[Frame]:
         """Fly one step by hand.

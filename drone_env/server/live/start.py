@@ -55,8 +55,7 @@ def open_flights(command: Start, shared: Shared, last: Episode | None) -> Opened
             opened.append(LiveEpisode.attach(shared.sessions.reset(None, named)[0], shared))
         ahead = command.step if fork is None else len(fork.actions)
         for live, shown in opened if fork is None else opened[:-1]:
-            while live.automatic and live.episode.steps < ahead:
-                shown.frames.extend(live.step())
+            shown.frames.extend(live.begin_at(ahead))
         if fork is not None:
             live, shown = opened[-1]
             shown.frames.extend(live.begin_after(fork.actions))

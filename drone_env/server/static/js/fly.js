@@ -137,14 +137,21 @@ export function mountFly(root, context) {
     }
   }
 
+  /** Whether what the address names is on the stage, and not still on its way. */
+  function isThere() {
+    const { address } = context.router;
+    if (context.view !== "fly") return false;
+    if (fleet.shown) return fleet.asked === null && says(fleet.asks(address), fleet.setup);
+    return Boolean(address.episode) && stage.track?.episode?.id === address.episode;
+  }
+
   // The address says which moment is shown, once somebody looks at it.
   let linger = 0;
   stage.on("cursor", () => {
     clearTimeout(linger);
     linger = setTimeout(() => {
-      const { clock, track } = stage;
-      const still = !clock.playing && !stage.flying && context.view === "fly" && (fleet.shown || past.episode);
-      if (track && still && step() !== context.router.address.step) context.router.moment({ step: step() });
+      const still = !stage.clock.playing && !stage.flying && isThere();
+      if (still && step() !== context.router.address.step) context.router.moment({ step: step() });
     }, LINGER);
   });
   // The flight that the server has put above has said its word once one is flown here, or another is chosen.
