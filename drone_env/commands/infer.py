@@ -14,6 +14,7 @@ from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError, needs, text_of
+from drone_env.files import RUNS
 from drone_env.llm.options import Number, Options, Whole
 
 if TYPE_CHECKING:
@@ -175,7 +176,7 @@ def infer(
         if missing:
             print(f"prompt {one.id} does not tell, on {config_task.short_name}: {', '.join(missing)}", file=sys.stderr)
     data = data_folder() if data is None else data
-    root = out or _new_folder(data, configs[0].model, config_task.short_name)
+    root = out or _new_folder(data / RUNS, configs[0].model, config_task.short_name)
 
     def fly(config: RunConfig, path: Path, options: Options, resume: bool) -> "tuple[Verdict, dict[str, Any] | None]":
         """Fly a run: its verdict, and the figures of its report."""
@@ -255,7 +256,7 @@ def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "Engine":
     return run_on_nodes
 
 
-def _new_folder(data: Path, model: str, task: str) -> Path:
+def _new_folder(runs: Path, model: str, task: str) -> Path:
     name = "".join(letter if letter.isalnum() or letter in ".-_" else "-" for letter in model[:50])
     now = datetime.now(timezone.utc).strftime("%Y%m%d-%H%M%S-%f")
-    return data / "llm" / f"{now}-{task}-{name}"
+    return runs / f"{now}-{task}-{name}"

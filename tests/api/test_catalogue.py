@@ -1,5 +1,6 @@
 """What the server says there is, its logs, its predictions, and its description of itself."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from drone_env.agents.tour_network import load_tour_network
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
 from drone_env.models import DroneObservation
@@ -23,7 +25,7 @@ from drone_env.server.request_log import KEPT, LONGEST_PATH, RequestLog
 from drone_env.server.routes.history import LINES
 from drone_env.server.schemas import Prediction
 from drone_env.server.settings import Settings
-from drone_env.server.train_log import TrainLog
+from drone_env.server.train_log import POINTS, TrainLog
 from tests.api.networks import put_network, put_tour, put_trained
 from tests.tools import reserved_port
 
@@ -36,6 +38,22 @@ class TestLogs:
         path = tmp_path / "train.log"
         path.write_text("x" * 1_000_000 + "\n" + "short\n" * 3)
         assert TrainLog(tmp_path).tail(LINES) == ["short"] * 3
+
+    def test_the_curve_of_a_long_training_is_thinned_and_other_lines_are_no_part_of_it(self, tmp_path: Path) -> None:
+        path, log = tmp_path / "train.log", TrainLog(tmp_path)
+        assert log.curve() == {}
+        path.write_text("episode 1 reward 3\n<b>x</b>\n")
+        assert log.curve() == {}
+        lines = [f"episode={n} loss={'-' if n < 10 else n / 2} score=nan" for n in range(1, 2001)]
+        path.write_text("\n".join(["started", *lines, "episode=2001 loss="]))
+        curve = log.curve()
+        assert curve.keys() == {"episode", "loss", "score"}
+        episodes = curve["episode"]
+        assert len(episodes) <= POINTS
+        assert {b - a for a, b in pairwise(episodes)} == {episodes[1] - episodes[0]}
+        assert episodes[-1] >= 1990
+        assert curve["loss"] == [None if n < 10 else n / 2 for n in episodes]
+        assert set(curve["score"]) == {None}
 
     def test_requests_are_logged_without_what_they_carried(self, client: TestClient) -> None:
         session = client.post("/reset?secret=query", json={"agent": "secret body"}).json()["session_id"]
@@ -253,6 +271,21 @@ def test_what_tasks_tell_of_rewards_is_what_steps_pay(shared_client: TestClient)
                 assert reward == pays[closer + 1 if len(pays) == 3 else 0]
                 paid.add((episode.event.name, len(pays)))
     assert {("STEP", 3), ("TREE", 3), ("WAIT", 1), ("WALL", 1)} <= paid
+
+
+def test_what_tasks_tell_of_reward_profiles_is_what_they_pay(shared_client: TestClient) -> None:
+    answer = shared_client.get("/tasks").json()
+    told = {profile["id"]: profile for profile in answer["reward_profiles"]}
+    assert list(told) == list(REWARD_PROFILES)
+    rewards = answer["tasks"][0]["rewards"]
+    for profile in ("tiered", "composite"):
+        farther, level, closer = rewards[profile]["step"]
+        assert closer - level == pytest.approx(told[profile]["shaping"])
+        low, high = told[profile]["clamp"]
+        assert farther == max(low, level - told[profile]["shaping"])
+        assert rewards[profile]["delivery"][2] == high
+    assert [profile["shaping_gamma"] for profile in told.values()] == [None, None, 0.99, None]
+    assert [profile["pays_score"] for profile in told.values()] == [False, False, True, True]
 
 
 class TestClientInProcess:

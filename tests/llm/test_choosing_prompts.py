@@ -4,9 +4,11 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from statistics import fmean, stdev
 
 import pytest
 
+from drone_env.cli import main
 from drone_env.core.seeds import SPLITS
 from drone_env.llm.prompt import FOLDER
 from drone_env.planning.optimal import solve
@@ -44,7 +46,7 @@ def test_a_model_may_think_aloud(endpoint: Start) -> None:
     assert silent.turns == {"parse_error": 1, "budget_stop": 1}
 
 
-def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Start, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Start) -> None:
     scripted = endpoint(pilot="MOVE: LEFT")
     mine = scripted.folder / "mine.toml"
     mine.write_text(OWN)
@@ -80,10 +82,11 @@ def test_the_command_says_what_a_prompt_does_not_tell(endpoint: Start) -> None:
     assert "does not tell" not in endpoint(pilot="WAIT").infer(*fly).err
 
 
-def test_prompts_beside_each_other_in_one_report(endpoint: Start) -> None:
+def test_prompts_beside_each_other_in_one_report(endpoint: Start, capfd: pytest.CaptureFixture[str]) -> None:
     scripted = endpoint(pilot="able")
     prices = ("--price-prompt", "10", "--price-completion", "50")
-    fly = ("--task", "medium", "--episodes", "4", "--repeats", "2", "--report", "--no-moves", *prices)
+    # On two of these maps the nearest parcel is not the best one to begin with.
+    fly = ("--task", "medium", "--seeds", "57:60", "--repeats", "2", "--report", "--no-moves", *prices)
     done = scripted.infer(*fly, "--prompts", "coordinates", "minimal-1")
     assert done.status == 0, done.err
     single = [json.loads((done.folder / name / "report.json").read_text()) for name in ("coordinates-2", "minimal-1")]
@@ -93,10 +96,11 @@ def test_prompts_beside_each_other_in_one_report(endpoint: Start) -> None:
     assert [run["score"] for run in report["runs"]] == [run["score"] for run in single]
     assert (perfect["difference"], perfect["difference_ci95"]) == (0, [0, 0])
     less = [ours - theirs for theirs, ours in zip(*scores, strict=True)]
-    assert (greedy["maps"], greedy["difference"]) == (4, pytest.approx(sum(less) / 4, abs=1e-12))
-    mean, half = sum(less) / 4, 1.96 * (sum((x - sum(less) / 4) ** 2 for x in less) / 3 / 4) ** 0.5
-    assert greedy["difference_ci95"] == pytest.approx([mean - half, mean + half])
-    # A call is 100 tokens of prompt and 2 of answer; eight flights.
+    assert sum(less) < 0
+    assert (greedy["maps"], greedy["difference"]) == (3, pytest.approx(fmean(less), abs=1e-12))
+    half = 1.96 * stdev(less) / 3**0.5
+    assert greedy["difference_ci95"] == pytest.approx([fmean(less) - half, fmean(less) + half])
+    # A call is 100 tokens of prompt and 2 of answer; each map is flown twice.
     calls, points = single[1]["calls"]["answered"], 2 * sum(scores[1])
     assert greedy["tokens_per_point"] == pytest.approx(102 * calls / points)
     assert greedy["usd_per_point"] == pytest.approx(calls * (100 * 10 + 2 * 50) / 1e6 / points)
@@ -104,11 +108,16 @@ def test_prompts_beside_each_other_in_one_report(endpoint: Start) -> None:
     assert "| prompt | score (95 %) | less that of coordinates-2 |" in text
     assert f"| {greedy['score']:.4f} ± " in text
     assert f"minimal-1: score {greedy['score']:.4f} ± " in done.err
+    # The folder of several runs stands for all of them.
+    capfd.readouterr()
+    assert main(["leaderboard", str(done.folder), "--json"]) == 0
+    (board,) = json.loads(capfd.readouterr().out)["boards"]
+    assert [row["config"]["prompt"] for row in board["rows"]] == ["coordinates-2", "minimal-1"]
     # What was flown is not paid again, and a prompt that is new is flown.
     asked = len(scripted.requests())
     more = scripted.infer(*fly, "--prompts", "coordinates", "minimal-1", "plan", "--resume", folder=done.folder)
     assert [run["prompt"] for run in json.loads((more.folder / "report.json").read_text())["runs"]][2] == "plan-2"
-    assert len(scripted.requests()) == asked + 8
+    assert len(scripted.requests()) == asked + 6
 
 
 def test_prompts_that_cannot_be_compared_are_refused(endpoint: Start, tmp_path: Path) -> None:

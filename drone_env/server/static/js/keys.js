@@ -50,8 +50,7 @@ export function mountKeys(context, fleet, acts, help) {
     }
     if (context.view !== "fly") return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    const flown = fleet.tracks[fleet.human];
-    const direction = flown && fleet.shown && !flown.done ? FLY[key] : undefined;
+    const direction = fleet.byHand ? FLY[key] : undefined;
     if (direction) fleet.fly(direction);
     else if (KEYS[key]) KEYS[key]();
     else return;
@@ -65,5 +64,6 @@ function taken({ target, key }) {
   const arrow = key.startsWith("Arrow") || key === "Home" || key === "End";
   if (target.matches("input[type=range], .events, .moves, pre")) return arrow;
   if (target.matches("input[type=radio]")) return arrow || key === " ";
-  return target.matches("button, a, summary, input[type=checkbox]") && (key === " " || key === "Enter");
+  if (target.matches("a")) return key === "Enter";
+  return target.matches("button, summary, input[type=checkbox]") && (key === " " || key === "Enter");
 }
