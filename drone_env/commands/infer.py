@@ -226,20 +226,19 @@ def infer(
         print(f"run: {folder.path}", file=sys.stderr)
         return result.verdict, figures
 
-    if not prompts:
-        return runner.EXIT_STATUS[fly(configs[0], root, options, resume)[0]]
+    paths = {config.prompt: root / config.prompt if prompts else root for config in configs}
+    begun = [name for name, path in paths.items() if (path / run_folder.CONFIG).exists()]
+    if resume and not begun:
+        raise InvalidValueError(f"there is no run in {root} to resume")
     found: list[dict[str, Any]] = []
     status = 0
-    if resume and not any((root / config.prompt / run_folder.CONFIG).exists() for config in configs):
-        raise InvalidValueError(f"there is no run in {root} to resume")
     for config in configs:
-        path = root / config.prompt
-        verdict, figures = fly(config, path, options, resume and (path / run_folder.CONFIG).exists())
+        verdict, figures = fly(config, paths[config.prompt], options, resume and config.prompt in begun)
         status = max(status, runner.EXIT_STATUS[verdict])
         if verdict == "stopped":
             return status
         found += [figures] if figures is not None else []
-    if report:
+    if prompts and report:
         from drone_env.llm.paired_report import write_paired_report
 
         for line in write_paired_report(root, found):

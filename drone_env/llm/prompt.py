@@ -340,9 +340,9 @@ def _deciding(task: TaskConfig) -> Iterator[Cell]:
 
 
 def untold(prompt: Prompt, task: TaskConfig) -> list[str]:
-    """What decides the best flight over maps of a task and has no place in a prompt, in words; of the cell below, none.
+    """What decides the best flight over maps of a task and has no place in a prompt, in words.
 
-    A prompt of one's own is taken to tell what it has a place for; its rules are known only where it includes them.
+    A prompt of one's own tells the rules if it includes the part that says them. The cell below is always told.
     """
     one, alone = task.deliveries == 1, task.uniform and task.battery_capacity == task.max_steps
     needed: list[tuple[str, list[set[str]]]] = [

@@ -1,5 +1,6 @@
 """Prompts: what the model is told, and files that are none."""
 
+import hashlib
 import re
 import subprocess
 from collections.abc import Callable
@@ -28,6 +29,27 @@ def test_a_checkout_with_other_ends_of_lines_has_the_same_prompts(tmp_path: Path
     if done.returncode != 0:
         missing_tool("a git checkout")
     assert b"\r\n" not in (tmp_path / "README.md").read_bytes()
+
+
+def test_the_first_prompts_say_what_they_always_said() -> None:
+    """Old runs are checked, and gone on with, by them."""
+    said: dict[str, str] = {}
+    for name in ("coordinates-1", "grid-1", "minimal-1", "plan-1"):
+        digest = hashlib.sha256()
+        for task in ("hard", "skyline_easy"):
+            episode = Episode(task)
+            episode.reset(7)
+            for action in (Action.UP, Action.WAIT, Action.LEFT):
+                episode.step(action)
+            messages = first_messages(get_prompt(name), episode, ["1. UP"])
+            digest.update("\n".join(message["content"] for message in messages).encode())
+        said[name] = f"{get_prompt(name).digest} {digest.hexdigest()[:16]}"
+    assert said == {
+        "coordinates-1": "efa13975020617da b6454cb90a1fdedf",
+        "grid-1": "8af5d06d159d7c32 236f58f1d3041242",
+        "minimal-1": "dd03a74b564c877f 02b517faed01b160",
+        "plan-1": "facf28bbfa0f8598 d886e558d22491ec",
+    }
 
 
 def test_prompts_tell_what_the_drone_sees() -> None:
