@@ -11,7 +11,7 @@ from drone_env.core.episode import Episode
 from drone_env.episodes.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import frames
-from tests.browser.stage import along, expect_frame, fly, over, pictures, pilot
+from tests.browser.stage import along, counter, expect_frame, fly, over, pictures, pilot
 
 
 def by_hand(server: Server, seed: int, actions: list[Action]) -> list[dict[str, Any]]:
@@ -44,7 +44,7 @@ def pad(page: Page) -> Locator:
 def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server: Server) -> None:
     by_pad = {"Up": Action.UP, "Left": Action.LEFT, "Wait": Action.WAIT}
     by_keys = {"ArrowDown": Action.DOWN, "d": Action.RIGHT, " ": Action.WAIT}
-    actions = [Action.RIGHT, Action.UP, *by_pad.values(), *by_keys.values(), Action.DOWN, Action.LEFT]
+    actions = [Action.RIGHT, Action.UP, *by_pad.values(), *by_keys.values(), Action.DOWN, Action.LEFT, Action.UP]
     flight = iter(by_hand(server, 7, actions)[1:])
     page.goto("/?task=easy&seed=7&pilot=greedy")
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
@@ -72,10 +72,17 @@ def test_arrows_fly_from_the_moment_on_at_which_you_is_chosen(page: Page, server
     page.get_by_role("button", name="First step").click()
     page.keyboard.press("ArrowDown")
     expect_frame(page, next(flight), 60)
-    # A task that was clicked on does not take the arrows.
+    # A choice that was made by mouse does not take the arrows.
     page.get_by_role("radio", name="Easy", exact=True).click()
     page.keyboard.press("ArrowLeft")
     expect_frame(page, next(flight), 60)
+    speed = page.get_by_role("combobox", name="Speed")
+    speed.focus()
+    speed.dispatch_event("pointerdown")
+    speed.select_option("4")
+    page.keyboard.press("ArrowUp")
+    expect_frame(page, next(flight), 60)
+    expect(speed).to_have_value("4")
     expect(page.get_by_role("radio", name="Easy", exact=True)).to_be_checked()
     expect(pilot(page, "You")).to_have_attribute("aria-pressed", "true")
 
@@ -104,7 +111,7 @@ def test_you_is_chosen_by_mouse_or_keyboard_and_beside_others_who_move_along(pag
 def test_nothing_is_told_to_who_flies_unless_he_asks_and_then_the_record_says_so(page: Page, server: Server) -> None:
     over(page, 5, "/?task=easy&seed=5&pilot=human")
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
-    way = to_the_parcel(5)
+    way = to_the_parcel(5)[::-1]  # the last move is to the left, a key that looks back, too
     page.keyboard.press(way[0])
     expect(page.locator("#step-counter")).to_have_text(re.compile("^Step 1 of 60"))
     thoughts = page.get_by_role("table", name="Each move from here")
@@ -131,9 +138,15 @@ def test_nothing_is_told_to_who_flies_unless_he_asks_and_then_the_record_says_so
     expect(ask).to_be_visible()
     expect(page.locator("#possible")).to_have_text("\u2013")
     for key in way:
-        page.keyboard.press(key)
+        page.keyboard.down(key)
     expect(page.locator(".strip")).to_contain_text("You: All parcels delivered.")
     assert stored(server, 5) == "human"
+    # A key that is held on does not look back in the flight.
+    page.keyboard.down(way[-1])
+    pictures(page)
+    assert counter(page) == len(way)
+    for key in set(way):
+        page.keyboard.up(key)
 
 
 def test_a_move_is_taken_back_and_what_would_end_the_flight_asks_first(page: Page, server: Server) -> None:

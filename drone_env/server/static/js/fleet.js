@@ -376,6 +376,8 @@ export class Fleet extends Emitter {
       this.start(this.setup, { ...this.how, play: this.how.play || this.playing });
       return;
     }
+    // Keys come faster than what they do: one after the end of a flight, or back beyond its start, is no matter.
+    if (asked === null && code === "wrong_moment") return;
     this.emit("refused", detail);
   }
 }

@@ -42,11 +42,7 @@ export function mountPlan(root, context, fleet, acts) {
       value: task.short_name,
       "aria-label": title(task.short_name),
       "aria-describedby": "task-note",
-      on: {
-        change: () => chooseTask(task),
-        // A click, not a key: the next arrow is for the drone, not for another task.
-        click: ({ detail }) => detail && input.blur(),
-      },
+      on: { change: () => chooseTask(task) },
     });
     return el("label.task-option", input, el("span", { text: title(task.short_name).replace(`${family} `, "") }));
   }
