@@ -6,7 +6,7 @@ import json as json_format
 import sys
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -18,9 +18,11 @@ from drone_env.files import RUNS
 from drone_env.llm.options import Number, Options, Whole
 
 if TYPE_CHECKING:
-    from drone_env.llm.runner import Engine
+    from drone_env.llm.runner import Engine, Verdict
 
-PromptName = Annotated[str, tyro.conf.arg(metavar="minimal|grid|coordinates|plan")]
+PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|FILE.toml"
+PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
+PromptNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=PROMPTS)]
 DEFAULTS = Options()
 
 
@@ -32,7 +34,8 @@ def infer(
     split: SplitName = None,
     seeds: SeedRange = None,
     repeats: int = 1,
-    prompt: PromptName = "minimal",
+    prompt: PromptName = None,
+    prompts: PromptNames = (),
     history: int = 0,
     answers: Literal["text", "json", "tool"] = "text",
     stream: bool = False,
@@ -71,7 +74,10 @@ def infer(
         split: Whose first maps to fly: test if nothing is said.
         seeds: Fly the maps from A up to and not including B instead of a split's.
         repeats: Flights over each map, for pass^k.
-        prompt: The prompt, by its name (the newest version) or id, such as grid-1.
+        prompt: The prompt, by its name (the newest version) or id, such as grid-1, or a file of your own; minimal if
+            nothing is said, or with --resume that of the run.
+        prompts: Fly the same with each of these prompts, one after another, and compare them map by map. Each run has a
+            folder of its prompt's id in --out; limits hold for each.
         history: How many of the last steps the prompt names.
         answers: Ask for plain text, for structured output (JSON schema), or for a tool call.
         stream: Have answers streamed.
@@ -108,96 +114,136 @@ def infer(
         from drone_env.llm.image import running_image
         from drone_env.llm.pilot import PilotedEpisode
         from drone_env.llm.progress import ConsoleObserver
-        from drone_env.llm.prompt import get_prompt
+        from drone_env.llm.prompt import get_prompt, untold
         from drone_env.llm.settings import check_url, load_settings, token_for
     from pydantic import ValidationError
 
     chosen_split, maps = chosen_maps(seeds, split, episodes, 1)
     if resume and out is None:
         raise InvalidValueError("--resume needs --out, the folder of the run to go on with")
+    if prompt is not None and prompts:
+        raise InvalidValueError("--prompts names all prompts: give it without --prompt")
     settings = load_settings(base_url)
     config_task = get_task(settings.drone_task if task is None else task)
-    chosen_prompt = get_prompt(prompt)
+    if resume and out and not prompts and prompt is None and (out / run_folder.CONFIG).exists():
+        chosen = [run_folder.load_config(out).load_prompt()]
+    else:
+        chosen = [get_prompt(name) for name in prompts or (prompt or "minimal",)]
+    if len({one.id for one in chosen}) < len(chosen):
+        raise InvalidValueError(f"--prompts takes different prompts, got {', '.join(one.id for one in chosen)}")
     try:
         more = json_format.loads(extra)
-        config = RunConfig(
-            model=settings.model_name if model is None else model,
-            base_url=check_url(settings.api_base_url),
-            task=config_task.id,
-            task_version=config_task.version,
-            split=chosen_split,
-            seeds=(maps.start, maps.stop),
-            repeats=repeats,
-            reward_profile=reward_profile,
-            prompt=chosen_prompt.id,
-            prompt_digest=chosen_prompt.digest,
-            history=history,
-            answers=answers,
-            stream=stream,
-            sampling=Sampling(
-                temperature=None if no_temperature else temperature,
-                top_p=top_p,
-                max_tokens=max_answer_tokens or None,
-                seed=sampling_seed,
-                extra=more,
-            ),
+        sampling = Sampling(
+            temperature=None if no_temperature else temperature,
+            top_p=top_p,
+            max_tokens=max_answer_tokens or None,
+            seed=sampling_seed,
+            extra=more,
         )
+        configs = [
+            RunConfig(
+                model=settings.model_name if model is None else model,
+                base_url=check_url(settings.api_base_url),
+                task=config_task.id,
+                task_version=config_task.version,
+                split=chosen_split,
+                seeds=(maps.start, maps.stop),
+                repeats=repeats,
+                reward_profile=reward_profile,
+                prompt=one.id,
+                prompt_digest=one.digest,
+                prompt_text=one.own,
+                history=history,
+                answers=answers,
+                stream=stream,
+                sampling=sampling,
+            )
+            for one in chosen
+        ]
     except ValidationError as error:
         raise InvalidValueError(text_of(error)) from None
     except (json_format.JSONDecodeError, RecursionError) as error:
         raise InvalidValueError(f"--extra takes a JSON object: {error}") from None
-    token = token_for(settings, config.base_url)
+    token = token_for(settings, configs[0].base_url)
     if use_image and options.server is not None:
         raise InvalidValueError("--use-image starts a server itself: give it without --server")
     if use_image and engine == "ray":
         raise InvalidValueError("--use-image starts a server on this machine alone: give --server with --engine ray")
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
+    for one in chosen:
+        missing = untold(one, config_task)
+        if missing:
+            print(f"prompt {one.id} does not tell, on {config_task.short_name}: {', '.join(missing)}", file=sys.stderr)
     data = data_folder() if data is None else data
-    problems: list[str] = []
-    with contextlib.ExitStack() as opened:
-        store = None if use_image or options.server is not None else opened.enter_context(Store(data))
-        new = _new_folder(data / RUNS, config.model, config_task.short_name)
-        folder = run_folder.RunFolder(out or new, config, resume)
-        opened.callback(folder.close)
-        go_on = f"give the same options with --out {folder.path} --resume"
+    root = out or _new_folder(data / RUNS, configs[0].model, config_task.short_name)
 
-        def keep(flown: PilotedEpisode) -> None:
+    def fly(config: RunConfig, path: Path, options: Options, resume: bool) -> "tuple[Verdict, dict[str, Any] | None]":
+        """Fly a run: its verdict, and the figures of its report."""
+        problems: list[str] = []
+        with contextlib.ExitStack() as opened:
+            store = None if use_image or options.server is not None else opened.enter_context(Store(data))
+            folder = run_folder.RunFolder(path, config, resume)
+            opened.callback(folder.close)
+            go_on = f"give the same options with --out {root} --resume"
+
+            def keep(flown: PilotedEpisode) -> None:
+                try:
+                    if store is not None:
+                        folder.keep(flown, store, config.model)
+                except StoreError as error:
+                    # The flight has been paid: the run goes on without the store.
+                    problems.append(str(error))
+
+            figures = None
             try:
-                if store is not None:
-                    folder.keep(flown, store, config.model)
-            except StoreError as error:
-                # The flight has been paid: the run goes on without the store.
-                problems.append(str(error))
+                with contextlib.ExitStack() as stack:
+                    if use_image:
+                        url = stack.enter_context(running_image(settings.local_image_name))
+                        options = dataclasses.replace(options, server=url)
+                    run = runner.run if engine == "local" else _on_cluster(stack, address)
+                    gate = Gate(options)
+                    observer = ConsoleObserver(config, gate, keep)
+                    stack.enter_context(observer.progress)
+                    result = asyncio.run(run(config, folder, token, gate, observer))
+                if report:
+                    from drone_env.llm.report import report as figures_of
+                    from drone_env.llm.report import write_report
+                    from drone_env.llm.verify import verified_run
 
-        try:
-            with contextlib.ExitStack() as stack:
-                if use_image:
-                    url = stack.enter_context(running_image(settings.local_image_name))
-                    options = dataclasses.replace(options, server=url)
-                run = runner.run if engine == "local" else _on_cluster(stack, address)
-                gate = Gate(options)
-                observer = ConsoleObserver(config, gate, keep)
-                stack.enter_context(observer.progress)
-                result = asyncio.run(run(config, folder, token, gate, observer))
-            if report:
-                from drone_env.llm.report import report as figures_of
-                from drone_env.llm.report import write_report
-                from drone_env.llm.verify import verified_run
+                    checked = verified_run(folder.path)
+                    figures = figures_of(checked, options.prices, moves)
+                    write_report(checked, figures)
+            except KeyboardInterrupt:
+                print(f"interrupted; to go on, {go_on}", file=sys.stderr)
+                raise
+            finally:
+                if problems:
+                    lost = f"{len(problems)} flights are not in the store: {problems[0]}"
+                    print(f"{lost}; to add them, {go_on}", file=sys.stderr)
+        for line in runner.summary_lines(result):
+            print(line, file=sys.stderr)
+        print(f"run: {folder.path}", file=sys.stderr)
+        return result.verdict, figures
 
-                checked = verified_run(folder.path)
-                write_report(checked, figures_of(checked, options.prices, moves))
-        except KeyboardInterrupt:
-            print(f"interrupted; to go on, {go_on}", file=sys.stderr)
-            raise
-        finally:
-            if problems:
-                lost = f"{len(problems)} flights are not in the store: {problems[0]}"
-                print(f"{lost}; to add them, {go_on}", file=sys.stderr)
-    for line in runner.summary_lines(result):
-        print(line, file=sys.stderr)
-    print(f"run: {folder.path}", file=sys.stderr)
-    return runner.EXIT_STATUS[result.verdict]
+    paths = {config.prompt: root / config.prompt if prompts else root for config in configs}
+    begun = [name for name, path in paths.items() if (path / run_folder.CONFIG).exists()]
+    if resume and not begun:
+        raise InvalidValueError(f"there is no run in {root} to resume")
+    found: list[dict[str, Any]] = []
+    status = 0
+    for config in configs:
+        verdict, figures = fly(config, paths[config.prompt], options, resume and config.prompt in begun)
+        status = max(status, runner.EXIT_STATUS[verdict])
+        if verdict == "stopped":
+            return status
+        found += [figures] if figures is not None else []
+    if prompts and report:
+        from drone_env.llm.paired_report import write_paired_report
+
+        for line in write_paired_report(root, found):
+            print(line, file=sys.stderr)
+    return status
 
 
 def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "Engine":

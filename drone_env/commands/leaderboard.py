@@ -25,7 +25,7 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
     Example: drone-env leaderboard data/llm/*
 
     Args:
-        folders: The run folders.
+        folders: The run folders, or folders of several runs.
         json: Print JSON instead of tables.
     """
     with needs("llm"):

@@ -1,12 +1,14 @@
-"""What a model's answer means: actions, or why it is none. Nobody guesses what was meant.
+r"""What a model's answer means: actions, or why it is none. Nobody guesses what was meant.
 
 An answer is usable where, apart from its packaging, it is the asked-for actions and nothing else. Packaging is: a
 leading `<think>` block, a Markdown code fence, quotes or emphasis, a full stop, upper or lower case, and a JSON object
-with one key `action`, `direction`, `actions` or `directions`.
+with one key `action`, `direction`, `actions` or `directions`. Where a prompt allows marks, such as `ACTION:` or
+`\boxed{}`, the last line with one of them is the answer, and all around it is thought.
 """
 
 import json
 import re
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, cast, get_args
 
 from pydantic import field_validator
@@ -32,6 +34,10 @@ REFUSAL = re.compile(
 )
 SEPARATOR = re.compile(r"(?:\s|,|;|->|→|\|)+")
 WORD = re.compile(r"[A-Za-z_]+\Z")
+BOX = r"\boxed{}"
+BOXED = re.compile(r"\\boxed\{(?:\\text\{([^{}]*)\}|([^{}]*))\}")
+MARK = r"[A-Za-z]+:|\\boxed\{\}"
+"""What a prompt may name as a mark, as a pattern."""
 
 
 class Answer(Message):
@@ -64,12 +70,13 @@ class Reading(NamedTuple):
     """What was read: the arguments of the tool call, where there is one."""
 
 
-def read_answer(answer: Answer, plan: bool) -> Reading:
+def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Reading:
     """Understand an answer.
 
     Args:
         answer: What was sent.
         plan: Whether a whole route was asked for; else exactly one action.
+        marks: What the line of the answer may be marked with.
     """
     said = answer.text if answer.tool_arguments is None else answer.tool_arguments
 
@@ -84,12 +91,16 @@ def read_answer(answer: Answer, plan: bool) -> Reading:
     text = _without_thoughts(said)
     if text is None:
         return unusable("truncated", "the answer ends inside its <think> block")
-    words = _words(text, plan)
-    if words is None and REFUSAL.match(text):
+    marked = _last_marked(text, marks)
+    words = _words(text if marked is None else marked, plan)
+    if words is None and marked is None and REFUSAL.match(text):
         return unusable("refusal", "the model refused")
     if words is None:
         asked = "a list of actions" if plan else "one action"
-        return unusable("parse_error", f"the answer is not {asked}" if text.strip() else "the answer is empty")
+        where = f"the last line with {marks[0]}" if marked is not None else "the answer"
+        missing = f", and has no line with {marks[0]}" if marks and marked is None else ""
+        reason = f"{where} is not {asked}{missing}" if text.strip() else "the answer is empty"
+        return unusable("parse_error", reason)
     unknown = [word for word in words if word.upper() not in Action.__members__]
     if unknown:
         return unusable("illegal", f"{unknown[0][:40]!r} is not an action")
@@ -100,6 +111,22 @@ def _without_thoughts(text: str) -> str | None:
     """The text behind its thoughts; None where they do not end."""
     rest = THOUGHT.sub("", text, count=1)
     return None if rest == text and OPEN_THOUGHT.match(text) else rest
+
+
+def _last_marked(text: str, marks: Sequence[str]) -> str | None:
+    """What stands behind or in the mark of the last line that has one; None where none has."""
+    begins = "|".join(re.escape(mark[:-1]) for mark in marks if mark != BOX)
+    begun = re.compile(rf"[\s>*_`#-]*(?:{begins})[\s*_`]*:(.*)", re.IGNORECASE) if begins else None
+    for line in reversed(text.splitlines()):
+        found = begun.match(line) if begun else None
+        said = found[1] if found else line
+        boxes = [inner or outer for inner, outer in BOXED.findall(said)] if BOX in marks else []
+        if found and not (boxes and not BOXED.sub("", said).strip(" $*_.")):
+            return said
+        if boxes:
+            # Of two boxes none is picked: together they are no answer.
+            return " or ".join(boxes)
+    return None
 
 
 def _words(text: str, plan: bool) -> list[str] | None:

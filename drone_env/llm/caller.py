@@ -30,7 +30,7 @@ class Caller:
         self, config: RunConfig, endpoint: Endpoint, desk: Desk, options: Options, clock: Clock | None = None
     ) -> None:
         self._config = config
-        self._plan = config.load_prompt().plan
+        self._prompt = config.load_prompt()
         self._endpoint = endpoint
         self._desk = desk
         self._options = options
@@ -51,7 +51,7 @@ class Caller:
         cache_key = digest([self._config.base_url, request, repeat, key.attempt])
         answer, cached = await self._desk.known(key, request, cache_key)
         if answer is not None and not cached:
-            return read_answer(answer, self._plan)
+            return read_answer(answer, self._prompt.plan, self._prompt.marks)
         failures: list[Failure] = []
         began = self._clock.now()
 
@@ -83,9 +83,9 @@ class Caller:
             except TryFailedError as failed:
                 await record(None, "api_error")
                 await self._desk.failed(failed.status, failed.reason, failed.retried, failed.fatal)
-        reading = read_answer(answer, self._plan)
+        reading = read_answer(answer, self._prompt.plan, self._prompt.marks)
         first = await record(answer, reading.kind)
-        return reading if first is None else read_answer(first, self._plan)
+        return reading if first is None else read_answer(first, self._prompt.plan, self._prompt.marks)
 
     async def _try(self, key: CallKey, messages: list[ChatMessage], failures: list[Failure]) -> tuple[Answer, float]:
         """The answer and when its request was sent; all failed tries are noted in `failures`."""

@@ -11,7 +11,7 @@ from drone_env.core.rewards import get_reward_profile
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.files import differences
-from drone_env.llm.prompt import Prompt, get_prompt
+from drone_env.llm.prompt import Prompt, get_prompt, parse_prompt
 from drone_env.llm.settings import check_url
 from drone_env.models import Count, Message
 
@@ -53,6 +53,7 @@ class RunConfig(Message):
     reward_profile: str
     prompt: str = Field(description="Id of the prompt.")
     prompt_digest: str = Field(description="What its file held.")
+    prompt_text: str | None = Field(default=None, description="The file itself, where it is none of the package's.")
     history: Count = Field(description="How many of the last steps the prompt names.")
     answers: AnswerForm
     stream: bool
@@ -75,7 +76,7 @@ class RunConfig(Message):
     def _known(self) -> Self:
         get_task(self.task, self.task_version)
         get_reward_profile(self.reward_profile)
-        if self.history and not get_prompt(self.prompt).tells_history:
+        if self.history and not self._prompt().tells_history:
             raise ValueError(f"prompt {self.prompt} tells no last steps: history must be 0")
         start, stop = self.seeds
         if not start < stop <= N_SEEDS:
@@ -104,10 +105,15 @@ class RunConfig(Message):
             UnknownNameError: if it is not there.
             ValueError: if it is not what it was when the run began.
         """
-        prompt = get_prompt(self.prompt)
+        prompt = self._prompt()
         if prompt.digest != self.prompt_digest:
             raise ValueError(f"prompt {self.prompt} is now {prompt.digest}; the run was made with {self.prompt_digest}")
         return prompt
+
+    def _prompt(self) -> Prompt:
+        if self.prompt_text is None:
+            return get_prompt(self.prompt)
+        return parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
 
     def differences(self, other: "RunConfig") -> list[str]:
         """What differs, one line for each field."""

@@ -42,6 +42,21 @@ HINTS = {
     403: "the token may not use this model or endpoint",
     404: "there is no such model or address: check MODEL_NAME and API_BASE_URL",
 }
+OPTIONS = (
+    (
+        "max_tokens",
+        "max_completion_tokens",
+        "--max-answer-tokens 0 --extra '{\"max_completion_tokens\": %(max_tokens)d}'",
+    ),
+    ("max_tokens", "max_tokens|context (length|window)", "another --max-answer-tokens, or with 0 to send none"),
+    ("temperature", "temperature", "--no-temperature"),
+    ("top_p", "top_p", "no --top-p"),
+    ("seed", r"\bseed\b", "no --sampling-seed"),
+    ("stream", "stream", "--no-stream"),
+    ("response_format", "response_format|json_schema", "--answers text"),
+    ("tools", r"tool_choice|\btools?\b|function", "--answers text"),
+)
+"""What is sent, how an endpoint says that it does not take it so, and what helps; the first that fits is named."""
 
 
 @dataclass(eq=False)
@@ -151,6 +166,12 @@ class Endpoint:
         if status in HINTS:
             return TryFailedError(status, f"{HINTS[status]} ({reason})", retried=False, fatal=True)
         retried = status in RETRIED or status >= 500
+        if status in (400, 422):
+            sent = {**self.body, "stream": True} if self._stream else self.body
+            for name, told, option in OPTIONS:
+                if name in sent and re.search(told, reason, re.IGNORECASE):
+                    reason += f" (try it with {option % self.body})"
+                    break
         return TryFailedError(status, reason, retried, _retry_after(response.headers) if retried else None)
 
     def _clean(self, text: str) -> str:

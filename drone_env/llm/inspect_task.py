@@ -60,7 +60,7 @@ def drone_delivery(
 
     Args:
         task: The task: id, short name or grader.
-        prompt: The prompt, by its name (the newest version) or id.
+        prompt: The prompt, by its name (the newest version) or id, or a file of your own.
         episodes: How many maps.
         split: Whose maps: train, validation or test.
         history: How many of the last steps the prompt names.
@@ -79,7 +79,7 @@ def drone_delivery(
         samples.append(Sample(id=str(seed), input=[_inspects(m) for m in messages], metadata={"seed": seed}))
     return Task(
         dataset=MemoryDataset(samples, name=f"{config.id}-{split}"),
-        solver=pilot(config.id, chosen.id, history, reward_profile),
+        solver=pilot(config.id, prompt if chosen.own else chosen.id, history, reward_profile),
         scorer=graded(),
         fail_on_error=MOST_ERRORED,
         name=config.id,
@@ -94,7 +94,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
 
     Args:
         task: Id of the task.
-        prompt: Id of the prompt.
+        prompt: Id of the prompt, or its file.
         history: How many of the last steps the prompt names.
         reward_profile: What steps pay.
     """
@@ -113,7 +113,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
                 stopped = error
                 raise LimitReachedError(str(error) or "stopped by Inspect") from error
             state.messages, state.output = [*asked, output.message], output
-            return read_answer(_answer(output), chosen.plan)
+            return read_answer(_answer(output), chosen.plan, chosen.marks)
 
         flown = PilotedEpisode(0, state.epoch - 1, Episode(config, reward_profile, state.metadata["seed"]))
         await fly(flown, chosen, history, ask)

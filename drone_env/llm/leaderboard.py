@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from drone_env.errors import DroneEnvError, WithdrawnError
 from drone_env.llm.report import report
-from drone_env.llm.run_folder import RESULTS, load_config
+from drone_env.llm.run_folder import RESULTS, load_config, runs_in
 from drone_env.llm.verify import verified_run
 
 
@@ -40,9 +40,10 @@ def leaderboard(paths: Iterable[Path]) -> tuple[list[Board], list[Refused]]:
     """Check runs and rank them.
 
     Args:
-        paths: The run folders; one that is named twice counts once.
+        paths: The run folders, or folders of several; one that is named twice counts once.
     """
-    judged = [judge(path) for path in {path.resolve(): path for path in paths}.values()]
+    runs = [run for path in paths for run in runs_in(path)]
+    judged = [judge(run) for run in {run.resolve(): run for run in runs}.values()]
     ranked = [one for one in judged if isinstance(one, Judged)]
     return boards_of(ranked), [one for one in judged if isinstance(one, Refused)]
 

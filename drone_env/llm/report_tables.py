@@ -9,18 +9,23 @@ from drone_env.reports.tables import Table, number, percent, with_margin
 def page_values(figures: dict[str, Any]) -> dict[str, Any]:
     """What the templates of the report show: the figures, their tables, and the lines above them."""
     config = figures["config"]
-    first, last = config["seeds"][0], config["seeds"][1] - 1
-    maps = f"Map {first}" if first == last else f"Maps {first} to {last}"
-    repeats = "one flight each" if config["repeats"] == 1 else f"{config['repeats']} flights each"
     return {
         "figures": figures,
         "tables": tables(figures),
         "title": f"{config['model']} on {config['task']}, prompt {config['prompt']}",
-        "maps": f"{maps} ({config['split']}), {repeats}.",
+        "maps": maps_line(config),
         # In capitals where the figures do not count.
         "verdict": figures["verdict"].upper() if figures["verdict"] == "invalid" else figures["verdict"],
         "score": _score(figures),
     }
+
+
+def maps_line(config: dict[str, Any]) -> str:
+    """Which maps a run flies, and how often."""
+    first, last = config["seeds"][0], config["seeds"][1] - 1
+    maps = f"Map {first}" if first == last else f"Maps {first} to {last}"
+    repeats = "one flight each" if config["repeats"] == 1 else f"{config['repeats']} flights each"
+    return f"{maps} ({config['split']}), {repeats}."
 
 
 def tables(figures: dict[str, Any]) -> list[Table]:

@@ -127,6 +127,12 @@ class RunFolder:
         self._opened.close()
 
 
+def runs_in(path: Path) -> list[Path]:
+    """The folder itself; or those of the runs in it, as `--prompts` makes them, where it is of none itself."""
+    inside = sorted(file.parent for file in path.glob(f"*/{CONFIG}"))
+    return [path] if (path / CONFIG).exists() else inside or [path]
+
+
 def load_config(path: Path) -> RunConfig:
     """What the run in a folder is.
 

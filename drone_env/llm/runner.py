@@ -186,6 +186,8 @@ def summary_lines(result: RunResult) -> list[str]:
         lines.append(f"mean score {mean:.4f} over {len(counted)} flights, {success} delivered everything")
     lines.append(f"errored and left out: {errored}; unfinished, counted as waiting to the end: {unfinished}")
     lines.append(f"answers: {', '.join(f'{name} {count}' for name, count in outcomes.items())}; WAIT in place: {waits}")
+    if outcomes["truncated"]:
+        lines.append("truncated answers: a larger --max-answer-tokens leaves room for thoughts")
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
     lines.append(f"verdict: {verdict}{': ' if result.reason else ''}{result.reason}")
     return lines

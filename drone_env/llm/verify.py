@@ -60,7 +60,7 @@ def verified_run(path: Path) -> VerifiedRun:
         # Leaving out the flights that went badly would make a run look better than it was.
         raise InvalidValueError(f"{path}: flight {lost[0]} was begun but is not among the results: resume the run")
     used: set[CallKey] = set()
-    body, plan = request_body(config), config.load_prompt().plan
+    body, prompt = request_body(config), config.load_prompt()
 
     by_number = {result.flight: result for result in results}
 
@@ -72,7 +72,7 @@ def verified_run(path: Path) -> VerifiedRun:
             if call.request_digest != digest({"body": body, "messages": messages}):
                 raise InvalidValueError(f"call {key} asked another model or otherwise than run.json says")
             used.add(key)
-            return read_answer(call.answer, plan)
+            return read_answer(call.answer, prompt.plan, prompt.marks)
         # Where the answers end, the flight ended as its result says, which is compared with the rest of it.
         if ended.status == "errored" and key in failed:
             raise CallFailedError(ended.error or "")

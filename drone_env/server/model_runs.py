@@ -41,13 +41,14 @@ class ModelRuns:
         """
         found: dict[Path, RunConfig | None] = {}
         for path in sorted(self._folder.iterdir()) if self._folder.is_dir() else ():
-            from drone_env.llm.run_folder import CONFIG, load_config
+            from drone_env.llm.run_folder import CONFIG, load_config, runs_in
 
-            if (path / CONFIG).is_file():
-                try:
-                    found[path] = load_config(path)
-                except DroneEnvError:
-                    found[path] = None
+            for run in runs_in(path):
+                if (run / CONFIG).is_file():
+                    try:
+                        found[run] = load_config(run)
+                    except DroneEnvError:
+                        found[run] = None
         return found
 
     def models(self) -> set[str]:

@@ -212,7 +212,7 @@ def test_a_models_flight_has_its_prompts_and_answers_by_step(
 ) -> None:
     first = next(one for one in flights["scripted"][14] if one.record.success)
     answer = get(client, f"/episodes/{first.id}/calls")
-    assert (answer["run"], answer["model"], answer["prompt"]) == ("good", "scripted", "minimal-1")
+    assert (answer["run"], answer["model"], answer["prompt"]) == ("good", "scripted", "minimal-2")
     calls = [call for _, call in read_calls(data / "llm" / "good" / "calls.jsonl") if call.flight == 0]
     assert [(call["step"], call["attempt"]) for call in answer["calls"]][:3] == [(1, 1), (1, 2), (2, 1)]
     assert [call["outcome"] for call in answer["calls"]][:3] == ["illegal", "ok", "ok"]

@@ -1,11 +1,11 @@
 """An OpenAI-compatible server that does as it is told: `python scripted_server.py PORT`.
 
 `POST /NAME/script` opens an endpoint at `/NAME/v1`; its body holds `log` (a file), `pilot` (perfect, greedy, plan, able
-for perfect or greedy by what the prompt tells, or a text to answer with), `repair` (the same, for repair prompts),
-`latency` in seconds, `waves`: the first so many requests have to be there together before one of them is answered, then
-the next so many, and so on; and `faults`: a list of [first, last, fault] by the number of the request from 0, where the
-first that covers it holds. Each request is a line in the log before it is answered, and a second line when that is
-over, however it was answered.
+for perfect or greedy by what the prompt tells, aloud for the same behind thoughts, or a text to answer with), `repair`
+(the same, for repair prompts), `latency` in seconds, `waves`: the first so many requests have to be there together
+before one of them is answered, then the next so many, and so on; and `faults`: a list of [first, last, fault] by the
+number of the request from 0, where the first that covers it holds. Each request is a line in the log before it is
+answered, and a second line when that is over, however it was answered.
 """
 
 import asyncio
@@ -37,6 +37,8 @@ def tour(text: str, budget: int) -> list[Action]:
 
 
 def reply(pilot: str, prompt: str) -> str:
+    if pilot == "aloud":
+        return f"Not every ACTION: brings it nearer.\n**ACTION: {reply('able', prompt)}**"
     if pilot == "able":
         pilot = "perfect" if "Parcels to deliver:" in prompt else "greedy"
     if pilot == "perfect":

@@ -70,3 +70,55 @@ def test_half_a_character_can_be_kept() -> None:
 def test_a_route(text: str, expected: object) -> None:
     reading = read_answer(Answer(text=text), plan=True)
     assert (list(reading.actions) or reading.kind) == expected
+
+
+MARKS = ("ACTION:", "Answer:", r"\boxed{}")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("The parcel lies to the right.\n\nACTION: RIGHT", [Action.RIGHT]),
+        ("ACTION: UP would bump.\nSo:\naction: down\nGood luck!", [Action.DOWN]),
+        ("So **ACTION: UP**\n- **ACTION:** `UP`.", [Action.UP]),
+        ("Hm.\n**Answer**: WAIT", [Action.WAIT]),
+        (r"We get $\boxed{\text{LEFT}}$.", [Action.LEFT]),
+        ("ACTION: $\\boxed{LEFT}$", [Action.LEFT]),
+        ("```\nACTION: LEFT\n```", [Action.LEFT]),
+        ("<think>ACTION: UP</think>ACTION: LEFT", [Action.LEFT]),
+        ("RIGHT", [Action.RIGHT]),
+        ('{"direction": "RIGHT"}', [Action.RIGHT]),
+        # The last marked line counts, whatever the ones before it say, and nothing is guessed in its place.
+        ("ACTION: UP\nACTION: NORTH", "illegal"),
+        ("ACTION: UP\nACTION: up or down", "parse_error"),
+        ("ACTION: UP\nANSWER:", "parse_error"),
+        (r"\boxed{UP} or \boxed{DOWN}", "parse_error"),
+        (r"ACTION: UP, not \boxed{DOWN}", "parse_error"),
+        ("<think>ACTION: UP</think>Let us go up.", "parse_error"),
+        ("My ACTION: UP", "parse_error"),
+        ("Final move: UP", "parse_error"),
+        ("I can't do that.", "refusal"),
+        ("ACTION: UP" + " " * 100_000 + "x", "parse_error"),
+        ("\\boxed{" + " " * 100_000, "parse_error"),
+    ],
+)
+def test_an_action_behind_thoughts(text: str, expected: object) -> None:
+    reading = read_answer(Answer(text=text), False, MARKS)
+    assert (list(reading.actions) or reading.kind) == expected
+
+
+def test_marks_count_only_where_the_prompt_allows_them() -> None:
+    assert read_answer(Answer(text="ACTION: UP"), False).kind == "parse_error"
+    assert read_answer(Answer(text="Answer: UP"), False, MARKS[:1]).kind == "parse_error"
+    assert read_answer(Answer(text=r"\boxed{UP}"), False, MARKS[:2]).kind == "parse_error"
+    unmarked = read_answer(Answer(text="Let us go up."), False, MARKS)
+    assert unmarked.reason == "the answer is not one action, and has no line with ACTION:"
+    marked = read_answer(Answer(text="ACTION: go up"), False, MARKS)
+    assert marked.reason == "the last line with ACTION: is not one action"
+
+
+def test_a_route_behind_thoughts() -> None:
+    said = "First to the right.\nACTIONS: RIGHT, up -> DOWN\n"
+    assert read_answer(Answer(text=said), True, ("ACTIONS:",)).actions == (Action.RIGHT, Action.UP, Action.DOWN)
+    assert read_answer(Answer(text=r"\boxed{UP} and \boxed{DOWN}"), True, MARKS).kind == "illegal"
+    assert read_answer(Answer(text='ACTIONS: {"actions": ["UP"]}'), True, ("ACTIONS:",)).actions == (Action.UP,)

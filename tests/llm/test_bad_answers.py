@@ -60,6 +60,7 @@ def test_answers_that_the_endpoint_marks(endpoint: Start, script: dict[str, obje
     done = endpoint(pilot="RIGHT", **script).infer(*TWO_TURNS, stream)
     assert done.turns == {outcome: 2, "budget_stop": 1}
     assert done.flights[0]["waits"] == 2
+    assert ("a larger --max-answer-tokens" in done.err) == (outcome == "truncated")
 
 
 def test_an_answer_that_the_repair_mends(endpoint: Start) -> None:

@@ -1,6 +1,7 @@
 """Endpoints that refuse, break off or send what is no answer: what is tried again, and what becomes of the flight."""
 
 import json
+import shlex
 from collections.abc import Callable
 
 import pytest
@@ -39,6 +40,46 @@ def test_a_400_for_the_first_call_stops_the_run(endpoint: Start) -> None:
     assert done.status == 2
     assert "answers 400: no temperature, please" in done.err
     assert len(scripted.requests()) == 1
+
+
+@pytest.mark.parametrize(
+    ("message", "arguments", "option"),
+    [
+        (
+            "Unsupported parameter: 'max_tokens' is not supported here. Use 'max_completion_tokens' instead.",
+            (),
+            """--max-answer-tokens 0 --extra '{"max_completion_tokens": 1024}'""",
+        ),
+        (
+            "Unsupported value: 'temperature' does not support 0.0 with this model. Only the default (1) is supported.",
+            (),
+            "--no-temperature",
+        ),
+        ("`temperature` and `top_p` cannot both be specified for this model.", ("--top-p", "0.9"), "--no-temperature"),
+        ("This model's maximum context length is 512 tokens.", (), "--max-answer-tokens 256"),
+        ("Unrecognized request argument supplied: stream_options", ("--stream",), "--no-stream"),
+        ("Invalid parameter: 'response_format' of type 'json_schema'.", ("--answers", "json"), "--answers text"),
+        ('"auto" tool choice requires --enable-auto-tool-choice', ("--answers", "tool"), "--answers text"),
+    ],
+)
+def test_a_famous_refusal_names_the_option_that_helps(
+    endpoint: Start, message: str, arguments: tuple[str, ...], option: str
+) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[0, 0, {"status": 400, "message": message}]])
+    refused = scripted.infer("--seeds", "14:15", *arguments)
+    assert refused.status == 2
+    named = "another --max-answer-tokens, or with 0 to send none" if "256" in option else option
+    assert f"answers 400: {message} (try it with {named})" in refused.err
+    # It is an option that there is, and what was refused is not sent again.
+    assert scripted.infer("--seeds", "14:15", *arguments, *shlex.split(option)).status == 0
+    before, after = (request["body"] for request in scripted.requests()[:2])
+    assert any(after.get(name) != value for name, value in before.items())
+
+
+def test_no_option_is_named_for_what_was_not_sent(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[0, 0, {"status": 400, "message": "no temperature, please"}]])
+    done = scripted.infer("--seeds", "14:15", "--no-temperature")
+    assert "answers 400: no temperature, please\n" in done.err
 
 
 def test_a_400_for_a_later_call_costs_its_flight_alone(endpoint: Start) -> None:

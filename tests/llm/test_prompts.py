@@ -1,5 +1,6 @@
 """Prompts: what the model is told, and files that are none."""
 
+import hashlib
 import re
 import subprocess
 from collections.abc import Callable
@@ -10,9 +11,8 @@ import pytest
 from drone_env.core.actions import Action
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.llm.prompt import FOLDER, VALUES, first_messages, get_prompt, prompt_ids, read_prompt
+from drone_env.llm.prompt import FOLDER, VALUES, first_messages, get_prompt, prompt_ids, read_prompt, text_of_file
 from drone_env.planning.optimal import solve
 from tests.tools import missing_tool
 
@@ -20,15 +20,36 @@ from .conftest import ROOT, Endpoint
 
 
 def test_a_checkout_with_other_ends_of_lines_has_the_same_prompts(tmp_path: Path) -> None:
-    for file in sorted(FOLDER.rglob("*.toml")):
+    for file in [*FOLDER.rglob("*.toml"), *FOLDER.rglob("*.j2")]:
         copy = tmp_path / file.name
         copy.write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
-        assert read_prompt(copy) == read_prompt(file)
+        assert text_of_file(copy) == text_of_file(file)
     written = ["-c", "core.autocrlf=true", "checkout-index", f"--prefix={tmp_path}/", "README.md"]
     done = subprocess.run(["git", *written], cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         missing_tool("a git checkout")
     assert b"\r\n" not in (tmp_path / "README.md").read_bytes()
+
+
+def test_the_first_prompts_say_what_they_always_said() -> None:
+    """Old runs are checked, and gone on with, by them."""
+    said: dict[str, str] = {}
+    for name in ("coordinates-1", "grid-1", "minimal-1", "plan-1"):
+        digest = hashlib.sha256()
+        for task in ("hard", "skyline_easy"):
+            episode = Episode(task)
+            episode.reset(7)
+            for action in (Action.UP, Action.WAIT, Action.LEFT):
+                episode.step(action)
+            messages = first_messages(get_prompt(name), episode, ["1. UP"])
+            digest.update("\n".join(message["content"] for message in messages).encode())
+        said[name] = f"{get_prompt(name).digest} {digest.hexdigest()[:16]}"
+    assert said == {
+        "coordinates-1": "efa13975020617da b6454cb90a1fdedf",
+        "grid-1": "8af5d06d159d7c32 236f58f1d3041242",
+        "minimal-1": "dd03a74b564c877f 02b517faed01b160",
+        "plan-1": "facf28bbfa0f8598 d886e558d22491ec",
+    }
 
 
 def test_prompts_tell_what_the_drone_sees() -> None:
@@ -57,16 +78,8 @@ def test_prompts_tell_what_the_drone_sees() -> None:
     assert len(Cell) == 9
 
 
-def test_every_task_can_be_told() -> None:
-    for task in TASKS.values():
-        episode = Episode(task)
-        episode.reset(0)
-        system, _ = first_messages(get_prompt("grid"), episode)
-        assert ("charging pad adds" in system["content"]) == bool(task.pads)
-
-
 def test_where_there_are_pads_every_prompt_tells_what_lies_below_the_drone() -> None:
-    prompts = [*map(get_prompt, prompt_ids()), read_prompt(FOLDER / "tools" / "fly-1.toml")]
+    prompts = [*map(get_prompt, prompt_ids()), *map(read_prompt, sorted(FOLDER.glob("tools/*")))]
     episode, told = Episode("skyline_easy"), set[str]()
     for seed in range(3):
         episode.reset(seed)
@@ -87,30 +100,49 @@ def test_where_there_are_pads_every_prompt_tells_what_lies_below_the_drone() -> 
 
 
 def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match="allowed: coordinates"):
+    with pytest.raises(UnknownNameError, match=r"allowed: FILE\.toml, coordinates"):
         get_prompt("poem")
-    path = tmp_path / "mine-1.toml"
+    path = tmp_path / "mine.toml"
+    rest = '\nplan = false\nsystem = ""\nuser = "{{ weather }}"\nrepair = ""'
     for text, why in [
-        ("plan = 1", "a prompt holds"),
-        ('plan = false\nsystem = "{weather}"\nuser = ""\nrepair = ""', "unknown 'weather'"),
-        ("plan = ", "mine-1.toml"),
+        ("plan = ", "mine.toml: "),
+        ("plan = 1", "mine.toml is not a prompt: plan: Input should be a valid boolean; system: Field required"),
+        ("format = 3" + rest, "format: Input should be 2"),
+        (rest, "a prompt of your own has format = 2"),
+        ("format = 2" + rest, "user: unknown 'weather'; there are battery_percent, battery_steps, "),
+        ("format = 2" + rest.replace("}}", ""), "user: unexpected end of template"),
+        ('format = 2\nmarks = ["ACTION"]' + rest.replace("weather", "x"), r"marks\.0: String should match pattern"),
+        ("format = 2" + rest.replace('system = ""', "system = '{% include \"more.j2\" %}'"), r"unknown 'more\.j2'"),
     ]:
         path.write_text(text)
         with pytest.raises(InvalidValueError, match=why):
-            read_prompt(path)
+            get_prompt(str(path))
+    (tmp_path / "grid-2.toml").write_text("format = 2" + rest)
+    with pytest.raises(InvalidValueError, match=r"grid-2\.toml: the package has a prompt of this name"):
+        read_prompt(tmp_path / "grid-2.toml")
+
+
+@pytest.mark.parametrize("template", ["{{ task.__class__.__mro__ }}", "{{ 1 // 0 }}", "{{ task.weather }}"])
+def test_a_template_that_cannot_be_filled_in_or_reaches_out_is_told(tmp_path: Path, template: str) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(f'format = 2\nplan = false\nsystem = ""\nuser = "{template}"\nrepair = ""')
+    episode = Episode("easy")
+    episode.reset(14)
+    with pytest.raises(InvalidValueError, match="prompt mine cannot be filled in: "):
+        first_messages(read_prompt(path), episode)
 
 
 def test_a_template_may_name_every_value_and_no_other(tmp_path: Path) -> None:
-    path = tmp_path / "mine-1.toml"
-    told = "; ".join(f"{name}={{{name}}}" for name in sorted(VALUES))
-    path.write_text(f"plan = false\nsystem = '{told}'\nuser = '{told}'\nrepair = '{{reason}}'\n")
+    path = tmp_path / "mine.toml"
+    told = "; ".join(f"{name}={{{{ {name} }}}}" for name in sorted(VALUES))
+    path.write_text(f"format = 2\nplan = false\nsystem = '{told}'\nuser = '{told}'\nrepair = '{{{{ reason }}}}'\n")
     episode = Episode("easy")
     episode.reset(14)
     for message in first_messages(read_prompt(path), episode):
         filled = dict(part.partition("=")[::2] for part in message["content"].split("; "))
         assert filled.keys() == VALUES
         assert (filled["x"], filled["y"], filled["steps_left"], filled["history"]) == ("6", "3", "60", "")
-    path.write_text(path.read_text().replace("{reason}", "{x}"))
+    path.write_text(path.read_text().replace("{{ reason }}", "{{ x }}"))
     with pytest.raises(InvalidValueError, match="repair: unknown 'x'; there are reason"):
         read_prompt(path)
 
@@ -118,7 +150,8 @@ def test_a_template_may_name_every_value_and_no_other(tmp_path: Path) -> None:
 @pytest.mark.feature("I3")
 def test_the_prompt_asks_for_one_word(endpoint: Callable[..., Endpoint]) -> None:
     scripted = endpoint(pilot="greedy")
-    assert scripted.infer("--task", "easy", "--seeds", "14:15").status == 0
+    done = scripted.infer("--task", "easy", "--seeds", "14:15")
+    assert done.status == 0
     (system, user), (_, later) = [request["body"]["messages"] for request in scripted.requests()][:2]
     assert (system["role"], user["role"]) == ("system", "user")
     for told in ("delivery drone", "Goal: deliver every parcel", "exactly one", "in uppercase"):
@@ -129,7 +162,9 @@ def test_the_prompt_asks_for_one_word(endpoint: Callable[..., Endpoint]) -> None
         "Battery: 100% (60 units)",
         "Target: (5, 1)",
         "Distance: 3",
+        "Step: 0 of 60",
     ]
+    assert "does not tell" not in done.err
     assert later["content"].startswith("Position: (5, 3)\nBattery: 98% (59 units)\n")
 
 

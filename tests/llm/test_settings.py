@@ -129,7 +129,7 @@ def test_settings_that_are_wrong_are_named(tmp_path: Path, monkeypatch: pytest.M
         ({"model": "line\u2028break"}, "no spaces"),
         ({"base_url": "ftp://x"}, "API_BASE_URL must be"),
         ({"base_url": "https://x/a\tb"}, "without anything unprintable"),
-        ({"prompt": "plan-1", "prompt_digest": get_prompt("plan").digest, "history": 1}, "tells no last steps"),
+        ({"prompt": "plan-2", "prompt_digest": get_prompt("plan").digest, "history": 1}, "tells no last steps"),
         ({"seeds": (3, 3)}, "are not"),
     ],
 )
@@ -158,7 +158,7 @@ def test_all_that_decides_the_calls_is_a_difference() -> None:
         (told,) = config.differences(run_config(**{name: value}))
         assert told == f"{name}: {getattr(config, name)!r} is now {value!r}"
     assert config.differences(run_config()) == []
-    with pytest.raises(ValueError, match=r"prompt minimal-1 is now .*; the run was made with 0000"):
+    with pytest.raises(ValueError, match=r"prompt minimal-2 is now .*; the run was made with 0000"):
         run_config(prompt_digest="0" * 16).load_prompt()
 
 

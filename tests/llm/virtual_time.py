@@ -57,7 +57,7 @@ def run_config(**change: Any) -> RunConfig:
         "seeds": (14, 15),
         "repeats": 1,
         "reward_profile": "tiered",
-        "prompt": "minimal-1",
+        "prompt": "minimal-2",
         "prompt_digest": get_prompt("minimal").digest,
         "history": 0,
         "answers": "text",

@@ -1,0 +1,135 @@
+"""Which prompt a run asks by: one that lets think, one of your own, several beside each other, that of an old run."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from statistics import fmean, stdev
+
+import pytest
+
+from drone_env.cli import main
+from drone_env.core.seeds import SPLITS
+from drone_env.llm.prompt import FOLDER
+from drone_env.planning.optimal import solve
+
+from .conftest import Endpoint
+from .log_lines import verified
+
+Start = Callable[..., Endpoint]
+OWN = (
+    """
+format = 2
+plan = false
+marks = ["MOVE:"]
+system = """
+    + '''"""
+Fly! {% include "rules-2.j2" %}
+"""
+user = """
+{% include "drone-2.j2" %}
+Parcels to deliver: {{ parcels }}
+"""
+repair = "{{ reason }}"
+'''
+)
+
+
+def test_a_model_may_think_aloud(endpoint: Start) -> None:
+    done = endpoint(pilot="aloud").infer("--task", "medium", "--episodes", "2", "--prompt", "think")
+    assert (done.status, set(done.turns)) == (0, {"ok"}), done.err
+    start = SPLITS["test"].start
+    assert [flight["score"] for flight in done.flights] == [solve("medium", start + i).score for i in range(2)]
+    verified(done)
+    # Who asks for one word gets no thoughts for one.
+    silent = endpoint(pilot="aloud").infer("--seeds", "14:15", "--max-calls", "2")
+    assert silent.turns == {"parse_error": 1, "budget_stop": 1}
+
+
+def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Start) -> None:
+    scripted = endpoint(pilot="MOVE: LEFT")
+    mine = scripted.folder / "mine.toml"
+    mine.write_text(OWN)
+    first = scripted.infer("--seeds", "14:15", "--prompt", str(mine), "--max-calls", "2")
+    assert (first.turns, first.status) == ({"ok": 2, "budget_stop": 1}, 3), first.err
+    config = json.loads((first.folder / "run.json").read_text())
+    assert (config["prompt"], config["prompt_text"]) == ("mine", OWN)
+    assert scripted.requests()[0]["body"]["messages"][0]["content"].startswith("Fly! The grid is 10 x 10:")
+    # Another file is another run; without one, it goes on with its own.
+    mine.write_text(OWN.replace("Fly!", "Fly on!"))
+    again = ("--seeds", "14:15", "--resume", "--max-calls", "5")
+    refused = scripted.infer(*again, "--prompt", str(mine), folder=first.folder)
+    assert (refused.status, "prompt_digest: " in refused.err) == (2, True)
+    mine.unlink()
+    resumed = scripted.infer(*again, folder=first.folder)
+    assert resumed.turns == {"ok": 5, "budget_stop": 1}
+    verified(resumed)
+
+
+def test_an_old_run_goes_on_with_its_prompt(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy")
+    begun = scripted.infer("--seeds", "14:15", "--prompt", "minimal-1", "--max-calls", "1")
+    resumed = scripted.infer("--seeds", "14:15", "--resume", folder=begun.folder)
+    assert (resumed.status, resumed.turns) == (0, {"ok": 3}), resumed.err
+    assert {len(request["body"]["messages"][1]["content"].splitlines()) for request in scripted.requests()} == {4}
+
+
+def test_the_command_says_what_a_prompt_does_not_tell(endpoint: Start) -> None:
+    fly = ("--task", "skyline_easy", "--seeds", "0:1", "--max-calls", "1")
+    done = endpoint(pilot="WAIT").infer(*fly, "--prompt", "coordinates-1")
+    said = "prompt coordinates-1 does not tell, on skyline_easy: the score and what ends a flight\n"
+    assert done.err.startswith(said)
+    assert "does not tell" not in endpoint(pilot="WAIT").infer(*fly).err
+
+
+def test_prompts_beside_each_other_in_one_report(endpoint: Start, capfd: pytest.CaptureFixture[str]) -> None:
+    scripted = endpoint(pilot="able")
+    prices = ("--price-prompt", "10", "--price-completion", "50")
+    # On two of these maps the nearest parcel is not the best one to begin with.
+    fly = ("--task", "medium", "--seeds", "57:60", "--repeats", "2", "--report", "--no-moves", *prices)
+    done = scripted.infer(*fly, "--prompts", "coordinates", "minimal-1")
+    assert done.status == 0, done.err
+    single = [json.loads((done.folder / name / "report.json").read_text()) for name in ("coordinates-2", "minimal-1")]
+    report = json.loads((done.folder / "report.json").read_text())
+    perfect, greedy = report["runs"]
+    scores = [[sum(of_map["scores"]) / 2 for of_map in run["maps"]] for run in single]
+    assert [run["score"] for run in report["runs"]] == [run["score"] for run in single]
+    assert (perfect["difference"], perfect["difference_ci95"]) == (0, [0, 0])
+    less = [ours - theirs for theirs, ours in zip(*scores, strict=True)]
+    assert sum(less) < 0
+    assert (greedy["maps"], greedy["difference"]) == (3, pytest.approx(fmean(less), abs=1e-12))
+    half = 1.96 * stdev(less) / 3**0.5
+    assert greedy["difference_ci95"] == pytest.approx([fmean(less) - half, fmean(less) + half])
+    # A call is 100 tokens of prompt and 2 of answer; each map is flown twice.
+    calls, points = single[1]["calls"]["answered"], 2 * sum(scores[1])
+    assert greedy["tokens_per_point"] == pytest.approx(102 * calls / points)
+    assert greedy["usd_per_point"] == pytest.approx(calls * (100 * 10 + 2 * 50) / 1e6 / points)
+    text = (done.folder / "report.md").read_text()
+    assert "| prompt | score (95 %) | less that of coordinates-2 |" in text
+    assert f"| {greedy['score']:.4f} ± " in text
+    assert f"minimal-1: score {greedy['score']:.4f} ± " in done.err
+    # The folder of several runs stands for all of them.
+    capfd.readouterr()
+    assert main(["leaderboard", str(done.folder), "--json"]) == 0
+    (board,) = json.loads(capfd.readouterr().out)["boards"]
+    assert [row["config"]["prompt"] for row in board["rows"]] == ["coordinates-2", "minimal-1"]
+    # What was flown is not paid again, and a prompt that is new is flown.
+    asked = len(scripted.requests())
+    more = scripted.infer(*fly, "--prompts", "coordinates", "minimal-1", "plan", "--resume", folder=done.folder)
+    assert [run["prompt"] for run in json.loads((more.folder / "report.json").read_text())["runs"]][2] == "plan-2"
+    assert len(scripted.requests()) == asked + 6
+
+
+def test_prompts_that_cannot_be_compared_are_refused(endpoint: Start, tmp_path: Path) -> None:
+    scripted = endpoint(pilot="greedy")
+    old = shutil.copy(FOLDER / "grid-1.toml", tmp_path / "mine.toml")
+    for arguments, why in (
+        (("--prompts", "grid", "grid-2"), "--prompts takes different prompts, got grid-2, grid-2"),
+        (("--prompts", "grid", "plan", "--prompt", "grid"), "give it without --prompt"),
+        (("--prompts", "grid", "plan", "--resume"), "there is no run in "),
+        (("--prompt", str(tmp_path / "none.toml")), "none.toml"),
+        (("--prompt", str(old)), "a prompt of your own has format = 2"),
+    ):
+        done = scripted.infer("--seeds", "14:15", *arguments)
+        assert (done.status, why in done.err) == (2, True), done.err
+    assert scripted.requests() == []

@@ -1,0 +1,117 @@
+"""Prompts tell all that decides a flight: it is read from their text alone, and who sees no more flies the optimum."""
+
+from dataclasses import replace
+
+import pytest
+
+from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
+from drone_env.core.score import score_of
+from drone_env.core.seeds import split_seeds
+from drone_env.core.tables import interpreted
+from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.llm.prompt import FOLDER, Prompt, first_messages, get_prompt, prompt_ids, read_prompt, untold
+from drone_env.planning.optimal import solve
+from drone_env.planning.solvers import solver_of
+
+from .prompt_reader import NotToldError, read_text
+
+TOLD = [get_prompt(name) for name in prompt_ids() if get_prompt(name).jinja] + [
+    read_prompt(FOLDER / "tools" / "fly-2.toml")
+]
+EASY, SKYLINE = TASKS["easy_delivery"], TASKS["skyline_easy"]
+ODD = [
+    replace(EASY, battery_capacity=25, width=9),
+    replace(EASY, efficiency_needs_all=True, deliveries=2),
+    replace(EASY, impassable=frozenset({Cell.TREE, Cell.BUILDING})),
+    replace(EASY, drain=((Cell.ROAD, 2), (Cell.OBSTACLE, 0), (Cell.TREE, 1))),
+    replace(EASY, pads=3, drain=((Cell.PAD, 4),)),
+    replace(EASY, pads=3, charge_rate=7),
+    replace(SKYLINE, drain=((Cell.DELIVERY, 3), (Cell.PAD, 2)), efficiency_needs_all=False),
+]
+"""Tasks of one's own, with rules that none of ours has."""
+FIRST = [get_prompt(name) for name in prompt_ids() if not get_prompt(name).jinja]
+UNSEEN = {
+    *{"id", "short_name", "grader", "version"},  # names
+    *{name for name in EASY.rules() if name.startswith("r_")},  # what learners are paid is no part of the score
+    "street_spacing",  # how maps are drawn: the map itself is there to be seen
+}
+"""What decides no flight over a map that is told."""
+
+
+def rules_of(task: TaskConfig, terrain: bool) -> dict[str, object]:
+    """All numbers and rules of a task that decide its flights, and how much terrain there is that decides none."""
+    drain = {kind: units for kind, units in task.drain if units != 1}
+    deciding = task.impassable | drain.keys() | ({Cell.PAD} if task.charge_rate else set())
+    counts = {
+        f"{kind.name.lower()}s": n if terrain or kind in deciding else 0 for kind, n in task.cell_counts().items()
+    }
+    rules = task.rules() | counts | {"drain": drain}
+    return {name: value for name, value in rules.items() if name not in UNSEEN}
+
+
+@pytest.mark.parametrize("task", [*TASKS.values(), *ODD], ids=lambda task: task.short_name)
+@pytest.mark.parametrize("prompt", TOLD, ids=lambda prompt: prompt.id)
+def test_every_number_and_rule_of_a_task_is_read_from_the_prompt_alone(prompt: Prompt, task: TaskConfig) -> None:
+    episode = Episode(task)
+    episode.reset(3)
+    told = read_text(first_messages(prompt, episode))
+    assert rules_of(told.task, True) == rules_of(task, terrain=prompt.id != "minimal-2")
+    for delivered in range(task.deliveries + 1):
+        for battery, steps in (
+            (0, task.max_steps),
+            (1, 7),
+            (task.battery_capacity // 2, 20),
+            (task.battery_capacity, 1),
+        ):
+            score = score_of(interpreted(task), delivered, battery, steps)
+            assert told.score(delivered, battery, steps) == pytest.approx(score, abs=1e-12)
+    assert untold(prompt, task) == []
+
+
+def flown_by_reading(prompt: Prompt, task: str, seed: int) -> float:
+    """The score of a planner that is told one prompt after another, or a single one that asks for the route."""
+    episode = Episode(task)
+    episode.reset(seed)
+    while not episode.ended:
+        told = read_text(first_messages(prompt, episode)).episode
+        solver = solver_of(told)
+        while not told.ended:
+            action = solver.optimal_actions(told)[0]
+            told.step(action)
+            episode.step(action)
+            if not prompt.plan:
+                break
+    return episode.score
+
+
+@pytest.mark.parametrize("task", [task.short_name for task in TASKS.values()])
+@pytest.mark.parametrize("prompt", TOLD, ids=lambda prompt: prompt.id)
+def test_who_sees_nothing_but_the_text_flies_the_optimum(prompt: Prompt, task: str) -> None:
+    for seed in split_seeds("test", 2):
+        assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("task", [task.short_name for task in TASKS.values()])
+@pytest.mark.parametrize("prompt", TOLD, ids=lambda prompt: prompt.id)
+def test_who_sees_nothing_but_the_text_flies_the_optimum_of_many_maps(prompt: Prompt, task: str) -> None:
+    for seed in split_seeds("test", 100 if prompt.id == "minimal-2" else 20):
+        assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
+
+
+@pytest.mark.parametrize("level", ["easy", "medium", "hard"])
+def test_the_first_prompts_do_not_tell_enough_on_skyline(level: str) -> None:
+    episode = Episode(f"skyline_{level}")
+    episode.reset(0)
+    missing = {prompt.id: untold(prompt, episode.task) for prompt in FIRST}
+    rules = "the score and what ends a flight"
+    assert missing == {
+        "coordinates-1": [rules],
+        "grid-1": [rules],
+        "minimal-1": [rules, "the steps taken", "all parcels", "buildings", "trees", "obstacles", "charging pads"],
+        "plan-1": [rules],
+    }
+    for prompt in FIRST:
+        with pytest.raises(NotToldError, match="score"):
+            read_text(first_messages(prompt, episode))
