@@ -26,7 +26,7 @@ with needs("server", __name__):
     import httpx
 
 if TYPE_CHECKING:
-    from drone_env.server.openenv.client import DroneDeliveryClient as DroneDeliveryClient
+    from drone_env.openenv_client import DroneDeliveryClient as DroneDeliveryClient
 
 __all__ = ["DroneDeliveryClient", "DroneEnvClient", "ServerError"]
 
@@ -244,7 +244,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def __getattr__(name: str) -> Any:
     if name == "DroneDeliveryClient":
-        from drone_env.server.openenv.client import DroneDeliveryClient
+        from drone_env.openenv_client import DroneDeliveryClient
 
         return DroneDeliveryClient
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -12,6 +12,8 @@ from drone_env.errors import InvalidValueError
 
 PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
 """Where the parts of what is kept lie in the working directory."""
+RUNS = "llm"
+"""The folder of the runs of language models in the data folder, unless a command names another."""
 
 
 def data_folder(part: str = "") -> Path:

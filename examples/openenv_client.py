@@ -21,7 +21,7 @@ import urllib.error
 import urllib.request
 
 from drone_env import DroneAction, solve
-from drone_env.server.openenv.client import DroneDeliveryClient
+from drone_env.openenv_client import DroneDeliveryClient
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--url", help="a server that runs; one is started if none is named")

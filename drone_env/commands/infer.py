@@ -14,6 +14,7 @@ from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError, needs, text_of
+from drone_env.files import RUNS
 from drone_env.llm.options import Number, Options, Whole
 
 if TYPE_CHECKING:
@@ -156,7 +157,8 @@ def infer(
     problems: list[str] = []
     with contextlib.ExitStack() as opened:
         store = None if use_image or options.server is not None else opened.enter_context(Store(data))
-        folder = run_folder.RunFolder(out or _new_folder(data, config.model, config_task.short_name), config, resume)
+        new = _new_folder(data / RUNS, config.model, config_task.short_name)
+        folder = run_folder.RunFolder(out or new, config, resume)
         opened.callback(folder.close)
         go_on = f"give the same options with --out {folder.path} --resume"
 
@@ -207,7 +209,7 @@ def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "Engine":
     return run_on_nodes
 
 
-def _new_folder(data: Path, model: str, task: str) -> Path:
+def _new_folder(runs: Path, model: str, task: str) -> Path:
     name = "".join(letter if letter.isalnum() or letter in ".-_" else "-" for letter in model[:50])
     now = datetime.now(timezone.utc).strftime("%Y%m%d-%H%M%S-%f")
-    return data / "llm" / f"{now}-{task}-{name}"
+    return runs / f"{now}-{task}-{name}"

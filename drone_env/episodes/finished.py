@@ -134,6 +134,7 @@ def selection(
     before: int | None = None,
     after: int | None = None,
     episode_id: str | None = None,
+    seed: int | None = None,
 ) -> tuple[str, tuple[object, ...]]:
     """The WHERE of the episodes that are meant, and its values.
 
@@ -148,6 +149,7 @@ def selection(
         "number < ?": before,
         "number > ?": after,
         "id = ?": episode_id,
+        "seed = ?": seed,
     }
     given = {condition: value for condition, value in conditions.items() if value is not None}
     return f"WHERE {' AND '.join(given)}" if given else "", tuple(given.values())

@@ -6,15 +6,30 @@ import time
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
+from typing import Protocol
 
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.episodes.database import Database
-from drone_env.episodes.finished import EpisodeSummary
 from drone_env.errors import StoreError, UnknownNameError
 from drone_env.planning.optimal import best_of
 
 KEEP_SECONDS = 0.1
 log = logging.getLogger(__name__)
+
+
+class Flown(Protocol):
+    """A map that was flown."""
+
+    @property
+    def task(self) -> str: ...  # noqa: D102
+    @property
+    def task_version(self) -> int: ...  # noqa: D102
+    @property
+    def seed(self) -> int: ...  # noqa: D102
+    @property
+    def solved(self) -> bool:
+        """Whether it has been given to the solver."""
+        ...
 
 
 class Optima:
@@ -27,8 +42,8 @@ class Optima:
         self._lock = threading.Lock()
         self._jobs: dict[TaskConfig, Future[None]] = {}
 
-    def solve_maps_of(self, rows: Iterable[EpisodeSummary], patience: float) -> bool:
-        """Have the maps of episodes solved that were never given to the solver; whether there were any.
+    def solve_maps_of(self, rows: Iterable[Flown], patience: float) -> bool:
+        """Have the maps solved that were never given to the solver; whether there were any.
 
         A task that is being worked on is left to that. Waits for up to `patience` seconds. What goes wrong is logged,
         and tried again by the next call, which returns what is known until then.

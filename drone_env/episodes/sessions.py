@@ -20,6 +20,7 @@ from drone_env.errors import EpisodeError, InvalidValueError, NoSessionError, Se
 
 FINISHED_SECONDS = 30.0
 """For so long a finished session keeps its place even where others have none: its owner still asks for the score."""
+GONE_SECONDS = 7 * 24 * 3600.0
 CHARACTERS = bytes.maketrans(bytes(range(10)), b"0123456789")
 NUMBERS = bytes.maketrans(b"0123456789", bytes(range(10)))
 """Actions are kept as a text of digits; these turn bytes with their numbers into it, and back."""
@@ -249,3 +250,12 @@ def end_finished(connection: sqlite3.Connection, now: float) -> bool:
     if found is not None:
         end_session(connection, found[0], now)
     return found is not None
+
+
+def end_idle(connection: sqlite3.Connection, now: float, idle_seconds: float) -> list[str]:
+    """End the sessions that were not used for so long, and return their ids; forget those that are gone for a week."""
+    idle = connection.execute("SELECT id FROM sessions WHERE touched_at <= ?", (now - idle_seconds,)).fetchall()
+    for (session_id,) in idle:
+        end_session(connection, session_id, now)
+    connection.execute("DELETE FROM gone_sessions WHERE gone_at < ?", (now - GONE_SECONDS,))
+    return [session_id for (session_id,) in idle]

@@ -15,6 +15,7 @@ from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.episodes.by_map import SELECT_BY_MAP, FlownMap, flown_map
 from drone_env.episodes.database import BUSY_SECONDS, Database
 from drone_env.episodes.finished import (
     SELECT_ROWS,
@@ -33,6 +34,7 @@ from drone_env.episodes.sessions import (
     EPISODE_ID,
     SessionRow,
     end_finished,
+    end_idle,
     end_session,
     known_task,
     new_episode_id,
@@ -45,7 +47,6 @@ from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, U
 
 FILE_NAME = "drone_env.sqlite3"
 VIEW_NAME = "memory.json"
-GONE_SECONDS = 7 * 24 * 3600.0
 PAGE = 100
 MOST_ROWS = 1 << 31
 NEWEST = "ORDER BY number DESC LIMIT ?"
@@ -166,6 +167,7 @@ class Store:
         before: int | None = None,
         after: int | None = None,
         episode_id: str | None = None,
+        seed: int | None = None,
         patience: float = 0.25,
     ) -> list[EpisodeSummary]:
         """The last `n` finished episodes with the optima of their maps, newest first.
@@ -179,6 +181,7 @@ class Store:
             before: Only those that were stored before the one of this number.
             after: Only those that were stored after the one of this number.
             episode_id: Only the one of this id.
+            seed: Only those over the map of this number.
             patience: For how many seconds to wait for optima.
 
         Raises:
@@ -186,10 +189,26 @@ class Store:
             InvalidValueError: if n is negative.
             StoreError: if the store cannot be read.
         """
-        where, values = selection(task, agent, before, after, episode_id)
+        where, values = selection(task, agent, before, after, episode_id, seed)
         chosen = f"{where} {NEWEST}", (*values, _at_most(n))
         found = self._rows(*chosen)
         return self._rows(*chosen) if self._optima.solve_maps_of(found, patience) else found
+
+    def by_map(self, task: str | TaskConfig, patience: float = 0.25) -> list[FlownMap]:
+        """All finished episodes of a task, those by one agent over one map put together; optima as for `listed`.
+
+        Raises:
+            UnknownNameError: if there is no such task.
+            StoreError: if the store cannot be read.
+        """
+        where, values = selection(task)
+        chosen = SELECT_BY_MAP.format(where=where), values
+        found = [flown_map(row) for row in self._read(*chosen)]
+        return [flown_map(row) for row in self._read(*chosen)] if self._optima.solve_maps_of(found, patience) else found
+
+    def kept(self, episode_ids: Iterable[str]) -> set[str]:
+        """Those of these ids that the store has."""
+        return {id_ for id_ in episode_ids if self._read("SELECT 1 FROM episodes WHERE id = ?", (id_,))}
 
     def episodes(self) -> Iterator[StoredEpisode]:
         """All finished episodes, oldest first, read as they are asked for.
@@ -206,9 +225,8 @@ class Store:
     def analysis(self, task: str | TaskConfig, last: int = 1000, patience: float = 0.25) -> Analysis:
         """Figures of the last episodes of a task.
 
-        The optima that regret needs are solved once per map, in a thread of the store's, and kept; this call waits for
-        them for at most `patience` seconds. The maps that are not solved by then are left out of `mean_regret`
-        (`regret_episodes` says how many count) and are there in a later call.
+        Optima are solved once per map, in a thread of the store's, and kept; this waits `patience` seconds for them.
+        The maps that are not solved by then are left out of `mean_regret` and are there in a later call.
 
         Raises:
             UnknownNameError: if there is no such task.
@@ -344,13 +362,8 @@ class Store:
         Raises:
             StoreError: if it could not be written.
         """
-        now = self._clock()
         with self._database.writing() as connection:
-            idle = connection.execute("SELECT id FROM sessions WHERE touched_at <= ?", (now - idle_seconds,)).fetchall()
-            for (session_id,) in idle:
-                end_session(connection, session_id, now)
-            connection.execute("DELETE FROM gone_sessions WHERE gone_at < ?", (now - GONE_SECONDS,))
-        return [session_id for (session_id,) in idle]
+            return end_idle(connection, self._clock(), idle_seconds)
 
     def count_sessions(self) -> int:
         """How many sessions are open.

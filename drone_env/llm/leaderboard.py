@@ -20,6 +20,14 @@ class Refused(NamedTuple):
     """Whether it is not what it says; else it is only not whole, or invalid, or of what is withdrawn."""
 
 
+class Judged(NamedTuple):
+    """A run that is ranked."""
+
+    path: Path
+    figures: dict[str, Any]
+    """Those of its report."""
+
+
 class Board(NamedTuple):
     """Runs over the same maps of the same task, best first, by (score - random) / (optimal - random), then by score."""
 
@@ -34,32 +42,39 @@ def leaderboard(paths: Iterable[Path]) -> tuple[list[Board], list[Refused]]:
     Args:
         paths: The run folders; one that is named twice counts once.
     """
+    judged = [judge(path) for path in {path.resolve(): path for path in paths}.values()]
+    ranked = [one for one in judged if isinstance(one, Judged)]
+    return boards_of(ranked), [one for one in judged if isinstance(one, Refused)]
+
+
+def judge(path: Path) -> Judged | Refused:
+    """Check a run: its figures, or why it is not ranked."""
+    try:
+        load_config(path)
+        if not (path / RESULTS).exists():
+            # Written at the end of each part of a run.
+            under_way = "no flights yet: it is under way, or was killed and can be gone on with (--resume)"
+            return Refused(path, under_way, damaged=False)
+        run = verified_run(path)
+    except WithdrawnError as error:
+        return Refused(path, str(error), damaged=False)
+    except (DroneEnvError, OSError, ValueError) as error:
+        return Refused(path, str(error).removeprefix(f"{path}: "), damaged=True)
+    figures = report(run, moves=False)
+    if figures["verdict"] != "valid":
+        return Refused(path, f"{figures['verdict']}: {figures['reason']}", damaged=False)
+    return Judged(path, figures)
+
+
+def boards_of(judged: Iterable[Judged]) -> list[Board]:
+    """Runs that are ranked, on the board of their maps."""
     boards: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
-    refused: list[Refused] = []
-    for path in {path.resolve(): path for path in paths}.values():
-        try:
-            load_config(path)
-            if not (path / RESULTS).exists():
-                # Written at the end of each part of a run.
-                under_way = "no flights yet: it is under way, or was killed and can be gone on with (--resume)"
-                refused.append(Refused(path, under_way, damaged=False))
-                continue
-            run = verified_run(path)
-        except WithdrawnError as error:
-            refused.append(Refused(path, str(error), damaged=False))
-            continue
-        except (DroneEnvError, OSError, ValueError) as error:
-            refused.append(Refused(path, str(error).removeprefix(f"{path}: "), damaged=True))
-            continue
-        figures = report(run, moves=False)
-        if figures["verdict"] != "valid":
-            refused.append(Refused(path, f"{figures['verdict']}: {figures['reason']}", damaged=False))
-            continue
-        config = run.config
-        task = f"{config.task} version {config.task_version}"
-        maps = f"maps {config.seeds[0]} to {config.seeds[1] - 1} ({config.split})"
+    for path, figures in judged:
+        config = figures["config"]
+        task = f"{config['task']} version {config['task_version']}"
+        maps = f"maps {config['seeds'][0]} to {config['seeds'][1] - 1} ({config['split']})"
         boards[task, maps].append({"path": str(path), **figures})
-    return [Board(*key, sorted(rows, key=_merit, reverse=True)) for key, rows in sorted(boards.items())], refused
+    return [Board(*key, sorted(rows, key=_merit, reverse=True)) for key, rows in sorted(boards.items())]
 
 
 def _merit(row: dict[str, Any]) -> tuple[float, float]:

@@ -54,6 +54,23 @@ class PilotedRecord(Message):
         )
 
 
+class EpisodeIds:
+    """What a store calls the flights of the run in a folder.
+
+    Raises:
+        OSError: if no call of it was made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        with (path / TRANSCRIPT).open("rb") as file:
+            # It holds the time of the run's first call, and is the same for all parts of the run.
+            self._run = file.readline()
+
+    def of(self, flight: int) -> str:
+        """The id of the flight of a number."""
+        return hashlib.sha256(b"%d %s" % (flight, self._run)).hexdigest()[:16]
+
+
 class RunFolder:
     """An open run folder. To be closed.
 
@@ -103,10 +120,7 @@ class RunFolder:
         """
         if not flown.episode.ended:
             return
-        with (self.path / TRANSCRIPT).open("rb") as file:
-            # It holds the time of the run's first call, and is the same for all parts of the run.
-            run = file.readline()
-        store.add_episode(flown.episode, agent, hashlib.sha256(b"%d %s" % (flown.index, run)).hexdigest()[:16])
+        store.add_episode(flown.episode, agent, EpisodeIds(self.path).of(flown.index))
 
     def close(self) -> None:
         """Let other processes in."""

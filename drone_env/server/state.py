@@ -13,10 +13,12 @@ from typing_extensions import Self
 
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.store import Store
+from drone_env.files import RUNS
 from drone_env.planning.optimal import best_of
 from drone_env.server.exact_values import ExactValues
 from drone_env.server.local import local_address
 from drone_env.server.map_values import MapValues
+from drone_env.server.model_runs import ModelRuns
 from drone_env.server.predict import Networks
 from drone_env.server.problems import WHAT_TO_DO, RequestError, answers
 from drone_env.server.request_log import RequestLog
@@ -52,6 +54,7 @@ class Shared:
         self.networks = Networks(settings.weights, settings.data)
         self.values = ExactValues()
         self.map_values = MapValues(self.values, self.networks)
+        self.runs = ModelRuns(settings.data / RUNS)
         self._sessions: Sessions | None = None
         self.steps: ThreadPoolExecutor | None = None
         """Flies the steps of HTTP sessions while the server runs. One thread: the store has one writer anyway."""

@@ -1,12 +1,15 @@
-"""The end of `train.log`, which training writes into the data folder."""
+"""`train.log`, which training writes into the data folder: its end, and its figures."""
 
 from collections import deque
+from math import isfinite
 from pathlib import Path
 
 from drone_env.files import stamp
 
 FILE_NAME = "train.log"
 TAIL_BYTES = 256 * 1024
+CURVE_BYTES = 32 * 1024 * 1024
+POINTS = 400
 
 
 class TrainLog:
@@ -27,13 +30,38 @@ class TrainLog:
 
     def tail(self, lines: int) -> list[str]:
         """Its last lines, oldest first; none where there is no file. Reads at most its last 256 KiB."""
+        return list(deque(self._end(TAIL_BYTES), lines))
+
+    def curve(self) -> dict[str, list[float | None]]:
+        """The figures of the last training by name, in the order of its lines; none where there are no such lines.
+
+        At most 400 lines, evenly spread, the last among them, of the last 32 MiB. A line has figures where it is all
+        `name=value`, as `drone_env.rl.run.log_line` writes it, and as the first of them; null is what there is not yet.
+        """
+        lines = self._end(CURVE_BYTES)
+        chosen = lines[:: -max(1, -(-len(lines) // POINTS))][::-1]
+        rows = [row for row in map(_figures, chosen) if row]
+        return {name: [row[name] for row in rows if row.keys() == rows[0].keys()] for name in rows[0]} if rows else {}
+
+    def _end(self, size: int) -> list[str]:
+        """Its last lines, of at most so many bytes; none where there is no file."""
         try:
             with self.path.open("rb") as file:
-                size = file.seek(0, 2)
-                start = max(size - TAIL_BYTES, 0)
+                start = max(file.seek(0, 2) - size, 0)
                 file.seek(start)
-                text = file.read(TAIL_BYTES).decode("utf-8", "replace")
+                text = file.read(size).decode("utf-8", "replace")
         except FileNotFoundError:
             return []
-        found = text.splitlines()
-        return list(deque(found[1:] if start else found, lines))
+        return text.splitlines()[1 if start else 0 :]
+
+
+def _figures(line: str) -> dict[str, float | None]:
+    """The figures of a line; none where it is another one."""
+    parts = [part.partition("=") for part in line.split()]
+    try:
+        values = [None if value == "-" else float(value) for _, _, value in parts]
+    except ValueError:
+        return {}
+    # JSON has no NaN.
+    finite = [value if value is not None and isfinite(value) else None for value in values]
+    return {name: value for (name, _, _), value in zip(parts, finite, strict=True)}

@@ -1,5 +1,6 @@
 """What the server says there is, its logs, its predictions, and its description of itself."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from drone_env.server.request_log import KEPT, LONGEST_PATH, RequestLog
 from drone_env.server.routes.history import LINES
 from drone_env.server.schemas import Prediction
 from drone_env.server.settings import Settings
-from drone_env.server.train_log import TrainLog
+from drone_env.server.train_log import POINTS, TrainLog
 from tests.api.networks import put_network, put_tour, put_trained
 from tests.tools import reserved_port
 
@@ -36,6 +37,22 @@ class TestLogs:
         path = tmp_path / "train.log"
         path.write_text("x" * 1_000_000 + "\n" + "short\n" * 3)
         assert TrainLog(tmp_path).tail(LINES) == ["short"] * 3
+
+    def test_the_curve_of_a_long_training_is_thinned_and_other_lines_are_no_part_of_it(self, tmp_path: Path) -> None:
+        path, log = tmp_path / "train.log", TrainLog(tmp_path)
+        assert log.curve() == {}
+        path.write_text("episode 1 reward 3\n<b>x</b>\n")
+        assert log.curve() == {}
+        lines = [f"episode={n} loss={'-' if n < 10 else n / 2} score=nan" for n in range(1, 2001)]
+        path.write_text("\n".join(["started", *lines, "episode=2001 loss="]))
+        curve = log.curve()
+        assert curve.keys() == {"episode", "loss", "score"}
+        episodes = curve["episode"]
+        assert len(episodes) <= POINTS
+        assert {b - a for a, b in pairwise(episodes)} == {episodes[1] - episodes[0]}
+        assert episodes[-1] >= 1990
+        assert curve["loss"] == [None if n < 10 else n / 2 for n in episodes]
+        assert set(curve["score"]) == {None}
 
     def test_requests_are_logged_without_what_they_carried(self, client: TestClient) -> None:
         session = client.post("/reset?secret=query", json={"agent": "secret body"}).json()["session_id"]

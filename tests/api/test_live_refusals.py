@@ -161,8 +161,10 @@ def test_news_of_the_server(
         assert [request["path"] for request in page.until("requests")["requests"]] == ["/health"]
         assert page.until("training")["lines"] == []
         assert page.until("episodes")["episodes"] == []
-        (settings["data"] / "train.log").write_text("<b>episode 1</b>\n")
-        assert page.until("training")["lines"] == ["<b>episode 1</b>"]
+        (settings["data"] / "train.log").write_text("<b>episode 1</b>\nepisode=2 score=0.5\n")
+        training = page.until("training")
+        assert training["lines"] == ["<b>episode 1</b>", "episode=2 score=0.5"]
+        assert training["curve"] == {"episode": [2], "score": [0.5]}
         for agent in ("<i>me</i>", "another"):
             header = {"X-Session-Id": client.post("/reset", json={"seed": 7, "agent": agent}).json()["session_id"]}
             observation = {"done": False}

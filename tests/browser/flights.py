@@ -13,10 +13,10 @@ from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.episodes.store import Store
 
 
-def flown(task: str, seed: int, agent: str, label: str | None = None) -> EpisodeRecord:
+def flown(task: str, seed: int, agent: str, label: str | None = None, profile: str = "tiered") -> EpisodeRecord:
     """The record of a whole flight, under the agent's own name or another."""
     pilot = make_agent(agent, get_task(task))
-    episode = Episode(task, "tiered")
+    episode = Episode(task, profile)
     episode.reset(seed)
     pilot.reset(seed)
     while not episode.ended:

@@ -24,7 +24,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "drone_env.llm": ("llm",),
     "drone_env.llm.inspect_task": ("inspect",),
     "drone_env.llm.trl_environment": ("trl",),
-    "drone_env.server.openenv.client": ("server",),
+    "drone_env.openenv_client": ("server",),
     "drone_env.reports.pages": ("llm",),
     "drone_env.rl": ("train",),
     "drone_env.server": ("server",),

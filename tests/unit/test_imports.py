@@ -32,8 +32,9 @@ FLOORS = [
     {"planning", "models", "reward_file"},
     {"agents", "graders", "episodes"},
     {"datasets", "envs", "evaluation", "rl"},
+    {"client", "openenv_client"},
+    {"llm"},
     {"server"},
-    {"client", "llm"},
     {"cluster"},
     {"commands", "cli"},
 ]

@@ -23,10 +23,11 @@ from drone_env.cli import main
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl.checkpoint import load_checkpoint
 from drone_env.rl.config import ORIGINAL, TrainConfig, preset
-from drone_env.rl.run import TrainingRun, log_line
+from drone_env.rl.run import DIGITS, TrainingRun, log_line
 from drone_env.rl.trainer import Progress, Trainer
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
+from drone_env.server.train_log import TrainLog
 from tests.unit.small_training import SMALL, assert_same, do_nothing, run_in
 
 ROOT = Path(__file__).parents[2]
@@ -120,6 +121,12 @@ def test_the_command_trains_and_leaves_what_it_says(
     log = (tmp_path / "data/train.log").read_text().splitlines()
     assert [line.split()[0] for line in log] == [f"episode={n}" for n in range(5, 41, 5)]
     state = load_checkpoint(tmp_path / "data/easy.pth")
+    for name, curve in TrainLog(tmp_path / "data").curve().items():
+        figures = [line["validation_optimum" if name == "optimum" else name] for line in state["history"]]
+        assert [math.nan if at is None else at for at in curve] == pytest.approx(
+            figures, abs=10.0 ** -DIGITS.get(name, 4), nan_ok=True
+        ), name
+    assert len(curve) == 8
     history = list(csv.DictReader((tmp_path / "results/easy/history.csv").read_text().splitlines()))
     assert [{name: float(value) for name, value in line.items() if value != "nan"} for line in history] == [
         {name: value for name, value in line.items() if not math.isnan(value)} for line in state["history"]

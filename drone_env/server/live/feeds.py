@@ -38,7 +38,7 @@ class Feed:
                 self._request = entries[-1].number if entries else 0
                 yield {"type": "requests", "requests": entries}
         if "training" in self.topics and self._log.has_changed():
-            yield {"type": "training", "lines": self._log.tail(LINES)}
+            yield {"type": "training", "lines": self._log.tail(LINES), "curve": self._log.curve()}
         if "episodes" in self.topics:
             found = self._shared.store.listed(EPISODES, after=self._episode)
             if found or self._episode is None:

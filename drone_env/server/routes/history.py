@@ -55,11 +55,12 @@ def episodes(
     shared: SharedParts,
     task: Annotated[str | None, Query(max_length=100, description="Of this task only.")] = None,
     agent: Annotated[str | None, Query(max_length=200, description="By this agent only.")] = None,
+    seed: Annotated[int | None, Query(ge=0, le=MAX_SEED, description="Over the map of this number only.")] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     before: Annotated[int | None, Query(ge=1, le=MAX_SEED, description="`next` of the page before.")] = None,
 ) -> EpisodePage:
     """Finished episodes, newest first."""
-    found = shared.store.listed(limit + 1, task, agent, before)
+    found = shared.store.listed(limit + 1, task, agent, before, seed=seed)
     page = found[:limit]
     return EpisodePage(episodes=page, next=page[-1].number if len(found) > limit else None)
 

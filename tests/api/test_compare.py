@@ -1,0 +1,251 @@
+"""Who flies better: the leaderboard, two agents map by map, the runs of language models and what they were asked."""
+
+import json
+from collections import defaultdict
+from collections.abc import Generator
+from math import sqrt
+from pathlib import Path
+from statistics import mean, stdev
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from drone_env.episodes.store import Store
+from drone_env.llm.run_folder import EPISODES
+from drone_env.llm.transcript import read_calls
+from drone_env.planning.optimal import solve
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
+from tests.browser.flights import fill, flown
+from tests.llm.kept_run import put_run
+
+TASK = "easy_delivery"
+FORK = "human from step 2 of greedy"
+LABELS = [
+    *[("greedy", seed, "greedy") for seed in range(6)],
+    *[("random", seed, "random") for seed in range(2, 9)],
+    # Two over one map, of which one goes wrong.
+    *[("greedy", 4, "human with values"), ("random", 4, "human with values"), ("greedy", 5, "human with values")],
+    ("optimal", 3, "somebody else"),
+    ("optimal", 3, FORK),
+]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data folder with flights by several agents and runs of language models, one of them over another task."""
+    folder = tmp_path_factory.mktemp("compared") / "data"
+    fill(folder, [flown("easy", seed, agent, label) for agent, seed, label in LABELS])
+    fill(folder, [flown("medium", 3, "greedy")])
+    put_run(folder, "good", "greedy", range(14, 16), repeats=2)
+    put_run(folder, "bad", "WAIT", range(14, 16), model="scripted/waits")
+    put_run(folder, "elsewhere", "greedy", range(3, 4), task="medium")
+    forged = put_run(folder, "forged", "WAIT", range(14, 15), model="scripted/lies") / EPISODES
+    forged.write_text(forged.read_text().replace('"score":0.01', '"score":0.99'))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def client(data: Path) -> Generator[TestClient, None, None]:
+    with TestClient(create_app(Settings(data=data))) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def flights(data: Path) -> dict[str, dict[int, list[Any]]]:
+    """The flights over easy maps by agent and map, oldest first."""
+    found: dict[str, dict[int, list[Any]]] = defaultdict(lambda: defaultdict(list))
+    with Store(data) as store:
+        for episode in store.episodes():
+            if episode.record.task == TASK:
+                found[episode.record.agent][episode.record.seed].append(episode)
+    return found
+
+
+def get(client: TestClient, path: str, **query: str) -> Any:
+    answer = client.get(path, params=query)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def over_maps(values: list[float]) -> tuple[Any, Any]:
+    """Their mean and its interval, as they are to be told."""
+    if len(values) < 2:
+        return pytest.approx(values[0], abs=1e-12), None
+    margin = 1.96 * stdev(values) / sqrt(len(values))
+    return pytest.approx(mean(values), abs=1e-12), pytest.approx(
+        [mean(values) - margin, mean(values) + margin], abs=1e-12
+    )
+
+
+def test_the_leaderboard_counts_each_map_once(client: TestClient, flights: dict[str, dict[int, list[Any]]]) -> None:
+    answer = get(client, "/leaderboard/easy")
+    rows = {row["agent"]: row for row in answer["rows"]}
+    assert rows.keys() == flights.keys() - {FORK}
+    assert (answer["task"], answer["forks"]) == (TASK, 1)
+    assert [row["score"] for row in answer["rows"]] == sorted((row["score"] for row in rows.values()), reverse=True)
+    for agent, row in rows.items():
+        maps = flights[agent]
+        assert (row["flights"], row["maps"]) == (sum(map(len, maps.values())), len(maps))
+        scores = {seed: mean(one.record.score for one in of_map) for seed, of_map in maps.items()}
+        assert (row["score"], row["score_ci95"]) == over_maps(list(scores.values()))
+        lost = [solve("easy", seed).score - score for seed, score in scores.items()]
+        assert (row["regret"], row["regret_ci95"], row["regret_maps"]) == (*over_maps(lost), len(maps))
+        success = [mean(one.record.success for one in of_map) for of_map in maps.values()]
+        assert (row["success_rate"], row["success_ci95"]) == over_maps(success)
+        assert row["steps"] == over_maps([mean(one.steps for one in of_map) for of_map in maps.values()])[0]
+        assert row["reward"] == over_maps([mean(one.reward_total for one in of_map) for of_map in maps.values()])[0]
+    assert rows["human with values"]["maps"] == 2
+    assert 0 < rows["human with values"]["success_rate"] < 1
+    kinds = {agent: row["kind"] for agent, row in rows.items()}
+    assert kinds == {
+        "greedy": "pilot",
+        "random": "pilot",
+        "human with values": "person",
+        "somebody else": "other",
+        "scripted": "model",
+        "scripted/waits": "model",
+        "scripted/lies": "model",
+    }
+
+
+def test_rewards_of_different_profiles_have_no_mean(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        for profile in ("tiered", "aligned"):
+            store.add_episode(flown("easy", 7, "greedy", profile=profile))
+    with TestClient(create_app(Settings(data=tmp_path))) as client:
+        (row,) = get(client, "/leaderboard/easy")["rows"]
+    assert (row["flights"], row["reward"], row["reward_profile"]) == (2, None, None)
+
+
+def test_an_agents_maps_are_those_that_it_flew(client: TestClient, flights: dict[str, dict[int, list[Any]]]) -> None:
+    answer = get(client, "/leaderboard/easy/maps", agent="human with values")
+    assert answer["maps"] == [
+        {
+            "seed": seed,
+            "optimum": solve("easy", seed).score,
+            "id": of_map[-1].id,
+            "flights": len(of_map),
+            "score": pytest.approx(mean(one.record.score for one in of_map)),
+            "steps": mean(one.steps for one in of_map),
+            "success": mean(one.record.success for one in of_map),
+        }
+        for seed, of_map in sorted(flights["human with values"].items())
+    ]
+    ids = [one["id"] for one in get(client, "/episodes", task="easy", agent="human with values", seed="4")["episodes"]]
+    assert ids == [one.id for one in reversed(flights["human with values"][4])]
+
+
+def test_two_agents_are_paired_by_the_maps_that_both_flew(
+    client: TestClient, flights: dict[str, dict[int, list[Any]]]
+) -> None:
+    answer = get(client, "/paired/easy", a="random", b="greedy")
+    score = {
+        agent: {seed: mean(one.record.score for one in of_map) for seed, of_map in flights[agent].items()}
+        for agent in ("random", "greedy")
+    }
+    both = range(2, 6)
+    differences = [score["random"][seed] - score["greedy"][seed] for seed in both]
+    assert (answer["difference"], answer["ci95"]) == over_maps(differences)
+    assert [pair["seed"] for pair in answer["pairs"]] == list(both)
+    assert [pair["difference"] for pair in answer["pairs"]] == pytest.approx(differences)
+    assert [pair["a"]["id"] for pair in answer["pairs"]] == [flights["random"][seed][-1].id for seed in both]
+    assert (answer["maps"], answer["wins"], answer["ties"], answer["losses"]) == (4, 0, 0, 4)
+    turned = get(client, "/paired/easy", a="greedy", b="random")
+    assert (turned["wins"], turned["difference"]) == (4, -answer["difference"])
+    same = get(client, "/paired/easy", a="greedy", b="greedy")
+    assert (same["ties"], same["difference"], same["ci95"]) == (6, 0, [0, 0])
+    alone = get(client, "/paired/easy", a="somebody else", b="scripted")
+    assert (alone["maps"], alone["difference"], alone["ci95"], alone["pairs"]) == (0, None, None, [])
+
+
+def test_whom_nobody_knows_is_told_with_those_who_flew(client: TestClient) -> None:
+    for path in ("/paired/easy?a=greedy&b=nobody", "/leaderboard/easy/maps?agent=nobody"):
+        answer = client.get(path)
+        assert (answer.status_code, answer.json()["code"]) == (404, "unknown_name")
+        assert "greedy" in answer.json()["detail"]
+    for path in ("/leaderboard/none", "/leaderboard/none/models", "/paired/none?a=greedy&b=random"):
+        assert client.get(path).status_code == 404
+    assert get(client, "/leaderboard/skyline_easy")["rows"] == []
+
+
+def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
+    client: TestClient, data: Path, flights: dict[str, dict[int, list[Any]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = get(client, "/leaderboard/easy/models")
+    (board,) = answer["boards"]
+    assert board["maps"] == "maps 14 to 15 (custom)"
+    assert [(row["run"], row["model"], row["flights"]) for row in board["rows"]] == [
+        ("good", "scripted", 4),
+        ("bad", "scripted/waits", 2),
+    ]
+    good = board["rows"][0]
+    greedy = {seed: flown("easy", seed, "greedy") for seed in (14, 15)}
+    assert (good["score"], good["score_ci95"]) == over_maps([record.score for record in greedy.values()])
+    assert good["regret"] == pytest.approx(mean(solve("easy", s).score - r.score for s, r in greedy.items()), abs=1e-12)
+    # The first answer could not be used, and was asked for again.
+    assert (good["waits"], good["errored"], good["tokens"]) == (
+        0,
+        0,
+        102 * (1 + 2 * sum(len(r.actions) for r in greedy.values())),
+    )
+    assert [(of_map["seed"], of_map["flights"], of_map["id"]) for of_map in good["maps"]] == [
+        (
+            seed,
+            2,
+            max((one for one in flights["scripted"][seed] if one.record.success), key=lambda one: one.finished_at).id,
+        )
+        for seed in (14, 15)
+    ]
+    (unranked,) = answer["unranked"]
+    assert unranked["run"] == "forged"
+    assert "does not fit its flight" in unranked["reason"]
+    assert str(data) not in json.dumps(answer)
+    # What has been checked is not checked again.
+    monkeypatch.setattr("drone_env.llm.leaderboard.verified_run", None)
+    assert get(client, "/leaderboard/easy/models") == answer
+
+
+def test_a_models_flight_has_its_prompts_and_answers_by_step(
+    client: TestClient, data: Path, flights: dict[str, dict[int, list[Any]]]
+) -> None:
+    first = next(one for one in flights["scripted"][14] if one.record.success)
+    answer = get(client, f"/episodes/{first.id}/calls")
+    assert (answer["run"], answer["model"], answer["prompt"]) == ("good", "scripted", "minimal-1")
+    calls = [call for _, call in read_calls(data / "llm" / "good" / "calls.jsonl") if call.flight == 0]
+    assert [(call["step"], call["attempt"]) for call in answer["calls"]][:3] == [(0, 1), (0, 2), (1, 1)]
+    assert [call["outcome"] for call in answer["calls"]][:3] == ["illegal", "ok", "ok"]
+    assert [call["messages"] for call in answer["calls"]] == [call.messages for call in calls]
+    said = [call["answer"]["text"] for call in answer["calls"]]
+    assert said == ["Hm.", *first.record.actions]
+    last = next(reversed([one for one in flights["scripted"][15] if one.record.success]))
+    assert [
+        call["answer"]["text"] for call in get(client, f"/episodes/{last.id}/calls")["calls"]
+    ] == last.record.actions
+
+
+def test_a_flight_of_no_model_has_no_calls(client: TestClient, flights: dict[str, dict[int, list[Any]]]) -> None:
+    for episode_id, code in ((flights["greedy"][0][0].id, "no_calls"), ("0" * 16, "unknown_name")):
+        answer = client.get(f"/episodes/{episode_id}/calls")
+        assert (answer.status_code, answer.json()["code"]) == (404, code)
+
+
+def test_a_run_that_is_damaged_or_has_just_begun_stops_nothing(tmp_path: Path) -> None:
+    path = put_run(tmp_path, "cut", "greedy", range(14, 16))
+    with Store(tmp_path) as store:
+        flight = store.latest(1)[0].id
+    (tmp_path / "llm" / "unread").mkdir()
+    (tmp_path / "llm" / "unread" / "run.json").write_text("{}")
+    with TestClient(create_app(Settings(data=tmp_path))) as client:
+        assert [one["run"] for one in get(client, "/leaderboard/easy/models")["unranked"]] == ["unread"]
+        calls = path / "calls.jsonl"
+        calls.write_text(calls.read_text() + "no call\n")
+        cut, _ = get(client, "/leaderboard/easy/models")["unranked"]
+        assert "of cut/calls.jsonl is no call" in cut["reason"]
+        refused = client.get(f"/episodes/{flight}/calls")
+        assert (refused.status_code, refused.json()["code"]) == (404, "damaged_run")
+        # As it is before its first call.
+        calls.unlink()
+        assert client.get(f"/episodes/{flight}/calls").json()["code"] == "no_calls"
+        assert get(client, "/leaderboard/easy")["rows"][0]["kind"] == "model"

@@ -1,0 +1,72 @@
+"""A run of a language model in a data folder, made in this process: a scripted pilot answers, no endpoint is asked."""
+
+import asyncio
+import time
+from contextlib import closing
+from pathlib import Path
+
+from drone_env.core.rewards import ORIGINAL_PROFILE
+from drone_env.core.tasks import get_task
+from drone_env.episodes.store import Store
+from drone_env.files import RUNS
+from drone_env.llm.answers import Answer, Reading, read_answer
+from drone_env.llm.config import RunConfig, Sampling, digest
+from drone_env.llm.endpoint import request_body
+from drone_env.llm.pilot import PilotedEpisode, fly_one
+from drone_env.llm.prompt import ChatMessage, get_prompt
+from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
+from drone_env.llm.transcript import Call, CallKey, Transcript
+from tests.llm.scripted_server import reply
+
+
+def put_run(
+    data: Path, name: str, pilot: str, seeds: range, task: str = "easy", model: str = "scripted", repeats: int = 1
+) -> Path:
+    """Fly a run and keep it as `drone-env infer` does: its folder, and its flights in the store.
+
+    Args:
+        data: The data folder.
+        name: Of the run's folder.
+        pilot: What answers, as in `scripted_server`; to its very first prompt it says "Hm." instead.
+        seeds: The maps.
+        task: The task.
+        model: What the model is called.
+        repeats: Flights over each map.
+    """
+    prompt = get_prompt("minimal")
+    config = RunConfig(
+        model=model,
+        base_url="http://localhost:1/v1",
+        task=get_task(task).id,
+        task_version=get_task(task).version,
+        split="custom",
+        seeds=(seeds.start, seeds.stop),
+        repeats=repeats,
+        reward_profile=ORIGINAL_PROFILE,
+        prompt=prompt.id,
+        prompt_digest=prompt.digest,
+        history=0,
+        answers="text",
+        stream=False,
+        sampling=Sampling(),
+    )
+    folder = RunFolder(data / RUNS / name, config, resume=False)
+    with closing(folder), closing(Transcript(folder.path / TRANSCRIPT)) as transcript, Store(data) as store:
+
+        async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
+            said = "Hm." if key == (0, 1, 1) else reply(pilot, messages[1]["content"])
+            answer = Answer(text=said, finish_reason="stop", prompt_tokens=100, completion_tokens=2)
+            reading = read_answer(answer, prompt.plan)
+            seed, repeat = config.flight(key.flight)
+            asked = digest({"body": request_body(config), "messages": messages})
+            told = {"outcome": reading.kind, "latency": 0.5, "at": time.time()}
+            numbers = {"flight": key.flight, "turn": key.turn, "attempt": key.attempt, "seed": seed, "repeat": repeat}
+            transcript.append(Call(**numbers, messages=messages, request_digest=asked, answer=answer, **told))
+            return reading
+
+        flights: list[PilotedEpisode] = []
+        for flight in range(config.flights):
+            flights.append(asyncio.run(fly_one(config, flight, ask)))
+            folder.keep(flights[-1], store, model)
+        folder.write_flights(flights, model)
+    return folder.path
