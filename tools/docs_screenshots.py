@@ -1,14 +1,13 @@
-"""Take the pictures of the dashboard: `make screenshots`, half a minute.
+"""Take the pictures of the page: `make screenshots`, half a minute.
 
-    docs/images/dashboard-watch.png          the trained network over hard map 7
-    docs/images/dashboard-watch-light.png    the same in light colours
-    docs/images/dashboard-skyline.png        a best flight over a skyline city
-    docs/images/dashboard-results.png        the Mission Results
-    docs/images/dashboard-race.png           four pilots on one map
-    docs/images/dashboard-replay.png         a flight annotated move by move
-    docs/images/dashboard-history.png        episodes and charts
-    docs/images/dashboard-specifications.png the levels side by side
-    docs/images/dashboard-narrow.png         on a telephone
+    docs/images/dashboard-fly.png        the trained network over hard map 7
+    docs/images/dashboard-fly-light.png  the same in light colours
+    docs/images/dashboard-narrow.png     the same on a telephone
+    docs/images/dashboard-fork.png       a person who tries from its worst move
+    docs/images/dashboard-layers.png     what is best from each cell of a skyline city, and the battery's range
+    docs/images/dashboard-several.png    four pilots on one map, their flights annotated
+    docs/images/dashboard-compare.png    who flies best, and two pilots map by map
+    docs/images/dashboard-learn.png      the tutorial, and the levels side by side
 
 Server, flights and the machine's own chromium are real; the pictures depend on its fonts a little.
 """
@@ -27,7 +26,7 @@ sys.path.insert(0, str(ROOT))
 
 from tests.api.serving import serving  # noqa: E402
 from tests.browser.flights import fill, flown  # noqa: E402
-from tests.browser.stage import fastest, fly, results, view  # noqa: E402
+from tests.browser.stage import ended, fly, view  # noqa: E402
 from tests.browser.tabs import NARROW, Tabs, find_chromium, launched  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
@@ -43,67 +42,65 @@ def save(page: Page, name: str) -> None:
     taken.quantize(256, dither=Image.Dither.NONE).save(IMAGES / f"dashboard-{name}.png", optimize=True)
 
 
-def steps(page: Page, number: int) -> None:
-    """Fly some steps, one at a time."""
-    for step in range(1, number + 1):
-        page.get_by_role("button", name="Step", exact=True).click()
-        expect(page.locator("#step-counter")).to_contain_text(f"Step {step} of")
+def fly_to_the_end(page: Page) -> None:
+    """Start, as fast as it goes, and wait until all that is known of the flights stands there."""
+    fly(page)
+    ended(page)
+    page.wait_for_load_state("networkidle")
 
 
-def watch(tabs: Tabs) -> None:
-    """The main view, dark, light and narrow, and over a skyline city."""
+def alone(tabs: Tabs) -> None:
+    """One flight, dark, light and narrow."""
     views: tuple[tuple[str, dict[str, Any]], ...] = (
-        ("watch", {}),
-        ("watch-light", {"color_scheme": "light"}),
+        ("fly", {}),
+        ("fly-light", {"color_scheme": "light"}),
         ("narrow", {"viewport": NARROW, "device_scale_factor": 2, "is_mobile": True, "has_touch": True}),
     )
     for name, options in views:
-        page = tabs.open(HARD, **options)
+        page = tabs.open(f"{HARD}&step=22", **options)
         expect(page.locator("#possible")).not_to_have_text("–")
-        steps(page, 22)
         save(page, name)
-    page = tabs.open("/?task=skyline_medium&seed=7&pilot=optimal")
-    steps(page, 30)
-    save(page, "skyline")
 
 
-def outcome(tabs: Tabs) -> None:
-    """The results of a mission."""
-    page = tabs.open(HARD)
-    page.evaluate("localStorage.setItem('drone-env-cycle', 'off')")
-    fly(page)
-    expect(results(page).get_by_text("Success rate")).to_be_visible()
-    save(page, "results")
+def fork(tabs: Tabs) -> None:
+    """Greedy's worst move over a skyline city, and another in its place."""
+    page = tabs.open("/?task=skyline_hard&seed=7&pilot=greedy")
+    fly_to_the_end(page)
+    page.get_by_role("button", name="Try from there").click()
+    for key in ("ArrowUp", "ArrowUp"):
+        page.keyboard.press(key)
+    expect(page.locator("#standings")).to_contain_text("You")
+    expect(page.locator("#q-values tr.best").first).to_be_visible()
+    save(page, "fork")
 
 
-def race(tabs: Tabs) -> None:
+def layers(tabs: Tabs) -> None:
+    """A moment over a skyline city."""
+    page = tabs.open("/?task=skyline_medium&seed=43&pilot=tournet&step=24")
+    for layer in ("values", "range"):
+        page.locator(f"#layer-{layer}").check()
+    expect(page.locator("#q-values tr.best").first).to_be_visible()
+    save(page, "layers")
+
+
+def several(tabs: Tabs) -> None:
     """Four pilots, one of them selected with its moves."""
-    page = tabs.open("/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random")
-    fastest(page)
-    page.get_by_role("button", name="Start", exact=True).click()
-    expect(page.get_by_role("button", name="Fly again")).to_be_visible()
+    page = tabs.open("/?task=skyline_hard&seed=7&pilots=tournet,greedy,optimal,random")
+    fly_to_the_end(page)
     page.locator("#standings").get_by_role("button", name="Greedy").click()
-    expect(page.get_by_role("button", name="Step 1, ")).to_be_visible()
-    # The other flights are annotated meanwhile.
-    page.wait_for_timeout(2000)
-    save(page, "race")
+    page.locator("#timeline").fill("23")
+    save(page, "several")
 
 
-def past(tabs: Tabs) -> None:
-    """A replay, the history, the specifications."""
-    page = tabs.open("/#history")
-    page.get_by_role("combobox", name="Task").select_option("medium")
-    expect(page.get_by_role("figure").locator("canvas").last).to_be_visible()
-    save(page, "history")
-    view(page, "Specifications")
-    save(page, "specifications")
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "flight.json"
-        file.write_text(flown("medium", 7, "random").to_json(), encoding="utf-8")
-        view(page, "Replay")
-        page.get_by_label("Open a file…").set_input_files(file)
-        page.locator(".replay-moves").get_by_role("button", name="blunder").first.click()
-    save(page, "replay")
+def pages(tabs: Tabs) -> None:
+    """Compare and Learn."""
+    page = tabs.open("/?view=compare&task=skyline_medium&pilots=tournet,greedy")
+    expect(page.get_by_role("heading", name="Tournet against Greedy")).to_be_visible()
+    page.wait_for_load_state("networkidle")
+    save(page, "compare")
+    view(page, "Learn")
+    expect(page.locator(".lesson").first).to_be_visible()
+    save(page, "learn")
 
 
 def main() -> None:
@@ -114,11 +111,11 @@ def main() -> None:
         raise SystemExit("chromium is not installed: apt-get install chromium")
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder) / "data"
-        agents = ("random", "pathqnet", "greedy")
-        fill(data, [flown("medium", seed, agents[seed % len(agents)]) for seed in range(FLIGHTS)])
+        agents = ("random", "tournet", "greedy")
+        fill(data, [flown("skyline_medium", seed, agent) for seed in range(FLIGHTS // len(agents)) for agent in agents])
         with serving(data) as server, launched(chromium) as browser:
             tabs = Tabs(browser, server.url)
-            for take in (watch, outcome, race, past):
+            for take in (alone, fork, layers, several, pages):
                 take(tabs)
             tabs.close()
             if tabs.complaints:

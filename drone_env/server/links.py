@@ -8,11 +8,16 @@ from typing_extensions import Self
 
 from drone_env.core.rewards import ORIGINAL_PROFILE, get_reward_profile
 from drone_env.core.tasks import MAX_UNITS, get_task
+from drone_env.episodes.finished import check_agent
 from drone_env.errors import InvalidValueError, UnknownNameError, text_of
-from drone_env.server.live.commands import MOST_EPISODES, MapNumber
+from drone_env.models import DIRECTIONS, Direction
+from drone_env.server.live.commands import MOST_EPISODES, Fork, MapNumber
 from drone_env.server.map_choice import DEFAULT_TASK
-from drone_env.server.pilots import HUMAN, PILOTS
+from drone_env.server.pilots import HUMAN, PILOTS, Credit, called
 from drone_env.server.state import LONGEST_ID
+
+LETTERS: dict[str, Direction] = {direction[0]: direction for direction in DIRECTIONS}
+"""The actions of a fork, as an address has them."""
 
 
 class Link(BaseModel):
@@ -26,12 +31,19 @@ class Link(BaseModel):
     pilots: str | None = Field(default=None, max_length=400, description="Who race, up to four, separated by commas.")
     profile: str = Field(default=ORIGINAL_PROFILE, max_length=100, description="What the steps pay.")
     step: int | None = Field(default=None, ge=0, le=MAX_UNITS, description="A moment; the end where it is left out.")
+    fork: int | None = Field(default=None, description="The step from which the last of them flies another flight on.")
+    actions: str | None = Field(
+        default=None,
+        max_length=MAX_UNITS,
+        description=f"What that fork has flown from the start of the map on, a letter of {', '.join(LETTERS)} each.",
+    )
+    of: str | None = Field(default=None, max_length=200, description="Who flew up to that step.")
     episode: str | None = Field(
         default=None, max_length=LONGEST_ID, description="A stored episode, in place of all else."
     )
 
     @classmethod
-    def of(cls, query: Mapping[str, str]) -> Self:
+    def read(cls, query: Mapping[str, str]) -> Self:
         """The link with this query.
 
         Raises:
@@ -47,12 +59,39 @@ class Link(BaseModel):
         """Ids of the pilots, in order; empty where nobody is named."""
         return [name for name in (self.pilot if self.pilots is None else self.pilots).split(",") if name]
 
+    @property
+    def forked(self) -> Fork | None:
+        """What the last of them flies on from; None for no fork.
+
+        Raises:
+            InvalidValueError: if it is no fork.
+        """
+        if self.fork is None and self.actions is None and self.of is None:
+            return None
+        if self.fork is None or self.actions is None or self.of is None or not self.names:
+            raise InvalidValueError("a fork needs all of pilot=human&fork=3&actions=UULDW&of=pathqnet in its link")
+        unknown = set(self.actions) - LETTERS.keys()
+        if unknown:
+            raise InvalidValueError(f"actions are letters of {', '.join(LETTERS)}, got {min(unknown)!r}")
+        try:
+            return Fork(actions=[LETTERS[letter] for letter in self.actions], step=self.fork, of=self.of)
+        except ValidationError as error:
+            raise InvalidValueError(text_of(error)) from None
+
+    def flown_by(self, fork: Fork) -> str:
+        """Who flies its fork, as a record says it.
+
+        Raises:
+            InvalidValueError: if that would be too long.
+        """
+        return check_agent(str(Credit.of_fork(self.names[-1], fork.step, fork.of)))
+
     def check(self) -> None:
         """See whether it names a map, and pilots that there are.
 
         Raises:
             UnknownNameError: if there is no such task, pilot or reward profile.
-            InvalidValueError: if it names no map, or too many pilots.
+            InvalidValueError: if it names no map, too many pilots, or a fork that is none.
         """
         get_task(self.task)
         get_reward_profile(self.profile)
@@ -63,6 +102,8 @@ class Link(BaseModel):
         for name in self.names:
             if name not in PILOTS:
                 raise UnknownNameError("pilot", name, PILOTS)
+        if self.forked is not None:
+            self.flown_by(self.forked)
 
     def query(self) -> str:
         """It as a query again, without what was ignored."""
@@ -71,6 +112,9 @@ class Link(BaseModel):
     def title(self) -> str:
         """What it leads to, in a line, for one that passes `check`."""
         assert self.seed is not None
+        fork = self.forked
+        if fork is not None:
+            return title_of(self.task, self.seed, [called(self.flown_by(fork))], self.step)
         if self.names == [HUMAN]:
             return f"Fly it yourself: {title_of(self.task, self.seed)}"
         return title_of(self.task, self.seed, [PILOTS[name].name for name in self.names], self.step)

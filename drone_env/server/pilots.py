@@ -65,9 +65,9 @@ def _summary(make: object) -> str:
 
 PILOTS: Mapping[str, Pilot] = _Pilots()
 
-HELP = {(True, False): " with values", (False, True): " with undo", (True, True): " with values and undo"}
+HELP = {(True, False): "with values", (False, True): "with undo", (True, True): "with values and undo"}
 CREDIT = re.compile(
-    f"(?P<pilot>.+?)(?P<help>{'|'.join(HELP.values())})?( from step (?P<forked_at>[1-9][0-9]*) of (?P<of>.+))?"
+    f"(?P<pilot>.+?)( (?P<help>{'|'.join(HELP.values())}))?( from step (?P<forked_at>[1-9][0-9]*) of (?P<of>.+))?"
 )
 
 
@@ -119,9 +119,14 @@ class Credit(NamedTuple):
             return before._replace(undo=before.undo or pilot == HUMAN)
         return cls(pilot, forked_at=step, of=str(before))
 
+    @property
+    def additions(self) -> list[str]:
+        """What is said of who flew beside the pilot."""
+        fork = None if self.of is None else f"from step {self.forked_at} of {self.of}"
+        return [said for said in (HELP.get((self.values, self.undo)), fork) if said]
+
     def __str__(self) -> str:
-        fork = "" if self.of is None else f" from step {self.forked_at} of {self.of}"
-        return self.pilot + HELP.get((self.values, self.undo), "") + fork
+        return " ".join([self.pilot, *self.additions])
 
 
 def called(agent: str) -> str:

@@ -9,10 +9,10 @@ from typing import NamedTuple
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import choices
 from drone_env.core.tasks import get_task
-from drone_env.episodes.record import replay_steps
+from drone_env.episodes.record import fly_directions, replay_steps
 from drone_env.planning.optimal import best_of
 from drone_env.server.links import Link
-from drone_env.server.pilots import PILOTS, agent_of, called
+from drone_env.server.pilots import PILOTS, Credit, agent_of, called
 from drone_env.server.predict import SOURCES
 from drone_env.server.state import Shared
 
@@ -57,7 +57,7 @@ class Previews:
 
         Raises:
             UnknownNameError: if there is no such task, pilot, reward profile or stored episode.
-            InvalidValueError: if the link names no map, or too many pilots.
+            InvalidValueError: if the link names no map, too many pilots, or a fork that is none.
             UnsupportedTaskError: if a pilot cannot fly the task.
             CheckpointError: if its network cannot be read.
             TooLargeError: if the map is too large for it.
@@ -80,11 +80,17 @@ class Previews:
         link.check()
         task, networks = get_task(link.task), self._shared.networks
         files = [networks.stamp_of(name, task) for name in link.names if name in SOURCES]
-        return task, link.seed, *link.names, link.step, *files
+        return task, link.seed, *link.names, link.step, link.fork, link.actions, link.of, *files
 
     def _flown(self, link: Link) -> Iterable[Flown]:
-        task, seed = get_task(link.task), link.seed
-        for name in link.names:
+        task, seed, fork, names = get_task(link.task), link.seed, link.forked, link.names
+        if fork is not None:
+            episode = Episode(task, link.profile, seed)
+            for _ in fly_directions(episode, fork.actions[: link.step]):
+                pass
+            yield Flown(called(link.flown_by(fork)), episode)
+            names = names[:-1]
+        for name in names:
             episode, agent = Episode(task, link.profile, seed), agent_of(name, task, self._shared.networks)
             if agent is not None:
                 agent.reset(episode.seed)
@@ -105,7 +111,9 @@ def _words(flights: list[Flown]) -> list[tuple[str, bool]]:
     for pilot, episode in flights:
         if pilot:
             so_far = f"step {episode.steps}" if episode.steps else "at the start"
-            lines += [(pilot, True), (f"score {100 * episode.score:.1f}" if episode.ended else so_far, False)]
+            credit = Credit.parse(pilot)
+            lines += [(credit.pilot, True), *((said, False) for said in credit.additions)]
+            lines += [(f"score {100 * episode.score:.1f}" if episode.ended else so_far, False)]
     ended = next((episode for _, episode in flights if episode.ended), None)
     best = None if ended is None else best_of(ended.task, ended.seed)
     return lines if best is None else [*lines, ("", False), (f"optimum {100 * best.score:.1f}", False)]

@@ -197,10 +197,26 @@ def _event_rewards(task: TaskConfig, profile: RewardProfile) -> dict[str, list[f
 
 
 class ProfileInfo(Message):
-    """One reward profile."""
+    """One reward profile: what it pays on every task. What single events pay stands at the tasks."""
 
     id: str
     summary: str = Field(description="What it pays, in a line.")
+    shaping: float = Field(description="Paid per cell that a step came closer to its target, less for farther.")
+    clamp: tuple[float, float] | None = Field(description="Bounds of what an event and that pay together.")
+    shaping_gamma: float | None = Field(description="Discount of its potential-based shaping; null for none.")
+    pays_score: bool = Field(description="Whether the end of the episode pays the graded score.")
+
+    @classmethod
+    def of(cls, profile: RewardProfile) -> Self:
+        """The numbers of a profile."""
+        return cls(
+            id=profile.id,
+            summary=profile.summary,
+            shaping=float(profile.shaping),
+            clamp=None if profile.clamp is None else (float(profile.clamp[0]), float(profile.clamp[1])),
+            shaping_gamma=None if profile.shaping_gamma is None else float(profile.shaping_gamma),
+            pays_score=profile.pays_score,
+        )
 
 
 class TaskList(Message):

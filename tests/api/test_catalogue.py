@@ -15,6 +15,7 @@ from drone_env.agents.tour_network import load_tour_network
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
 from drone_env.models import DroneObservation
@@ -270,6 +271,21 @@ def test_what_tasks_tell_of_rewards_is_what_steps_pay(shared_client: TestClient)
                 assert reward == pays[closer + 1 if len(pays) == 3 else 0]
                 paid.add((episode.event.name, len(pays)))
     assert {("STEP", 3), ("TREE", 3), ("WAIT", 1), ("WALL", 1)} <= paid
+
+
+def test_what_tasks_tell_of_reward_profiles_is_what_they_pay(shared_client: TestClient) -> None:
+    answer = shared_client.get("/tasks").json()
+    told = {profile["id"]: profile for profile in answer["reward_profiles"]}
+    assert list(told) == list(REWARD_PROFILES)
+    rewards = answer["tasks"][0]["rewards"]
+    for profile in ("tiered", "composite"):
+        farther, level, closer = rewards[profile]["step"]
+        assert closer - level == pytest.approx(told[profile]["shaping"])
+        low, high = told[profile]["clamp"]
+        assert farther == max(low, level - told[profile]["shaping"])
+        assert rewards[profile]["delivery"][2] == high
+    assert [profile["shaping_gamma"] for profile in told.values()] == [None, None, 0.99, None]
+    assert [profile["pays_score"] for profile in told.values()] == [False, False, True, True]
 
 
 class TestClientInProcess:

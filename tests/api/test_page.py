@@ -11,6 +11,7 @@ from PIL import Image
 from starlette.testclient import TestClient
 
 from drone_env.agents import make_agent
+from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import rollout
 from drone_env.core.tasks import get_task
@@ -80,6 +81,24 @@ class TestPreview:
         assert answer.content == draw_card(flown("easy", 5, "random", 3), [("somebody", True), ("step 3", False)])
         assert told(client, f"/?episode={stored}")["og:title"] == "somebody: Easy, map 5"
 
+    def test_a_fork_is_shown_as_its_link_says_before_those_that_it_flies_beside(
+        self, shared_client: TestClient
+    ) -> None:
+        episode = flown("hard", 7, "greedy", 20).fly([Action.WAIT, Action.UP])
+        actions = "".join(action.name[0] for action in map(Action, episode.actions))
+        query = f"task=hard&seed=7&pilots=greedy,human&fork=20&actions={actions}&of=greedy"
+        answer = shared_client.get(f"/preview.png?{query}&step=21")
+        words = [("A person", True), ("from step 20 of Greedy", False), ("step 21", False)]
+        words += [("Greedy", True), ("step 21", False)]
+        start = Episode("hard", "tiered", 7)
+        assert answer.content == draw_card(start.fly(episode.actions[:21]), words)
+        whole = shared_client.get(f"/preview.png?{query}")
+        other = shared_client.get(f"/preview.png?{query.replace('WU&', 'UW&')}")
+        assert len({picture.content for picture in (answer, whole, other)}) == 3
+        head = told(shared_client, f"/?{query}")
+        assert head["og:title"] == "A person from step 20 of Greedy: Hard, map 7"
+        assert shared_client.get(head["og:image"]).content == whole.content
+
     @pytest.mark.parametrize(
         ("query", "status", "says"),
         [
@@ -90,6 +109,16 @@ class TestPreview:
             ("task=hard&seed=x", 422, "the number of a map is a whole number from 0 to"),
             ("task=hard&seed=7&step=-1", 422, "step: "),
             ("task=hard&seed=7&pilots=greedy,greedy,greedy,greedy,greedy", 422, "at most 4 pilots"),
+            ("task=hard&seed=7&pilot=human&fork=1&actions=U", 422, "a fork needs all of pilot=human&fork=3&"),
+            ("task=hard&seed=7&fork=1&actions=U&of=greedy", 422, "a fork needs all of pilot=human&fork=3&"),
+            (
+                "task=hard&seed=7&pilot=human&fork=1&actions=Ux&of=a",
+                422,
+                "actions are letters of U, D, L, R, W, got 'x'",
+            ),
+            ("task=hard&seed=7&pilot=human&fork=3&actions=UU&of=a", 422, "has all actions up to there, got 2"),
+            (f"task=hard&seed=7&pilot=human&fork=1&actions=U&of={'a' * 190}", 422, "one printable line of 1 to 200"),
+            (f"task=easy&seed=7&pilot=human&fork=1&actions={'W' * 61}&of=a", 422, "ends after 60 steps"),
             ("task=skyline_easy&seed=7&pilot=pathqnet", 422, "there is no network for 'skyline_easy'"),
             ("episode=nothing", 404, "unknown episode 'nothing'"),
         ],

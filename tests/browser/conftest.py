@@ -10,13 +10,18 @@ from playwright.sync_api import Browser, Page, expect
 from tests.api.serving import Server, serving
 from tests.browser.flights import fill, flown
 from tests.browser.tabs import PATIENCE_MS, Tabs, needed_browser
+from tests.llm.kept_run import put_run
 
 expect.set_options(timeout=PATIENCE_MS)
 MARKUP = '<img src=x onerror="document.title=1"><b>bold</b>'
 """What must never come to be an element."""
 SEEDS = 27
 """More than a page of flights by each agent."""
-TRAINING = ["episode 1 reward 3.25 success 0", f"episode 2 {MARKUP}", "episode 3 reward 4.75 success 1"]
+TRAINING = [
+    "episode=1 reward=3.2500 success=0.000 validation=- optimum=0.9500",
+    f"warning: {MARKUP}",
+    "episode=3 reward=4.7500 success=0.500 validation=0.5000 optimum=0.9500",
+]
 
 
 # Of the package, not of the session: while Playwright runs, no other test of this process can run an event loop.
@@ -28,10 +33,11 @@ def browser() -> Generator[Browser, None, None]:
 
 @pytest.fixture(scope="package")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The data folder of the server: a history of easy flights, and a training log."""
+    """The data folder of the server: a history of easy flights, a run of a language model, and a training log."""
     folder = tmp_path_factory.mktemp("served") / "data"
     flights = [flown("easy", seed, agent) for seed in range(SEEDS) for agent in ("random", "greedy")]
     fill(folder, [*flights, flown("medium", 3, "greedy"), flown("easy", SEEDS, "random", label=MARKUP)])
+    put_run(folder, "run", "greedy", range(14, 16))
     (folder / "train.log").write_text("\n".join(TRAINING) + "\n", encoding="utf-8")
     return folder
 
@@ -52,20 +58,14 @@ def shared(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
 @pytest.fixture(scope="package")
 def loaded(shared: Tabs) -> Page:
     # Without motion a map is drawn once a step, not sixty times a second.
-    return shared.open("/#specs", reduced_motion="reduce")
+    return shared.open("/?view=learn", reduced_motion="reduce")
 
 
 @contextmanager
 def lent(page: Page, tabs: Tabs) -> Generator[Page, None, None]:
-    """A page that other tests have used: loading one takes longer than most of what is done in it.
-
-    It does not go on to the next level by itself.
-    """
+    """A page that other tests have used: loading one takes longer than most of what is done in it."""
     tabs.forget()
-    page.evaluate(
-        "localStorage.clear(); localStorage.setItem('drone-env-cycle', 'off');"
-        "document.querySelectorAll('dialog[open]').forEach(one => one.close())"
-    )
+    page.evaluate("localStorage.clear(); document.querySelectorAll('dialog[open]').forEach(one => one.close())")
     yield page
     assert tabs.unexpected() == []
 

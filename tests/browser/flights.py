@@ -30,8 +30,19 @@ def fill(folder: Path, flights: list[EpisodeRecord]) -> list[str]:
         return [store.add_episode(flight) for flight in flights]
 
 
+def posted(url: str, path: str, record: EpisodeRecord) -> dict[str, Any]:
+    """What a server answers to a flight."""
+    answer = httpx.post(f"{url}/{path}", json=json.loads(record.to_json()), timeout=60)
+    answer.raise_for_status()
+    return answer.json()
+
+
 def frames(url: str, record: EpisodeRecord) -> list[dict[str, Any]]:
     """What a server says of a flight, frame by frame."""
-    answer = httpx.post(f"{url}/replay", json=json.loads(record.to_json()), timeout=60)
-    answer.raise_for_status()
-    return answer.json()["frames"]
+    return posted(url, "replay", record)["frames"]
+
+
+def possible(url: str, record: EpisodeRecord) -> list[float]:
+    """The best score that could still be reached at each step of a flight that has ended; its score is the last."""
+    annotation = posted(url, "annotate", record)
+    return [move["value"] for move in annotation["moves"]] + [annotation["score"]]

@@ -6,16 +6,15 @@ from typing import Any
 
 from playwright.sync_api import Locator, Page, expect
 
-FASTEST = "8"
-"""The last notch of the slider: 60 steps per second."""
+FASTEST = "60"
+"""Steps per second, the last choice."""
 SIGNS = {
-    "Race": "#maps figure:nth-of-type(4)",
-    "Replay": ".replay-moves button",
-    "History": "tr[data-episode]",
-    "Specifications": ".specs-table",
-    "Logs": "#log-requests li",
+    "Fly": "#boards .map",
+    "Compare": "#view-compare tbody tr",
+    "Learn": ".lesson",
+    "API": "#log-requests li",
 }
-"""What stands in a view once it has all that it shows. A flight must have been replayed before, and one have ended."""
+"""What stands in a view once it has all that it shows."""
 
 
 def view(page: Page, name: str) -> None:
@@ -29,26 +28,50 @@ def whole_view(page: Page, name: str) -> None:
     expect(page.locator(SIGNS[name]).first).to_be_visible()
 
 
-def fastest(page: Page) -> None:
-    page.get_by_role("slider", name="Speed").fill(FASTEST)
+def show(page: Page, path: str) -> None:
+    """Go to an address of the page as Back and Forward do: what is loaded stays, which costs less than `goto`."""
+    page.evaluate("path => { history.pushState(null, '', path); dispatchEvent(new PopStateEvent('popstate')); }", path)
 
 
-def slow(page: Page) -> None:
-    """Two steps per second: slow enough that a flight does not end before it is paused."""
-    page.get_by_role("slider", name="Speed").fill("2")
+def over(page: Page, seed: int, path: str) -> None:
+    """The same, to a flight over a map of another number than the one that is shown."""
+    drawn = page.get_by_role("img", name=f"map {seed},").first
+    expect(drawn).to_be_hidden()
+    show(page, path)
+    expect(drawn).to_be_visible()
 
 
-def fly(page: Page) -> None:
-    """Start, as fast as it goes."""
-    fastest(page)
-    page.get_by_role("button", name="Start", exact=True).click()
+def at_speed(page: Page, steps: str) -> None:
+    """So many steps per second, as the choices are written."""
+    page.get_by_role("combobox", name="Speed").select_option(steps)
 
 
-def results(page: Page) -> Locator:
-    """The results, once they are there."""
-    dialog = page.locator("dialog#results")
-    expect(dialog).to_be_visible()
-    return dialog
+def fly(page: Page, button: str = "Start") -> None:
+    """Start, or go on, as fast as it goes."""
+    at_speed(page, FASTEST)
+    page.get_by_role("button", name=button, exact=True).click()
+
+
+def ended(page: Page) -> Locator:
+    """The strip below the map that says how the flight went, once it has ended and is annotated."""
+    strip = page.locator(".strip")
+    expect(strip).to_contain_text("a best flight takes")
+    return strip
+
+
+def step(page: Page) -> None:
+    """One step forward."""
+    page.get_by_role("button", name="Step", exact=True).click()
+
+
+def pilot(page: Page, name: str) -> Locator:
+    """The button that has a pilot fly alone."""
+    return page.get_by_role("group", name="Pilots").get_by_role("button", name=name, exact=True)
+
+
+def along(page: Page, name: str) -> Locator:
+    """The box that has a pilot fly along."""
+    return page.get_by_role("checkbox", name=f"{name} flies along", exact=True)
 
 
 def counter(page: Page) -> int:
@@ -65,9 +88,9 @@ def fixed(value: float, digits: int = 2) -> str:
     return str(rounded).replace("-", "\u2212")
 
 
-def points(score: float) -> str:
+def points(score: float, digits: int = 1) -> str:
     """A score as the page writes it, times 100."""
-    return fixed(score * 100, 1)
+    return fixed(score * 100, digits)
 
 
 def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
@@ -84,7 +107,8 @@ def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
 
 
 def pictures(page: Page) -> list[str]:
-    """What stands on the canvases of the maps, as data URLs: of each map the city and the flight.
+    """What stands on the canvases of the maps, as data URLs: of each map the city, what is known of its cells,
+    what moves.
 
     What is asked to be drawn is drawn in the next frame, and anew once the fonts are there.
     """
@@ -92,8 +116,30 @@ def pictures(page: Page) -> list[str]:
         """async () => {
             await document.fonts.ready;
             for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
-            return [...document.querySelectorAll("#maps canvas")].map(canvas => canvas.toDataURL());
+            return [...document.querySelectorAll("#boards canvas")].map(canvas => canvas.toDataURL());
         }"""
+    )
+
+
+def painted(canvas: Locator, *names: str) -> list[str]:
+    """Those of some colours of the style sheet that stand on a canvas."""
+    return canvas.evaluate(
+        """async (canvas, names) => {
+            await new Promise(requestAnimationFrame);
+            const { width, height } = canvas;
+            const picture = (...size) => new OffscreenCanvas(...size).getContext("2d", { willReadFrequently: true });
+            const copy = picture(width, height);
+            copy.drawImage(canvas, 0, 0);
+            const there = new Set(new Uint32Array(copy.getImageData(0, 0, width, height).data.buffer));
+            const pen = picture(1, 1);
+            const style = getComputedStyle(document.documentElement);
+            return names.filter(name => {
+                pen.fillStyle = style.getPropertyValue(name);
+                pen.fillRect(0, 0, 1, 1);
+                return there.has(new Uint32Array(pen.getImageData(0, 0, 1, 1).data.buffer)[0]);
+            });
+        }""",
+        list(names),
     )
 
 

@@ -15,7 +15,7 @@ from drone_env.server.incoming import TRY_LATER
 from drone_env.server.live.socket import TOO_MANY_PAGES
 from tests.api.serving import Server, serving
 from tests.browser.flights import flown, frames
-from tests.browser.stage import counter, expect_frame, fastest, fly, results, slow, view
+from tests.browser.stage import FASTEST, at_speed, counter, ended, expect_frame, fly, show
 from tests.browser.tabs import PATIENCE_MS, Tabs
 from tests.tools import reserved_port
 
@@ -23,19 +23,19 @@ TOKEN = "let-me-in"
 Beside = Callable[[str], Page]
 
 
-def test_two_tabs_fly_two_missions_at_once(page: Page, beside: Beside, server: Server) -> None:
-    page.goto("/?task=medium&seed=51&pilot=greedy")
+def test_two_tabs_fly_two_flights_at_once(page: Page, beside: Beside, server: Server) -> None:
+    show(page, "/?task=medium&seed=51&pilot=greedy")
     other = beside("/?task=easy&seed=52&pilot=optimal")
+    for one, steps in ((page, 100), (other, 60)):
+        expect(one.locator("#step-counter")).to_have_text(f"Step 0 of {steps}")
+        at_speed(one, FASTEST)
     for one in (page, other):
-        expect(one.locator("#step-counter")).to_contain_text("Step 0 of")
-        fastest(one)
-    page.get_by_role("button", name="Start", exact=True).click()
-    other.get_by_role("button", name="Start", exact=True).click()
+        one.get_by_role("button", name="Start", exact=True).click()
     for one, record, capacity in (
         (page, flown("medium", 51, "greedy"), 100),
         (other, flown("easy", 52, "optimal"), 60),
     ):
-        results(one).get_by_role("button", name="Close").click()
+        ended(one)
         expect_frame(one, frames(server.url, record)[-1], capacity)
 
 
@@ -64,50 +64,47 @@ def until(page: Page, holds: Callable[[], bool]) -> None:
         page.wait_for_timeout(50)
 
 
-def test_a_page_that_is_reloaded_or_closed_gives_its_sessions_back(
+def test_sessions_end_with_their_page_and_one_that_is_ended_elsewhere_begins_anew(
     page: Page, told: tuple[Page, list[str]], server: Server
 ) -> None:
     tab, sessions = told
+    where, step = tab.locator("#step-counter"), tab.get_by_role("button", name="Step", exact=True)
+
+    def end_by(went: int, now: int) -> None:
+        until(page, lambda: len(sessions) == now)
+        until(page, lambda: not any(is_open(server, session) for session in sessions[:went]))
+        assert all(is_open(server, session) for session in sessions[went:])
+
     tab.goto("/?task=hard&seed=5&pilots=greedy,random,random,random")
-    expect(tab.locator("#step-counter")).to_have_text("Step 0 of 160")
+    expect(where).to_have_text("Step 0 of 160")
     fly(tab)
-    expect(tab.locator("#step-counter")).not_to_have_text("Step 0 of 160")
+    expect(where).not_to_have_text("Step 0 of 160")
     tab.reload()
-    expect(tab.locator("#step-counter")).to_have_text("Step 0 of 160")
-    until(page, lambda: len(sessions) == 8)
-    assert all(is_open(server, session) for session in sessions[4:])
-    until(page, lambda: not any(is_open(server, session) for session in sessions[:4]))
-    tab.close()
-    until(page, lambda: not any(is_open(server, session) for session in sessions))
-
-
-def test_a_mission_that_is_ended_elsewhere_starts_anew_and_a_page_that_goes_ends_its_own(
-    told: tuple[Page, list[str]], server: Server
-) -> None:
-    page, sessions = told
-    page.goto("/?task=hard&seed=5&pilot=greedy")
-    until(page, lambda: len(sessions) == 1)
-    where, step = page.locator("#step-counter"), page.get_by_role("button", name="Step", exact=True)
+    end_by(4, 8)
+    show(tab, "/?task=hard&seed=5&pilot=greedy")
+    end_by(8, 9)
+    httpx.delete(f"{server.url}/session", headers={"X-Session-Id": sessions[8]}).raise_for_status()
     expect(where).to_have_text("Step 0 of 160")
-    httpx.delete(f"{server.url}/session", headers={"X-Session-Id": sessions[0]}).raise_for_status()
     step.click()
-    expect(page.locator("#toasts")).to_contain_text("it starts again")
-    until(page, lambda: len(sessions) == 2)
+    expect(tab.locator("#toasts")).to_contain_text("it starts again")
+    end_by(9, 10)
     step.click()
-    expect(where).to_have_text("Step 1 of 160")
-    expect(page.get_by_role("spinbutton", name="Map")).to_have_value("5")
+    expect(where).to_contain_text("Step 1 of 160")
+    expect(tab.get_by_role("spinbutton", name="Map")).to_have_value("5")
     # A page that may come back keeps its own.
-    page.evaluate("window.dispatchEvent(new PageTransitionEvent('pagehide', { persisted: true }))")
+    tab.evaluate("window.dispatchEvent(new PageTransitionEvent('pagehide', { persisted: true }))")
     step.click()
-    expect(where).to_have_text("Step 2 of 160")
-    page.evaluate("window.dispatchEvent(new PageTransitionEvent('pagehide', { persisted: false }))")
-    until(page, lambda: not is_open(server, sessions[1]))
-    page.get_by_role("button", name="New map").click()
+    expect(where).to_contain_text("Step 2 of 160")
+    tab.evaluate("window.dispatchEvent(new PageTransitionEvent('pagehide', { persisted: false }))")
+    end_by(10, 10)
+    tab.get_by_role("button", name="New map").click()
     expect(where).to_have_text("Step 0 of 160")
-    until(page, lambda: len(sessions) == 3)
+    end_by(10, 11)
+    tab.close()
+    until(page, lambda: not is_open(server, sessions[10]))
 
 
-def test_a_server_that_wants_a_token_is_killed_and_comes_back_and_the_mission_goes_on(
+def test_a_server_that_wants_a_token_is_killed_and_comes_back_and_the_flight_goes_on(
     browser: Browser, tmp_path: Path
 ) -> None:
     """The token is asked for until it is right, and once a tab: a page that connects anew has it still."""
@@ -127,39 +124,47 @@ def test_a_server_that_wants_a_token_is_killed_and_comes_back_and_the_mission_go
             expect(dialog.get_by_label("Token")).to_be_empty()
         dialog.get_by_label("Token").fill(TOKEN)
         dialog.get_by_role("button", name="Enter").click()
-        expect(page.locator("#connection")).to_contain_text("Live")
-        expect(page.locator("#step-counter")).to_have_text("Step 0 of 160")
-        slow(page)
+        where, dot = page.locator("#step-counter"), page.locator("#connection")
+        expect(dot).to_contain_text("Live")
+        expect(where).to_have_text("Step 0 of 160")
+        at_speed(page, "2")
         page.get_by_role("button", name="Start", exact=True).click()
-        expect(page.locator("#step-counter")).to_have_text(re.compile("Step ([2-9]|[1-9][0-9]) of 160"))
+        expect(where).to_contain_text(re.compile("Step ([2-9]|[1-9][0-9]) of 160"))
         server.kill()
         banner = page.get_by_role("alert").filter(has_text="The server is away. Your flight is kept.")
         expect(banner).to_be_visible()
-        expect(page.locator("#connection")).to_contain_text("away")
-        assert 2 <= counter(page) < len(flight.actions)
-        view(page, "History")
-        note = page.locator("#view-history").get_by_role("status")
-        expect(note).to_contain_text("could not be loaded")
+        expect(dot).to_contain_text("away")
+        seen = counter(page)
+        assert 2 <= seen < len(flight.actions)
+        # What has been flown can be looked at; another flight would not be kept, and so does not begin.
+        page.get_by_role("button", name="Step back").click()
+        expect(where).to_contain_text(f"Step {seen - 1} of 160")
+        page.get_by_role("button", name="New map").click()
+        expect(page.locator("#toasts")).to_contain_text("your flight is kept")
+        page.get_by_role("button", name="Random", exact=True).click()
+        expect(page.get_by_role("button", name="Greedy", exact=True)).to_have_attribute("aria-pressed", "true")
+        expect(page.get_by_role("button", name="Random", exact=True)).to_have_attribute("aria-pressed", "false")
+        at_speed(page, FASTEST)
         with serving(data, port=port, TOKEN=TOKEN):
-            expect(note).to_have_text(re.compile("No episode yet|Page 1"))
             expect(banner).to_be_hidden()
-            expect(page.locator("#connection")).to_contain_text("Live")
-            view(page, "Watch")
-            fastest(page)
-            expect(page.locator("#start")).to_have_text("Fly again")
+            expect(dot).to_contain_text("Live")
+            expect(ended(page)).to_contain_text("Greedy")
+            expect(page.get_by_role("spinbutton", name="Map")).to_have_value("7")
+            expect(page).to_have_url(re.compile(f"step={len(flight.actions)}$"))
             page.reload()
-            expect(page.locator("#step-counter")).to_have_text("Step 0 of 160")
+            expect(where).to_contain_text(f"Step {len(flight.actions)} of")
             expect(dialog).to_be_hidden()
     assert tabs.unexpected() == []
     with Store(data) as store:
         episodes = store.latest(10)
-    assert [(episode.record.seed, episode.record.actions) for episode in episodes] == [(7, flight.actions)]
+    kept = {(episode.record.seed, *episode.record.actions) for episode in episodes}
+    assert kept == {(7, *flight.actions)}
 
 
 def test_a_server_that_ends_each_connection_is_asked_five_times_and_then_when_the_visitor_says(
     browser: Browser, server: Server
 ) -> None:
-    """As where what the page asks for is what the server dies of: the mission it goes on with, for one."""
+    """As where what the page asks for is what the server dies of: the flight it goes on with, for one."""
     connections: list[WebSocketRoute] = []
 
     def connect(socket: WebSocketRoute) -> None:
@@ -207,13 +212,24 @@ def test_a_server_that_ends_each_connection_is_asked_five_times_and_then_when_th
         until(page, lambda: len(connections) == 8)
 
 
-def test_a_full_server_is_called_full(browser: Browser, server: Server) -> None:
-    """It is not away, and what it has no room for is not kept."""
-    with Tabs(browser, server.url) as tabs:
-        page = tabs.open(go=False, reduced_motion="reduce")
-        page.route_web_socket("**/live", lambda socket: socket.close(code=TRY_LATER, reason=TOO_MANY_PAGES))
-        page.goto("/?task=hard&seed=7&pilot=greedy")
-        banner = page.get_by_role("alert").filter(has_text="The server is full (too many pages are open).")
-        expect(banner).to_contain_text("Trying again")
-        expect(page.locator("#banner-text")).not_to_contain_text("kept")
-        expect(page.locator("#connection")).to_have_text("Server full")
+def test_a_full_server_is_called_full_and_never_live_before(beside: Beside, shared: Tabs) -> None:
+    """It is not away, and what it has no room for is not kept. Such a server says so once it has let the page in."""
+    page = beside("")
+    page.add_init_script(
+        """addEventListener("DOMContentLoaded", () => {
+            const said = window.said = [], dot = document.getElementById("connection");
+            const observed = { childList: true, characterData: true, subtree: true };
+            new MutationObserver(() => said.push(dot.textContent)).observe(dot, observed);
+        })"""
+    )
+
+    def refuse(socket: WebSocketRoute) -> None:
+        socket.on_message(lambda _: socket.close(code=TRY_LATER, reason=TOO_MANY_PAGES))
+
+    page.route_web_socket("**/live", refuse)
+    page.goto("/?task=hard&seed=7&pilot=greedy")
+    banner = page.get_by_role("alert").filter(has_text="The server is full (too many pages are open).")
+    expect(banner).to_contain_text("Trying again")
+    expect(page.locator("#banner-text")).not_to_contain_text("kept")
+    expect(page.locator("#connection")).to_have_text("Server full")
+    assert set(page.evaluate("said")) == {"Server full"}

@@ -2,7 +2,8 @@
 
 import asyncio
 import time
-from contextlib import closing
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 from drone_env.core.rewards import ORIGINAL_PROFILE
@@ -51,7 +52,11 @@ def put_run(
         sampling=Sampling(),
     )
     folder = RunFolder(data / RUNS / name, config, resume=False)
-    with closing(folder), closing(Transcript(folder.path / TRANSCRIPT)) as transcript, Store(data) as store:
+    # In a thread of its own, since a browser's test has an event loop in its own already.
+    with ExitStack() as opened, ThreadPoolExecutor(1) as thread:
+        opened.callback(folder.close)
+        transcript = opened.enter_context(closing(Transcript(folder.path / TRANSCRIPT)))
+        store = opened.enter_context(Store(data))
 
         async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
             said = "Hm." if key == (0, 1, 1) else reply(pilot, messages[1]["content"])
@@ -66,7 +71,7 @@ def put_run(
 
         flights: list[PilotedEpisode] = []
         for flight in range(config.flights):
-            flights.append(asyncio.run(fly_one(config, flight, ask)))
+            flights.append(thread.submit(asyncio.run, fly_one(config, flight, ask)).result())
             folder.keep(flights[-1], store, model)
         folder.write_flights(flights, model)
     return folder.path

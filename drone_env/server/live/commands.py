@@ -1,6 +1,6 @@
 """What the page may send: one JSON object with a `type`."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, TypeAdapter, ValidationError, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 from pydantic_core import PydanticCustomError
@@ -23,6 +23,13 @@ def _say_the_range(value: Any, check: ValidatorFunctionWrapHandler) -> int:
         # People come here by links that they have written themselves.
         message = "the number of a map is a whole number from 0 to {most}"
         raise PydanticCustomError("seed", message, {"most": MAX_SEED}) from None
+
+
+def _say_how_many(value: Any, check: ValidatorFunctionWrapHandler) -> list[str]:
+    if isinstance(value, list) and len(cast(list[Any], value)) > MOST_EPISODES:
+        numbers = {"most": MOST_EPISODES, "given": len(cast(list[Any], value))}
+        raise PydanticCustomError("pilots", "at most {most} fly at once, not {given}", numbers)
+    return check(value)
 
 
 MapNumber = Annotated[Seed, WrapValidator(_say_the_range)]
@@ -57,7 +64,7 @@ class Start(Message):
 
     type: Literal["start"]
     task: str = Field(max_length=100)
-    pilots: list[str] = Field(min_length=1, max_length=MOST_EPISODES)
+    pilots: Annotated[list[str], WrapValidator(_say_how_many)] = Field(min_length=1, max_length=MOST_EPISODES)
     seed: MapNumber | None = None
     reward_profile: str | None = Field(default=None, max_length=100)
     fork: Fork | None = None

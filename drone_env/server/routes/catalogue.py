@@ -35,7 +35,7 @@ async def tasks() -> TaskList:
     """All tasks with all their numbers, and the reward profiles."""
     return TaskList(
         tasks=[TaskInfo.of(task, task.id in PUBLISHED) for task in TASKS.values()],
-        reward_profiles=[ProfileInfo(id=profile.id, summary=profile.summary) for profile in REWARD_PROFILES.values()],
+        reward_profiles=[ProfileInfo.of(profile) for profile in REWARD_PROFILES.values()],
     )
 
 

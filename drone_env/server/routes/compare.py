@@ -1,6 +1,5 @@
 """The routes that compare: who flies best over a task, by which maps, and two agents map by map."""
 
-import re
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query
@@ -11,12 +10,11 @@ from drone_env.episodes.by_map import FlownMap
 from drone_env.errors import UnknownNameError
 from drone_env.evaluation.comparison import AgentMap, Pairing, Standing, agent_map, paired, standings
 from drone_env.models import Count, Message
-from drone_env.server.pilots import HUMAN, PILOTS, called
+from drone_env.server.pilots import HUMAN, PILOTS, Credit, called
 from drone_env.server.problems import answers
 from drone_env.server.state import Shared, SharedParts
 
 router = APIRouter(tags=["compare"])
-FORKED = re.compile(r" from step \d+ of ")
 AgentQuery = Annotated[str, Query(max_length=200, description="As the records name it.")]
 
 
@@ -49,7 +47,7 @@ class AgentMaps(Message):
 def leaderboard(shared: SharedParts, task_name: str) -> Leaderboard:
     """Who flew a task how well, over all finished flights; several of one agent over one map count as their mean."""
     flown = shared.store.by_map(task_name)
-    whole = [row for row in flown if not FORKED.search(row.agent)]
+    whole = [row for row in flown if Credit.parse(row.agent).of is None]
     models = shared.runs.models()
     return Leaderboard(
         task=get_task(task_name).id,
@@ -84,6 +82,6 @@ def _flown_by(shared: Shared, task_name: str, *agents: str) -> list[FlownMap]:
 
 
 def _kind(agent: str, models: set[str]) -> Literal["pilot", "person", "model", "other"]:
-    if agent == HUMAN or agent.startswith(f"{HUMAN} with "):
+    if Credit.parse(agent).pilot == HUMAN:
         return "person"
     return "pilot" if agent in PILOTS else "model" if agent in models else "other"

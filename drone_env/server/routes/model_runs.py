@@ -10,7 +10,6 @@ from pydantic import Field
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.comparison import AgentMap, Bounds
-from drone_env.llm.answers import Answer
 from drone_env.llm.prompt import ChatMessage
 from drone_env.llm.transcript import Failure
 from drone_env.models import Count, Message
@@ -65,10 +64,13 @@ class ModelBoards(Message):
 class ModelCall(Message):
     """One request to a language model, and its answer."""
 
-    step: Count = Field(description="Steps that had been flown when it was made.")
+    step: Count = Field(description="The step that it was made for, from 1; that of a whole route is the first.")
     attempt: Count = Field(description="1, or 2 after an answer that could not be used.")
     messages: list[ChatMessage]
-    answer: Answer | None = Field(description="Null where none came.")
+    answer: str | None = Field(
+        description="What was answered, in text or as a tool's arguments; null where nothing was."
+    )
+    reasoning: str | None = Field(description="What the model thought, where the endpoint tells it.")
     outcome: str = Field(description="How the answer was understood: `ok`, or why it was no action.")
     failures: list[Failure] = Field(description="Tries that brought no answer.")
     latency: float = Field(ge=0, description="Seconds that the last try took.")
@@ -76,11 +78,11 @@ class ModelCall(Message):
 
 
 class ModelCalls(Message):
-    """All requests of one flight, in order."""
+    """All requests of one flight, in order: none where no language model flew it, or its run is not kept here."""
 
-    run: str = Field(description="Name of the run's folder.")
-    model: str
-    prompt: str
+    run: str | None = Field(description="Name of the run's folder; null where there is none, as the next two.")
+    model: str | None
+    prompt: str | None
     calls: list[ModelCall]
 
 
@@ -151,7 +153,7 @@ def _calls(shared: Shared, episode_id: str) -> ModelCalls:
         raise RequestError(404, "damaged_run", "the run of this flight is damaged: see drone-env leaderboard") from None
     if found is None:
         shared.store.episode(episode_id)
-        raise RequestError(404, "no_calls", "no language model flew this, or its run is not kept in this data folder")
+        return ModelCalls(run=None, model=None, prompt=None, calls=[])
     path, config, asked = found
     return ModelCalls(
         run=path.name,
@@ -160,10 +162,11 @@ def _calls(shared: Shared, episode_id: str) -> ModelCalls:
         calls=[
             ModelCall(
                 # A turn is a step: a whole route is planned in the first one.
-                step=call.turn - 1,
+                step=call.turn,
                 attempt=call.attempt,
                 messages=call.messages,
-                answer=call.answer,
+                answer=None if call.answer is None else call.answer.tool_arguments or call.answer.text,
+                reasoning=None if call.answer is None else call.answer.reasoning,
                 outcome=call.outcome,
                 failures=call.failures,
                 latency=call.latency,

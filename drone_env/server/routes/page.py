@@ -7,11 +7,9 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError
 from drone_env.server.hello import hello
 from drone_env.server.links import Link, title_of
-from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.pilots import called
 from drone_env.server.problems import answers
 from drone_env.server.security import PAGE
@@ -28,8 +26,6 @@ ABOUT = "A drone delivers parcels on a generated city grid. Fly it, race a netwo
 @router.get("/", include_in_schema=False)
 def page(request: Request, shared: SharedParts) -> Response:
     """The page; where its address asks for nothing, with a flight that moves before any script has run."""
-    # An opened page soon shows what can still be reached, and the first solver compiles for seconds.
-    shared.values.request(get_task(DEFAULT_TASK), 0)
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- link -->", _head(request, shared))
     if not request.url.query:
         style = '<link rel="stylesheet" href="static/css/hello.css">'
@@ -91,7 +87,7 @@ def _told(request: Request, shared: Shared) -> tuple[str | None, Link]:
     the page itself says.
     """
     try:
-        link = Link.of(request.query_params)
+        link = Link.read(request.query_params)
         if link.episode:
             record = shared.store.episode(link.episode).record
             return title_of(record.task, record.seed, [called(record.agent)], link.step), link

@@ -15,25 +15,33 @@ export function actionsOf(context, fleet) {
     if (own && !(await ask(`Give up your flight at step ${own.steps}?`, "Give it up", "Go on flying"))) return;
     act();
   }
-  /** Whether the server can fly a next step by itself. */
-  const flyable = () => fleet.shown && !fleet.over && fleet.automatic;
+  /** Whether a step from here is a new one, which the server flies. */
+  const goesOn = () => fleet.shown && fleet.automatic && clock.cursor === clock.newest();
+  /** Other flights: what is named is new, the rest as it is shown. A flight of the past lends its map, and its pilot if it flies. */
+  function start(change, how) {
+    const { track, world } = stage;
+    const past = world && !fleet.shown;
+    const flown = past && { task: world.task.short_name, seed: world.seed, profile: world.profile };
+    const pilots = past ? [track.pilot].filter((id) => fleet.flies(id, world.task)) : [];
+    return givingUp(() => fleet.start(past ? fleet.asks({ pilots, ...flown, ...change }) : change, how));
+  }
   const goTo = (step) => {
     clock.stop();
     clock.seek(step);
   };
   const acts = {
     givingUp,
-    flyable,
+    goesOn,
     /** What Start does now, and whether something plays. @returns {[string, boolean]} */
     word() {
       if (clock.playing || (fleet.playing && fleet.shown)) return ["Pause", true];
-      if (!clock.following || !flyable()) return ["Play", false];
+      if (!goesOn()) return ["Play", false];
       return [clock.cursor > 0 ? "Go on" : "Start", false];
     },
     toggle() {
       if (clock.playing) clock.stop();
       else if (fleet.playing) fleet.pause();
-      else if (clock.following && flyable()) fleet.play();
+      else if (goesOn()) fleet.play();
       else clock.play();
     },
     first: () => goTo(0),
@@ -41,16 +49,17 @@ export function actionsOf(context, fleet) {
     last: () => goTo(clock.newest()),
     /** The next step of what was flown; at its end the pilots fly one more. */
     forward() {
-      if (clock.following && flyable()) fleet.step();
+      if (goesOn()) fleet.step();
       else goTo(clock.cursor + 1);
     },
     undo: () => fleet.undo(),
-    reset: () => givingUp(() => fleet.start(fleet.shown ? {} : { pilots: [stage.track.pilot].filter((id) => fleet.flies(id)) })),
-    newMap: () => givingUp(() => fleet.start({ seed: null })),
-    start: (change, how) => givingUp(() => fleet.start(change, how)),
+    reset: () => start({}),
+    newMap: () => start({ seed: null }),
+    start,
     fork(options) {
       const { track } = stage;
-      if (track && !track.frameAt(clock.cursor).done) givingUp(() => fleet.fork(track, clock.cursor, options));
+      if (!track || fleet.atHand || track.frameAt(clock.cursor).done) return;
+      givingUp(() => fleet.fork(track, Math.min(clock.cursor, track.steps), options));
     },
     faster(by) {
       const speed = SPEEDS[SPEEDS.indexOf(clock.speed) + by];

@@ -1,1 +1,143 @@
-export { mount } from "./logs.js";
+// API: how programs connect to this server, and what it does now: requests, training, flights that end.
+import { address } from "./api.js";
+import { copyText, el } from "./dom.js";
+import { fixed, moment, outcome, points, title } from "./format.js";
+import { linkOf } from "./router.js";
+
+const KEPT = 200;
+const TOKEN = "Authorization: Bearer TOKEN";
+const TOPICS = ["requests", "training", "episodes"];
+
+/** Programs that connect, each as a page of the documentation has it. @param {string} url Of the server. */
+const snippets = (url) => [
+  [
+    "HTTP, by curl",
+    `curl --silent --cookie-jar jar --json '{"task_name": "easy", "seed": 7}' ${url}/reset
+curl --silent --cookie jar --json '{"direction": "RIGHT"}' ${url}/step
+curl --silent --cookie jar ${url}/grade/easy
+curl --silent --cookie jar --request DELETE ${url}/session`,
+  ],
+  [
+    "OpenEnv, in Python",
+    `from drone_env.client import DroneDeliveryClient
+from drone_env.models import DroneAction
+
+with DroneDeliveryClient("${url}").sync() as env:
+    result = env.reset(task_name="hard", seed=7)
+    while not result.done:
+        result = env.step(DroneAction(direction="RIGHT"))
+    print(result.observation.score, env.state().seed)`,
+  ],
+  [
+    "Gymnasium, without a server",
+    `import gymnasium
+
+env = gymnasium.make("drone_env:DroneDelivery-Hard-v1", render_mode="ansi")
+observation, info = env.reset(seed=7)
+observation, reward, terminated, truncated, info = env.step(3)
+print(env.render(), observation["telemetry"], info)`,
+  ],
+];
+
+/** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
+export function mount(root, context) {
+  const { api, live } = context;
+  const url = address(".").href.replace(/\/$/, "");
+  // The page has a token where the server wants one.
+  const token = api.protocols().length > 1 ? el("span", " Each call needs ", el("code", { text: TOKEN }), ".") : null;
+  const requests = new Log("Requests", "log-requests", "No request yet.");
+  const training = new Log("Training", "log-training", "No training has written here. It starts with: drone-env train");
+  const flights = new Log("Flights", "log-flights", "No flight has ended yet.");
+  root.append(
+    el(
+      "div.view-head",
+      el("h2", { text: "API" }),
+      el("a.button.primary", { href: "docs", text: "All calls, to read and to try" }),
+    ),
+    el("p.about", "This server is ", el("code", { text: url }), ". Whoever speaks JSON can fly here.", token),
+    el("div.snippets", ...snippets(url).map(snippet)),
+    el("div.logs", requests.root, training.root, flights.root),
+  );
+
+  live.on("requests", (message) => requests.add(message.requests.map((r) => [r.number, requestLine(r)])));
+  live.on("training", ({ lines }) => {
+    training.clear();
+    training.add(lines.map((line) => [null, el("li", { text: line })]));
+  });
+  live.on("episodes", ({ episodes }) => flights.add(byTime(episodes).map((e) => [e.id, flightLine(e)])));
+  // Another process may answer after that, which counts its requests from 1 again.
+  live.on("state", ({ state }) => state === "open" && requests.clear());
+
+  let unsubscribe = [];
+  context.on("view", (view) => {
+    unsubscribe.forEach((end) => end());
+    unsubscribe = view === "api" ? TOPICS.map((topic) => live.subscribe(topic)) : [];
+  });
+}
+
+function snippet([name, text]) {
+  const press = () => copyText(text, "Copied.");
+  const copy = el("button.button.small", { text: "Copy", "aria-label": `Copy: ${name}`, press });
+  return el("section.snippet", el("h3", { text: name }), copy, el("pre", el("code", { text })));
+}
+
+const byTime = (episodes) => [...episodes].sort((a, b) => (a.finished_at < b.finished_at ? -1 : 1));
+
+function requestLine({ time, method, path, status, milliseconds }) {
+  return el(
+    "li",
+    { data: { bad: status >= 400 ? "yes" : "no" } },
+    el("time.dim", { datetime: time, text: new Date(time).toLocaleTimeString() }),
+    ` ${method} ${path} ${status} `,
+    el("span.dim", { text: `${fixed(milliseconds, 1)} ms` }),
+  );
+}
+
+function flightLine(e) {
+  const flight = `${title(e.task)} ${e.seed}, ${e.agent}`;
+  return el(
+    "li",
+    el("time.dim", { datetime: e.finished_at, text: moment(e.finished_at) }),
+    ` ${flight}: ${outcome(e)}, ${e.steps} steps, score ${points(e.score)} `,
+    el("a", { href: linkOf({ episode: e.id }).search, text: "Open", "aria-label": `Open the flight ${flight}` }),
+  );
+}
+
+/** A list that grows downwards and keeps its newest lines in sight, unless it was scrolled away from them. */
+class Log {
+  constructor(name, id, empty) {
+    this.keys = new Set();
+    this.list = el("ol", { id });
+    this.frame = el(
+      "div.log-frame",
+      { tabindex: "0", role: "log", "aria-live": "off", "aria-labelledby": `${id}-title`, hidden: true },
+      this.list,
+    );
+    this.none = el("p.note", { text: empty });
+    const heading = el("h3", { id: `${id}-title`, text: name });
+    this.root = el("section.log", { "aria-labelledby": `${id}-title` }, heading, this.none, this.frame);
+  }
+
+  /** @param {[any, HTMLElement][]} lines Each with a key that is shown once, or null. */
+  add(lines) {
+    const fresh = lines.filter(([key]) => key === null || !this.keys.has(key));
+    if (!fresh.length) return;
+    this.show(true);
+    const atEnd = this.frame.scrollTop + this.frame.clientHeight >= this.frame.scrollHeight - 8;
+    for (const [key] of fresh) if (key !== null) this.keys.add(key);
+    this.list.append(...fresh.map(([, line]) => line));
+    while (this.list.childElementCount > KEPT) this.list.firstElementChild.remove();
+    if (atEnd) this.frame.scrollTop = this.frame.scrollHeight;
+  }
+
+  clear() {
+    this.keys.clear();
+    this.list.replaceChildren();
+    this.show(false);
+  }
+
+  show(some) {
+    this.frame.hidden = !some;
+    this.none.hidden = some;
+  }
+}

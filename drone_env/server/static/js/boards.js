@@ -61,6 +61,7 @@ export function mountBoards(root, context) {
       node.classList.toggle("selected", track === stage.track);
       head.setAttribute("aria-pressed", String(track === stage.track));
     }
+    grid.classList.toggle("near", camera.zoom > 1);
     farther.disabled = follow.disabled = camera.zoom === 1;
     follow.hidden = camera.following || camera.zoom === 1;
   }

@@ -8,7 +8,8 @@ export function mountCalls(root, context) {
   const answer = el("pre.raw", { id: "llm-answer", tabindex: "0", "aria-label": "Answer" });
   const prompt = el("pre.raw", { id: "llm-prompt", tabindex: "0", "aria-label": "Prompt" });
   const note = el("p.note");
-  root.append(model, note, answer, el("details", el("summary", { text: "What it was asked" }), prompt));
+  const details = el("details", el("summary", { text: "What it was asked" }), prompt);
+  root.append(model, note, answer, details);
 
   function draw() {
     const { track, clock } = stage;
@@ -16,13 +17,23 @@ export function mountCalls(root, context) {
     if (root.hidden) return;
     setText(model, `Prompt and answer: ${track.calls.model}`);
     // The move of the step that is shown; at the start, the first.
-    const call = track.calls.steps.get(Math.max(1, Math.min(clock.cursor, track.steps)));
-    setText(note, call ? `Step ${call.step}: ${call.outcome}` : "No call for this step: it follows from the one before.");
-    setText(answer, call?.answer ?? "");
-    setText(prompt, (call?.messages ?? []).map(({ role, content }) => `${role}: ${textOf(content)}`).join("\n\n"));
+    const step = Math.max(1, Math.min(clock.cursor, track.steps));
+    const calls = track.calls.steps.get(step) ?? [];
+    setText(note, calls.length ? `For step ${step}` : `For step ${step} it was not asked: an answer before said it, too.`);
+    setText(answer, calls.map(answered).join("\n\n"));
+    // What was asked last repeats what was asked before.
+    setText(prompt, (calls.at(-1)?.messages ?? []).map(({ role, content }) => `${role}: ${textOf(content)}`).join("\n\n"));
+    answer.hidden = details.hidden = calls.length === 0;
   }
 
   stage.on("change", draw);
+}
+
+/** An answer as it came, and why it was not flown where it could not be used. */
+function answered({ attempt, answer, reasoning, failures, outcome }) {
+  const said = [reasoning, answer, ...(answer === null ? failures.map(({ reason }) => reason) : [])].filter(Boolean);
+  const unusable = outcome === "ok" ? "" : ` (${outcome.replaceAll("_", " ")})`;
+  return `${attempt > 1 ? "Asked again: " : ""}${said.join("\n\n")}${unusable}`;
 }
 
 const textOf = (content) => (typeof content === "string" ? content : JSON.stringify(content, null, 1));

@@ -1,7 +1,7 @@
 // Charts by uPlot that follow the theme, say in words what they show, and can be saved as a picture.
 //
 // uPlot is loaded with the first chart: most visits never come to one.
-import { download, el } from "./dom.js";
+import { download, el, loaded } from "./dom.js";
 import { palette } from "./palette.js";
 
 const FILES = new URL("../vendor/uplot/", import.meta.url);
@@ -23,19 +23,11 @@ function loadUPlot() {
   return loading;
 }
 
-function loaded(element) {
-  return new Promise((resolve, reject) => {
-    element.addEventListener("load", resolve);
-    element.addEventListener("error", () => reject(new Error("The charts could not be loaded.")));
-    document.head.append(element);
-  });
-}
-
 /**
  * @typedef {object} ChartOptions
  * @property {string} title
  * @property {string} file Name of the picture, without its ending.
- * @property {"points"|"line"|"bars"} kind
+ * @property {"points"|"line"} kind
  * @property {string} x What the horizontal axis counts.
  * @property {string} y What is drawn.
  * @property {(value: number) => string} format Writes a value.
@@ -53,7 +45,6 @@ export class Chart {
    */
   constructor(root, context, options) {
     this.options = options;
-    this.names = [];
     this.plot = null;
     this.summary = el("p.note");
     this.frame = el("div.chart-frame");
@@ -62,9 +53,9 @@ export class Chart {
       "aria-label": `Save the chart "${options.title}" as PNG`,
       press: () => this.download(),
     });
-    root.append(
-      el("figure.chart", el("figcaption", el("h3", { text: options.title }), this.save, this.summary), this.frame),
-    );
+    const caption = el("figcaption", el("h3", { text: options.title }), this.save, this.summary);
+    this.root = el("figure.chart", { data: { chart: options.file } }, caption, this.frame);
+    root.append(this.root);
     new ResizeObserver(() => this.plot && this.frame.clientWidth && this.plot.setSize(this.size())).observe(this.frame);
     context.on("theme", () => this.plot?.redraw(false, true));
   }
@@ -72,13 +63,12 @@ export class Chart {
   /**
    * @param {(number|null)[]} values Null leaves a gap.
    * @param {string} summary What there is to see, in words.
-   * @param {string[]} [names] Of the values, below bars.
+   * @param {number[]} [at] Where they lie on the horizontal axis; counted from 1 where it is not given.
    */
-  async show(values, summary, names = []) {
+  async show(values, summary, at = values.map((_, i) => i + 1)) {
     const uPlot = await loadUPlot();
     this.summary.textContent = summary;
-    this.names = names;
-    const data = [values.map((_, i) => (names.length ? i : i + 1)), values];
+    const data = [at, values];
     this.frame.hidden = this.save.hidden = values.every((value) => value === null);
     if (this.plot) this.plot.setData(data);
     else this.plot = this.create(uPlot, data);
@@ -103,7 +93,6 @@ export class Chart {
 
   settings(uPlot) {
     const { kind, format, range, least = 1, x, y } = this.options;
-    const bars = kind === "bars";
     const accent = () => palette().accent;
     const axis = {
       stroke: () => palette().ink2,
@@ -117,13 +106,13 @@ export class Chart {
       legend: { markers: { show: false } },
       cursor: { y: false, drag: { x: false, y: false }, points: { size: 9, fill: accent } },
       scales: {
-        x: { time: false, range: (_, low, high) => (bars ? [low - 0.5, high + 0.5] : [low - 1, high + 1]) },
-        // Bars stand on zero. Values that are all zero would get an axis up to a hundred.
+        x: { time: false, range: (_, low, high) => [low - 1, high + 1] },
+        // Values that are all zero would get an axis up to a hundred.
         y: {
           range:
             range ??
             ((_, low, high) =>
-              low === 0 && high === 0 ? [0, least] : uPlot.rangeNum(bars ? 0 : (low ?? 0), high ?? 1, 0.1, true)),
+              low === 0 && high === 0 ? [0, least] : uPlot.rangeNum(low ?? 0, high ?? 1, 0.1, true)),
         },
       },
       axes: [
@@ -131,22 +120,19 @@ export class Chart {
           ...axis,
           size: 32,
           grid: { show: false },
-          splits: bars ? () => this.names.map((_, i) => i) : undefined,
-          values: (_, splits) =>
-            bars ? this.names : splits.map((at) => (Number.isInteger(at) && at > 0 ? String(at) : "")),
+          values: (_, splits) => splits.map((at) => (Number.isInteger(at) && at > 0 ? String(at) : "")),
         },
         { ...axis, size: 56, values: (_, splits) => splits.map(format) },
       ],
       series: [
-        { label: x, value: (_, at) => (at === null ? "–" : bars ? this.names[at] : String(at)) },
+        { label: x, value: (_, at) => (at === null ? "–" : String(at)) },
         {
           label: y,
           stroke: accent,
           width: kind === "line" ? 2 : 1,
-          fill: bars ? accent : undefined,
-          paths: bars ? uPlot.paths.bars({ size: [0.6, 56] }) : kind === "points" ? () => null : undefined,
+          paths: kind === "points" ? () => null : undefined,
           // A line of one value cannot be seen.
-          points: { show: (plot) => kind === "points" || plot.data[1].length === 1, size: 6, fill: accent },
+          points: { show: (plot) => kind === "points" || known(plot.data[1]) === 1, size: 6, fill: accent },
           value: (_, value) => (value === null || value === undefined ? "–" : format(value)),
         },
       ],
@@ -159,6 +145,8 @@ export class Chart {
     this.plot.ctx.canvas.toBlob((blob) => download(`${this.options.file}.png`, blob));
   }
 }
+
+const known = (values) => values.filter((value) => value !== null).length;
 
 function fillBehind(ctx) {
   ctx.save();

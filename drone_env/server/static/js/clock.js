@@ -8,8 +8,9 @@ const LEAP = 4;
 /** `cursor` is the step that is shown; `position` follows it smoothly and is what is drawn between two steps. */
 export class Clock {
   /**
-   * @param {() => number} end The last step there is. @param {() => number} newest That of the flights that may still go on.
-   * @param {() => void} moved Called when another step is shown, or it is played or stopped.
+   * @param {() => number} end The last step there is. @param {() => number} newest The one that was flown last: a flight that
+   *   goes on may lie beside one that is longer. @param {() => void} moved Called when another step is shown, or it is played
+   *   or stopped.
    */
   constructor(end, newest, moved) {
     this.end = end;
@@ -31,7 +32,7 @@ export class Clock {
     this.following = this.cursor === this.newest();
   }
 
-  /** Goes to a step. Live flights are followed again from the last one on. */
+  /** Goes to a step. Live flights are followed again from the newest one on. */
   seek(step) {
     this.cursor = Math.max(0, Math.min(this.end(), Math.round(step)));
     this.following = this.cursor === this.newest();

@@ -4,7 +4,7 @@ import { announce, setText } from "./dom.js";
 const WORDS = { connecting: "Connecting", open: "Live", away: "Server away", full: "Server full", refused: "Refused" };
 
 /** @param {import("./context.js").Context} context */
-export function mountConnection({ live, players }) {
+export function mountConnection({ live, stage }) {
   const dot = document.getElementById("connection");
   const banner = document.getElementById("banner");
   const text = document.getElementById("banner-text");
@@ -22,7 +22,7 @@ export function mountConnection({ live, players }) {
       return;
     }
     const why = reason ? ` (${reason})` : "";
-    const kept = players.some((player) => player.last && !player.last.done) ? " Your flight is kept." : "";
+    const kept = stage.tracks.some((track) => track.live && !track.done) ? " Your flight is kept." : "";
     const until = Date.now() + wait;
     const words = {
       refused: `The server refused the connection${why}.`,

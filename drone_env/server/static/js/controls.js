@@ -55,13 +55,12 @@ export function mountControls(root, context, fleet, acts) {
     toggle.hidden = fleet.own !== null && !fleet.automatic;
     first.disabled = back.disabled = clock.cursor === 0;
     last.disabled = clock.following;
-    const end = clock.cursor === clock.end() || clock.following;
-    forward.disabled = !track || (end && (playing || away || !acts.flyable()));
+    forward.disabled = !track || (acts.goesOn() ? playing || away : clock.cursor === clock.end());
     undo.hidden = fleet.human < 0 || !fleet.shown;
     undo.disabled = fleet.own === null;
-    fork.hidden = !track || (clock.following && fleet.own === track);
+    fork.hidden = !track || fleet.atHand;
     fork.disabled = !track || track.frameAt(clock.cursor).done;
-    reset.disabled = !fleet.tracks.length;
+    reset.disabled = !track;
     speed.value = String(clock.speed);
     setText(where, track ? sentence(track, clock.cursor, stage) : "");
     where.classList.toggle("behind", !clock.following);

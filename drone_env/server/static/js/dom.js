@@ -67,6 +67,15 @@ export function icon(...paths) {
   return el("svg:svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, ...drawn);
 }
 
+/** Puts a style sheet or a script into the page's head. @returns {Promise<void>} Once it is loaded. */
+export function loaded(element) {
+  return new Promise((resolve, reject) => {
+    element.addEventListener("load", () => resolve());
+    element.addEventListener("error", () => reject(new Error(`there is no ${element.href ?? element.src}`)));
+    document.head.append(element);
+  });
+}
+
 /** Hands the visitor a file. */
 export function download(name, blob) {
   const url = URL.createObjectURL(blob);

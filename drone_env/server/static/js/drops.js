@@ -13,7 +13,6 @@ export function mountFiles(root, past, open) {
         const [file] = input.files;
         if (file) await open(() => past.openFile(file));
         input.value = "";
-        offer();
       },
     },
   });
@@ -21,11 +20,13 @@ export function mountFiles(root, past, open) {
   const flights = el("select", { id: "flight-of-file", "aria-label": "Flight of the file", hidden: true, on: { change } });
   root.append(el("div.field", input, el("label.button.small", { for: "flight-file", text: "Open a file…" }), flights));
 
-  function offer() {
+  let offered = past.records;
+  past.context.stage.on("load", () => {
+    if (past.records === offered) return;
+    offered = past.records;
     flights.hidden = past.records.length < 2;
     flights.replaceChildren(...past.records.map((record, i) => el("option", { text: `${i + 1}. ${named(record)}` })));
-  }
-  past.context.stage.on("load", () => past.records.length !== flights.length && offer());
+  });
 }
 
 /** @param {(file: File) => void} open */

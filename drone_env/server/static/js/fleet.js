@@ -28,7 +28,7 @@ export class Fleet extends Emitter {
     this.playing = false;
     this.asked = null;
     this.number = 0;
-    this.how = { play: false, beside: [], flown: null, after: null };
+    this.how = { play: false, beside: [], flown: null, after: null, moves: [] };
     this.waiting = false;
     this.slow = 0;
     const { live } = context;
@@ -59,10 +59,28 @@ export class Fleet extends Emitter {
     return this.tracks.findIndex(({ pilot }) => !this.pilot(pilot).automatic);
   }
 
+  /** The flight that has left another one's way; null for none. */
+  get forked() {
+    return this.setup.fork === null ? null : (this.tracks.at(-1) ?? null);
+  }
+
+  /** Whether what is looked at is the visitor's own flight, where it goes on. */
+  get atHand() {
+    const { track, clock } = this.stage;
+    return this.shown && track === this.tracks[this.human] && !track.done && clock.cursor >= track.steps;
+  }
+
   /** The visitor's own flight while it goes on, which is lost where another begins; null where there is none. */
   get own() {
     const track = this.tracks[this.human];
-    return track && this.shown && !track.done && track.steps > (track.forkedAt ?? 0) ? track : null;
+    return track && this.shown && !track.done && track.steps > (track === this.forked ? this.setup.fork : 0) ? track : null;
+  }
+
+  /** Whether the visitor's moves are flown: in the flight that is shown, or in one that is on its way. */
+  get byHand() {
+    if (this.asked === "start") return this.how.flown.includes(this.person.id);
+    const track = this.tracks[this.human];
+    return this.shown && Boolean(track) && !track.done;
   }
 
   /** The pilot who is the visitor. */
@@ -70,9 +88,9 @@ export class Fleet extends Emitter {
     return this.context.pilots.find(({ automatic }) => !automatic);
   }
 
-  /** Whether somebody flies by himself. */
+  /** Whether a pilot that flies by itself has not ended. */
   get automatic() {
-    return this.tracks.some(({ pilot }) => this.pilot(pilot).automatic);
+    return this.tracks.some(({ pilot, done }) => !done && this.pilot(pilot).automatic);
   }
 
   /** @returns {Object} What the server tells of a pilot; a stand-in where it does not know it. */
@@ -131,9 +149,10 @@ export class Fleet extends Emitter {
    * Starts other flights: what is named in `change` is new, the rest as it was; forks and moments are not kept.
    *
    * @param {{play?: boolean, beside?: Track[], flown?: string[], after?: () => void}} how Whether to play at once, flights of
-   *   the past to show beside them, those pilots of the setup who are still to be flown, and what to do then.
+   *   the past to show beside them, those pilots of the setup who are still to be flown, what to do then, and the visitor's
+   *   moves until then.
    */
-  start(change = {}, { play = false, beside = [], flown = null, after = null } = {}) {
+  start(change = {}, { play = false, beside = [], flown = null, after = null, moves = [] } = {}) {
     const nothing = { fork: null, actions: null, of: null, step: null, episode: null };
     const { live } = this.context;
     if (live.state !== "open" && this.tracks.length) {
@@ -142,7 +161,7 @@ export class Fleet extends Emitter {
       return;
     }
     this.setup = { ...this.setup, ...nothing, ...change };
-    this.how = { play, beside, flown: flown ?? this.setup.pilots, after };
+    this.how = { play, beside, flown: flown ?? this.setup.pilots, after, moves };
     this.emit("setup");
     this.asked = "start";
     const { task, seed, profile, fork, actions, of, step } = this.setup;
@@ -153,34 +172,47 @@ export class Fleet extends Emitter {
     this.waiting = !live.send({ type: "start", number: ++this.number, ...what });
   }
 
+  /** Starts what every visitor can fly: where what was asked for cannot be. */
+  another() {
+    const task = this.task() ?? this.context.tasks[0];
+    this.start({ task: task.short_name, seed: null, profile: null, pilots: this.able(task).slice(0, 1) });
+  }
+
   /** Flies on from a step of a flight, beside it: another move, and what comes of it. */
   fork(track, step, { pilot = this.person.id, action = null } = {}) {
     const { world } = this.stage;
-    // One that flies by himself flies the same again, where the link is opened; others must be in the store.
+    // One that flies by itself flies the same again, where the link is opened; others must be in the store.
     const again = this.pilot(track.pilot).automatic && !track.past && track.forkedAt === null;
+    const pilots = [...(again ? [track.pilot] : []), pilot];
+    // It flies on beside the fork unless it has ended.
+    const along = again && !track.done;
     const change = {
       task: world.task.short_name,
       seed: world.seed,
       profile: world.profile,
-      pilots: [...(again ? [track.pilot] : []), pilot],
+      pilots,
       episode: again ? null : (track.episode?.id ?? null),
       fork: step,
       actions: lettersOf(track.actionsTo(step)),
       of: track.by,
     };
-    const after = () => {
-      this.help();
-      if (action) this.fly(action);
-    };
-    this.start(change, { play: this.pilot(pilot).automatic, beside: [track], flown: [pilot], after });
+    const after = () => action && this.fly(action);
+    const play = this.pilot(pilot).automatic;
+    this.start(change, { play, beside: along ? [] : [track], flown: along ? pilots : [pilot], after });
   }
 
   play(speed = this.stage.clock.speed) {
-    if (!this.over && this.automatic) this.context.live.send({ type: "play", speed });
+    if (this.automatic) this.context.live.send({ type: "play", speed });
   }
 
   pause() {
     if (this.playing) this.context.live.send({ type: "pause" });
+  }
+
+  /** Something else is to be shown: they are paused, and those who were asked for are not waited for. */
+  rest() {
+    this.pause();
+    if (this.asked === "start") this.asked = null;
   }
 
   step() {
@@ -195,9 +227,12 @@ export class Fleet extends Emitter {
 
   /** One move of the visitor. The others move along unless they fly by themselves. */
   fly(direction) {
+    if (!this.byHand) return;
+    if (this.asked === "start") {
+      this.how.moves.push(direction);
+      return;
+    }
     const flight = this.human;
-    const track = this.tracks[flight];
-    if (!this.shown || !track || track.done) return;
     this.stage.clock.seek(this.stage.clock.newest());
     this.context.live.send({ type: "fly", flight, direction });
     if (this.automatic && !this.playing) this.context.live.send({ type: "step" });
@@ -211,7 +246,7 @@ export class Fleet extends Emitter {
   /** The visitor wants to see values while flying, which the record says from then on. */
   help() {
     const track = this.tracks[this.human];
-    if (this.shown && track && !track.done) this.context.live.send({ type: "help", flight: this.human });
+    if (this.shown && track && !track.done && !track.asked) this.context.live.send({ type: "help", flight: this.human });
   }
 
   resume() {
@@ -255,20 +290,23 @@ export class Fleet extends Emitter {
     this.emit("setup");
     this.emit("begun");
     if (!newest) return;
-    const { play, after } = this.how;
-    Object.assign(this.how, { play: false, after: null });
+    // What a fork gives away is what it is flown for.
+    if (this.setup.fork !== null) this.help();
+    const { play, after, moves } = this.how;
+    Object.assign(this.how, { play: false, after: null, moves: [] });
     if (play && !playing) this.play();
     after?.();
+    for (const direction of moves) this.fly(direction);
   }
 
   /** Puts these flights on the stage: from their newest step, unless another moment is wanted. */
   show(step = null, selected = null) {
     const tracks = [...this.how.beside, ...this.tracks];
-    const front = this.setup.fork === null ? this.tracks[Math.max(0, this.human)] : tracks.at(-1);
-    const end = this.setup.fork === null ? Math.max(...tracks.map((track) => track.steps)) : front.steps;
-    this.stage.show(worldOf(front.opening, this.context.tasks), tracks, {
-      step: step ?? end,
+    const front = this.forked ?? this.tracks[this.human] ?? tracks[0];
+    this.stage.show(worldOf(this.tracks[0].opening, this.context.tasks), tracks, {
+      step: step ?? Math.max(...this.tracks.map((track) => track.steps)),
       selected: selected ?? tracks.indexOf(front),
+      followed: this.tracks,
     });
   }
 
@@ -287,7 +325,7 @@ export class Fleet extends Emitter {
     track.by = by;
     track.frames.length = step + 1;
     this.stage.changed(track);
-    this.stage.clock.seek(step);
+    this.stage.clock.seek(this.stage.clock.newest());
     this.tell();
   }
 
@@ -300,9 +338,9 @@ export class Fleet extends Emitter {
 
   /** What a fork has flown stands in its link. */
   tell() {
-    const track = this.tracks.find(({ forkedAt }) => forkedAt !== null);
-    if (!track || !this.shown || this.setup.fork === null) return;
-    this.setup.actions = lettersOf(track.actionsTo(track.steps));
+    const { forked } = this;
+    if (!forked || !this.shown) return;
+    this.setup.actions = lettersOf(forked.actionsTo(forked.steps));
     this.context.router.moment({ actions: this.setup.actions });
   }
 
@@ -338,6 +376,8 @@ export class Fleet extends Emitter {
       this.start(this.setup, { ...this.how, play: this.how.play || this.playing });
       return;
     }
+    // Keys come faster than what they do: one after the end of a flight, or back beyond its start, is no matter.
+    if (asked === null && code === "wrong_moment") return;
     this.emit("refused", detail);
   }
 }

@@ -33,7 +33,7 @@ export function mountFly(root, context) {
   const past = new Past(context, fleet);
   const acts = actionsOf(context, fleet);
   /** Whether values are kept back: a person flies who has not asked for them. */
-  context.secret = (track) => track.live && !track.done && !fleet.pilot(track.pilot).automatic && !/ with .*values/.test(track.by);
+  context.secret = (track) => track.live && !track.done && !track.asked && !fleet.pilot(track.pilot).automatic;
 
   const plan = el("aside.plan", { "aria-label": "What is flown" });
   const middle = el("div.middle");
@@ -48,7 +48,7 @@ export function mountFly(root, context) {
   root.append(plan, middle, side);
 
   mountPlan(plan, context, fleet, acts);
-  mountFiles(plan, past, open);
+  mountFiles(plan, past, openFile);
   mountLegend(plan, context);
   below("lesson", mountLesson);
   const problem = below("problems", mountProblem, fleet);
@@ -63,27 +63,40 @@ export function mountFly(root, context) {
   panel("calls", mountCalls);
   panel("moves-panel", mountMoves);
   panel("telemetry-panel", mountTelemetry, { boards: () => boards.boards, graph });
-  mountKeys(context, fleet, acts, mountHelp(context));
+  mountKeys(context, fleet, acts, mountHelp());
   mountMapValues(context);
-  listenToDrops((file) => open(() => past.openFile(file)));
+  listenToDrops((file) => openFile(() => past.openFile(file)));
 
-  /** Shows flights of the past: the live ones rest. */
+  /** Shows flights of the past: the live ones rest. @returns {Promise<boolean>} Whether they are there. */
   async function open(flights) {
-    fleet.pause();
+    fleet.rest();
     problem.clear();
-    // A file has no address of its own.
-    if (!context.router.address.episode || context.view !== "fly") context.router.go({ view: "fly", episode: "" });
     try {
       await flights();
+      return true;
     } catch (error) {
       problem.say(error.message);
+      return false;
     }
   }
 
+  /** The same of a file, which has no address of its own. */
+  async function openFile(flights) {
+    if (context.view !== "fly") context.router.open("fly");
+    if (await open(flights)) context.router.go({ view: "fly", episode: "" });
+  }
+
+  /** The moment that is shown, as the address says it: where a fork stands, what it has flown says it. */
+  function step() {
+    const { clock } = stage;
+    if (fleet.shown && fleet.setup.fork !== null) return clock.following ? null : clock.cursor;
+    return clock.cursor || null;
+  }
+
   fleet.on("begun", () => {
-    past.leave();
+    if (!fleet.shown) return;
     problem.clear();
-    if (context.view === "fly") context.router.flies({ ...fleet.setup, step: null });
+    if (context.view === "fly") context.router.flies({ ...fleet.setup, step: step() });
   });
   stage.on("load", () => root.classList.toggle("empty", !stage.world));
   root.classList.add("empty");
@@ -93,6 +106,8 @@ export function mountFly(root, context) {
   /** Shows what the address says. */
   async function follow(view) {
     const { address } = context.router;
+    // The flight that the server has put above is for those who ask for nothing.
+    if (address.task || address.episode !== null) document.getElementById("hello")?.remove();
     if (view !== "fly") {
       fleet.pause();
       stage.clock.stop();
@@ -110,14 +125,13 @@ export function mountFly(root, context) {
     const asked = fleet.asks(task && !fleet.tracks.length ? { ...address, task, seed: Number(seed) } : address);
     const flown = fleet.tracks.length > 0 && says(asked, fleet.setup);
     if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
-    else if (flown) {
-      past.leave();
-      fleet.show(address.step);
-    } else if (!address.episode) fleet.start(asked);
+    else if (flown) fleet.show(address.step);
+    else if (!address.episode) fleet.start(asked);
     else {
       await open(async () => {
         const base = await past.stored(address.episode);
         fleet.start(asked, { beside: [base], flown: asked.pilots.slice(-1) });
+        explain(context, base);
       });
     }
   }
@@ -129,13 +143,14 @@ export function mountFly(root, context) {
     linger = setTimeout(() => {
       const { clock, track } = stage;
       const still = !clock.playing && !stage.flying && context.view === "fly" && (fleet.shown || past.episode);
-      // Where a fork stands is said by what it has flown.
-      const step = clock.following && fleet.shown && fleet.setup.fork !== null ? null : clock.cursor || null;
-      if (track && still && step !== context.router.address.step) context.router.moment({ step });
+      if (track && still && step() !== context.router.address.step) context.router.moment({ step: step() });
     }, LINGER);
   });
-  // The flight that the server has put above has said its word once one is flown here.
-  stage.on("frames", () => stage.clock.end() && document.getElementById("hello")?.remove());
+  // The flight that the server has put above has said its word once one is flown here, or another is chosen.
+  let loads = 0;
+  const heard = (enough) => enough && document.getElementById("hello")?.remove();
+  stage.on("frames", () => heard(stage.clock.end() > 0));
+  stage.on("load", () => heard(++loads > 1));
 }
 
 /** What went wrong, above the maps; where nothing is flown, with a way on. */
@@ -144,7 +159,7 @@ function mountProblem(root, context, fleet) {
   root.append(text);
   const another = el("button.button.small", {
     text: "Fly another map",
-    press: () => fleet.start(fleet.asks({ pilots: [] })),
+    press: () => fleet.another(),
   });
   const problem = {
     say(words) {

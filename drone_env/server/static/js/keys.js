@@ -41,7 +41,18 @@ export function mountKeys(context, fleet, acts, help) {
   for (const layer of LAYERS) if (layer.key) KEYS[layer.key] = () => acts.flick(layer);
   for (let i = 0; i < 9; i++) KEYS[String(i + 1)] = () => stage.select(i);
 
+  // What was chosen by mouse or finger has done its part: the next arrow is for the drone, not for another choice.
+  let pointed = false;
+  document.addEventListener("pointerdown", () => {
+    pointed = true;
+  });
+  const leave = ({ target }, what) => pointed && target.matches(what) && target.blur();
+  document.addEventListener("click", (event) => leave(event, "input[type=radio]"));
+  document.addEventListener("change", (event) => leave(event, "select"));
+
+  let flown = "";
   document.addEventListener("keydown", (event) => {
+    pointed = false;
     if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
     if (taken(event)) return;
     if (event.key === "?") {
@@ -50,10 +61,12 @@ export function mountKeys(context, fleet, acts, help) {
     }
     if (context.view !== "fly") return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    const flown = fleet.tracks[fleet.human];
-    const direction = flown && fleet.shown && !flown.done ? FLY[key] : undefined;
+    const direction = fleet.byHand ? FLY[key] : undefined;
+    // A key that is held beyond the end of a flight does not look back in it.
+    const beyond = event.repeat && key === flown && !direction;
+    flown = direction || beyond ? key : "";
     if (direction) fleet.fly(direction);
-    else if (KEYS[key]) KEYS[key]();
+    else if (KEYS[key]) beyond || KEYS[key]();
     else return;
     event.preventDefault();
   });
@@ -65,5 +78,6 @@ function taken({ target, key }) {
   const arrow = key.startsWith("Arrow") || key === "Home" || key === "End";
   if (target.matches("input[type=range], .events, .moves, pre")) return arrow;
   if (target.matches("input[type=radio]")) return arrow || key === " ";
-  return target.matches("button, a, summary, input[type=checkbox]") && (key === " " || key === "Enter");
+  if (target.matches("a")) return key === "Enter";
+  return target.matches("button, summary, input[type=checkbox]") && (key === " " || key === "Enter");
 }

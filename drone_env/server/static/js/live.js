@@ -41,12 +41,18 @@ export class Live extends Emitter {
     url.search = url.hash = "";
     const socket = new WebSocket(url, this.protocols());
     this.socket = socket;
-    socket.onopen = () => this.opened();
+    let accepted = false;
+    socket.onopen = () => {
+      accepted = true;
+      // A server that is full says so only now: one that has answered has room. Nothing flies on a new connection.
+      this.send({ type: "pause" });
+    };
     socket.onmessage = (event) => {
+      if (this.state !== "open") this.opened();
       const message = JSON.parse(event.data);
       this.emit(message.type, message);
     };
-    socket.onclose = (event) => this.closed(event);
+    socket.onclose = (event) => this.closed(event, accepted);
   }
 
   /** Sends a message; false where there is no connection. */
@@ -83,14 +89,14 @@ export class Live extends Emitter {
     if (this.topics.size) this.sendTopics();
   }
 
-  closed(event) {
+  closed(event, accepted) {
     if (event.code === NOT_ALLOWED) {
       this.change("refused", 0, event.reason);
       return;
     }
     clearTimeout(this.steady);
     // What comes back and does the same again may be what ends it.
-    if (this.state === "open" && event.code !== TRY_LATER) this.ended += 1;
+    if (accepted && event.code !== TRY_LATER) this.ended += 1;
     if (this.ended >= MOST_ENDED) {
       this.change("refused", 0, `it has ended ${this.ended} in a row`);
       return;

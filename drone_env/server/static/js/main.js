@@ -2,7 +2,7 @@
 import { createApi } from "./api.js";
 import { createContext } from "./context.js";
 import { mountConnection } from "./connection.js";
-import { toast } from "./dom.js";
+import { el, loaded, toast } from "./dom.js";
 import { loadFigures } from "./figures.js";
 import { Live } from "./live.js";
 import { Router } from "./router.js";
@@ -12,11 +12,7 @@ import { mountViews } from "./views.js";
 import { mountFly } from "./fly.js";
 
 /** Views that are loaded when they are first shown: most visits never come to them. */
-const LATER = {
-  compare: () => import("./compare.js"),
-  learn: () => import("./learn.js"),
-  api: () => import("./api_view.js"),
-};
+const LATER = { compare: "compare", learn: "learn", api: "api_view" };
 
 async function boot() {
   const api = createApi(askForToken);
@@ -37,14 +33,15 @@ async function boot() {
 
 /** Loads a view, which then hears that it is shown. */
 async function mountLater(name, context) {
-  const load = LATER[name];
+  const file = LATER[name];
   delete LATER[name];
   try {
-    const view = await load();
+    const style = el("link", { rel: "stylesheet", href: new URL(`../css/${file}.css`, import.meta.url) });
+    const [view] = await Promise.all([import(`./${file}.js`), loaded(style)]);
     view.mount(document.getElementById(`view-${name}`), context);
     if (context.view === name) context.emit("view", name);
   } catch (error) {
-    LATER[name] = load;
+    LATER[name] = file;
     toast(`This view could not be loaded: ${error.message}`);
   }
 }

@@ -12,12 +12,12 @@ export function mountMapValues(context) {
   const { stage, api } = context;
   const kept = new Map();
   let timer = 0;
-  let asked = "";
+  const asked = new Set();
 
   function wanted() {
     const { track } = stage;
     if (!track || context.secret(track)) return false;
-    return track.forkedAt !== null || LAYERS.some(({ id, asks }) => asks && context.shows(id));
+    return track.asked || track.forkedAt !== null || LAYERS.some(({ id, asks }) => asks && context.shows(id));
   }
 
   function look() {
@@ -27,8 +27,8 @@ export function mountMapValues(context) {
     }
     const { world, track, clock } = stage;
     const actions = track.actionsTo(clock.cursor);
-    const key = `${world.task.id} ${world.seed} ${actions.join("")}`;
-    if (key === stage.values?.key || key === asked) return;
+    const key = stage.moment;
+    if (key === stage.values?.key || asked.has(key)) return;
     if (kept.has(key)) show({ key, answer: kept.get(key) });
     else {
       clearTimeout(timer);
@@ -37,7 +37,7 @@ export function mountMapValues(context) {
   }
 
   async function ask(key, flight) {
-    asked = key;
+    asked.add(key);
     let answer = null;
     try {
       answer = await api.post("values", flight);
@@ -45,7 +45,7 @@ export function mountMapValues(context) {
       if (!(error instanceof ApiError)) throw error;
       toast(error.message);
     } finally {
-      asked = "";
+      asked.delete(key);
     }
     // What was refused is not asked again.
     if (kept.size === KEPT) kept.delete(kept.keys().next().value);

@@ -31,15 +31,34 @@ export function mountMoves(root, context) {
     if (!track) return;
     const fresh = track.frames.slice(list.childElementCount + 1);
     list.append(...fresh.map((frame) => moveButton(frame, annotation?.moves[frame.step - 1])));
-    if (track.live && track.steps > heard && (!QUIET.has(track.last.event) || track.done)) announce(track.last.message);
+    // How it has ended is said below the map.
+    const told = track.live && !track.done && track.steps > heard;
+    if (told && !QUIET.has(track.last.event)) announce(track.last.message);
     heard = track.steps;
     const step = Math.min(clock.cursor, track.steps);
-    marked?.removeAttribute("aria-current");
-    marked = list.children[step - 1]?.firstElementChild ?? null;
-    marked?.setAttribute("aria-current", "step");
-    if (marked) keepInSight(list, marked);
+    mark(list.children[step - 1]?.firstElementChild ?? null);
     setText(detail, describe(track, step));
   }
+
+  function mark(button) {
+    if (button === marked) return;
+    marked?.removeAttribute("aria-current");
+    marked = button;
+    sight.disconnect();
+    if (!button) return;
+    button.setAttribute("aria-current", "step");
+    sight.observe(button);
+  }
+
+  // Asked for while a frame is made, the place of a button would cost a layout of the page.
+  const sight = new IntersectionObserver(
+    ([{ target, intersectionRatio }]) => {
+      sight.disconnect();
+      // Scrolls the list alone, never the page.
+      if (intersectionRatio < 0.9) list.scrollTop = target.offsetTop - list.offsetTop - list.clientHeight / 2;
+    },
+    { root: list },
+  );
 
   function moveButton(frame, move) {
     const said = `Step ${frame.step}, ${frame.action}${move ? `, ${move.label}` : ""}`;
@@ -92,12 +111,4 @@ function describe(track, step) {
       ? "Nothing lost."
       : `Lost ${points(move.regret, 2)}: best was ${move.best_actions.join(" or ")}.`;
   return `${frame.message} ${gave}${reward}`;
-}
-
-/** Scrolls the list alone, never the page. */
-function keepInSight(list, node) {
-  const top = node.offsetTop - list.offsetTop;
-  if (top < list.scrollTop || top + node.offsetHeight > list.scrollTop + list.clientHeight) {
-    list.scrollTop = top - list.clientHeight / 2;
-  }
 }

@@ -14,20 +14,24 @@ export class Past {
   constructor(context, fleet) {
     this.context = context;
     this.fleet = fleet;
-    /** Id of the stored flight that is shown or on its way; null for none, or a file. */
+    /** Id of the stored flight that is shown; null for none, or a file. */
     this.episode = null;
     /** The records of a file, of which one is shown. */
     this.records = [];
     this.asked = 0;
+    this.track = null;
+    const { stage } = context;
+    stage.on("load", () => (stage.tracks.length === 1 && stage.track === this.track) || this.leave());
   }
 
   /** Shows a stored flight. @throws {ApiError} Where there is none. */
   async open(id, step) {
-    this.episode = id;
-    this.records = [];
     const asked = ++this.asked;
     const track = await this.stored(id);
-    if (asked === this.asked) this.show(track, step);
+    if (asked !== this.asked) return;
+    this.episode = id;
+    this.records = [];
+    this.show(track, step);
   }
 
   /** A stored flight as a track. */
@@ -41,24 +45,24 @@ export class Past {
 
   /** Shows the flights of a file, one of them at a time. */
   async openFile(file) {
-    this.episode = null;
     const asked = ++this.asked;
     const records = await readFlights(file);
-    if (asked !== this.asked) return;
-    this.records = records;
-    await this.openRecord(0);
+    if (asked === this.asked) await this.openRecord(0, records);
   }
 
-  async openRecord(index) {
+  async openRecord(index, records = this.records) {
     const asked = ++this.asked;
-    const track = await this.flown(this.records[index]);
-    if (asked === this.asked) this.show(track, 0);
+    const track = await this.flown(records[index]);
+    if (asked !== this.asked) return;
+    this.episode = null;
+    this.records = records;
+    this.show(track, 0);
   }
 
   /** Nothing of this is shown any more. */
   leave() {
     this.asked += 1;
-    this.episode = null;
+    this.episode = this.track = null;
     this.records = [];
   }
 
@@ -71,6 +75,7 @@ export class Past {
 
   show(track, step) {
     const { stage, tasks } = this.context;
+    this.track = track;
     stage.show(worldOf(track.opening, tasks), [track], { step });
     explain(this.context, track);
     this.askForCalls(track);
@@ -79,10 +84,17 @@ export class Past {
   /** What a language model was asked and has answered, where one flew. */
   async askForCalls(track) {
     if (!track.episode || this.context.pilots.some(({ id }) => id === track.pilot)) return;
-    const { calls, model } = await this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`);
-    if (!calls.length) return;
-    track.calls = { model, steps: new Map(calls.map((call) => [call.step, call])) };
-    this.context.stage.changed(track);
+    try {
+      const { calls, model } = await this.context.api.get(`episodes/${encodeURIComponent(track.episode.id)}/calls`);
+      if (!calls.length) return;
+      const steps = new Map();
+      for (const call of calls) steps.set(call.step, [...(steps.get(call.step) ?? []), call]);
+      track.calls = { model, steps };
+      this.context.stage.changed(track);
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      toast(error.message);
+    }
   }
 }
 

@@ -12,14 +12,15 @@ export function mountPlan(root, context, fleet, acts) {
   const heading = el("summary.plan-head");
   const tasks = el("fieldset.choice", el("legend", { text: "Task" }));
   const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
-  const { form, seed } = mapForm(context, fleet, acts);
+  const { form, seed, typing } = mapForm(context, fleet, acts);
   const change = () => acts.start({ profile: profile.value });
   const profile = el("select", { id: "profile", on: { change } });
   for (const { id, summary } of context.rewardProfiles)
     profile.append(el("option", { value: id, text: title(id), title: summary }));
   const rewards = el("div.field", el("label.eyebrow", { for: "profile", text: "Rewards" }), profile);
   const narrow = matchMedia("(max-width: 1099px)");
-  const details = el("details.plan-details", { open: !narrow.matches }, heading, tasks, pilots, form, rewards);
+  const choices = el("div.plan-choices", tasks, pilots, form, rewards);
+  const details = el("details.plan-details", { open: !narrow.matches }, heading, choices);
   narrow.addEventListener("change", () => {
     details.open = !narrow.matches;
   });
@@ -65,7 +66,8 @@ export function mountPlan(root, context, fleet, acts) {
     return el("div.pilot", { style: { "--lane": `var(--pilot-${pilot.colour})` } }, name, box, about);
   }
 
-  const chosen = () => (stage.tracks.length ? fleet.setup.pilots : []);
+  const isPast = () => Boolean(stage.world) && !fleet.shown;
+  const chosen = () => (isPast() ? [] : fleet.setup.pilots);
 
   function choosePilots(ids) {
     // The next arrow is to fly, not to choose another pilot.
@@ -85,7 +87,7 @@ export function mountPlan(root, context, fleet, acts) {
   function update() {
     // A flight of the past is flown by whoever flew it: what is chosen here is what a click would change.
     const { setup } = fleet;
-    const past = stage.world && !fleet.shown;
+    const past = isPast();
     const task = past ? stage.world.task : fleet.task();
     const names = past ? stage.tracks.map(({ name }) => name) : setup.pilots.map((id) => fleet.pilot(id).name);
     const map = (past ? stage.world.seed : setup.seed) ?? "";
@@ -95,7 +97,7 @@ export function mountPlan(root, context, fleet, acts) {
     pilots.dataset.many = String(setup.pilots.length > 1);
     for (const row of pilots.querySelectorAll(".pilot")) {
       const [name, box, about] = row.children;
-      const able = fleet.flies(box.value);
+      const able = fleet.flies(box.value, task);
       box.checked = !past && setup.pilots.includes(box.value);
       const last = box.checked && setup.pilots.length === 1;
       name.disabled = !able;
@@ -104,7 +106,7 @@ export function mountPlan(root, context, fleet, acts) {
       row.classList.toggle("unable", !able);
       setText(about, able ? fleet.pilot(box.value).summary : "has no network here");
     }
-    if (document.activeElement !== seed) seed.value = map;
+    if (!typing()) seed.value = map;
     profile.value = (past ? stage.world.profile : setup.profile) ?? stage.world?.profile ?? profile.value;
   }
 
@@ -131,9 +133,18 @@ function mapForm({ router, stage }, fleet, acts) {
     inputmode: "numeric",
     autocomplete: "off",
   });
+  let typed = false;
+  seed.addEventListener("input", () => {
+    typed = true;
+  });
+  seed.addEventListener("blur", () => {
+    typed = false;
+  });
   const open = () => {
+    typed = false;
     if (!seed.validity.badInput && seed.value === "") seed.value = stage.world?.seed ?? "";
-    else if (seed.reportValidity() && Number(seed.value) !== fleet.setup.seed) acts.start({ seed: Number(seed.value) });
+    else if (seed.reportValidity() && Number(seed.value) !== (fleet.shown ? fleet.setup : stage.world)?.seed)
+      acts.start({ seed: Number(seed.value) });
   };
   seed.addEventListener("change", open);
   const fresh = el("button.button.small", { id: "new-map", press: acts.newMap, title: "Another map (N)", text: "New map" });
@@ -144,10 +155,8 @@ function mapForm({ router, stage }, fleet, acts) {
     text: "Copy link",
     press: () => copyLink(linkOf(router.address)),
   });
-  const submit = (event) => {
-    event.preventDefault();
-    open();
-  };
+  // Enter changes the number first, which opens the map.
+  const submit = (event) => event.preventDefault();
   const label = el("label.eyebrow", { for: "seed", text: "Map" });
-  return { form: el("form.map-form", { on: { submit } }, label, seed, el("div.row", fresh, copy)), seed };
+  return { form: el("form.map-form", { on: { submit } }, label, seed, el("div.row", fresh, copy)), seed, typing: () => typed };
 }

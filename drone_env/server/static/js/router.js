@@ -111,7 +111,8 @@ function read({ search, hash }) {
     task: text("task"),
     seed: number("seed"),
     profile: text("profile"),
-    pilots: (text("pilots") ?? text("pilot") ?? "").split(",").filter(Boolean),
+    // Split before it is decoded: agents from elsewhere may have commas in their names.
+    pilots: (search.match(/[?&]pilots?=([^&]*)/)?.[1] ?? "").split(",").filter(Boolean).map(decoded),
     episode: text("episode"),
     step: count("step"),
     fork: count("fork"),
@@ -120,6 +121,8 @@ function read({ search, hash }) {
     lesson: count("lesson"),
   };
 }
+
+const decoded = (text) => new URLSearchParams(`=${text}`).get("");
 
 /** The link to an address. @param {Partial<Address>} address */
 export function linkOf(address) {

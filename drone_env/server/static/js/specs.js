@@ -1,4 +1,5 @@
-// Technical specifications: the numbers of all levels side by side, as /tasks tells them, and the legend of the map.
+// Technical specifications: the numbers of all levels side by side as /tasks tells them, the reward profiles, and the
+// legend of the map.
 import { el, table } from "./dom.js";
 import { fixed, title } from "./format.js";
 
@@ -7,6 +8,7 @@ const drains = (drain) =>
   Object.entries(drain)
     .map(([kind, units]) => `; ${units} above a ${kind}`)
     .join("");
+const words = (name) => name.charAt(0).toUpperCase() + name.slice(1).replaceAll("_", " ");
 
 /** A row each: its name, and what stands in it for a task. Rows of nothing but dashes are left out. */
 const WORLD = [
@@ -21,61 +23,70 @@ const WORLD = [
   ["Battery", (t) => `${t.battery_capacity} units`],
   ["A step drains", (t) => `1 unit${drains(t.drain)}`],
 ];
-const EVENTS = [
-  ["Delivery", "delivery"],
-  ["Step", "step"],
-  ["Wait", "wait"],
-  ["Above a building", "building"],
-  ["Above a tree", "tree"],
-  ["Above an obstacle", "obstacle"],
-  ["Against the wall", "wall"],
-  ["Way blocked", "blocked"],
-  ["Battery empty", "battery_dead"],
-];
-/** What a profile pays for each event: farther from the target, as far, and closer. */
-const paid = (profile) =>
-  EVENTS.map(([name, event]) => [name, (t) => t.rewards[profile]?.[event]?.map((pay) => fixed(pay)).join(" / ") ?? NONE]);
 const IDENTITY = [
   ["Id", (t) => t.id],
   ["Version", (t) => t.version],
   ["Grader", (t) => t.grader],
 ];
+/** What a reward profile pays on every task, beside its events. */
+const always = ({ shaping, clamp, shaping_gamma, pays_score }) =>
+  [
+    shaping ? `${fixed(shaping)} for each cell closer` : "",
+    clamp ? `${fixed(clamp[0])} to ${fixed(clamp[1])} a step` : "",
+    shaping_gamma === null ? "" : `shaping by potential, discounted by ${fixed(shaping_gamma)}`,
+    pays_score ? "the score at the end" : "",
+  ].filter(Boolean);
+/** What a profile pays for each event: farther from the target, as far, and closer. */
+const paid = (profile, { rewards }) =>
+  Object.keys(rewards[profile]).map((event) => [
+    words(event),
+    (t) => t.rewards[profile]?.[event]?.map((pay) => fixed(pay)).join(" / ") ?? NONE,
+  ]);
 
-/** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
-export function mount(root, context) {
-  const frame = el("div.scroller", { tabindex: "0", role: "region", "aria-label": "Table of specifications" });
-  const show = (family) => frame.replaceChildren(specifications(title(family), context.families.get(family)));
-  const families = [...context.families.keys()];
-  const choices = families.map((family, i) =>
+/** @param {import("./context.js").Context} context @returns {HTMLElement[]} */
+export function specifications({ families, rewardProfiles, kinds }) {
+  const levels = el("div.scroller", { tabindex: "0", role: "region", "aria-label": "Table of specifications" });
+  const show = (family) => levels.replaceChildren(ofLevels(title(family), families.get(family)));
+  const choices = [...families.keys()].map((family, i) =>
     el(
       "label.segment",
       el("input", { type: "radio", name: "specs-family", checked: i === 0, on: { change: () => show(family) } }),
       el("span", { text: title(family) }),
     ),
   );
-  root.append(
+  show(families.keys().next().value);
+  return [
     el(
       "div.view-head",
       el("h2", { text: "Technical specifications" }),
       el("fieldset.segments", el("legend.visually-hidden", { text: "Levels" }), ...choices),
     ),
-    frame,
-    legend(context.kinds),
-  );
-  show(families[0]);
+    levels,
+    glossary(
+      "Reward profiles",
+      rewardProfiles.map((profile) => [el("dt", { text: profile.id }), profile.summary, always(profile).join("; ")]),
+    ),
+    glossary(
+      "Legend",
+      kinds.map(({ emoji, name, effect }) => [
+        el("dt", el("span.emoji", { "aria-hidden": "true", text: emoji }), name),
+        effect,
+      ]),
+    ),
+  ];
 }
 
-function specifications(family, tasks) {
-  const columns = [["Level"], ...tasks.map((task) => [title(task.short_name)])];
+function ofLevels(family, tasks) {
+  const profiles = Object.keys(tasks[0].rewards).filter((profile) => Object.keys(tasks[0].rewards[profile]).length);
   return table(
     "table.table.specs-table",
     {},
     `Technical specifications of the ${family} levels`,
-    columns,
+    [["Level"], ...tasks.map((task) => [title(task.short_name)])],
     group("World", WORLD, tasks),
-    ...Object.keys(tasks[0].rewards)
-      .filter((profile) => Object.keys(tasks[0].rewards[profile]).length)
-      .map((profile) => group(`Rewards per step (${profile}): farther / as far / closer`, paid(profile), tasks)),
+    ...profiles.map((profile) =>
+      group(`Rewards by event (${profile}): farther / as far / closer`, paid(profile, tasks[0]), tasks),
+    ),
     group("Identity", IDENTITY, tasks),
   );
 }
@@ -93,21 +104,8 @@ function group(name, rows, tasks) {
   );
 }
 
-/** What stands on a map, and what it does to the drone. */
-function legend(kinds) {
-  return el(
-    "section.legend",
-    { "aria-labelledby": "legend-title" },
-    el("h2", { id: "legend-title", text: "Legend" }),
-    el(
-      "dl",
-      ...kinds.map((kind) =>
-        el(
-          "div",
-          el("dt", el("span.emoji", { "aria-hidden": "true", text: kind.emoji }), kind.name),
-          el("dd", { text: kind.effect }),
-        ),
-      ),
-    ),
-  );
+/** A section of terms, each with what is said of it. */
+function glossary(name, entries) {
+  const entry = ([term, ...said]) => el("div", term, ...said.map((text) => el("dd", { text })));
+  return el("section.glossary", { "aria-label": name }, el("h2", { text: name }), el("dl", ...entries.map(entry)));
 }

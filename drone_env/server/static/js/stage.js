@@ -36,11 +36,12 @@ export class Stage extends Emitter {
     this.world = null;
     /** @type {import("./track.js").Track[]} */
     this.tracks = [];
+    /** Those of them whose newest step is shown as it comes. @type {import("./track.js").Track[]} */
+    this.followed = [];
     this.selected = 0;
-    const longest = (tracks) => Math.max(0, ...tracks.map((track) => track.steps));
     this.clock = new Clock(
-      () => longest(this.tracks),
-      () => longest(this.tracks.some(({ live }) => live) ? this.tracks.filter(({ live }) => live) : this.tracks),
+      () => last(this.tracks),
+      () => last(this.followed),
       () => this.tell("cursor"),
     );
     /** What `POST /values` says of the moment and the flight that are looked at; null where nobody asked. */
@@ -59,15 +60,22 @@ export class Stage extends Emitter {
     return this.track?.frameAt(this.clock.cursor) ?? null;
   }
 
+  /** The moment that is looked at, in words that no other has: a map, and what was flown over it. */
+  get moment() {
+    const { track, world, clock } = this;
+    return `${world.task.id} ${world.seed} ${track.actionsTo(clock.cursor).join("")}`;
+  }
+
   /** Whether all flights have ended. */
   get over() {
     return this.tracks.length > 0 && this.tracks.every((track) => track.done);
   }
 
   /** Shows a map with flights over it. @param {number} step The moment. */
-  show(world, tracks, { step = 0, selected = 0 } = {}) {
+  show(world, tracks, { step = 0, selected = 0, followed = tracks } = {}) {
     this.world = world;
     this.tracks = tracks;
+    this.followed = followed;
     this.selected = selected;
     this.values = null;
     this.clock.jump(step);
@@ -100,3 +108,5 @@ export class Stage extends Emitter {
 
   told = () => this.emit("change");
 }
+
+const last = (tracks) => Math.max(0, ...tracks.map((track) => track.steps));

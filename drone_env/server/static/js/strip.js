@@ -39,7 +39,7 @@ export function mountStrip(root, context, fleet, acts) {
 
   function draw() {
     const { track } = stage;
-    const hidden = !track?.done;
+    const hidden = !track || !(track.done || track.past);
     if (root.hidden !== hidden) root.hidden = hidden;
     if (hidden) return;
     const { last, annotation } = track;
@@ -56,7 +56,7 @@ export function mountStrip(root, context, fleet, acts) {
     if (said === track) return;
     said = track;
     more.open = false;
-    if (track.live || track.episode) announce(`${outcome(last)}. Score ${points(last.score)}.`);
+    if (track.done && (track.live || track.episode)) announce(`${outcome(last)}. Score ${points(last.score)}.`);
   }
 
   async function fill() {
@@ -70,7 +70,8 @@ export function mountStrip(root, context, fleet, acts) {
   stage.on("change", draw);
 }
 
-function summary({ world }, { last, annotation, steps }) {
+function summary({ world }, { last, annotation, steps, done }) {
+  if (!done) return "This flight did not end: what its moves gave away is not known.";
   const optimum = annotation?.optimal_score ?? null;
   const parts = [`score ${points(last.score)}${optimum === null ? "" : ` of ${points(optimum)} possible`}`];
   if (annotation) parts.push(isLost(annotation.regret) ? `lost ${points(annotation.regret)}` : "nothing lost");
@@ -102,7 +103,11 @@ function goOn(context, fleet, acts) {
   const next = nextTask(context.families, context.stage.world.task);
   const flown = fleet.shown ? fleet.setup.pilots : [context.stage.track.pilot];
   const able = [...new Set(flown)].filter((id) => fleet.flies(id, next));
-  acts.start({ task: next.short_name, seed: null, pilots: able.length ? able : fleet.able(next).slice(0, 1) });
+  const pilots = able.length ? able : fleet.able(next).slice(0, 1);
+  acts.start({ task: next.short_name, seed: null, pilots });
+  // The strip goes, and what comes next is to start; but the keys of whoever flies himself are for the drone.
+  if (pilots.includes(fleet.person.id)) document.activeElement.blur();
+  else document.getElementById("start").focus();
 }
 
 /** Three parts as wide as their weights, each filled by what is left or done. */

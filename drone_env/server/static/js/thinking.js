@@ -30,9 +30,7 @@ export function mountThinking(root, context, fleet, acts) {
 
   /** Flies a move: the visitor's own flight goes on, any other is left by a fork. */
   function play(action) {
-    const { clock, track } = stage;
-    const own = fleet.shown && track === fleet.tracks[fleet.human] && !track.done;
-    if (own && clock.following) fleet.fly(action);
+    if (fleet.atHand) fleet.fly(action);
     else acts.fork({ action });
   }
 
@@ -41,7 +39,8 @@ export function mountThinking(root, context, fleet, acts) {
     root.hidden = !track;
     if (!track) return;
     const network = frame.q_values;
-    const exact = values?.answer?.q_values ?? null;
+    // Until the server has answered, what stands on the map is of the moment before.
+    const exact = (values?.key === stage.moment && values.answer?.q_values) || null;
     const best = exact && Math.max(...Object.values(exact));
     const first = network && Math.max(...Object.values(network));
     for (const { action, cells, name, node } of rows) {

@@ -47,12 +47,13 @@ export function mountTimeline(root, context) {
     const x = (step) => ROOM.side + (step / wide()) * (width - 2 * ROOM.side);
     const [low, high] = range(tracks);
     const y = (value) => ROOM.top + ((high - value) / (high - low)) * (height - ROOM.top - ROOM.bottom);
-    drawScale(ctx, y, [low, high], width, colours);
     drawEvents(ctx, track, x, height, colours);
     tracks.forEach((one, i) => drawLine(ctx, one, x, y, (i - stage.selected) * ASIDE, one === track));
     drawMarks(ctx, track, x, y, height);
     ctx.fillStyle = colours.ink;
     ctx.fillRect(x(clock.cursor) - 1, 0, 2, height);
+    const known = tracks.some(({ last }) => last.value !== null);
+    drawScale(ctx, y, [low, high], known ? "still possible" : "so far", width, colours);
   }
 
   /** Steps from left to right: what has been flown, and while it is flown some more. */
@@ -93,7 +94,7 @@ function tip(track, step) {
   return `Step ${step}: ${frame.message}${gave}${possible}`;
 }
 
-function drawScale(ctx, y, [low, high], width, colours) {
+function drawScale(ctx, y, [low, high], what, width, colours) {
   ctx.font = `11px ${colours.font}`;
   ctx.fillStyle = colours.ink3;
   ctx.strokeStyle = colours.line;
@@ -107,9 +108,15 @@ function drawScale(ctx, y, [low, high], width, colours) {
     ctx.lineTo(width, at);
     ctx.stroke();
   }
-  ctx.fillText(points(low, 0), width - 4, y(low) - 2);
+  ctx.lineWidth = 4;
+  ctx.strokeStyle = colours.panel;
+  const write = (text, at) => {
+    ctx.strokeText(text, width - 4, at);
+    ctx.fillText(text, width - 4, at);
+  };
+  write(points(low, 0), y(low) - 2);
   ctx.textBaseline = "top";
-  ctx.fillText(`${points(high, 0)} still possible`, width - 4, y(high) + 3);
+  write(`${points(high, 0)} ${what}`, y(high) + 3);
 }
 
 /** Deliveries and charges of the flight that is looked at, below the graph. */

@@ -12,7 +12,7 @@ export class Track {
     this.pilot = opening.pilot;
     /** Who flew, as the record says it: a pilot, or several of them one after another. */
     this.by = opening.by;
-    this.name = name;
+    this.called = name;
     /** Its colour, as a custom property of the style sheet: `--pilot-3`. */
     this.colour = colour;
     this.frames = [...frames];
@@ -23,11 +23,21 @@ export class Track {
     this.annotation = null;
     /** The summary of the stored flight; null while it is not stored. */
     this.episode = null;
-    /** The calls of a language model by step, null where none flew. */
+    /** The calls of a language model by step, several where an answer could not be used; null where none flew. */
     this.calls = null;
     /** The step from which it goes another way than the flight that it left; null where it is nobody's fork. */
     this.forkedAt = opening.forked_at;
     this.way = null;
+  }
+
+  /** The pilot's name; of a fork, where it begins, too: others flew the steps before. */
+  get name() {
+    return this.forkedAt ? `${this.called} from step ${this.forkedAt}` : this.called;
+  }
+
+  /** Whether a person asked for values while flying, which are kept back from others. */
+  get asked() {
+    return this.by.split(" from step ")[0].includes(" with values");
   }
 
   /** The newest frame. */

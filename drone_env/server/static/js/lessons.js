@@ -1,0 +1,98 @@
+// The tutorial: three flights over fixed maps, and which of their goals the visitor has reached.
+import { isLost } from "./format.js";
+import { recall, remember } from "./storage.js";
+
+const last = (track) => track.frames.at(-1);
+const by = (pilot, { tracks }) => tracks.filter((track) => track.pilot === pilot && track.frames.length);
+/** A goal that any flight of the visitor's can reach. */
+const mine = (test) => (stage) => by("human", stage).some(test);
+
+const delivers = (track) => last(track).outcome === "delivered";
+/** Has ended and lost no more than that, in score: what it lost is told at its end. */
+const losesAtMost = (most) => (track) => track.done && last(track).regret !== null && last(track).regret <= most;
+const charges = ({ frames }) =>
+  frames.some(({ action, battery_units }, i) => action === "WAIT" && battery_units > frames[i - 1].battery_units);
+
+/** The step that lost most, 0 where none lost anything. */
+function worstStep({ frames }) {
+  const lost = (i) => (i ? frames[i].regret - frames[i - 1].regret : 0);
+  return frames.reduce((worst, _, i) => (isLost(lost(i)) && lost(i) > lost(worst) ? i : worst), 0);
+}
+
+/** Whether the flight on show, by this pilot, rests at the move that lost most or before it. */
+function atWorst({ track, clock }, pilot) {
+  const worst = track?.done && track.pilot === pilot ? worstStep(track) : 0;
+  return worst > 0 && !clock.playing && (clock.cursor === worst || clock.cursor === worst - 1);
+}
+
+/**
+ * @typedef {Object} Lesson What its text says of its map is exact.
+ * @property {string} title
+ * @property {string} text
+ * @property {Partial<import("./router.js").Address>} address Where it is flown.
+ * @property {{text: string, done: (stage: Object) => boolean}[]} goals At most ten.
+ */
+
+/** @type {Lesson[]} */
+export const LESSONS = [
+  {
+    title: "Fly yourself",
+    text:
+      "You are the pilot: the arrow keys, W A S D or a swipe over the map move the drone by one cell. Fly it " +
+      "to the parcel. Each move takes a step and a unit of battery, so a detour loses points. The optimum of this " +
+      "map takes 8 moves.",
+    address: { view: "fly", task: "easy", seed: 18, pilots: ["human"] },
+    goals: [
+      { text: "Make a move", done: mine((track) => last(track).step > 0) },
+      { text: "Deliver the parcel", done: mine(delivers) },
+      { text: "Lose nothing: 8 moves", done: mine(losesAtMost(0)) },
+    ],
+  },
+  {
+    title: "See what a move loses",
+    text:
+      "Greedy flies to the nearest parcel and looks no further. The optimum of this map is 96.8; Greedy scores 53.3, " +
+      "and loses the difference in a single move. Let it fly, then find that move in the graph below the " +
+      "map: a pad lies below the drone, where waiting charges the battery. Try from there.",
+    address: { view: "fly", task: "skyline_easy", seed: 88, pilots: ["greedy"] },
+    goals: [
+      { text: "Let Greedy fly to its end", done: (stage) => by("greedy", stage).some((track) => track.done) },
+      { text: "Go to its blunder in the graph", done: (stage) => atWorst(stage, "greedy") },
+      {
+        text: "Try from there, and deliver all parcels",
+        done: mine((track) => track.by.includes(" from step ") && delivers(track)),
+      },
+    ],
+  },
+  {
+    title: "Plan the battery",
+    text:
+      "In Skyline the battery does not last for the tour. It holds 11 units here; a step takes 1, above a tree 2, " +
+      "above a building 3, and obstacles block the way. Range of the battery (B) shows how far it reaches from here " +
+      "and from each pad, where each wait (Space) charges 4. Without charging nobody delivers more than two of the " +
+      "three parcels.",
+    address: { view: "fly", task: "skyline_easy", seed: 84, pilots: ["human"] },
+    goals: [
+      { text: "Charge: wait on a pad", done: mine(charges) },
+      { text: "Deliver all three parcels", done: mine(delivers) },
+      { text: "Lose at most 2 points", done: mine(losesAtMost(0.02)) },
+    ],
+  },
+];
+
+const kept = new Map();
+const key = (number) => `drone-env-lesson-${number}`;
+
+/** Goals of a lesson that were reached, counted from 0. @param {number} number From 1. @returns {Set<number>} */
+export function reached(number) {
+  if (!kept.has(number)) kept.set(number, new Set([...(recall(key(number)) ?? "")].map(Number)));
+  return kept.get(number);
+}
+
+/** Notes that a goal has been reached. */
+export function reach(number, goal) {
+  reached(number).add(goal);
+  remember(key(number), [...reached(number)].join(""));
+}
+
+export const isComplete = (number) => LESSONS[number - 1].goals.every((_, goal) => reached(number).has(goal));

@@ -1,0 +1,189 @@
+// Tables of who flies how well: the leaderboard, its rows down to maps, and the runs of language models.
+import { el, table } from "./dom.js";
+import { fixed, percent, points } from "./format.js";
+
+/** So many maps are shown at first: those where most was lost. */
+const FIRST = 10;
+
+/**
+ * A table that scrolls sideways where it has no room.
+ *
+ * @param {string} caption
+ * @param {[string, (row: any) => Node|string, boolean?][]} columns Name, what stands there, whether it is a number.
+ * @param {any[]} rows
+ * @param {(row: any) => Node|null} [below] What a row has opened.
+ */
+export function grid(caption, columns, rows, below = () => null) {
+  const lines = (row) => {
+    const opened = below(row);
+    return [
+      el("tr", ...columns.map(([, cell, number]) => el(number ? "td.num" : "td", cell(row)))),
+      ...(opened ? [el("tr", el("td.opened", { colspan: columns.length }, el("div", opened)))] : []),
+    ];
+  };
+  const names = columns.map(([name, , number]) => [name, number]);
+  return el(
+    "div.scroller",
+    { tabindex: "0", role: "region", "aria-label": caption },
+    table("table.table", {}, caption, names, el("tbody", ...rows.flatMap(lines))),
+  );
+}
+
+/** Where a score lies from 0 to 1, as a bar with its interval as whiskers, beside the number. */
+function scoreBar(score, ci, colour) {
+  const [low, high] = (ci ?? [score, score]).map((bound) => Math.min(Math.max(bound, 0), 1));
+  const style = { "--at": score, "--low": low, "--high": high, "--colour": colour };
+  const bar = el("span.bar", { "aria-hidden": "true" }, el("i"), el("b"));
+  return el("div.score-bar", { style }, within(score, ci, points), bar);
+}
+
+/** A figure and half of its interval. */
+function within(value, ci, write) {
+  const margin = ci ? ` ± ${write((ci[1] - ci[0]) / 2)}` : "";
+  return el("span.within", write(value), el("span.margin", { text: margin }));
+}
+
+const lost = (row) => {
+  const some = row.regret_maps < row.maps && row.regret !== null ? ` on ${row.regret_maps} maps` : "";
+  return el("span", within(row.regret, row.regret_ci95, points), some);
+};
+
+/** The colour of a pilot; others have none of their own. */
+export const colourOf = ({ pilots }, agent) => {
+  const pilot = pilots.find(({ id }) => agent === id || agent.startsWith(`${id} `));
+  return pilot?.colour ? `var(--pilot-${pilot.colour})` : "var(--ink-3)";
+};
+
+/** A button that opens what is below its row. */
+const opener = (open, key, ...contents) =>
+  el("button.opener", { "aria-expanded": String(open), data: { key } }, ...contents);
+
+/**
+ * @param {import("./context.js").Context} context
+ * @param {Object} board As `/leaderboard` answers.
+ * @param {string[]} chosen Whose maps are open, or who are paired.
+ * @param {Node|null} maps What is open below the row of the one that is chosen.
+ * @param {(agents: string[]) => void} choose
+ */
+export function leaderboard(context, board, chosen, maps, choose) {
+  if (!board.rows.length) return el("p.note", { text: "Nobody has flown this task yet. Fly it, and it stands here." });
+  const isOpen = ({ agent }) => chosen.length === 1 && chosen[0] === agent;
+  const pick = ({ agent, name }) => {
+    const others = chosen.filter((one) => one !== agent);
+    return el("input", {
+      type: "checkbox",
+      checked: chosen.includes(agent),
+      "aria-label": `Compare ${name}`,
+      data: { key: `pick ${agent}` },
+      // Of three the first one goes.
+      on: { change: ({ target }) => choose(target.checked ? [...others, agent].slice(-2) : others) },
+    });
+  };
+  const who = (row) => {
+    const button = opener(
+      isOpen(row),
+      `open ${row.agent}`,
+      el("i.dot", { style: { "--colour": colourOf(context, row.agent) }, "aria-hidden": "true" }),
+      el("span", row.name, row.kind === "model" ? el("span.margin", { text: " language model" }) : ""),
+    );
+    button.addEventListener("click", () => choose(isOpen(row) ? [] : [row.agent]));
+    return button;
+  };
+  const columns = [
+    ["Pair", pick],
+    ["Pilot", who],
+    ["Score", (row) => scoreBar(row.score, row.score_ci95, colourOf(context, row.agent))],
+    ["Lost", lost, true],
+    ["Success", (row) => within(row.success_rate, row.success_ci95, percent), true],
+    ["Steps", (row) => fixed(row.steps, 1), true],
+    ["Maps", (row) => String(row.maps), true],
+    ["Flights", (row) => String(row.flights), true],
+    ["Reward", (row) => el("span", fixed(row.reward), el("span.margin", ` ${row.reward_profile ?? ""}`)), true],
+  ];
+  const how = "A name opens its maps; two that are ticked are compared over the maps that both flew.";
+  const forks = board.forks ? ` Flights that fork from another one are left out: ${board.forks}.` : "";
+  return el(
+    "div",
+    grid("Leaderboard, the best score first", columns, board.rows, (row) => (isOpen(row) ? maps : null)),
+    el("p.note.below", {
+      text: `Scores times 100, means over the maps that each flew, ± 95 %. ${how}${forks}`,
+    }),
+  );
+}
+
+/**
+ * The maps that somebody flew, the worst first; each opens its flight, or lists its flights.
+ *
+ * @param {import("./context.js").Context} context
+ * @param {string} name Who flew, in words.
+ * @param {Object[]} maps As `/leaderboard/{task}/maps` answers.
+ * @param {import("./flights.js").Flights} flights Where several over one map are listed.
+ * @param {string} agent
+ */
+export function mapsOf(context, name, maps, flights, agent) {
+  const regret = ({ optimum, score }) => (optimum === null ? null : optimum - score);
+  const sorted = [...maps].sort((x, y) => (regret(y) ?? -1) - (regret(x) ?? -1) || x.seed - y.seed);
+  const open = ({ id, seed, flights: count }) => [
+    el("button.button.small", {
+      text: "Open",
+      "aria-label": `Open the flight of ${name} over map ${seed}`,
+      press: () => context.router.go({ view: "fly", episode: id }),
+    }),
+    count > 1 ? el("button.button.small", { text: `${count} flights`, press: () => flights.filter(agent, seed) }) : "",
+  ];
+  const columns = [
+    ["Map", ({ seed }) => String(seed), true],
+    ["Lost", (map) => points(regret(map)), true],
+    ["Score", ({ score }) => points(score), true],
+    ["Optimum", ({ optimum }) => points(optimum), true],
+    ["Success", ({ success }) => percent(success), true],
+    ["Steps", ({ steps }) => fixed(steps, steps % 1 ? 1 : 0), true],
+    // Flights that were flown in another server are not kept here.
+    ["", (map) => (map.id ? el("span.buttons", ...open(map)) : "")],
+  ];
+  return shortened(sorted, FIRST, (shown) => grid(`Maps that ${name} flew, the worst first`, columns, shown));
+}
+
+/** The first of many maps, and a button for all of them. */
+export function shortened(all, first, draw) {
+  if (all.length <= first) return draw(all);
+  const more = el("button.button.small.more", { text: `All ${all.length} maps` });
+  const part = el("div", draw(all.slice(0, first)), more);
+  more.addEventListener("click", () => {
+    part.replaceChildren(draw(all));
+    part.firstElementChild.focus();
+  });
+  return part;
+}
+
+/** The runs of language models, on the board of the maps that they flew, each with its maps below. */
+export function runsOf(context, { boards, unranked }, flights) {
+  const columns = [
+    ["Model", (row) => row.model],
+    ["Prompt", (row) => row.prompt],
+    ["Score", (row) => scoreBar(row.score, row.score_ci95, "var(--accent)")],
+    ["Lost", (row) => points(row.regret), true],
+    ["Success", (row) => percent(row.success_rate), true],
+    ["Random to optimum", (row) => percent(row.normalised), true],
+    ["Steps", (row) => fixed(row.steps, 1), true],
+    ["Flights", (row) => String(row.flights), true],
+    ["Errored", (row) => String(row.errored), true],
+    ["Unusable", (row) => String(row.waits), true],
+    ["Tokens", (row) => row.tokens.toLocaleString(), true],
+  ];
+  const maps = (row) => [
+    el("summary", { text: `Maps of ${row.model}, ${row.run}` }),
+    mapsOf(context, row.model, row.maps, flights, row.model),
+  ];
+  const draw = ({ maps: which, rows }) => [
+    el("h3", { text: which }),
+    grid(`Runs of language models over ${which}, the best first`, columns, rows),
+    ...rows.map((row) => el("details", ...maps(row))),
+  ];
+  const why = ({ run, reason }) => el("li", { text: `${run}: ${reason}` });
+  return [
+    el("h2", { text: "Language models" }),
+    ...boards.flatMap(draw),
+    unranked.length ? el("div.note", "Not ranked:", el("ul", ...unranked.map(why))) : "",
+  ];
+}
