@@ -102,11 +102,8 @@ class Sb3Agent:
             masks = {"action_masks": open_actions(self._task, grids, telemetry)}
         if not self.stochastic:
             return np.asarray(self._policy.predict(seen, deterministic=True, **masks)[0], np.int64)
-        import torch
-
-        with torch.no_grad():
-            told = self._policy.get_distribution(self._policy.obs_to_tensor(seen)[0], **masks)
-        shares = told.distribution.probs.cpu().numpy().astype(np.float64).cumsum(axis=1)
+        told = self._policy.get_distribution(self._policy.obs_to_tensor(seen)[0], **masks)
+        shares = told.distribution.probs.detach().cpu().numpy().astype(np.float64).cumsum(axis=1)
         self._lots = next_key(self._lots)
         drawn = two_halves(self._lots)[0] / 2**32 * shares[:, -1]
         return (shares <= np.asarray(drawn)[:, None]).sum(axis=1)
