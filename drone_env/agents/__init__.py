@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from drone_env.agents.base import Agent, BatchAgent
 from drone_env.agents.greedy import GreedyAgent
-from drone_env.agents.named import agent_named, sb3_file
+from drone_env.agents.named import agent_named, sb3_elsewhere, sb3_file
 from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.agents.random import RandomAgent
@@ -72,6 +72,12 @@ def file_of(name: str) -> Path | None:
     return sb3_file(name) if network is None else network[1]
 
 
+def elsewhere(name: str, file: Path) -> str:
+    """The name that an agent whose name names a file has where that file lies elsewhere."""
+    network = network_file(name)
+    return sb3_elsewhere(name, file) if network is None else f"{network[0]}:{file}"
+
+
 def make_agent(name: str, task: str | TaskConfig) -> Agent:
     """A new agent for a task, from a name that commands take as well.
 
@@ -113,6 +119,7 @@ __all__ = [
     "RandomAgent",
     "TournetAgent",
     "TournetSearchAgent",
+    "elsewhere",
     "file_of",
     "make_agent",
     "network_file",

@@ -45,6 +45,12 @@ def sb3_file(name: str) -> Path | None:
     return None if found is None else Path(found["file"])
 
 
+def sb3_elsewhere(name: str, file: Path) -> str:
+    """The name that `name`, which names a file of Stable-Baselines3, has where that lies elsewhere."""
+    found = SB3_FILE.fullmatch(name)
+    return name if found is None else f"{file}{name[found.end('file') :]}"
+
+
 def agent_named(name: str, task: TaskConfig) -> Agent | None:
     """The agent behind `MODULE:NAME`, `FILE.zip`, `FILE.zip:WRAPPER`, or one of the latter two with `:sampled`.
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drone_env import evaluate, make_agent, summarise
-from drone_env.agents import GreedyAgent
+from drone_env.agents import GreedyAgent, elsewhere, file_of
 from drone_env.cli import main
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
@@ -144,6 +144,23 @@ def test_names_of_nothing_that_flies_are_refused(
         make_agent(name, "easy")
     assert main(["fly", "--agent", name]) == 2
     assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "there"),
+    [
+        ("pathqnet:data/easy.npz", "data/easy.npz", "pathqnet:/tmp/there"),
+        ("./m.zip", "m.zip", "/tmp/there"),
+        ("a/m.zip:FlatObservation", "a/m.zip", "/tmp/there:FlatObservation"),
+        ("a/m.zip:sampled", "a/m.zip", "/tmp/there:sampled"),
+        ("C:/m.zip:mine:Wrapper:sampled", "C:/m.zip", "/tmp/there:mine:Wrapper:sampled"),
+        ("mine:fly", None, "mine:fly"),
+        ("greedy", None, "greedy"),
+    ],
+)
+def test_the_file_that_a_name_names(name: str, file: str | None, there: str) -> None:
+    assert file_of(name) == (file and Path(file))
+    assert elsewhere(name, Path("/tmp/there")) == there
 
 
 def test_objects_that_cannot_fly_are_refused() -> None:
