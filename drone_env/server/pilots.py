@@ -1,9 +1,11 @@
 """Who can fly on the page: the agents, and the person at the page; and how it is said who flew."""
 
+import logging
 import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from inspect import cleandoc
+from types import FunctionType
 from typing import NamedTuple
 
 from typing_extensions import Self
@@ -14,6 +16,7 @@ from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import CheckpointError, TooLargeError, UnknownNameError, UnsupportedTaskError
 from drone_env.server.predict import NETWORK, SOURCES, TRAINED, Networks
 
+log = logging.getLogger(__name__)
 HUMAN = "human"
 
 
@@ -59,7 +62,8 @@ class _Pilots(Mapping[str, Pilot]):
 
 
 def _summary(make: object) -> str:
-    told = getattr(make, "__doc__", None) or "An agent that a plugin of this server registered."
+    own = make.__doc__ if isinstance(make, type | FunctionType) else None  # others have that of their type
+    told = own or "An agent that a plugin of this server registered."
     return cleandoc(told).partition("\n\n")[0].replace("\n", " ")
 
 
@@ -148,6 +152,9 @@ def _flies(make: Callable[[TaskConfig], Agent], task: TaskConfig) -> bool:
     try:
         make(task)
     except (CheckpointError, TooLargeError, UnsupportedTaskError):
+        return False
+    except Exception:
+        log.exception("a registered agent is no pilot on %s: %r cannot be made", task.id, make)
         return False
     return True
 

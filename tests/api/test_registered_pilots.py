@@ -56,6 +56,21 @@ def test_a_registered_agent_flies_on_the_page(client: TestClient) -> None:
     assert client.get("/preview.png?task=easy&seed=7&pilot=homebrew").status_code == 200
 
 
+@pytest.mark.usefixtures("homebrew")
+def test_one_that_cannot_be_made_takes_no_other_pilot_away(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(task: TaskConfig) -> GreedyAgent:
+        raise KeyError(task.id)
+
+    monkeypatch.setitem(AGENTS, "broken", broken)
+    pilots = {pilot["id"]: pilot for pilot in client.get("/pilots").json()["pilots"]}
+    assert pilots["broken"]["tasks"] == []
+    assert pilots["broken"]["summary"] == "An agent that a plugin of this server registered."
+    assert pilots["homebrew"]["tasks"]
+    assert "a registered agent is no pilot on easy_delivery" in caplog.text
+
+
 def test_what_nobody_registered_is_no_pilot(client: TestClient) -> None:
     assert "homebrew" not in [pilot["id"] for pilot in client.get("/pilots").json()["pilots"]]
     with client.websocket_connect("/live") as socket:
