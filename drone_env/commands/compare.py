@@ -1,18 +1,22 @@
 """`drone-env compare`: agents on the same maps, and how sure it is which of them is better."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from drone_env import __version__
 from drone_env.commands.arguments import AGENT, SeedRange, SplitName, chosen_maps
 from drone_env.commands.contest import JsonFile, TaskNames, cells_of, fly_cells, give_json, json_file
-from drone_env.core.tasks import get_task
+from drone_env.commands.kept import Kept, kept
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.reports.tables import Table, percent, print_table
 
-Contenders = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar=f"{AGENT}...")]
+if TYPE_CHECKING:
+    from drone_env.episodes.by_map import FlownMap
+
+Contenders = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar=f"{AGENT}|DIR...")]
 Plot = Annotated[Path | None, tyro.conf.arg(metavar="FILE.svg|FILE.png")]
 
 
@@ -37,7 +41,8 @@ def compare(
     Example: drone-env compare greedy optimal --task hard --episodes 200
 
     Args:
-        agents: Two agents or more, named as `evaluate --agents` takes them.
+        agents: Two agents or more, named as `evaluate --agents` takes them; or folders of `evaluate --out` and of
+            `infer`, whose maps the others then fly.
         task: One or more tasks, or all.
         split: Whose first maps to fly: test if nothing is said.
         episodes: How many maps of the split, 200 if nothing is said.
@@ -52,17 +57,29 @@ def compare(
     from drone_env.evaluation.profiles import check_plot, draw_profiles
     from drone_env.evaluation.reliable import compared, shares_of_optimum
 
-    if len(agents) < 2 or len(set(agents)) < len(agents):
+    folders = {agent: kept(Path(agent)) for agent in agents if Path(agent).is_dir()}
+    contenders = len(agents) - len(folders) + sum(len({one.name for one in of}) for of in folders.values())
+    if contenders < 2 or len(set(agents)) < len(agents):
         raise InvalidValueError(f"compare takes two agents or more, each once; got {' '.join(agents) or 'none'}")
-    chosen_split, maps = chosen_maps(seeds, split, episodes, 200)
+    if folders:
+        if task != ("all",) or (split, episodes, seeds) != (None, None, None):
+            raise InvalidValueError("folders name task and maps themselves: leave --task, --split and so on out")
+        task, chosen_split, maps = _maps_of([one for of_folder in folders.values() for one in of_folder])
+    else:
+        chosen_split, maps = chosen_maps(seeds, split, episodes, 200)
     json_file(json)
     if plot is not None:
         check_plot(plot)
-    flown = fly_cells(cells_of(task, agents, maps, chosen_split, repeats))
-    rows = {
-        t: {agent: flown_maps(agent, cell) for agent, cell in row.items() if isinstance(cell, tuple)}
-        for t, row in flown.items()
-    }
+    names = [agent for agent in agents if agent not in folders]
+    flown = fly_cells(cells_of(task, names, maps, chosen_split, repeats)) if names else {}
+    rows: dict[TaskConfig, dict[str, list[FlownMap]]] = {}
+    for agent in agents:
+        for one in folders.get(agent, ()):
+            rows.setdefault(one.task, {})[one.name] = [row._replace(agent=one.name) for row in one.rows]
+        for t, row in flown.items():
+            cell = row.get(agent)
+            if isinstance(cell, tuple):
+                rows.setdefault(t, {})[agent] = flown_maps(agent, cell)
     report = {
         "package": __version__,
         "split": chosen_split,
@@ -83,6 +100,18 @@ def compare(
     if give_json(report, json):
         _print(report)
         print(*cannot, sep="\n", end="\n" if cannot else "")
+
+
+def _maps_of(results: list[Kept]) -> tuple[tuple[str, ...], str, range]:
+    """The tasks, the split and the maps that all folders are of."""
+    first = results[0]
+    for other in results:
+        if (other.split, other.maps) != (first.split, first.maps) or get_task(other.task.id) != other.task:
+            raise InvalidValueError(
+                f"folders are compared over the same maps of the present version of a task: {other.name} has "
+                f"{other.task.id} v{other.task.version}, {other.maps}, {first.name} {first.maps}"
+            )
+    return tuple(dict.fromkeys(one.task.id for one in results)), first.split, first.maps
 
 
 def _print(report: dict[str, Any]) -> None:

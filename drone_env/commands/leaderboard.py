@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from drone_env.commands.kept import judged
 from drone_env.commands.printing import print_json
-from drone_env.errors import InvalidValueError, needs
-from drone_env.evaluation import folder as evaluation
+from drone_env.errors import InvalidValueError
 from drone_env.reports.tables import Table, number, percent, print_table, with_margin
 
 if TYPE_CHECKING:
-    from drone_env.evaluation.leaderboard import Board, Judged, Refused
+    from drone_env.evaluation.leaderboard import Board
 
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 
@@ -34,7 +34,7 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
 
     if not folders:
         raise InvalidValueError("leaderboard takes the folders of one run or evaluation, or more")
-    every = [one for path in {path.resolve(): path for path in folders}.values() for one in _judge(path)]
+    every = [one for path in {path.resolve(): path for path in folders}.values() for one in judged(path)]
     boards = boards_of(one for one in every if isinstance(one, Judged))
     refused = [one for one in every if isinstance(one, Refused)]
     if json:
@@ -49,16 +49,6 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
         for run in refused:
             print(f"not ranked: {run.path}: {run.reason}", file=sys.stderr)
     return int(any(run.damaged for run in refused))
-
-
-def _judge(path: Path) -> "list[Judged | Refused]":
-    from drone_env.evaluation.leaderboard import judge_evaluation
-
-    if (path / evaluation.CONFIG).exists():
-        return judge_evaluation(path)
-    with needs("llm"):
-        from drone_env.llm.leaderboard import judge
-    return [judge(path)]
 
 
 def _table(board: "Board") -> Table:

@@ -77,7 +77,16 @@ def _figures(agent: str, repeats: tuple[EpisodeResults, ...]) -> dict[str, Any]:
         "normalised": (figures["mean_score"] - floor) / above if above else None,
         "regret": figures["mean_regret"],
         "success_rate": figures["success_rate"],
-        "steps": figures["mean_steps"],
+        "maps": [
+            {
+                "seed": seed,
+                "scores": [float(results.scores[i]) for results in repeats],
+                "optimum": None if np.isnan(best[i]) else float(best[i]),
+                "success": sum(int(results.success[i]) for results in repeats),
+                "steps": [int(results.steps[i]) for results in repeats],
+            }
+            for i, seed in enumerate(range(*key.seeds))
+        ],
     }
 
 

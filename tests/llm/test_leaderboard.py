@@ -55,6 +55,41 @@ def test_agents_and_models_over_the_same_maps_stand_on_one_board(
     ]
 
 
+def test_what_is_kept_is_compared_map_by_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    agents = str(evaluated(tmp_path / "agents", "--agents", "random", "--repeats", "2"))
+    model = str(put_run(tmp_path, "model", "greedy", range(14, 18), repeats=2))
+    capsys.readouterr()
+    assert main(["compare", "greedy", model, agents, "--json", "-"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report["split"], report["seeds"]) == ("custom", [14, 18])
+    found = report["tasks"]["easy_delivery"]
+    names = ["greedy", f"scripted ({model})", f"random ({agents})"]
+    assert list(found["agents"]) == names
+    (scripted,) = (run for run in ranked(capsys, Path(model))["boards"][0]["rows"])
+    assert found["agents"][names[1]]["score"]["mean"] == pytest.approx(scripted["score"])
+    greedy = run_episodes(episodes_key("easy", "greedy", range(14, 18)))
+    assert found["others"][names[1]]["difference"]["mean"] == pytest.approx(scripted["score"] - greedy.scores.mean())
+    assert found["others"][names[2]]["difference"]["high"] < 0
+    assert main(["compare", agents]) == 2
+    assert "compare takes two agents or more" in capsys.readouterr().err
+    both = str(evaluated(tmp_path / "both", "--agents", "random", "greedy"))
+    capsys.readouterr()
+    assert main(["compare", both, "--json", "-"]) == 0
+    assert list(json.loads(capsys.readouterr().out)["tasks"]["easy_delivery"]["others"]) == [f"greedy ({both})"]
+
+
+def test_folders_of_other_maps_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    agents = str(evaluated(tmp_path / "agents", "--agents", "random"))
+    other = str(put_run(tmp_path, "model", "greedy", range(14, 17)))
+    assert main(["compare", agents, other]) == 2
+    assert "folders are compared over the same maps" in " ".join(capsys.readouterr().err.split())
+    assert main(["compare", agents, "greedy", "--task", "easy"]) == 2
+    assert "folders name task and maps themselves" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert main(["compare", str(tmp_path / "empty"), "greedy"]) == 2
+    assert "this is not the folder of a run" in capsys.readouterr().err
+
+
 def test_an_evaluation_that_is_not_whole_is_not_ranked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = evaluated(tmp_path / "agents", "--agents", "random", "--repeats", "2")
     (again,) = (folder / "pieces").glob("*again1*")
