@@ -163,18 +163,18 @@ def visit(browser: Browser, url: str) -> tuple[float, float, int, int]:
     """First paint and first contentful paint in ms, files and bytes of one visit with an empty cache."""
     context = browser.new_context(base_url=url, viewport=WIDE)  # type: ignore[arg-type]
     page = context.new_page()
-    sizes: list[int] = []
-    page.on("requestfinished", lambda request: sizes.append(_bytes(request.response())))
-    page.goto("/", wait_until="networkidle")
+    page.goto("/")
+    expect(page.locator("#step-counter")).to_contain_text("Step 0")
     paints = page.evaluate("Object.fromEntries(performance.getEntriesByType('paint').map(e => [e.name, e.startTime]))")
+    sizes: dict[str, int] = page.evaluate(
+        """() => {
+            const loaded = ["navigation", "resource"].flatMap(type => performance.getEntriesByType(type));
+            const files = loaded.filter(({ name }) => /\\/static\\/|\\/$/.test(name));
+            return Object.fromEntries(files.map(file => [file.name, file.encodedBodySize]));
+        }"""
+    )
     context.close()
-    return paints["first-paint"], paints["first-contentful-paint"], len(sizes), sum(sizes)
-
-
-def _bytes(response: Any) -> int:
-    if response is None or not ("/static/" in response.url or response.url.endswith("/")):
-        return 0
-    return len(response.body())
+    return paints["first-paint"], paints["first-contentful-paint"], len(sizes), sum(sizes.values())
 
 
 def main() -> None:

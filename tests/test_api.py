@@ -230,6 +230,11 @@ REQUESTS: dict[tuple[str, str], Any] = {
     ("get", "/memory_logs"): None,
     ("get", "/episodes"): None,
     ("get", "/episodes/{episode_id}"): {},
+    ("get", "/episodes/{episode_id}/calls"): {},
+    ("get", "/leaderboard/{task_name}"): {"task_name": "easy"},
+    ("get", "/leaderboard/{task_name}/maps"): {"task_name": "easy", "agent": "anonymous"},
+    ("get", "/leaderboard/{task_name}/models"): {"task_name": "easy"},
+    ("get", "/paired/{task_name}"): {"task_name": "easy", "a": "anonymous", "b": "anonymous"},
     ("get", "/logs"): None,
     ("get", "/terminal_logs"): None,
     ("get", "/tasks"): None,
@@ -263,11 +268,11 @@ def test_every_endpoint_there_is_answers(http: TestClient) -> None:
         given = dict(asked or {})
         if path == "/solution":
             fly(http, "UP", "UP")
-        if path == "/episodes/{episode_id}":
+        if path.startswith("/episodes/{episode_id}"):
             given["episode_id"] = get(http, "/episodes")["episodes"][0]["id"]
         if path == "/annotate":
             given = get(http, f"/episodes/{get(http, '/episodes')['episodes'][0]['id']}")
         filled = path.format(**{"env_name": "drone-env", **given})
         body = given if method == "post" and asked is not None else None
-        answer = http.request(method, filled, json=body, params=given if path == "/preview.png" else None)
+        answer = http.request(method, filled, json=body, params=given if method == "get" else None)
         assert answer.status_code == (204 if method == "delete" else 200), (method, path, answer.text)

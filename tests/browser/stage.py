@@ -55,6 +55,7 @@ def fly(page: Page, button: str = "Start") -> None:
 def ended(page: Page) -> Locator:
     """The strip below the map that says how the flight went, once it has ended and is annotated."""
     strip = page.locator(".strip")
+    expect(strip).to_be_visible()  # what is hidden there may be of the flight before
     expect(strip).to_contain_text("a best flight takes")
     return strip
 

@@ -104,20 +104,20 @@ def test_a_fork_from_step_20_of_hard_map_7_has_the_values_of_its_analysis_to_the
 
 
 def test_where_a_flight_went_wrong_another_is_tried_and_kept_as_what_it_is(page: Page, server: Server) -> None:
-    record = flown("easy", 21, "random")
+    record = flown("easy", 20, "random")
     analysis = analyse_flight(record)
     worst = max(analysis.moves, key=lambda one: one.regret)
     at = worst.step - 1
-    episode = Episode("easy", "tiered", 21)
+    episode = Episode("easy", "tiered", 20)
     for action in record.actions[:at]:
         episode.step(Action[action])
-    show(page, "/?task=easy&seed=21&pilot=random")
+    show(page, "/?task=easy&seed=20&pilot=random")
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
     fly(page)
     strip = ended(page)
     expect(strip).to_contain_text(f"Worst move: step {worst.step}, {record.actions[at]}, lost {points(worst.regret)}")
     page.get_by_role("button", name="Try from there").click()
-    name = f"You from step {at}" if at else "You"
+    name = f"You from step {at}"
     expect(standing(page, name)).to_be_visible()
     expect(page.locator("#step-counter")).to_have_text(re.compile(f"^Step {at} of 60"))
     while not episode.ended:
@@ -129,8 +129,12 @@ def test_where_a_flight_went_wrong_another_is_tried_and_kept_as_what_it_is(page:
     expect(page.locator("#standings-note")).to_have_text(
         f"{name} wins with {points(episode.score)}: all parcels delivered."
     )
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.get_by_role("button", name="Copy result").click()
+    expect(page.locator("#toasts")).to_contain_text("Result copied.")
+    assert f"{name}: {episode.steps}, optimum " in page.evaluate("navigator.clipboard.readText()")
     stored = httpx.get(f"{server.url}/episodes", params={"task": "easy"}).json()["episodes"][0]
-    assert stored["agent"] == f"human with values from step {at} of random" if at else "human with values"
+    assert stored["agent"] == f"human with values from step {at} of random"
     assert stored["score"] == episode.score
 
 

@@ -59,6 +59,8 @@ export function actionsOf(context, fleet) {
     fork(options) {
       const { track } = stage;
       if (!track || fleet.atHand || track.frameAt(clock.cursor).done) return;
+      // The next key is for the drone, not for the button that was pressed.
+      document.activeElement.blur();
       givingUp(() => fleet.fork(track, Math.min(clock.cursor, track.steps), options));
     },
     faster(by) {

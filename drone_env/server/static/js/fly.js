@@ -3,7 +3,7 @@ import { actionsOf } from "./actions.js";
 import { mountBoards } from "./boards.js";
 import { mountCalls } from "./calls.js";
 import { mountControls } from "./controls.js";
-import { el } from "./dom.js";
+import { el, toast } from "./dom.js";
 import { listenToDrops, mountFiles } from "./drops.js";
 import { Fleet } from "./fleet.js";
 import { mountHelp } from "./help.js";
@@ -11,7 +11,6 @@ import { mountHuman } from "./human.js";
 import { mountInstruments } from "./instruments.js";
 import { mountKeys } from "./keys.js";
 import { mountLegend } from "./legend.js";
-import { mountLesson } from "./lesson.js";
 import { mountMapValues } from "./map_values.js";
 import { mountMoves } from "./moves.js";
 import { explain, Past } from "./past.js";
@@ -50,7 +49,8 @@ export function mountFly(root, context) {
   mountPlan(plan, context, fleet, acts);
   mountFiles(plan, past, openFile);
   mountLegend(plan, context);
-  below("lesson", mountLesson);
+  const lesson = el("div", { hidden: true });
+  middle.append(lesson);
   const problem = below("problems", mountProblem, fleet);
   const boards = below("boards-panel", mountBoards);
   below("strip", mountStrip, fleet, acts);
@@ -108,6 +108,7 @@ export function mountFly(root, context) {
     const { address } = context.router;
     // The flight that the server has put above is for those who ask for nothing.
     if (address.task || address.episode !== null) document.getElementById("hello")?.remove();
+    if (address.lesson) teach(lesson, context);
     if (view !== "fly") {
       fleet.pause();
       stage.clock.stop();
@@ -151,6 +152,19 @@ export function mountFly(root, context) {
   const heard = (enough) => enough && document.getElementById("hello")?.remove();
   stage.on("frames", () => heard(stage.clock.end() > 0));
   stage.on("load", () => heard(++loads > 1));
+}
+
+let teaching = null;
+
+/** Puts the lesson above the maps; what there is to learn is loaded once somebody learns. */
+function teach(root, context) {
+  teaching ??= import("./lesson.js").then(
+    ({ mountLesson }) => mountLesson(root, context),
+    (error) => {
+      teaching = null;
+      toast(`The lesson could not be loaded: ${error.message}`);
+    },
+  );
 }
 
 /** What went wrong, above the maps; where nothing is flown, with a way on. */

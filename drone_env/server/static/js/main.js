@@ -7,7 +7,6 @@ import { loadFigures } from "./figures.js";
 import { Live } from "./live.js";
 import { Router } from "./router.js";
 import { mountTheme } from "./theme.js";
-import { askForToken } from "./token.js";
 import { mountViews } from "./views.js";
 import { mountFly } from "./fly.js";
 
@@ -15,7 +14,7 @@ import { mountFly } from "./fly.js";
 const LATER = { compare: "compare", learn: "learn", api: "api_view" };
 
 async function boot() {
-  const api = createApi(askForToken);
+  const api = createApi(async (wrong) => (await import("./token.js")).askForToken(wrong));
   const figures = loadFigures();
   const [{ tasks, reward_profiles }, { pilots, most }, { kinds }] = await firstAnswers(api);
   await figures;

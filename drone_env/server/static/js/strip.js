@@ -86,7 +86,7 @@ function result({ tracks, world }) {
     track.last.outcome === "delivered"
       ? String(track.steps)
       : `${track.last.deliveries_done} of ${world.parcels.length} parcels`;
-  const flown = tracks.filter(({ done }) => done).map((track) => `${track.name} ${steps(track)}`);
+  const flown = tracks.filter(({ done }) => done).map((track) => `${track.name}${track.forkedAt ? ":" : ""} ${steps(track)}`);
   const best = tracks.find(({ annotation }) => annotation)?.annotation;
   if (best) flown.push(`optimum ${best.optimal_steps}`);
   const map = linkOf({ task: world.task.short_name, seed: world.seed });
