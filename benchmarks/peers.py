@@ -17,16 +17,14 @@ map.
 import argparse
 import contextlib
 import copy
-import hashlib
 import json
 import sys
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from gymnasium import spaces
 from sb3_contrib import MaskablePPO
@@ -37,16 +35,14 @@ from torch import nn
 from training import ReachedError, Watch
 from training_runs import MAPS, ROOT, commit, figures, machine
 
-from drone_env.core.actions import ACTION_OFFSETS
-from drone_env.core.episode import Observation
+from drone_env.agents import register_agent
+from drone_env.agents.sb3_policy import Sb3Agent
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.envs.registry import register_agent
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
-from drone_env.envs.wrappers import one_hot
+from drone_env.envs.wrappers import FlatObservation, OneHotPlanes
 from drone_env.errors import InvalidValueError
 from drone_env.files import write_json
-from drone_env.planning.from_observation import drone_positions
 from drone_env.rl.validation import Validator
 
 ALGORITHMS: dict[str, type[PPO] | type[MaskablePPO]] = {"PPO": PPO, "MaskablePPO": MaskablePPO}
@@ -104,50 +100,10 @@ class Cells(BaseFeaturesExtractor):
         return torch.cat([self.layers(planes), observations["telemetry"]], dim=1)
 
 
-def masks(task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
-    """What `DroneDeliveryVecEnv.action_masks` says, bool[N, 5], from grids uint8[N, H, W] and their telemetry."""
-    closed = np.pad(np.isin(grids, [*task.impassable]), ((0, 0), (1, 1), (1, 1)), constant_values=True)
-    x, y = drone_positions(task, grids, telemetry).T + 1
-    each = np.arange(len(grids))
-    # The cell of the drone itself is open, whatever lies below it.
-    return np.stack([~closed[each, y + down, x + right] for right, down in ACTION_OFFSETS.values()], axis=1)
-
-
-class Peer:
-    """A policy of PPO or MaskablePPO as an agent that flies by its likeliest actions."""
-
-    stateless = True
-
-    def __init__(self, task: TaskConfig, model: PPO | MaskablePPO) -> None:
-        self._task, self._model = task, model
-
-    @property
-    def config(self) -> Mapping[str, object]:
-        """The algorithm and its weights."""
-        weights = b"".join(part.numpy().tobytes() for part in self._model.policy.state_dict().values())
-        return {"agent": type(self._model).__name__, "weights": hashlib.sha256(weights).hexdigest()}
-
-    def reset(self, seed: int) -> None:
-        """Nothing to forget."""
-
-    def act(self, observation: Observation) -> int:
-        """The likeliest action."""
-        return int(self.act_batch(observation["grid"][None], observation["telemetry"][None])[0])
-
-    def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
-        """Nothing to forget."""
-
-    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The likeliest actions, int64[N]."""
-        planes, policy = one_hot(grids[:, None]), self._model.policy
-        if isinstance(self._model.observation_space, spaces.Dict):
-            seen, _ = policy.obs_to_tensor({"grid": planes, "telemetry": telemetry})
-        else:
-            flat = np.concatenate([planes.reshape(len(grids), -1), telemetry], axis=1, dtype=np.float32)
-            seen, _ = policy.obs_to_tensor(flat)
-        told = {"action_masks": masks(self._task, grids, telemetry)} if isinstance(self._model, MaskablePPO) else {}
-        with torch.no_grad():
-            return cast(Any, policy).get_distribution(seen, **told).mode().numpy()
+def agent_of(task: TaskConfig, model: PPO | MaskablePPO) -> Sb3Agent:
+    """What flies by the likeliest actions of a model; MaskablePPO never takes one that would bump."""
+    wrapper = OneHotPlanes if isinstance(model.observation_space, spaces.Dict) else FlatObservation
+    return Sb3Agent(task, model.policy, wrapper)
 
 
 class Judge(BaseCallback):
@@ -178,7 +134,7 @@ class Judge(BaseCallback):
         assert isinstance(self.model, (PPO, MaskablePPO))
         before = self.watch.best
         try:
-            self.watch.look(Peer(self._task, self.model).act_batch, self.num_timesteps)
+            self.watch.look(agent_of(self._task, self.model).act_batch, self.num_timesteps)
         finally:
             if self.watch.best > before:
                 self.weights = copy.deepcopy(self.model.policy.state_dict())
@@ -187,7 +143,7 @@ class Judge(BaseCallback):
 
 def train(
     task: TaskConfig, algorithm: str, recipe: Mapping[str, Any], seed: int, limit: float, validator: Validator
-) -> tuple[Peer, Watch]:
+) -> tuple[Sb3Agent, Watch]:
     """Train for `limit` seconds of CPU time: the best policy by validation, and what was seen of the training."""
     options = dict(recipe)
     form = options.pop("observation", "dict")
@@ -204,7 +160,7 @@ def train(
         model.learn(10**12, judge)
     assert judge.watch is not None
     model.policy.load_state_dict(judge.weights)
-    return Peer(task, model), judge.watch
+    return agent_of(task, model), judge.watch
 
 
 def run(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from drone_env.envs.registry import register_envs
 
 if TYPE_CHECKING:
-    from drone_env.agents import AGENTS, Agent, make_agent
+    from drone_env.agents import AGENTS, Agent, make_agent, register_agent
     from drone_env.core.actions import Action, Event, Outcome
     from drone_env.core.cells import Cell
     from drone_env.core.episode import Episode, EpisodeState
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
     from drone_env.core.seeds import SPLITS, next_seed, split_seeds
     from drone_env.core.tasks import TASKS, TaskConfig, get_task
-    from drone_env.envs.registry import register_agent, register_reward_profile, register_task
-    from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
+    from drone_env.envs.registry import register_reward_profile, register_task
+    from drone_env.evaluation.episodes import episodes_key, evaluate, run_episodes, summarise
     from drone_env.graders import GRADERS
     from drone_env.models import DroneAction, DroneObservation, DroneState
     from drone_env.planning.optimal import Solution, solve
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __version__ = "0.5.0"
 
 _HOMES = {
-    "agents": ("AGENTS", "Agent", "make_agent"),
+    "agents": ("AGENTS", "Agent", "make_agent", "register_agent"),
     "core.actions": ("Action", "Event", "Outcome"),
     "core.cells": ("Cell",),
     "core.episode": ("Episode", "EpisodeState"),
@@ -34,8 +34,8 @@ _HOMES = {
     "core.rewards": ("REWARD_PROFILES", "RewardProfile"),
     "core.seeds": ("SPLITS", "next_seed", "split_seeds"),
     "core.tasks": ("TASKS", "TaskConfig", "get_task"),
-    "envs.registry": ("register_agent", "register_reward_profile", "register_task"),
-    "evaluation.episodes": ("episodes_key", "run_episodes", "summarise"),
+    "envs.registry": ("register_reward_profile", "register_task"),
+    "evaluation.episodes": ("episodes_key", "evaluate", "run_episodes", "summarise"),
     "graders": ("GRADERS",),
     "models": ("DroneAction", "DroneObservation", "DroneState"),
     "planning.optimal": ("Solution", "solve"),
@@ -64,6 +64,7 @@ __all__ = [
     "TaskConfig",
     "__version__",
     "episodes_key",
+    "evaluate",
     "generate_city_map",
     "get_task",
     "make_agent",

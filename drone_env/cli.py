@@ -11,6 +11,7 @@ from tyro.extras import SubcommandApp
 from drone_env import __version__
 from drone_env.commands.analyse_flight import analyse_flight
 from drone_env.commands.audit import audit
+from drone_env.commands.compare import compare
 from drone_env.commands.dataset import dataset
 from drone_env.commands.doctor import doctor
 from drone_env.commands.evaluate import evaluate
@@ -33,8 +34,8 @@ DESCRIPTION = (
 
 def _app(train: Callable[..., int]) -> SubcommandApp:
     app = SubcommandApp()
-    commands = (fly, evaluate, solve, audit, train, sweep, infer, leaderboard, play, replay, analyse_flight, dataset)
-    for command in (*commands, serve, doctor):
+    measuring = (evaluate, compare, leaderboard, solve, audit, analyse_flight)
+    for command in (fly, *measuring, train, sweep, infer, play, replay, dataset, serve, doctor):
         app.command(command)
     return app
 

@@ -18,7 +18,7 @@ import tyro
 from torch import nn
 from torch.nn import functional
 
-from drone_env import episodes_key, register_agent, run_episodes, split_seeds, summarise
+from drone_env import evaluate, summarise
 from drone_env.core.cells import N_CELL_KINDS
 
 
@@ -80,9 +80,7 @@ class QNetwork(nn.Module):
 
 
 class Learned:
-    """The network as an agent of the package, so that `run_episodes` can judge it."""
-
-    config = {"agent": "cleanrl_dqn"}  # noqa: RUF012
+    """The network as an agent of the package, so that `evaluate` can judge it."""
 
     def reset(self, seed):
         """Nothing to forget."""
@@ -154,9 +152,5 @@ for global_step in range(0, args.total_timesteps, args.num_envs):
     if global_step // 50_000 != (global_step - args.num_envs) // 50_000 and scores:
         print(f"step {global_step}: epsilon {epsilon:.2f}, score while exploring {np.mean(scores[-500:]):.3f}")
 
-register_agent("cleanrl_dqn", lambda task: Learned())
-key = episodes_key(
-    args.task.lower().replace("-", "_"), "cleanrl_dqn", split_seeds("validation", args.maps), "validation"
-)
-figures = summarise(run_episodes(key))
+figures = summarise(evaluate(Learned(), args.task.lower().replace("-", "_"), "validation", args.maps))
 print(f"score {figures['mean_score']:.4f}, optimum of the same {args.maps} maps {figures['mean_optimal_score']:.4f}")

@@ -17,7 +17,7 @@ import gymnasium
 import torch
 from torch import nn
 
-from drone_env import episodes_key, register_agent, run_episodes, split_seeds, summarise
+from drone_env import evaluate, summarise
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--total-timesteps", type=int, default=1_000_000)
@@ -87,9 +87,7 @@ for update in range(max(1, args.total_timesteps // (args.num_envs * HORIZON))):
 
 
 class Learned:
-    """The policy as an agent of the package, so that `run_episodes` can judge it. It samples its actions."""
-
-    config = {"agent": "pytorch_loop"}  # noqa: RUF012
+    """The policy as an agent of the package, so that `evaluate` can judge it. It samples its actions."""
 
     def reset(self, seed):
         """Nothing to forget."""
@@ -107,8 +105,5 @@ class Learned:
             return model(telemetry)[0].sample().numpy()
 
 
-register_agent("pytorch_loop", lambda task: Learned())
-figures = summarise(
-    run_episodes(episodes_key(TASK, "pytorch_loop", split_seeds("validation", args.maps), "validation"))
-)
+figures = summarise(evaluate(Learned(), TASK, "validation", args.maps))
 print(f"score {figures['mean_score']:.4f}, optimum of the same {args.maps} maps {figures['mean_optimal_score']:.4f}")

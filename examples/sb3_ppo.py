@@ -6,18 +6,16 @@
 Measured with these settings over the first 200 validation maps: score 0.948, optimum 0.977 (docs/sb3.md; PyTorch 2.13).
 
 SB3's own `ep_rew_mean` adds up rewards, shaping included; the figure that counts is the score on maps that training has
-not seen. `run_episodes` flies them, with the learned policy as one more agent.
+not seen. `evaluate` flies them.
 """
 
 import argparse
 
-import numpy as np
 import torch
 from stable_baselines3 import PPO
 
-from drone_env import episodes_key, register_agent, run_episodes, split_seeds, summarise
+from drone_env import evaluate, summarise
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
-from drone_env.envs.wrappers import one_hot
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--task", default="easy")
@@ -41,31 +39,7 @@ model = PPO(
     device="cpu",
 )
 model.learn(total_timesteps=args.total_timesteps)
-
-
-class Learned:
-    """The policy as an agent. It samples its actions: a half-trained policy that does not flies to and fro forever."""
-
-    config = {"agent": "sb3_ppo"}  # noqa: RUF012
-
-    def reset(self, seed):
-        """Nothing to forget."""
-
-    def act(self, observation):
-        """The next action of one drone."""
-        return int(self.act_batch(observation["grid"][None], observation["telemetry"][None])[0])
-
-    def reset_batch(self, seeds):
-        """Nothing to forget."""
-
-    def act_batch(self, grids, telemetry):
-        """The next actions of N drones, int64[N]."""
-        planes = one_hot(grids[:, None]).reshape(len(grids), -1)
-        flat = np.concatenate([planes, telemetry], axis=1, dtype=np.float32)
-        return model.predict(flat, deterministic=False)[0]
-
-
-register_agent("sb3_ppo", lambda task: Learned())
-key = episodes_key(args.task, "sb3_ppo", split_seeds("validation", args.maps), "validation")
-figures = summarise(run_episodes(key))
+# It draws its actions: a half-trained policy that takes the likeliest flies to and fro forever.
+flown = evaluate(model, args.task, "validation", args.maps, wrapper="FlatObservation", sampled=True)
+figures = summarise(flown)
 print(f"score {figures['mean_score']:.4f}, optimum of the same {args.maps} maps {figures['mean_optimal_score']:.4f}")

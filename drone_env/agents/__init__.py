@@ -1,4 +1,4 @@
-"""Agents: everything that can fly by itself. A new agent is one more entry in `AGENTS`."""
+"""Agents: everything that can fly by itself. `make_agent` turns a name into one, whoever asks."""
 
 from collections.abc import Callable
 from functools import partial
@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from drone_env.agents.base import Agent, BatchAgent
 from drone_env.agents.greedy import GreedyAgent
+from drone_env.agents.named import agent_named, sb3_elsewhere, sb3_file
 from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.agents.random import RandomAgent
@@ -14,7 +15,7 @@ from drone_env.agents.tournet import TournetAgent
 from drone_env.agents.tournet_search import TournetSearchAgent
 from drone_env.agents.weights_file import PATHQNET, TOURNET
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.errors import UnknownNameError
+from drone_env.errors import InvalidValueError, UnknownNameError
 
 
 class NetworkAgent(NamedTuple):
@@ -40,6 +41,23 @@ AGENTS: dict[str, Callable[[TaskConfig], Agent]] = {
     **{name: agent.make for name, agent in NETWORK_AGENTS.items()},
 }
 """What makes each agent for a task, by its name."""
+SHIPPED_AGENTS = tuple(AGENTS)
+"""The names of those of this package; the others were registered."""
+
+
+def register_agent(name: str, make: Callable[[TaskConfig], Agent]) -> None:
+    """Make an agent known by its name everywhere; `make`, such as its class, makes one for a task.
+
+    Registering the same again changes nothing.
+
+    Raises:
+        InvalidValueError: if another agent has the name, or it has a colon, which begins the file of a network.
+    """
+    if ":" in name or AGENTS.get(name, make) != make:
+        raise InvalidValueError(
+            f"agent {name!r}: the name has a colon or is that of another agent: {', '.join(AGENTS)}"
+        )
+    AGENTS[name] = make
 
 
 def network_file(name: str) -> tuple[str, Path] | None:
@@ -48,29 +66,51 @@ def network_file(name: str) -> tuple[str, Path] | None:
     return (agent, Path(file)) if colon and agent in NETWORK_AGENTS else None
 
 
-def make_agent(name: str, task: str | TaskConfig) -> Agent:
-    """A new agent for a task. `pathqnet` flies by the shipped network, `pathqnet:FILE` by the one in a file.
+def file_of(name: str) -> Path | None:
+    """The file that the name of an agent names; None where it names none."""
+    network = network_file(name)
+    return sb3_file(name) if network is None else network[1]
 
-    So do the others of `NETWORK_AGENTS`.
+
+def elsewhere(name: str, file: Path) -> str:
+    """The name that an agent whose name names a file has where that file lies elsewhere."""
+    network = network_file(name)
+    return sb3_elsewhere(name, file) if network is None else f"{network[0]}:{file}"
+
+
+def make_agent(name: str, task: str | TaskConfig) -> Agent:
+    """A new agent for a task, from a name that commands take as well.
+
+    It is one of `AGENTS`; or `pathqnet:FILE`, by the network in a file instead of the shipped one, as all of
+    `NETWORK_AGENTS` can fly; or `MODULE:NAME`, a class or a function of your own; or `FILE.zip:WRAPPER`, a policy that
+    Stable-Baselines3 saved, behind the wrapper of observations that it was trained behind (`FILE.zip` for none), with
+    `:sampled` at the end where it is to draw its actions. Reading such a file runs code that it holds: see that you
+    trust it.
 
     Raises:
         UnknownNameError: if there is no such agent or task; the message lists the valid names.
+        InvalidValueError: if there is no such module or wrapper, or what it names cannot fly.
         UnsupportedTaskError: if the agent cannot fly that task.
         OSError: if the file cannot be read.
-        CheckpointError: if it holds no network for that task.
+        CheckpointError: if it holds no network, or none for that task.
     """
-    named = network_file(name)
-    if named is not None:
-        agent, file = named
-        return NETWORK_AGENTS[agent].make(get_task(task), file)
-    if name not in list(AGENTS):
-        raise UnknownNameError("agent", name, AGENTS)
-    return AGENTS[name](get_task(task))
+    task = get_task(task)
+    network = network_file(name)
+    if network is not None:
+        agent, file = network
+        return NETWORK_AGENTS[agent].make(task, file)
+    if name in list(AGENTS):
+        return AGENTS[name](task)
+    made = agent_named(name, task)
+    if made is None:
+        raise UnknownNameError("agent", name, [*AGENTS, "MODULE:NAME", "FILE.zip:WRAPPER"])
+    return made
 
 
 __all__ = [
     "AGENTS",
     "NETWORK_AGENTS",
+    "SHIPPED_AGENTS",
     "Agent",
     "BatchAgent",
     "GreedyAgent",
@@ -79,6 +119,9 @@ __all__ = [
     "RandomAgent",
     "TournetAgent",
     "TournetSearchAgent",
+    "elsewhere",
+    "file_of",
     "make_agent",
     "network_file",
+    "register_agent",
 ]

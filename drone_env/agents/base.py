@@ -10,7 +10,10 @@ from drone_env.core.episode import Observation
 
 
 class Agent(Protocol):
-    """Turns observations into actions. One agent flies one episode at a time, on one task."""
+    """Turns observations into actions. One agent flies one episode at a time, on one task.
+
+    One that draws lots says so by `stochastic = True`: an evaluation may then fly each map several times.
+    """
 
     @property
     def config(self) -> Mapping[str, object]:
@@ -18,7 +21,10 @@ class Agent(Protocol):
         ...
 
     def reset(self, seed: int) -> None:
-        """Forget the last episode; `seed`, the number of the map, is the source of any random choice."""
+        """Forget the last episode; `seed` is the source of any random choice.
+
+        It is the number of the map, or, where a stochastic agent flies the same map again, another one.
+        """
         ...
 
     def act(self, observation: Observation) -> int:
@@ -34,7 +40,7 @@ class BatchAgent(Protocol):
     """
 
     def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
-        """Forget the last episodes; `seeds`, int64[N], are the numbers of the maps."""
+        """Forget the last episodes; `seeds`, int64[N], are the sources of their random choices, as in `reset`."""
         ...
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:

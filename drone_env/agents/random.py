@@ -17,6 +17,8 @@ KEY = task_key("agent/random", 1)
 class RandomAgent:
     """Each action is drawn uniformly from all five; the same map gets the same actions in every run."""
 
+    stochastic = True
+
     def __init__(self, task: TaskConfig) -> None:
         self.config: Mapping[str, object] = {"agent": "random", "version": 1}
         self._key: Any = 0

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import ray
 
-from drone_env.agents import network_file
+from drone_env.agents import elsewhere, file_of
 from drone_env.cluster.jobs import run_jobs
 from drone_env.errors import ClusterError
 from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, run_episodes
@@ -21,16 +21,16 @@ TRIES = 11
 def fly_on_nodes(keys: Sequence[EpisodesKey]) -> Iterator[EpisodeResults]:
     """The results of all keys in the order in which they arrive. Inside of `connect` only.
 
-    A node that dies has its pieces flown again elsewhere. The network of `NAME:FILE` travels as it is: nodes need
-    not have the file.
+    A node that dies has its pieces flown again elsewhere. A file that an agent's name names travels as it is: nodes
+    need not have it. Modules of one's own they must find.
 
     Raises:
         ClusterError: if no node offers a CPU, one has another package than this one, or a piece was lost on every try.
         DroneEnvError: what `run_episodes` raises.
     """
-    files = {key.agent: network_file(key.agent) for key in keys}
-    networks = {name: ray.put(named[1].read_bytes()) for name, named in files.items() if named is not None}
-    for key, results in run_jobs(partial(_fly, networks), keys, TRIES, _lost):
+    named = {key.agent: file_of(key.agent) for key in keys}
+    files = {name: ray.put(file.read_bytes()) for name, file in named.items() if file is not None}
+    for key, results in run_jobs(partial(_fly, files), keys, TRIES, _lost):
         yield dataclasses.replace(results, key=key)
 
 
@@ -38,12 +38,11 @@ def _lost(key: EpisodesKey, error: Exception) -> None:
     raise ClusterError(f"a piece was lost, flown {TRIES} times: {error}")
 
 
-def _fly(networks: Mapping[str, Any], key: EpisodesKey) -> Iterator[EpisodeResults]:
-    if key.agent not in networks:
+def _fly(files: Mapping[str, Any], key: EpisodesKey) -> Iterator[EpisodeResults]:
+    if key.agent not in files:
         yield run_episodes(key)
         return
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "network.npz"
-        file.write_bytes(cast(Any, ray).get(networks[key.agent]))
-        agent = key.agent.partition(":")[0]
-        yield run_episodes(key._replace(agent=f"{agent}:{file}"))
+        file = Path(folder) / f"file{cast(Path, file_of(key.agent)).suffix}"
+        file.write_bytes(cast(Any, ray).get(files[key.agent]))
+        yield run_episodes(key._replace(agent=elsewhere(key.agent, file)))

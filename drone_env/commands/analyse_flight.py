@@ -7,8 +7,8 @@ import tyro
 from rich.console import Console
 from rich.text import Text
 
-from drone_env.agents import AGENTS, make_agent
-from drone_env.commands.arguments import ChosenTask, Seed
+from drone_env.agents import make_agent
+from drone_env.commands.arguments import ChosenAgent, ChosenTask, Seed, say_trusted
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import rollout
 from drone_env.errors import InvalidValueError
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from drone_env.evaluation.analysis import FlightAnalysis
 
 File = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-ChosenAgent = Annotated[str | None, tyro.conf.arg(metavar="|".join(AGENTS))]
 
 STYLES = {
     r"\A.+": "bold",
@@ -62,6 +61,7 @@ def analyse_flight(
         analysed = analysis.analyse_flight(load_record(file))
     elif file is None and task is not None:
         name = "greedy" if agent is None else agent
+        say_trusted([name])
         start, pilot = Episode(task), make_agent(name, task)
         pilot.reset(start.reset(seed))
         analysed = analysis.analyse_actions(start, rollout(start.copy(), pilot.act).actions, name)

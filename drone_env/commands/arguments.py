@@ -1,10 +1,13 @@
 """Arguments that several subcommands share."""
 
+import sys
+from collections.abc import Iterable
 from typing import Annotated
 
 import tyro
 
 from drone_env.agents import AGENTS
+from drone_env.agents.named import sb3_file
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import N_SEEDS, SPLITS, split_seeds
 from drone_env.core.tasks import TASKS
@@ -14,14 +17,22 @@ SHORT_NAMES = [task.short_name for task in TASKS.values()]
 
 TaskName = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
 ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
-AgentName = Annotated[str, tyro.conf.arg(metavar="|".join(AGENTS))]
-AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="|".join(AGENTS))]
+AGENT = "|".join((*AGENTS, "MODULE:NAME", "FILE.zip:WRAPPER"))
+AgentName = Annotated[str, tyro.conf.arg(metavar=AGENT)]
+AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=AGENT)]
+ChosenAgent = Annotated[str | None, tyro.conf.arg(metavar=AGENT)]
 Split = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
 ProfileName = Annotated[str, tyro.conf.arg(metavar="|".join(REWARD_PROFILES))]
 ClusterAddress = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PORT")]
 SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
 SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 Seed = Annotated[int | None, tyro.conf.arg(metavar="N")]
+
+
+def say_trusted(agents: Iterable[str]) -> None:
+    """Say on standard error of each file that is about to be unpickled that it is trusted."""
+    for file in dict.fromkeys(filter(None, map(sb3_file, agents))):
+        print(f"{file}: reading it runs code that it holds; it is trusted, since you name it", file=sys.stderr)
 
 
 def parse_seeds(text: str) -> range:

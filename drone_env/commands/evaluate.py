@@ -1,31 +1,19 @@
 """`drone-env evaluate`: agents side by side on the same maps, beside the exact optimum."""
 
-import contextlib
-import sys
-from collections.abc import Generator
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-import tyro
+from typing import Any
 
 from drone_env import __version__
-from drone_env.agents import NETWORK_AGENTS, network_file
+from drone_env.agents import NETWORK_AGENTS
 from drone_env.agents.weights_file import network_of
-from drone_env.commands.arguments import SHORT_NAMES, AgentNames, ClusterAddress, SeedRange, SplitName, chosen_maps
-from drone_env.commands.printing import print_json, progress_bar
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, UnsupportedTaskError
-from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, summarise
-from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
-from drone_env.files import write_json
+from drone_env.commands.arguments import AgentNames, ClusterAddress, SeedRange, SplitName, chosen_maps
+from drone_env.commands.contest import EngineName, JsonFile, TaskNames, cells_of, fly_cells, give_json, json_file
+from drone_env.core.tasks import get_task
+from drone_env.errors import InvalidValueError
+from drone_env.evaluation.episodes import summarise
 from drone_env.reports.tables import Table, number, percent, print_table, with_margin
 
-TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
 CHOICE = "|".join(NETWORK_AGENTS)
-JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
-
-Cell = EpisodesKey | CheckpointError | TooLargeError | UnsupportedTaskError
-"""What an agent is to fly of a task, or why it cannot."""
 
 
 def evaluate(
@@ -37,7 +25,8 @@ def evaluate(
     json: JsonFile = None,
     checkpoint: Path | None = None,
     out: Path | None = None,
-    engine: Literal["local", "ray"] = "local",
+    repeats: int = 1,
+    engine: EngineName = "local",
     address: ClusterAddress = None,
 ) -> None:
     """Fly many maps with several agents and compare them, each beside the exact optimum of the same maps.
@@ -51,7 +40,8 @@ def evaluate(
 
     Args:
         task: One or more tasks, or all.
-        agents: One or more agents.
+        agents: One or more agents: names, `MODULE:NAME` for one of your own, `FILE.zip:WRAPPER` for a policy of
+            Stable-Baselines3 and the wrapper that it was trained behind (docs/agents.md).
         split: Whose first maps to fly: test if nothing is said. Training never touches validation and test.
         episodes: How many maps of the split, 1000 if nothing is said.
         seeds: Fly the maps from A up to and not including B instead of a split's.
@@ -59,76 +49,37 @@ def evaluate(
             file says.
         json: Write the figures to this file; - prints only the JSON on standard output.
         out: Keep the results of each 1,000 maps in this folder as they arrive; the same command goes on from there.
+        repeats: How often an agent that draws lots flies each map; the mean counts.
         engine: Fly in this process, or on a Ray cluster (extra `cluster`); the figures are the same.
         address: The cluster: local starts one on this machine (if nothing is said), auto joins the one that runs here,
             HOST:PORT joins that one.
     """
     chosen_split, maps = chosen_maps(seeds, split, episodes, 1000)
-    if not task or not agents:
-        raise InvalidValueError("--task and --agents take one name or more")
     if checkpoint is not None:
         agents = _by_checkpoint(agents, checkpoint)
-    target = None if json in (None, "-") else Path(json)
-    if target is not None and (not target.name or target.is_dir() or not target.parent.is_dir()):
-        raise InvalidValueError(f"--json takes - or a file in a folder that exists, got {json!r}")
-    named = [t for name in task for t in (TASKS.values() if name == "all" else [get_task(name)])]
-    cells = {t: {agent: _cell(t, agent, maps, chosen_split) for agent in agents} for t in dict.fromkeys(named)}
-    _check_that_some_fly(cells)
-
-    if address is not None and engine != "ray":
-        raise InvalidValueError("--address names a cluster: give it with --engine ray")
-    all_keys = [cell for row in cells.values() for cell in row.values() if isinstance(cell, EpisodesKey)]
-    folder = None if out is None else ResultsFolder(out, all_keys)
-    try:
-        with _engine(engine, address) as chosen_engine:
-            results = _fly_all(all_keys, chosen_engine, folder)
-    except KeyboardInterrupt:
-        if out is not None:
-            print(f"interrupted; to go on, give the same options with --out {out}", file=sys.stderr)
-        raise
-    summaries = {key: summarise(of_key) for key, of_key in results.items()}
-    nothing = dict.fromkeys(summaries[all_keys[0]])
+    json_file(json)
+    flown = fly_cells(cells_of(task, agents, maps, chosen_split, repeats), engine, address, out)
+    summaries = {
+        t: {agent: summarise(*cell) for agent, cell in row.items() if isinstance(cell, tuple)}
+        for t, row in flown.items()
+    }
+    nothing = dict.fromkeys(next(figures for row in summaries.values() for figures in row.values()))
     figures = {
         t.id: {
             "version": t.version,
             "split": chosen_split,
             "seeds": [maps.start, maps.stop],
             "episodes": len(maps),
+            "repeats": repeats,
             "agents": {
-                agent: summaries[cell] if isinstance(cell, EpisodesKey) else {**nothing, "unsupported": str(cell)}
-                for agent, cell in row.items()
+                agent: summaries[t].get(agent) or {**nothing, "unsupported": str(cell)} for agent, cell in row.items()
             },
         }
-        for t, row in cells.items()
+        for t, row in flown.items()
     }
     report = {"package": __version__, "tasks": figures}
-    if json == "-":
-        print_json(report)
-        return
-    if target is not None:
-        write_json(target, report)
-    _print(report)
-
-
-def _cell(task: TaskConfig, agent: str, maps: range, split: str) -> Cell:
-    try:
-        return episodes_key(task, agent, maps, split)
-    except (TooLargeError, UnsupportedTaskError) as error:
-        return error
-    except CheckpointError as error:
-        if network_file(agent) is None:
-            raise  # a file of the package is damaged
-        return error
-
-
-def _check_that_some_fly(cells: dict[TaskConfig, dict[str, Cell]]) -> None:
-    """Somebody must fly something, and a network's file that is named must fit a task: else raise the first reason."""
-    agents = [*next(iter(cells.values()))]
-    for judged in (agents, *([agent] for agent in agents if network_file(agent))):
-        all_cells = [row[agent] for row in cells.values() for agent in judged]
-        reasons = [cell for cell in all_cells if not isinstance(cell, EpisodesKey)]
-        if len(reasons) == len(all_cells):
-            raise reasons[0]
+    if give_json(report, json):
+        _print(report)
 
 
 def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:
@@ -140,30 +91,6 @@ def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:
     if not set(agents) & set(fits):
         raise InvalidValueError(f"{file} is the network of {'|'.join(fits) or network}: name it with --agents")
     return tuple(f"{agent}:{file}" if agent in fits else agent for agent in agents)
-
-
-@contextlib.contextmanager
-def _engine(name: str, address: str | None) -> Generator[Engine, None, None]:
-    if name == "local":
-        yield local_engine
-        return
-    from drone_env.cluster.connect import connect
-
-    with connect(address):
-        from drone_env.cluster.episodes import fly_on_nodes
-
-        yield fly_on_nodes
-
-
-def _fly_all(
-    keys: list[EpisodesKey], engine: Engine, folder: ResultsFolder | None
-) -> dict[EpisodesKey, EpisodeResults]:
-    with progress_bar("maps", sum(key.seeds[1] - key.seeds[0] for key in keys)) as advance:
-
-        def arrived(piece: EpisodeResults) -> None:
-            advance(len(piece.seeds), f"{get_task(piece.key.task).short_name} {piece.key.agent}")
-
-        return evaluate_keys(keys, engine, folder, arrived)
 
 
 def _print(report: dict[str, Any]) -> None:
@@ -186,6 +113,8 @@ def _print(report: dict[str, Any]) -> None:
     flown = next(iter(report["tasks"].values()))
     start, stop = flown["seeds"]
     caption = f"{stop - start:,} maps a task, split {flown['split']}, seeds {start} to {stop - 1}"
+    if flown["repeats"] > 1:
+        caption += f", {flown['repeats']} flights over each of who draws lots"
     table = Table("Graded score beside the exact optimum of the same maps", head, rows)
     print_table(table, width=120, names=2, caption=caption, sections=True)
     for task_id, of_task in report["tasks"].items():

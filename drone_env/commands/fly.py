@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from drone_env.agents import make_agent
-from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName
+from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName, say_trusted
 from drone_env.commands.flights import log_flight, prepare_file
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
@@ -39,6 +39,7 @@ def fly(
             .jsonl keeps the flights that it holds, and gets one more line.
     """
     episode = Episode(task, reward_profile)
+    say_trusted([agent])
     pilot = make_agent(agent, task)
     if picture is not None:
         if picture.suffix != ".png":

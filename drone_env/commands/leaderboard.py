@@ -1,39 +1,42 @@
-"""`drone-env leaderboard`: runs of language models side by side."""
+"""`drone-env leaderboard`: agents and language models side by side."""
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from drone_env.commands.kept import judged_once
 from drone_env.commands.printing import print_json
-from drone_env.errors import InvalidValueError, needs
+from drone_env.errors import InvalidValueError
 from drone_env.reports.tables import Table, number, percent, print_table, with_margin
 
 if TYPE_CHECKING:
-    from drone_env.llm.leaderboard import Board
+    from drone_env.evaluation.leaderboard import Board
 
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 
 
 def leaderboard(folders: Folders, json: bool = False) -> int:
-    """Rank runs of `drone-env infer` over the same maps.
+    """Rank agents and language models over the same maps: folders of `drone-env evaluate --out` and of `infer`.
 
-    Each run is flown again from the model's own answers first. A run whose flights do not come to what it says is
-    refused, and so is one that is invalid or not whole. Exit status: 0, or 1 if a run does not come to what it says.
+    A run of a language model is flown again from the model's own answers first. One whose flights do not come to what
+    it says is refused, and so is what is invalid or not whole. Of an agent no actions are kept: its scores are held to
+    the optima of their maps. Exit status: 0, or 1 if a folder is not what it says.
 
-    Example: drone-env leaderboard data/llm/*
+    Example: drone-env leaderboard data/llm/* data/evaluations/*
 
     Args:
-        folders: The run folders, or folders of several runs.
+        folders: The folders, or those that several runs lie in; one that is named twice counts once.
         json: Print JSON instead of tables.
     """
-    with needs("llm"):
-        from drone_env.llm.leaderboard import leaderboard as rank
+    from drone_env.evaluation.leaderboard import Judged, Refused, boards_of
 
     if not folders:
-        raise InvalidValueError("leaderboard takes the folders of one run or more")
-    boards, refused = rank(folders)
+        raise InvalidValueError("leaderboard takes the folders of one run or evaluation, or more")
+    every = judged_once(folders)
+    boards = boards_of(one for one in every if isinstance(one, Judged))
+    refused = [one for one in every if isinstance(one, Refused)]
     if json:
         report = {
             "boards": [board._asdict() for board in boards],
@@ -53,16 +56,24 @@ def _table(board: "Board") -> Table:
     rows = [
         (
             str(rank),
-            row["config"]["model"],
-            row["config"]["prompt"],
+            *_who(row),
             with_margin(row["score"], row["score_ci95"]),
             number(row["normalised"]),
             number(row["regret"]),
             percent(row["success_rate"]),
-            str(row["flights"]["errored"]),
-            str(row["waits"]),
-            str(sum(row["tokens"].values())),
+            *_of_a_model(row),
         )
         for rank, row in enumerate(board.rows, 1)
     ]
-    return Table(f"{board.task}, {board.maps}", ("", "model", "prompt", *figures), rows)
+    return Table(f"{board.task}, {board.maps}", ("", "agent or model", "prompt", *figures), rows)
+
+
+def _who(row: dict[str, Any]) -> tuple[str, str]:
+    return (row["agent"], "-") if "agent" in row else (row["config"]["model"], row["config"]["prompt"])
+
+
+def _of_a_model(row: dict[str, Any]) -> tuple[str, str, str]:
+    """What an agent has not: flights without an answer, steps likewise, tokens."""
+    if "agent" in row:
+        return "-", "-", "-"
+    return str(row["flights"]["errored"]), str(row["waits"]), str(sum(row["tokens"].values()))

@@ -1,4 +1,4 @@
-"""What is known by name: tasks under their Gymnasium ids, and tasks, profiles and agents from outside the package.
+"""What is known by name: tasks under their Gymnasium ids, and tasks and reward profiles from outside the package.
 
 A module registers its own when it is imported:
 
@@ -12,19 +12,14 @@ what `DRONE_ENV_PLUGINS` names, and so do the nodes of a cluster.
 """
 
 import os
-from collections.abc import Callable
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING
 
 import gymnasium
 
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.tasks import PAST_TASKS, TASKS, TaskConfig
 from drone_env.errors import InvalidTaskError, InvalidValueError
-
-if TYPE_CHECKING:
-    from drone_env.agents import Agent
 
 PLUGINS = "DRONE_ENV_PLUGINS"
 
@@ -85,23 +80,6 @@ def register_reward_profile(profile: RewardProfile) -> RewardProfile:
         raise InvalidTaskError(f"reward profile {profile.id!r}: there is another one of this name")
     REWARD_PROFILES[profile.id] = profile
     return profile
-
-
-def register_agent(name: str, make: "Callable[[TaskConfig], Agent]") -> None:
-    """Make an agent known by its name everywhere; `make`, such as its class, makes one for a task.
-
-    Registering the same again changes nothing.
-
-    Raises:
-        InvalidValueError: if another agent has the name, or it has a colon, which begins the file of a network.
-    """
-    from drone_env.agents import AGENTS  # loads all of them, which the package's face does without
-
-    if ":" in name or AGENTS.get(name, make) != make:
-        raise InvalidValueError(
-            f"agent {name!r}: the name has a colon or is that of another agent: {', '.join(AGENTS)}"
-        )
-    AGENTS[name] = make
 
 
 def plugin_names() -> str:

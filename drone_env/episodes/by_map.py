@@ -12,8 +12,8 @@ class FlownMap(NamedTuple):
     task_version: int
     seed: int
     flights: int
-    id: str
-    """The newest of them."""
+    id: str | None
+    """The newest of them in the store; None where none is kept there."""
     score: float
     """Mean graded score, as all that follow are means."""
     success: float

@@ -7,9 +7,11 @@ from collections import defaultdict
 from collections.abc import Sequence
 from statistics import fmean
 
+import numpy as np
 from pydantic import Field
 
 from drone_env.episodes.by_map import FlownMap
+from drone_env.evaluation.episodes import EpisodeResults
 from drone_env.evaluation.statistics import normal_interval
 from drone_env.models import Count, Message, Seed
 
@@ -146,6 +148,38 @@ def paired(flown: Sequence[FlownMap], a: str, b: str) -> Pairing:
         losses=len(pairs) - wins - ties,
         pairs=pairs,
     )
+
+
+def flown_maps(agent: str, repeats: Sequence[EpisodeResults]) -> list[FlownMap]:
+    """The maps that were flown in an evaluation.
+
+    Args:
+        agent: What to call who flew.
+        repeats: The results of each flight over the maps, one or more.
+    """
+    first = repeats[0]
+    scores, success, steps = (
+        np.mean([getattr(results, name) for results in repeats], axis=0).tolist()
+        for name in ("scores", "success", "steps")
+    )
+    return [
+        FlownMap(
+            agent=agent,
+            task=first.key.task,
+            task_version=first.key.version,
+            seed=seed,
+            flights=len(repeats),
+            id=None,
+            score=scores[i],
+            success=success[i],
+            steps=steps[i],
+            reward=0.0,
+            reward_profile=None,
+            solved=True,
+            optimum=None if np.isnan(first.optimal_scores[i]) else float(first.optimal_scores[i]),
+        )
+        for i, seed in enumerate(first.seeds.tolist())
+    ]
 
 
 def _figures(row: FlownMap) -> MapFigures:

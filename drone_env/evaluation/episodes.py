@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents import BatchAgent, make_agent
+from drone_env.agents import Agent, BatchAgent, make_agent
+from drone_env.agents.named import as_agent
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import rollout
-from drone_env.core.seeds import SPLITS, check_seed, split_of
+from drone_env.core.seeds import N_SEEDS, SPLITS, check_seed, map_key, split_of, split_seeds, task_key
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
 from drone_env.evaluation.statistics import normal_interval
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
 class EpisodesKey(NamedTuple):
     """What a piece of evaluation is: equal keys give equal results.
 
-    `seeds` are [start, stop); `split` is the split that they were chosen from, or `custom`.
+    `seeds` are [start, stop); `split` is the split that they were chosen from, or `custom`. `repeat` numbers the
+    flights of a stochastic agent over one map, from 0: each draws other lots.
     """
 
     task: str
@@ -37,6 +39,7 @@ class EpisodesKey(NamedTuple):
     seeds: tuple[int, int]
     agent: str
     config_hash: str
+    repeat: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,8 @@ class EpisodeResults:
 
 COLUMNS = [field.name for field in fields(EpisodeResults) if field.name != "key"]
 """What there is of each episode."""
+AVERAGED = ("scores", "success", "steps")
+"""What differs from flight to flight over a map."""
 
 
 def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = "custom") -> EpisodesKey:
@@ -77,6 +82,10 @@ def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = 
             split, the task is not the registered one of its name, or the agent does not say what decides how it flies.
     """
     task = get_task(task)
+    return _key(task, agent, seeds, split, make_agent(agent, task))
+
+
+def _key(task: TaskConfig, name: str, seeds: range, split: str, agent: Agent, repeat: int = 0) -> EpisodesKey:
     if get_task(task.id, task.version) != task:
         raise InvalidValueError(f"task {task.id!r} is not the one in TASKS: a key names its task, so register it first")
     if not seeds or seeds.step != 1:
@@ -87,21 +96,34 @@ def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = 
         raise UnknownNameError("split", split, ["custom", *SPLITS])
     if split != "custom" and {split_of(seeds.start), split_of(seeds.stop - 1)} != {split}:
         raise InvalidValueError(f"seeds {seeds.start} to {seeds.stop - 1} are not of the split {split!r}")
-    return EpisodesKey(task.id, task.version, split, (seeds.start, seeds.stop), agent, config_hash(task, agent))
+    digest = config_hash(task, name, agent)
+    return EpisodesKey(task.id, task.version, split, (seeds.start, seeds.stop), name, digest, repeat)
 
 
-def config_hash(task: TaskConfig, agent: str) -> str:
+def repeats_of(key: EpisodesKey, repeats: int) -> tuple[EpisodesKey, ...]:
+    """The keys of flying the maps of a key several times; of an agent that draws no lots, that key alone.
+
+    Raises:
+        InvalidValueError: if `repeats` is below 1.
+    """
+    if repeats < 1:
+        raise InvalidValueError(f"repeats must be at least 1, got {repeats}")
+    stochastic = getattr(make_agent(key.agent, get_task(key.task, key.version)), "stochastic", False)
+    return tuple(key._replace(repeat=repeat) for repeat in range(repeats if stochastic else 1))
+
+
+def config_hash(task: TaskConfig, name: str, agent: Agent) -> str:
     """16 hex digits that change with any number of the task and with anything that decides how the agent flies.
 
     Raises:
         InvalidValueError: if the agent does not say what decides how it flies.
     """
-    flies: Any = getattr(make_agent(agent, task), "config", None)
+    flies: Any = getattr(agent, "config", None)
     try:
         text = json.dumps({"task": task.rules(), "agent": dict(flies)}, sort_keys=True)
     except (TypeError, ValueError):
         message = "a mapping of JSON values, of all that decides how it flies"
-        raise InvalidValueError(f"agent {agent!r} must have `config`, {message}; got {flies!r}") from None
+        raise InvalidValueError(f"agent {name!r} must have `config`, {message}; got {flies!r}") from None
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -116,14 +138,19 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
     task = get_task(key.task, key.version)
     if key.seeds[0] >= key.seeds[1]:
         raise InvalidValueError(f"the key holds no seeds: {key.seeds}")
-    now = config_hash(task, key.agent)
+    agent = make_agent(key.agent, task)
+    now = config_hash(task, key.agent, agent)
     if now != key.config_hash:
         raise InvalidValueError(
             f"the key was made under configuration {key.config_hash}, but {key.agent!r} on {key.task!r} is now {now}"
         )
+    return _beside_the_optimum(task, key, agent)
+
+
+def _beside_the_optimum(task: TaskConfig, key: EpisodesKey, agent: Agent) -> EpisodeResults:
     seeds = np.arange(*key.seeds, dtype=np.int64)
     optimal = _fly_optimally(task, *key.seeds)
-    flights = deepcopy(optimal) if optimal and key.agent == "optimal" else _fly(task, key.agent, seeds)
+    flights = deepcopy(optimal) if optimal and key.agent == "optimal" else _fly(task, agent, seeds, key.repeat)
     optimal = deepcopy(optimal)  # what is kept stays as it is, whatever the caller does with the results
     return EpisodeResults(
         key=key,
@@ -135,6 +162,47 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
         optimal_scores=np.full(len(seeds), np.nan) if optimal is None else optimal.scores,
         optimal_steps=np.full(len(seeds), -1, np.int32) if optimal is None else optimal.steps,
     )
+
+
+def evaluate(
+    policy: Any,
+    task: str | TaskConfig,
+    split: str = "test",
+    episodes: int = 1000,
+    *,
+    seeds: range | None = None,
+    repeat: int = 0,
+    wrapper: Any = None,
+    sampled: bool = False,
+) -> EpisodeResults:
+    """Fly maps with anything that can fly, each beside the exact optimum; `summarise` makes figures of it.
+
+    An agent with `act_batch`, and a model, fly all maps together; anything else is asked drone by drone.
+
+    Args:
+        policy: The name of an agent as `make_agent` takes it, an agent (`reset`, `act`), a class of one, a function
+            from an observation to an action, or a model of Stable-Baselines3.
+        task: A task or its name.
+        split: Whose first maps to fly.
+        episodes: How many.
+        seeds: The maps to fly instead.
+        repeat: Which flight over these maps it is, of an agent that draws lots: another number, other lots.
+        wrapper: The wrapper of observations that a model was trained behind, or its name.
+        sampled: Whether a model draws its actions; else it takes the likeliest.
+
+    Raises:
+        UnknownNameError: if there is no such task, split, version or agent.
+        InvalidValueError: if the maps or the policy are not as said above.
+        UnsupportedTaskError, CheckpointError, OSError: from the agent.
+    """
+    task = get_task(task)
+    maps, name = split_seeds(split, episodes) if seeds is None else seeds, f"{policy}"
+    if isinstance(policy, str):
+        agent = make_agent(policy, task)
+    else:
+        agent = as_agent(policy, task, wrapper, sampled)
+        name = f"{agent.config.get('agent', type(agent).__name__)}"
+    return _beside_the_optimum(task, _key(task, name, maps, split if seeds is None else "custom", agent, repeat), agent)
 
 
 PIECE = 1000
@@ -165,26 +233,29 @@ def concatenate(pieces: Sequence[EpisodeResults]) -> EpisodeResults:
     )
 
 
-def summarise(results: EpisodeResults) -> dict[str, Any]:
+def summarise(results: EpisodeResults, *again: EpisodeResults) -> dict[str, Any]:
     """The figures of a report, as JSON values; what could not be measured is null.
 
-    `score_ci95` is mean +- 1.96 standard errors (normal approximation), null for a single episode. `score_ratio` is
-    mean score / mean optimal score on the same maps. `mean_excess_steps` counts the steps beyond the optimal flight's,
-    over maps that the agent delivered in full; null where there is none.
+    Of several flights over each map, `again`, the mean counts, so that intervals are over maps. `score_ci95` is
+    mean +- 1.96 standard errors (normal approximation), null for a single map. `score_ratio` is mean score / mean
+    optimal score on the same maps. `mean_excess_steps` counts the steps beyond the optimal flight's, over flights that
+    delivered everything; null where there is none.
     """
     # Sums are correctly rounded: the same figures in any order that the episodes were flown.
-    mean = fmean(results.scores)
+    scores, success, steps = (np.array([getattr(r, name) for r in (results, *again)]) for name in AVERAGED)
+    of_maps = scores.mean(axis=0)
+    mean = fmean(of_maps)
     solved = not np.isnan(results.optimal_scores).any()
     optimal = fmean(results.optimal_scores) if solved else None
-    excess = (results.steps - results.optimal_steps)[results.success]
+    excess = (steps - results.optimal_steps)[success]
     return {
         "mean_score": mean,
-        "score_ci95": normal_interval(results.scores),
-        "success_rate": fmean(results.success),
-        "mean_steps": fmean(results.steps),
+        "score_ci95": normal_interval(of_maps),
+        "success_rate": fmean(success.flat),
+        "mean_steps": fmean(steps.flat),
         "mean_optimal_score": optimal,
         "score_ratio": None if optimal is None else mean / optimal,
-        "mean_regret": fmean(results.optimal_scores - results.scores) if solved else None,
+        "mean_regret": fmean(results.optimal_scores - of_maps) if solved else None,
         "mean_excess_steps": fmean(excess) if solved and len(excess) else None,
     }
 
@@ -193,22 +264,31 @@ def summarise(results: EpisodeResults) -> dict[str, Any]:
 def _fly_optimally(task: TaskConfig, start: int, stop: int) -> "Ends | None":
     """The optimum of each map, None where one is too large; kept, since every agent is compared with it."""
     try:
-        return _fly(task, "optimal", np.arange(start, stop, dtype=np.int64))
+        return _fly(task, make_agent("optimal", task), np.arange(start, stop, dtype=np.int64))
     except TooLargeError:
         return None
 
 
-def _fly(task: TaskConfig, agent_name: str, seeds: npt.NDArray[np.int64]) -> "Ends":
+def _fly(task: TaskConfig, agent: Agent, seeds: npt.NDArray[np.int64], repeat: int = 0) -> "Ends":
     from drone_env.agents.together import Ends, fly_together  # compiles, which only who evaluates should wait for
 
-    agent = make_agent(agent_name, task)
+    lots = _lots(seeds, repeat)
     if isinstance(agent, BatchAgent):
-        agent.reset_batch(seeds)
+        agent.reset_batch(lots)
         return fly_together(task, seeds, agent.act_batch, getattr(agent, "stateless", False))
     ends: list[tuple[float, int, int]] = []
-    for seed in seeds.tolist():
-        agent.reset(seed)
+    for seed, lot in zip(seeds.tolist(), lots.tolist(), strict=True):
+        agent.reset(lot)
         episode = rollout(Episode(task, seed=seed), agent.act)
         ends.append((episode.score, episode.steps, episode.deliveries_done))
     scores, steps, deliveries_done = zip(*ends, strict=True)
     return Ends(np.array(scores), np.array(steps, np.int32), np.array(deliveries_done, np.int32))
+
+
+def _lots(seeds: npt.NDArray[np.int64], repeat: int) -> npt.NDArray[np.int64]:
+    """What an agent draws its lots from, int64[n] in [0, 2^53): at first the numbers of the maps, then others."""
+    if repeat == 0:
+        return seeds
+    as_integers: Any = seeds  # arrays of 64-bit integers wrap as compiled ones do
+    keys: Any = map_key(task_key("evaluation/repeat", repeat), as_integers)
+    return keys & (N_SEEDS - 1)

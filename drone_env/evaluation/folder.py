@@ -5,13 +5,14 @@ import os
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from drone_env import __version__
-from drone_env.core.tasks import WITHDRAWN, withdrawal
-from drone_env.errors import InvalidValueError
+from drone_env.agents import network_file
+from drone_env.core.tasks import WITHDRAWN, get_task, withdrawal
+from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.evaluation.episodes import (
     COLUMNS,
     PIECE,
@@ -25,7 +26,7 @@ from drone_env.files import differences, is_begun, replacing, write_json
 
 Engine = Callable[[Sequence[EpisodesKey]], Iterator[EpisodeResults]]
 """Brings the results of all keys, in any order; bringing one twice does no harm."""
-CONFIG, PIECES = "evaluation.json", "pieces"
+CONFIG, PIECES, FORMAT = "evaluation.json", "pieces", "drone_env/evaluation"
 
 
 def local_engine(keys: Sequence[EpisodesKey]) -> Iterator[EpisodeResults]:
@@ -68,18 +69,7 @@ class ResultsFolder:
             OSError: if the file cannot be read.
             InvalidValueError: if it is damaged.
         """
-        path = self._path(key)
-        if not path.exists():
-            return None
-        try:
-            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-                results = EpisodeResults(key=key, **{name: file[name] for name in COLUMNS})
-            whole = np.array_equal(results.seeds, np.arange(*key.seeds))
-            if not whole or any(len(getattr(results, name)) != len(results.seeds) for name in COLUMNS):
-                raise ValueError("it holds other episodes")
-        except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise InvalidValueError(f"{path} is damaged, remove it to have it flown again: {error}") from None
-        return results
+        return _load(_file(self._pieces, key), key)
 
     def save(self, results: EpisodeResults) -> None:
         """Keep the results of a piece.
@@ -87,13 +77,68 @@ class ResultsFolder:
         Raises:
             OSError: if they cannot be written.
         """
-        with replacing(self._path(results.key)) as temporary, temporary.open("wb") as file:
+        with replacing(_file(self._pieces, results.key)) as temporary, temporary.open("wb") as file:
             np.savez(file, allow_pickle=False, **{name: getattr(results, name) for name in COLUMNS})
             file.flush()
             os.fsync(file.fileno())
 
-    def _path(self, key: EpisodesKey) -> Path:
-        return self._pieces / f"{key.task}-v{key.version}-{key.config_hash}-{key.seeds[0]}-{key.seeds[1]}.npz"
+
+def _file(pieces: Path, key: EpisodesKey) -> Path:
+    again = f"-again{key.repeat}" if key.repeat else ""
+    return pieces / f"{key.task}-v{key.version}-{key.config_hash}-{key.seeds[0]}-{key.seeds[1]}{again}.npz"
+
+
+def _load(path: Path, key: EpisodesKey) -> EpisodeResults | None:
+    if not path.exists():
+        return None
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            results = EpisodeResults(key=key, **{name: file[name] for name in COLUMNS})
+        whole = np.array_equal(results.seeds, np.arange(*key.seeds))
+        if not whole or any(len(getattr(results, name)) != len(results.seeds) for name in COLUMNS):
+            raise ValueError("it holds other episodes")
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise InvalidValueError(f"{path} is damaged, remove it to have it flown again: {error}") from None
+    return results
+
+
+class NotWholeError(InvalidValueError):
+    """An evaluation that has not been flown to its end."""
+
+
+def kept_results(path: Path) -> list[tuple[str, tuple[EpisodeResults, ...]]]:
+    """What a folder holds of a whole evaluation: for each agent and task its name and its results, with their repeats.
+
+    Raises:
+        OSError: if it cannot be read.
+        NotWholeError: if pieces are missing.
+        InvalidValueError: if it is none, or damaged.
+        UnknownNameError: if it is of a task that does not exist, or no longer.
+    """
+    config = _read_config(path / CONFIG)
+    try:
+        versions = dict(task.rsplit(" v", 1) for task in config["tasks"])
+        start, stop = config["seeds"]
+        flown: list[tuple[str, tuple[EpisodeResults, ...]]] = []
+        for label, digest in config["agents"].items():
+            agent, task = label.rsplit(" on ", 1)
+            get_task(task, int(versions[task]))
+            key = EpisodesKey(task, int(versions[task]), config["split"], (start, stop), agent, digest)
+            repeats = [key._replace(repeat=repeat) for repeat in range(config.get("repeats", {}).get(label, 1))]
+            flown.append((agent, tuple(_whole(path / PIECES, of, config["piece"]) for of in repeats)))
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, DroneEnvError):
+            raise
+        raise InvalidValueError(f"{path / CONFIG} is not the configuration of an evaluation: {error!r}") from None
+    return flown
+
+
+def _whole(pieces: Path, key: EpisodesKey, size: int) -> EpisodeResults:
+    parts = [_load(_file(pieces, part), part) for part in pieces_of(key, size)]
+    missing = sum(part is None for part in parts)
+    if missing:
+        raise NotWholeError(f"{missing} of {len(parts)} pieces of {key.agent} on {key.task} are not flown yet")
+    return concatenate([part for part in parts if part is not None])
 
 
 def evaluate_keys(
@@ -151,26 +196,37 @@ def _config(keys: Sequence[EpisodesKey]) -> dict[str, Any]:
     """What decides the results, as JSON. A network's file is named by what it holds, not by where it lies."""
     first = keys[0]
     return {
-        "format": "drone_env/evaluation",
+        "format": FORMAT,
         "format_version": 1,
         "package": __version__,
         "piece": PIECE,
         "split": first.split,
         "seeds": list(first.seeds),
+        "repeats": {f"{_label(key)} on {key.task}": key.repeat + 1 for key in keys if key.repeat},
         "tasks": sorted({f"{key.task} v{key.version}" for key in keys}),
-        "agents": {f"{key.agent.partition(':')[0]} on {key.task}": key.config_hash for key in keys},
+        "agents": {f"{_label(key)} on {key.task}": key.config_hash for key in keys},
     }
+
+
+def _label(key: EpisodesKey) -> str:
+    network = network_file(key.agent)
+    return key.agent if network is None else network[0]
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    try:
+        config: Any = json.loads(path.read_bytes())
+        if not isinstance(config, dict) or config.get("format") != FORMAT:
+            raise ValueError("it has another format")
+    except ValueError as error:
+        raise InvalidValueError(f"{path} is not the configuration of an evaluation: {error}") from None
+    return cast(dict[str, Any], config)
 
 
 def _begun_by(path: Path, config: dict[str, Any]) -> str:
     """The version of this package that began the evaluation; an evaluation that is not whole must be of this one."""
-    try:
-        before: Any = json.loads(path.read_bytes())
-        if not isinstance(before, dict) or before.get("format") != config["format"]:
-            raise ValueError("it has another format")
-    except ValueError as error:
-        raise InvalidValueError(f"{path} is not the configuration of an evaluation: {error}") from None
-    changed = differences({**before, "package": ""}, {**config, "package": ""})
+    before = _read_config(path)
+    changed = differences({"repeats": {}, **before, "package": ""}, {**config, "package": ""})
     if changed:
         gone = [f"{withdrawal(*pair)}" for pair in WITHDRAWN if "{} v{}".format(*pair) in before.get("tasks", ())]
         raise InvalidValueError(f"{path.parent} holds another evaluation: {'; '.join(changed + gone)}")

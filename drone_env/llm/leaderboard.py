@@ -1,51 +1,12 @@
-"""Runs side by side: only those that were checked, are whole, and flew the same maps are ranked against each other."""
+"""A run of a language model on the leaderboard: only where it was checked, is whole and valid."""
 
-from collections import defaultdict
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from drone_env.errors import DroneEnvError, WithdrawnError
+from drone_env.evaluation.leaderboard import Judged, Refused
 from drone_env.llm.report import report
-from drone_env.llm.run_folder import RESULTS, load_config, runs_in
+from drone_env.llm.run_folder import RESULTS, load_config
 from drone_env.llm.verify import verified_run
-
-
-class Refused(NamedTuple):
-    """A run that is not ranked."""
-
-    path: Path
-    reason: str
-    damaged: bool
-    """Whether it is not what it says; else it is only not whole, or invalid, or of what is withdrawn."""
-
-
-class Judged(NamedTuple):
-    """A run that is ranked."""
-
-    path: Path
-    figures: dict[str, Any]
-    """Those of its report."""
-
-
-class Board(NamedTuple):
-    """Runs over the same maps of the same task, best first, by (score - random) / (optimal - random), then by score."""
-
-    task: str
-    maps: str
-    rows: list[dict[str, Any]]
-
-
-def leaderboard(paths: Iterable[Path]) -> tuple[list[Board], list[Refused]]:
-    """Check runs and rank them.
-
-    Args:
-        paths: The run folders, or folders of several; one that is named twice counts once.
-    """
-    runs = [run for path in paths for run in runs_in(path)]
-    judged = [judge(run) for run in {run.resolve(): run for run in runs}.values()]
-    ranked = [one for one in judged if isinstance(one, Judged)]
-    return boards_of(ranked), [one for one in judged if isinstance(one, Refused)]
 
 
 def judge(path: Path) -> Judged | Refused:
@@ -65,18 +26,3 @@ def judge(path: Path) -> Judged | Refused:
     if figures["verdict"] != "valid":
         return Refused(path, f"{figures['verdict']}: {figures['reason']}", damaged=False)
     return Judged(path, figures)
-
-
-def boards_of(judged: Iterable[Judged]) -> list[Board]:
-    """Runs that are ranked, on the board of their maps."""
-    boards: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
-    for path, figures in judged:
-        config = figures["config"]
-        task = f"{config['task']} version {config['task_version']}"
-        maps = f"maps {config['seeds'][0]} to {config['seeds'][1] - 1} ({config['split']})"
-        boards[task, maps].append({"path": str(path), **figures})
-    return [Board(*key, sorted(rows, key=_merit, reverse=True)) for key, rows in sorted(boards.items())]
-
-
-def _merit(row: dict[str, Any]) -> tuple[float, float]:
-    return float("-inf") if row["normalised"] is None else row["normalised"], row["score"]

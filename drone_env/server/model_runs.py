@@ -13,8 +13,8 @@ from drone_env.evaluation.comparison import AgentMap
 from drone_env.files import stamp
 
 if TYPE_CHECKING:
+    from drone_env.evaluation.leaderboard import Judged, Refused
     from drone_env.llm.config import RunConfig
-    from drone_env.llm.leaderboard import Judged, Refused
     from drone_env.llm.run_folder import PilotedRecord
     from drone_env.llm.transcript import Call
 

@@ -1,16 +1,22 @@
 """Who can fly on the page: the agents, and the person at the page; and how it is said who flew."""
 
+import logging
 import re
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from inspect import cleandoc
+from types import FunctionType
 from typing import NamedTuple
 
 from typing_extensions import Self
 
-from drone_env.agents import make_agent
+from drone_env.agents import AGENTS, SHIPPED_AGENTS, make_agent
 from drone_env.agents.base import Agent
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.errors import UnknownNameError
+from drone_env.errors import CheckpointError, TooLargeError, UnknownNameError, UnsupportedTaskError
 from drone_env.server.predict import NETWORK, SOURCES, TRAINED, Networks
 
+log = logging.getLogger(__name__)
 HUMAN = "human"
 
 
@@ -21,7 +27,7 @@ class Pilot(NamedTuple):
     summary: str
 
 
-PILOTS: dict[str, Pilot] = {
+OURS: dict[str, Pilot] = {
     TRAINED: Pilot("Trained here", "The network that you trained, from the data folder of this server."),
     "trained-tournet": Pilot("Tournet trained here", "The tour network that you trained, from the same folder."),
     NETWORK: Pilot("PathQNet", "The network that is shipped: sees the map, takes the action of the highest value."),
@@ -33,6 +39,35 @@ PILOTS: dict[str, Pilot] = {
     HUMAN: Pilot("You", "Arrow keys or the pad; space waits."),
 }
 
+
+COLOURS = len(OURS) + 3
+"""On the page, `--pilot-1` and so on: more agents than that share the last."""
+
+
+class _Pilots(Mapping[str, Pilot]):
+    """Ours, and the agents that were registered, as plugins do before the server starts."""
+
+    def _all(self) -> dict[str, Pilot]:
+        registered = {name: make for name, make in AGENTS.items() if name not in (*SHIPPED_AGENTS, *OURS)}
+        return OURS | {name: Pilot(name, _summary(make)) for name, make in registered.items()}
+
+    def __getitem__(self, name: str) -> Pilot:
+        return self._all()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all())
+
+    def __len__(self) -> int:
+        return len(self._all())
+
+
+def _summary(make: object) -> str:
+    own = make.__doc__ if isinstance(make, type | FunctionType) else None  # others have that of their type
+    told = own or "An agent that a plugin of this server registered."
+    return cleandoc(told).partition("\n\n")[0].replace("\n", " ")
+
+
+PILOTS: Mapping[str, Pilot] = _Pilots()
 
 HELP = {(True, False): "with values", (False, True): "with undo", (True, True): "with values and undo"}
 CREDIT = re.compile(
@@ -107,7 +142,21 @@ def called(agent: str) -> str:
 
 def tasks_of(pilot: str, networks: Networks) -> list[str]:
     """Ids of the tasks that a pilot can fly."""
-    return [task.id for task in TASKS.values() if pilot not in SOURCES or networks.flies(pilot, task)]
+    if pilot in SOURCES:
+        return [task.id for task in TASKS.values() if networks.flies(pilot, task)]
+    return [task.id for task in TASKS.values() if pilot in OURS or _flies(AGENTS[pilot], task)]
+
+
+@lru_cache
+def _flies(make: Callable[[TaskConfig], Agent], task: TaskConfig) -> bool:
+    try:
+        make(task)
+    except (CheckpointError, TooLargeError, UnsupportedTaskError):
+        return False
+    except Exception:
+        log.exception("a registered agent is no pilot on %s: %r cannot be made", task.id, make)
+        return False
+    return True
 
 
 def agent_of(pilot: str, task: TaskConfig, networks: Networks) -> Agent | None:

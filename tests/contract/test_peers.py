@@ -1,4 +1,4 @@
-"""The peers of benchmarks/peers.py: what they see of the masks, and a run from its first second to its figures."""
+"""The peers of benchmarks/peers.py: a run from its first second to its figures."""
 
 import json
 from collections.abc import Iterator
@@ -6,12 +6,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 
 from drone_env.agents import AGENTS
 from drone_env.core.tasks import get_task
-from drone_env.envs.sb3 import DroneDeliveryVecEnv
 from drone_env.errors import InvalidValueError
 from drone_env.rl.validation import Validation
 from tests.package.installed import ROOT
@@ -26,19 +24,6 @@ def peers(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     yield peers
     AGENTS.clear()
     AGENTS.update(before)
-
-
-@pytest.mark.parametrize("task", ["easy", "skyline_easy", "skyline_hard"])
-def test_the_masks_of_a_peer_are_those_of_its_environment(task: str, peers: ModuleType) -> None:
-    env = DroneDeliveryVecEnv(task, 64)
-    env.seed(7)
-    env.reset()
-    random = np.random.default_rng(1)
-    for _ in range(40):
-        expected = env.action_masks()
-        assert np.array_equal(peers.masks(get_task(task), env.batch.grids, env.batch.telemetry), expected)
-        env.step(random.integers(0, 5, 64))
-    assert not expected.all()
 
 
 def test_the_policy_that_was_best_in_validation_is_the_one_that_flies(
@@ -59,17 +44,6 @@ def test_the_policy_that_was_best_in_validation_is_the_one_that_flies(
     assert len(watch.curve) == len(seen) >= 3
     assert peer.config == seen[1]
     assert len({json.dumps(config) for config in seen}) == len(seen)
-
-
-def test_a_masked_peer_never_bumps(peers: ModuleType) -> None:
-    env = DroneDeliveryVecEnv("skyline_easy", 64)
-    env.seed(7)
-    env.reset()
-    peer = peers.Peer(env.task, peers.MaskablePPO("MultiInputPolicy", env, n_steps=2, batch_size=128, device="cpu"))
-    for _ in range(30):
-        actions = peer.act_batch(env.batch.grids, env.batch.telemetry)
-        assert env.action_masks()[np.arange(64), actions].all()
-        env.step(actions)
 
 
 @pytest.mark.parametrize(("algorithm", "recipe"), [("PPO", "dense"), ("MaskablePPO", "wide")])

@@ -152,6 +152,7 @@ def test_its_code_blocks_run(
     for block in found:
         if block.file:
             (folder / block.file).write_text(block.text, encoding="utf-8")
+            monkeypatch.syspath_prepend(folder)  # Python blocks find it as well
     run = Page(folder, request, monkeypatch)
     for block in found:
         run.run(block)

@@ -12,13 +12,13 @@ import gymnasium
 import pytest
 
 import drone_env
-from drone_env.agents import AGENTS, GreedyAgent
+from drone_env.agents import AGENTS, GreedyAgent, register_agent
 from drone_env.cli import main
 from drone_env.core.actions import Event
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.envs.registry import register_agent, register_reward_profile, register_task
+from drone_env.envs.registry import register_reward_profile, register_task
 from drone_env.errors import InvalidTaskError, InvalidValueError
 from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.graders import GRADERS

@@ -8,7 +8,7 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.errors import StoreError
 from drone_env.server.live.commands import MOST_EPISODES
-from drone_env.server.pilots import HUMAN, PILOTS, tasks_of
+from drone_env.server.pilots import COLOURS, HUMAN, PILOTS, tasks_of
 from drone_env.server.predict import SOURCES
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import (
@@ -61,7 +61,7 @@ def pilots(shared: SharedParts) -> PilotList:
                 id=name,
                 name=pilot.name,
                 summary=pilot.summary,
-                colour=colour,
+                colour=min(colour, COLOURS),
                 automatic=name != HUMAN,
                 tasks=tasks_of(name, shared.networks),
             )

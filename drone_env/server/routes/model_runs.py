@@ -101,7 +101,7 @@ async def model_boards(shared: SharedParts, task_name: str) -> ModelBoards:
 
 
 def _boards(shared: Shared, task: str, judged: list[Any]) -> ModelBoards:
-    from drone_env.llm.leaderboard import Judged, Refused, boards_of
+    from drone_env.evaluation.leaderboard import Judged, Refused, boards_of
 
     return ModelBoards(
         task=task,

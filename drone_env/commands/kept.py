@@ -1,0 +1,92 @@
+"""Folders of results: evaluations of agents, and runs of language models."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from statistics import fmean
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.errors import InvalidValueError, needs
+from drone_env.evaluation import folder as evaluation
+
+if TYPE_CHECKING:
+    from drone_env.episodes.by_map import FlownMap
+    from drone_env.evaluation.leaderboard import Judged, Refused
+
+
+class Kept(NamedTuple):
+    """What a folder holds of one agent or model on one task."""
+
+    name: str
+    """Who flew, and in which folder."""
+    task: TaskConfig
+    split: str
+    maps: range
+    rows: "list[FlownMap]"
+
+
+def judged(path: Path) -> "list[Judged | Refused]":
+    """What a folder is worth on the leaderboard.
+
+    Raises:
+        MissingPackageError: if it is a run of a language model, and the extra `llm` is not installed.
+    """
+    from drone_env.evaluation.leaderboard import judge_evaluation
+
+    if (path / evaluation.CONFIG).exists():
+        return judge_evaluation(path)
+    with needs("llm"):
+        from drone_env.llm.leaderboard import judge
+        from drone_env.llm.run_folder import runs_in
+    return [judge(run) for run in runs_in(path)]
+
+
+def judged_once(paths: Iterable[Path]) -> "list[Judged | Refused]":
+    """The same of many folders; one that is named twice, itself or by the folder that it lies in, counts once."""
+    found: list[Judged | Refused] = []
+    for path in paths:
+        known = {one.path.resolve() for one in found}
+        found += [one for one in judged(path) if one.path.resolve() not in known]
+    return found
+
+
+def kept(path: Path) -> list[Kept]:
+    """What a folder holds, map by map.
+
+    Raises:
+        InvalidValueError: if it is not ranked on a leaderboard; the message says why.
+        MissingPackageError: as `judged` does.
+    """
+    from drone_env.evaluation.leaderboard import Refused
+
+    found: list[Kept] = []
+    for one in judged(path):
+        if isinstance(one, Refused):
+            raise InvalidValueError(f"{path}: {one.reason}")
+        config = one.figures["config"]
+        name = one.figures.get("agent") or config["model"]
+        task = get_task(config["task"], config["task_version"])
+        rows = [_row(name, task, of_map) for of_map in one.figures["maps"]]
+        found.append(Kept(f"{name} ({path})", task, config["split"], range(*config["seeds"]), rows))
+    return found
+
+
+def _row(name: str, task: TaskConfig, of_map: dict[str, Any]) -> "FlownMap":
+    from drone_env.episodes.by_map import FlownMap
+
+    flights = len(of_map["scores"])
+    return FlownMap(
+        agent=name,
+        task=task.id,
+        task_version=task.version,
+        seed=of_map["seed"],
+        flights=flights,
+        id=None,
+        score=fmean(of_map["scores"]),
+        success=of_map["success"] / flights,
+        steps=fmean(of_map["steps"]),
+        reward=0.0,
+        reward_profile=None,
+        solved=True,
+        optimum=of_map["optimum"],
+    )

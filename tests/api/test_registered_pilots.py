@@ -1,0 +1,78 @@
+"""Agents that plugins registered, as pilots of the page."""
+
+from collections.abc import Iterator
+
+import pytest
+from starlette.testclient import TestClient
+
+from drone_env.agents import AGENTS, GreedyAgent, register_agent
+from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.errors import UnsupportedTaskError
+from drone_env.server.pilots import PILOTS
+from tests.api.live_page import Page
+
+
+class Homebrew(GreedyAgent):
+    """Flies as I think
+    it should.
+
+    More about it.
+    """
+
+    def __init__(self, task: TaskConfig) -> None:
+        if task.pads:
+            raise UnsupportedTaskError("it does not know pads")
+        super().__init__(task)
+
+
+@pytest.fixture
+def homebrew() -> Iterator[None]:
+    register_agent("homebrew", Homebrew)
+    yield
+    del AGENTS["homebrew"]
+
+
+@pytest.mark.usefixtures("homebrew")
+def test_a_registered_agent_flies_on_the_page(client: TestClient) -> None:
+    *_, last = client.get("/pilots").json()["pilots"]
+    assert last == {
+        "id": "homebrew",
+        "name": "homebrew",
+        "summary": "Flies as I think it should.",
+        "colour": len(PILOTS),
+        "automatic": True,
+        "tasks": [task.id for task in TASKS.values() if not task.pads],
+    }
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        page.start("homebrew", "greedy")
+        page.send("play", speed=60)
+        frames = page.flight()
+        mine, greedy = ([frame["action"] for frame in frames[flight]] for flight in (0, 1))
+        assert mine == greedy
+        page.send("start", task="skyline_easy", seed=7, pilots=["homebrew"])
+        assert "it does not know pads" in socket.receive_text()
+    assert {row["kind"] for row in client.get("/leaderboard/easy").json()["rows"]} == {"pilot"}
+    assert client.get("/preview.png?task=easy&seed=7&pilot=homebrew").status_code == 200
+
+
+@pytest.mark.usefixtures("homebrew")
+def test_one_that_cannot_be_made_takes_no_other_pilot_away(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(task: TaskConfig) -> GreedyAgent:
+        raise KeyError(task.id)
+
+    monkeypatch.setitem(AGENTS, "broken", broken)
+    pilots = {pilot["id"]: pilot for pilot in client.get("/pilots").json()["pilots"]}
+    assert pilots["broken"]["tasks"] == []
+    assert pilots["broken"]["summary"] == "An agent that a plugin of this server registered."
+    assert pilots["homebrew"]["tasks"]
+    assert "a registered agent is no pilot on easy_delivery" in caplog.text
+
+
+def test_what_nobody_registered_is_no_pilot(client: TestClient) -> None:
+    assert "homebrew" not in [pilot["id"] for pilot in client.get("/pilots").json()["pilots"]]
+    with client.websocket_connect("/live") as socket:
+        Page(socket).send("start", task="easy", seed=7, pilots=["tournet-search-64"])
+        assert "unknown pilot 'tournet-search-64'" in socket.receive_text()

@@ -1,0 +1,178 @@
+"""Models of Stable-Baselines3 as agents: from memory, and from the files that they are saved in."""
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from sb3_contrib import MaskablePPO, RecurrentPPO
+from stable_baselines3 import DQN, PPO
+
+from drone_env import evaluate, make_agent
+from drone_env.agents.named import as_agent
+from drone_env.agents.sb3_policy import open_actions
+from drone_env.cli import main
+from drone_env.core.batch import Batch
+from drone_env.core.episode import Episode
+from drone_env.core.rollout import choices, rollout
+from drone_env.core.tasks import get_task
+from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
+from drone_env.errors import CheckpointError, InvalidValueError
+from drone_env.evaluation.episodes import episodes_key, repeats_of, run_episodes
+
+MAPS = range(100, 116)
+NETWORK: Any = {"policy_kwargs": {"net_arch": [8]}, "seed": 3, "device": "cpu"}
+
+
+def model_of(kind: Any, form: str, task: str = "easy") -> Any:
+    """A model that has learned nothing, and so flies in its own way."""
+    policy = {"dict": "MultiInputPolicy", "flat": "MlpPolicy"}[form]
+    return kind(policy, DroneDeliveryVecEnv(task, 2, observation=form), **NETWORK)
+
+
+def scores_in_its_own_world(model: Any, form: str, task: str) -> list[float]:
+    """The scores of the likeliest actions, flown in the environment that the model was made for."""
+    env = DroneDeliveryVecEnv(task, len(MAPS), observation=form)
+    env.seed(MAPS.start)
+    seen, scores = env.reset(), dict[int, float]()
+    while len(scores) < len(MAPS):
+        seen, _, dones, infos = env.step(model.predict(seen, deterministic=True)[0])
+        for i in np.flatnonzero(dones).tolist():
+            scores.setdefault(i, infos[i]["score"])
+    return [scores[i] for i in range(len(MAPS))]
+
+
+@pytest.mark.parametrize("task", ["easy", "skyline_easy"])
+@pytest.mark.parametrize(("kind", "form"), [(PPO, "flat"), (PPO, "dict"), (DQN, "flat")])
+def test_a_model_flies_as_it_does_in_the_environment_it_was_made_for(
+    kind: Any, form: str, task: str, tmp_path: Path
+) -> None:
+    model, wrapper = model_of(kind, form, task), FORMS[form].__name__
+    expected = scores_in_its_own_world(model, form, task)
+    assert evaluate(model, task, seeds=MAPS, wrapper=wrapper).scores.tolist() == expected
+    model.save(tmp_path / "model.zip")
+    key = episodes_key(task, f"{tmp_path / 'model.zip'}:{wrapper}", MAPS)
+    assert run_episodes(key).scores.tolist() == expected
+
+
+def test_a_policy_is_known_by_its_weights(tmp_path: Path) -> None:
+    names = []
+    for number, steps in enumerate((0, 0, 4)):
+        model = model_of(PPO, "flat")
+        model.n_steps = model.rollout_buffer.buffer_size = 2
+        if steps:
+            model.learn(steps)
+        model.save(tmp_path / f"{number}.zip")
+        names.append(f"{tmp_path / f'{number}.zip'}:FlatObservation")
+    first, same, learned = (episodes_key("easy", name, range(1)).config_hash for name in names)
+    sampled = episodes_key("easy", f"{names[0]}:sampled", range(1)).config_hash
+    assert first == same
+    assert len({first, learned, sampled}) == 3
+
+
+def test_drawn_actions_depend_on_the_map_and_the_repeat_alone(tmp_path: Path) -> None:
+    model_of(PPO, "flat").save(tmp_path / "model.zip")
+    keys = repeats_of(episodes_key("easy", f"{tmp_path / 'model.zip'}:FlatObservation:sampled", MAPS), 2)
+    first, second = map(run_episodes, keys)
+    assert first.steps.tolist() != second.steps.tolist()
+    some = run_episodes(keys[0]._replace(seeds=(MAPS.start + 5, MAPS.stop)))
+    assert some.scores.tolist() == first.scores[5:].tolist()
+    agent = make_agent(keys[0].agent, "easy")
+    agent.reset(MAPS.start)
+    assert rollout(Episode("easy", seed=MAPS.start), agent.act).score == first.scores[0]
+
+
+def test_drawn_actions_have_the_probabilities_of_the_policy() -> None:
+    model, task = model_of(PPO, "flat"), get_task("easy")
+    for part in model.policy.action_net.parameters():
+        part.data.zero_()
+    model.policy.action_net.bias.data[:] = torch.tensor([0.5, 0.1, 0.1, 0.1, 0.2]).log()
+    agent: Any = as_agent(model, task, "FlatObservation", sampled=True)
+    batch = Batch(task, 4000)
+    batch.reset(np.arange(4000))
+    agent.reset_batch(np.arange(4000))
+    shares = np.bincount(agent.act_batch(batch.grids, batch.telemetry), minlength=5) / 4000
+    assert shares == pytest.approx([0.5, 0.1, 0.1, 0.1, 0.2], abs=0.03)
+
+
+def test_a_masked_policy_is_told_what_would_bump(tmp_path: Path) -> None:
+    task = get_task("skyline_easy")
+    model_of(MaskablePPO, "dict", task.id).save(tmp_path / "model.zip")
+    agent = make_agent(f"{tmp_path / 'model.zip'}:OneHotPlanes", task)
+    for seed in MAPS:
+        agent.reset(seed)
+        episode = Episode(task, seed=seed)
+        for action in choices(episode, agent.act):
+            assert episode.action_mask()[int(action)]
+            episode.step(action)
+
+
+@pytest.mark.parametrize("task", ["hard", "skyline_hard"])
+def test_what_would_bump_is_read_from_observations(task: str) -> None:
+    batch = Batch(get_task(task), 32)
+    batch.reset(np.arange(32))
+    for step in range(40):
+        found = open_actions(get_task(task), batch.grids, batch.telemetry)
+        assert np.array_equal(found, batch.action_masks.astype(np.bool_))
+        batch.step((np.arange(32) * 3 + step) % 5)
+
+
+def test_a_wrapper_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "my_wrapper.py").write_text(
+        "from drone_env.envs.wrappers import FlatObservation\nclass Mine(FlatObservation):\n    pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    model_of(PPO, "flat").save(tmp_path / "model.zip")
+    scores = [
+        run_episodes(episodes_key("easy", f"{tmp_path / 'model.zip'}:{wrapper}", MAPS)).scores.tolist()
+        for wrapper in ("FlatObservation", "my_wrapper:Mine")
+    ]
+    assert scores[0] == scores[1]
+
+
+def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "model.zip"
+    model_of(PPO, "flat").save(file)
+    with pytest.raises(CheckpointError, match=r"sees \(905,\), .* wrapper none .* behind FlatObservation it would fit"):
+        make_agent(f"{file}", "easy")
+    with pytest.raises(CheckpointError, match="'skyline_easy' behind the wrapper FlatObservation is"):
+        make_agent(f"{file}:FlatObservation", "skyline_easy")
+    with pytest.raises(InvalidValueError, match="has no 'Flattened'"):
+        make_agent(f"{file}:Flattened", "easy")
+    model_of(DQN, "flat").save(file)
+    with pytest.raises(InvalidValueError, match="DQNPolicy has no probabilities of actions"):
+        make_agent(f"{file}:FlatObservation:sampled", "easy")
+    recurrent = RecurrentPPO("MlpLstmPolicy", DroneDeliveryVecEnv("easy", 2, observation="flat"), device="cpu")
+    with pytest.raises(InvalidValueError, match="a recurrent policy keeps a state"):
+        evaluate(recurrent, "easy", wrapper="FlatObservation")
+    for content in (b"no archive", None):
+        if content is None:
+            with zipfile.ZipFile(file, "w") as archive:
+                archive.writestr("data", "{}")
+        else:
+            file.write_bytes(content)
+        with pytest.raises(CheckpointError, match="holds no policy of Stable-Baselines3"):
+            make_agent(f"{file}:FlatObservation", "easy")
+    with pytest.raises(FileNotFoundError):
+        make_agent(f"{tmp_path / 'gone.zip'}:FlatObservation", "easy")
+
+
+def test_the_command_says_that_it_trusts_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "model.zip"
+    model_of(PPO, "flat").save(file)
+    told = f"{file}: reading it runs code that it holds; it is trusted, since you name it\n"
+    maps = ["--task", "easy", "--seeds", "3:5"]
+    for command in (
+        ["fly", "--agent"],
+        ["analyse-flight", "--task", "easy", "--agent"],
+        ["evaluate", *maps, "--agents", "greedy"],
+        ["compare", *maps, "greedy"],
+        ["dataset", "--out", str(tmp_path / "rows"), "--maps", "1", "--formats", "parquet", "--agents"],
+    ):
+        assert main([*command, f"{file}:FlatObservation"]) == 0
+        assert capsys.readouterr().err.startswith(told)
+    skyline = ["evaluate", "--task", "skyline_easy", "easy", "--agents", f"{file}:FlatObservation", "--seeds", "3:5"]
+    assert main(skyline) == 0
+    assert "skyline_easy, " in capsys.readouterr().out

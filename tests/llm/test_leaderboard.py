@@ -1,0 +1,132 @@
+"""Agents and language models on one board, and which evaluations are not ranked."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drone_env.cli import main
+from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
+from tests.llm.kept_run import put_run
+
+MAPS = ("--task", "easy", "--seeds", "14:18")
+
+
+def evaluated(folder: Path, *options: str) -> Path:
+    assert main(["evaluate", *MAPS, *options, "--out", str(folder)]) == 0
+    return folder
+
+
+def ranked(capsys: pytest.CaptureFixture[str], *folders: Path, status: int = 0) -> Any:
+    capsys.readouterr()
+    assert main(["leaderboard", *map(str, folders), "--json"]) == status
+    return json.loads(capsys.readouterr().out)
+
+
+def test_agents_and_models_over_the_same_maps_stand_on_one_board(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    agents = evaluated(tmp_path / "agents", "--agents", "random", "greedy", "--repeats", "3")
+    model = put_run(tmp_path, "model", "WAIT", range(14, 18))
+    elsewhere = tmp_path / "elsewhere"
+    assert main(["evaluate", "--task", "easy", "--agents", "greedy", "--seeds", "14:19", "--out", str(elsewhere)]) == 0
+    boards = ranked(capsys, agents, model, elsewhere)["boards"]
+    assert [board["maps"] for board in boards] == ["maps 14 to 17 (custom)", "maps 14 to 18 (custom)"]
+    greedy, random, waits = boards[0]["rows"]
+    assert [row["path"] for row in boards[0]["rows"]] == [str(agents), str(agents), str(model)]
+    assert (greedy["agent"], random["agent"], waits["config"]["model"]) == ("greedy", "random", "scripted")
+    keys = [episodes_key("easy", "random", range(14, 18))._replace(repeat=repeat) for repeat in range(3)]
+    flown = [run_episodes(key) for key in keys]
+    expected = summarise(*flown)
+    assert (random["score"], random["score_ci95"], random["regret"], random["success_rate"]) == tuple(
+        expected[name] for name in ("mean_score", "score_ci95", "mean_regret", "success_rate")
+    )
+    floor, best = np.mean(flown[0].scores), expected["mean_optimal_score"]
+    assert greedy["normalised"] == pytest.approx((greedy["score"] - floor) / (best - floor))
+    assert waits["normalised"] < 0 < greedy["normalised"]
+    assert main(["leaderboard", str(agents), str(model)]) == 0
+    out = capsys.readouterr().out
+    assert [line.split()[1] for line in out.splitlines() if line.strip()[:1].isdigit()] == [
+        "greedy",
+        "random",
+        "scripted",
+    ]
+
+
+def test_what_is_kept_is_compared_map_by_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    agents = str(evaluated(tmp_path / "agents", "--agents", "random", "--repeats", "2"))
+    model = str(put_run(tmp_path, "model", "greedy", range(14, 18), repeats=2))
+    capsys.readouterr()
+    assert main(["compare", "greedy", model, agents, "--json", "-"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report["split"], report["seeds"]) == ("custom", [14, 18])
+    found = report["tasks"]["easy_delivery"]
+    names = ["greedy", f"scripted ({model})", f"random ({agents})"]
+    assert list(found["agents"]) == names
+    (scripted,) = (run for run in ranked(capsys, Path(model))["boards"][0]["rows"])
+    assert found["agents"][names[1]]["score"]["mean"] == pytest.approx(scripted["score"])
+    greedy = run_episodes(episodes_key("easy", "greedy", range(14, 18)))
+    assert found["others"][names[1]]["difference"]["mean"] == pytest.approx(scripted["score"] - greedy.scores.mean())
+    assert found["others"][names[2]]["difference"]["high"] < 0
+    assert main(["compare", agents]) == 2
+    assert "compare takes two agents or more" in capsys.readouterr().err
+    both = str(evaluated(tmp_path / "both", "--agents", "random", "greedy"))
+    capsys.readouterr()
+    assert main(["compare", both, "--json", "-"]) == 0
+    assert list(json.loads(capsys.readouterr().out)["tasks"]["easy_delivery"]["others"]) == [f"greedy ({both})"]
+
+
+def test_folders_of_other_maps_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    agents = str(evaluated(tmp_path / "agents", "--agents", "random"))
+    other = str(put_run(tmp_path, "model", "greedy", range(14, 17)))
+    assert main(["compare", agents, other]) == 2
+    assert "folders are compared over the same maps" in " ".join(capsys.readouterr().err.split())
+    assert main(["compare", agents, "greedy", "--task", "easy"]) == 2
+    assert "folders name task and maps themselves" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert main(["compare", str(tmp_path / "empty"), "greedy"]) == 2
+    assert "this is not the folder of a run" in capsys.readouterr().err
+
+
+def test_an_evaluation_that_is_not_whole_is_not_ranked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = evaluated(tmp_path / "agents", "--agents", "random", "--repeats", "2")
+    (again,) = (folder / "pieces").glob("*again1*")
+    again.unlink()
+    (refused,) = ranked(capsys, folder)["refused"]
+    assert refused["reason"] == "1 of 1 pieces of random on easy_delivery are not flown yet"
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"scores": np.full(4, 0.999)}, "greedy on easy_delivery: these are no scores, or not of these maps"),
+        ({"optimal_scores": np.full(4, 0.9)}, "these are no scores, or not of these maps"),
+        ({"seeds": np.arange(4)}, "is damaged"),
+    ],
+)
+def test_an_evaluation_that_is_not_what_it_says_is_refused(
+    change: dict[str, Any], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = evaluated(tmp_path / "agents", "--agents", "greedy")
+    (piece,) = (folder / "pieces").iterdir()
+    with np.load(piece) as file:
+        held = dict(file)
+    np.savez(piece, **held | change)
+    (refused,) = ranked(capsys, folder, status=1)["refused"]
+    assert told in refused["reason"]
+
+
+def test_an_evaluation_of_a_task_that_nobody_knows_is_not_ranked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = evaluated(tmp_path / "agents", "--agents", "greedy")
+    config = folder / "evaluation.json"
+    text = config.read_text()
+    config.write_text(text.replace("easy_delivery", "courier"))
+    (refused,) = ranked(capsys, folder)["refused"]
+    assert refused["reason"].startswith("unknown task 'courier'")
+    config.write_text(text.replace('"seeds"', '"seats"'))
+    (refused,) = ranked(capsys, folder, status=1)["refused"]
+    assert "is not the configuration of an evaluation: KeyError('seeds')" in refused["reason"]

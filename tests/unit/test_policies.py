@@ -1,0 +1,170 @@
+"""Whatever can fly, by name and as an object: functions and classes of one's own, and how often they fly a map."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drone_env import evaluate, make_agent, summarise
+from drone_env.agents import GreedyAgent, elsewhere, file_of
+from drone_env.cli import main
+from drone_env.core.tasks import get_task
+from drone_env.errors import InvalidValueError
+from drone_env.evaluation.episodes import episodes_key, repeats_of, run_episodes
+
+MODULE = """
+import random
+
+
+def chase(observation):
+    x, y, _, to_x, to_y = observation["telemetry"][:5]
+    if abs(to_x - x) > abs(to_y - y):
+        return 3 if to_x > x else 2
+    return 1 if to_y > y else 0
+
+
+class Chaser:
+    def __init__(self, task):
+        self.task = task
+
+    def reset(self, seed):
+        pass
+
+    def act(self, observation):
+        return chase(observation)
+
+
+class Dice:
+    stochastic = True
+
+    def __init__(self, task):
+        self.config = {"agent": "dice"}
+
+    def reset(self, seed):
+        self.random = random.Random(seed)
+
+    def act(self, observation):
+        return self.random.randrange(5)
+
+
+ready = Chaser(None)
+number = 7
+"""
+
+
+@pytest.fixture
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A module in the working directory."""
+    (tmp_path / "my_policies.py").write_text(MODULE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    yield lambda: sys.modules["my_policies"]
+    sys.modules.pop("my_policies", None)
+
+
+@pytest.mark.parametrize("name", ["chase", "Chaser", "ready"])
+def test_functions_classes_and_agents_of_a_module_fly_by_their_names(mine: Any, name: str) -> None:
+    greedy = evaluate("greedy", "easy", seeds=range(20))  # which flies the same way where nothing blocks or costs
+    by_name = run_episodes(episodes_key("easy", f"my_policies:{name}", range(20)))
+    as_it_is = evaluate(getattr(mine(), name), "easy", seeds=range(20))
+    for results in (by_name, as_it_is):
+        assert results.scores.tolist() == greedy.scores.tolist()
+        assert results.optimal_scores.tolist() == greedy.optimal_scores.tolist()
+    assert as_it_is.key.config_hash == by_name.key.config_hash
+
+
+def test_what_flies_is_known_by_what_its_module_holds(mine: Any, tmp_path: Path) -> None:
+    names = ("my_policies:chase", "my_policies:Chaser")
+    before = [episodes_key("easy", name, range(1)).config_hash for name in names]
+    assert before[0] != before[1]
+    (tmp_path / "my_policies.py").write_text(MODULE + "# changed\n")
+    after = [episodes_key("easy", name, range(1)).config_hash for name in names]
+    assert not {*before} & {*after}
+
+
+def test_every_command_takes_them(mine: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    name = "my_policies:chase"
+    assert main(["fly", "--agent", name, "--seed", "14"]) == 0
+    assert "model=my_policies:chase" in (flown := capsys.readouterr().out)
+    assert "[END] success=true steps=3" in flown
+    assert main(["analyse-flight", "--task", "easy", "--agent", name, "--seed", "14"]) == 0
+    assert name in capsys.readouterr().out
+    assert main(["compare", name, "random", "--task", "easy", "--episodes", "5"]) == 0
+    assert main(["dataset", "--out", "rows", "--agents", name, "--maps", "2", "--formats", "parquet"]) == 0
+    assert main(["evaluate", "--agents", name, "my_policies:Chaser", "--seeds", "3:5", "--out", "kept"]) == 0
+    assert f"{name} " in capsys.readouterr().out
+
+
+def test_of_who_draws_lots_each_flight_over_a_map_is_another_and_the_same_every_time(mine: Any) -> None:
+    for name in ("random", "my_policies:Dice"):
+        keys = repeats_of(episodes_key("easy", name, range(30)), 3)
+        assert [key.repeat for key in keys] == [0, 1, 2]
+        flown = [run_episodes(key) for key in keys]
+        assert len({tuple(results.steps.tolist()) for results in flown}) == 3
+        for key, results in zip(keys, flown, strict=True):
+            assert run_episodes(key).steps.tolist() == results.steps.tolist()
+        figures = summarise(*flown)
+        assert figures["mean_score"] == pytest.approx(np.mean([results.scores for results in flown]))
+        assert figures["success_rate"] == pytest.approx(np.mean([results.success for results in flown]))
+    assert len(repeats_of(episodes_key("easy", "greedy", range(2)), 3)) == 1
+
+
+def test_the_interval_of_repeats_is_over_maps(mine: Any) -> None:
+    once = evaluate("random", "easy", seeds=range(20))
+    assert summarise(once, once, once)["score_ci95"] == pytest.approx(summarise(once)["score_ci95"], abs=1e-12)
+
+
+def test_repeats_are_kept_beside_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["evaluate", "--task", "easy", "--agents", "random", "greedy", "--seeds", "0:9", "--repeats", "2"]
+    folder = tmp_path / "results"
+    assert main([*command, "--out", str(folder)]) == 0
+    assert "2 flights over each of who draws lots" in " ".join((out := capsys.readouterr().out).split())
+    assert len(list((folder / "pieces").iterdir())) == 3
+    assert main([*command, "--out", str(folder)]) == 0
+    assert capsys.readouterr().out == out
+    assert main([*command[:-1], "1", "--out", str(folder)]) == 2
+    assert "repeats: {'random on easy_delivery': 2} is now {}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("my_policies:missing", "my_policies.py has no 'missing'"),
+        ("nowhere_at_all:chase", "Python finds no module 'nowhere_at_all'"),
+        ("my_policies:number", "what flies is a function of the observation, an agent"),
+    ],
+)
+def test_names_of_nothing_that_flies_are_refused(
+    mine: Any, name: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(InvalidValueError, match=told):
+        make_agent(name, "easy")
+    assert main(["fly", "--agent", name]) == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "there"),
+    [
+        ("pathqnet:data/easy.npz", "data/easy.npz", "pathqnet:/tmp/there"),
+        ("./m.zip", "m.zip", "/tmp/there"),
+        ("a/m.zip:FlatObservation", "a/m.zip", "/tmp/there:FlatObservation"),
+        ("a/m.zip:sampled", "a/m.zip", "/tmp/there:sampled"),
+        ("C:/m.zip:mine:Wrapper:sampled", "C:/m.zip", "/tmp/there:mine:Wrapper:sampled"),
+        ("mine:fly", None, "mine:fly"),
+        ("greedy", None, "greedy"),
+    ],
+)
+def test_the_file_that_a_name_names(name: str, file: str | None, there: str) -> None:
+    assert file_of(name) == (file and Path(file))
+    assert elsewhere(name, Path("/tmp/there")) == there
+
+
+def test_objects_that_cannot_fly_are_refused() -> None:
+    with pytest.raises(InvalidValueError, match="what flies is a function"):
+        evaluate(7, "easy")
+    with pytest.raises(InvalidValueError, match="are said of a model of Stable-Baselines3"):
+        evaluate(GreedyAgent(get_task("easy")), "easy", sampled=True)
