@@ -43,7 +43,7 @@ def raw(page: Page) -> dict[str, Any]:
     """The frame that is shown, as the page has it: every digit of it."""
     shown = page.locator("#raw-frame")
     expect(shown).not_to_be_empty()
-    return json.loads(shown.inner_text())
+    return json.loads(shown.text_content() or "")
 
 
 def test_a_fork_from_step_20_of_hard_map_7_has_the_values_of_its_analysis_to_the_last_bit(

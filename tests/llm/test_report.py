@@ -182,7 +182,7 @@ def test_the_leaderboard_ranks_whole_runs_and_refuses_forged_ones(
     assert main(["replay", str(forged / "episodes.jsonl"), "--verify"]) == 0
     capfd.readouterr()
     twice = str(greedy / ".." / greedy.name)
-    assert main(["leaderboard", twice, str(waiting), str(short), str(greedy), "--json"]) == 0
+    assert main(["leaderboard", str(waiting), str(short), str(greedy), twice, "--json"]) == 0
     found = json.loads(capfd.readouterr().out)
     (board,) = found["boards"]
     assert [row["path"] for row in board["rows"]] == [str(greedy), str(waiting)]
