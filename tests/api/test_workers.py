@@ -20,6 +20,7 @@ from tests.api.serving import Server, serving
 from tests.api.test_stalled_readers import MOST, connected, pushed
 
 
+@pytest.mark.long
 def test_several_workers_serve_one_session_and_end_when_the_first_process_is_asked_to(tmp_path: Path) -> None:
     with serving(tmp_path / "data", ("drone_env/server/app.py", "--workers", "2")) as server:
         steps_over_many_connections_follow_each_other(server)

@@ -39,10 +39,10 @@ def letters(actions: list[str]) -> str:
     return "".join(action[0] for action in actions)
 
 
-def raw(page: Page) -> dict[str, Any]:
-    """The frame that is shown, as the page has it: every digit of it."""
+def raw(page: Page, step: int) -> dict[str, Any]:
+    """The frame of a step, once it is shown, as the page has it: every digit of it."""
     shown = page.locator("#raw-frame")
-    expect(shown).not_to_be_empty()
+    expect(shown).to_contain_text(re.compile(rf'^\{{\s*"step": {step},'))
     return json.loads(shown.text_content() or "")
 
 
@@ -81,7 +81,7 @@ def test_a_fork_from_step_20_of_hard_map_7_has_the_values_of_its_analysis_to_the
     page.get_by_text("Raw telemetry").click()
     for at in range(23, 17, -1):
         expect(where).to_have_text(re.compile(f"^Step {at} of 160"))
-        frame = raw(page)
+        frame = raw(page, at)
         assert (frame["step"], frame["value"], frame["regret"]) == (at, values[at], values[0] - values[at])
         page.get_by_role("button", name="Step back").click()
     page.get_by_text("Raw telemetry").click()

@@ -125,6 +125,7 @@ async def fly_until_used(running: Cluster, port: int, http: list[HttpSession]) -
     pytest.fail("the server that came back is not used")
 
 
+@pytest.mark.long
 def test_a_server_is_killed_among_its_sessions_and_comes_back(running: Cluster) -> None:
     async def all_of_it() -> None:
         async with Client(running.url) as client:

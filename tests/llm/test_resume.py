@@ -26,6 +26,7 @@ Start = Callable[..., Endpoint]
 KILLS = int(os.environ.get("DRONE_ENV_KILLS", "2"))
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300 + 60 * KILLS)
 def test_killed_again_and_again(endpoint: Start, tmp_path: Path) -> None:
     scripted = endpoint(pilot="greedy", latency=0.1)

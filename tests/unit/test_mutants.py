@@ -103,6 +103,7 @@ def test_nothing_is_judged_by_tests_that_fail_anyway(project: Path) -> None:
         main(["--only", "caught"], root=project)
 
 
+@pytest.mark.long
 def test_an_interrupted_run_leaves_no_process(project: Path) -> None:
     (project / "test_half.py").write_text(ENDLESS)
 
