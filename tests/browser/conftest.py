@@ -65,7 +65,10 @@ def loaded(shared: Tabs) -> Page:
 def lent(page: Page, tabs: Tabs) -> Generator[Page, None, None]:
     """A page that other tests have used: loading one takes longer than most of what is done in it."""
     tabs.forget()
-    page.evaluate("localStorage.clear(); document.querySelectorAll('dialog[open]').forEach(one => one.close())")
+    page.evaluate(
+        "localStorage.clear(); document.querySelectorAll('dialog[open]').forEach(one => one.close());"
+        "document.querySelectorAll('.telemetry[open], .strip-more[open]').forEach(one => { one.open = false; })"
+    )
     yield page
     assert tabs.unexpected() == []
 

@@ -78,13 +78,12 @@ def test_a_fork_from_step_20_of_hard_map_7_has_the_values_of_its_analysis_to_the
         expect(cells.nth(1)).to_have_text(points(values[at + 1]))
         page.keyboard.press(KEYS[action])
         expect(where).to_have_text(re.compile(f"^Step {at + 1} of 160 · {action}"))
-    page.get_by_text("Raw telemetry").click()
+    page.locator("details.telemetry").evaluate("one => { one.open = true; }")  # another test may have opened it
     for at in range(23, 17, -1):
         expect(where).to_have_text(re.compile(f"^Step {at} of 160"))
         frame = raw(page, at)
         assert (frame["step"], frame["value"], frame["regret"]) == (at, values[at], values[0] - values[at])
         page.get_by_role("button", name="Step back").click()
-    page.get_by_text("Raw telemetry").click()
     page.get_by_role("button", name="Last step").click()
     link = (
         f"{server.url}/?task=hard&seed=7&pilots=pathqnet,human&profile=tiered&fork=20&of=pathqnet"
