@@ -92,6 +92,8 @@ def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(page: Page) -> None:
     play.click()
     expect(slider(page)).to_have_value(re.compile("[1-9]"))
     page.get_by_role("button", name="Pause", exact=True).click()
+    # What is shown by then is drawn in the next frame.
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     at = slider(page).input_value()
     # Timers end in the order of their time: a step that was still to come would come before this one's end.
     page.evaluate("() => new Promise(done => setTimeout(done, 3 * 1000 / 15))")
