@@ -38,5 +38,8 @@ CELL_KINDS: dict[Cell, CellKind] = {
     Cell.PAD: CellKind("pad", "🔋", "waiting here charges the battery"),
 }
 N_CELL_KINDS = len(CELL_KINDS)
+SYMBOLS = {int(cell): "· " if cell == Cell.ROAD else kind.emoji for cell, kind in CELL_KINDS.items()}
+"""What stands for each cell id in text; each takes two columns of a terminal. A road's is quieter than its emoji, of
+which a city has too many."""
 ROAD_CELL, DELIVERY_CELL, PAD_CELL = int(Cell.ROAD), int(Cell.DELIVERY), int(Cell.PAD)
 DELIVERED_CELL, DRONE_CELL = int(Cell.DELIVERED), int(Cell.DRONE)

@@ -9,7 +9,18 @@ import numpy.typing as npt
 
 from drone_env.core.cells import DELIVERY_CELL, DRONE_CELL, ROAD_CELL
 from drone_env.core.seeds import SPLITS, check_seed, map_key, next_key, two_halves, uniform_below
-from drone_env.core.tables import CELL, INDEX_BITS, PARCELS, UNDER, Buffer, Tables, interpreted, state_size, view
+from drone_env.core.tables import (
+    CELL,
+    INDEX_BITS,
+    NOWHERE,
+    PARCELS,
+    UNDER,
+    Buffer,
+    Tables,
+    interpreted,
+    state_size,
+    view,
+)
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 
@@ -94,12 +105,46 @@ def move_parcel(tables: Tables, state: Buffer, cell: int, to: int) -> None:
             state[i] = to
 
 
+def draw_open(tables: Tables, grid: Buffer, key: int) -> tuple[int, int]:
+    """A cell of fixed terrain that is still road and can be reached, and the generator's state after the draw."""
+    cell = tables.city_cells[uniform_below(key, len(tables.city_cells)) & INDEX_BITS]
+    while grid[cell] != ROAD_CELL:
+        key = next_key(key)
+        cell = tables.city_cells[uniform_below(key, len(tables.city_cells)) & INDEX_BITS]
+    return cell, next_key(key)
+
+
+def place_on_terrain(tables: Tables, grid: Buffer, state: Buffer, key: int) -> None:
+    """Place start, deliveries and pads on fixed terrain: what is fixed too, then the rest, with a draw for each."""
+    for cell in range(tables.cells):
+        grid[cell] = tables.city_grids[cell]
+    for i in range(tables.deliveries):
+        if tables.fixed[1 + i] != NOWHERE:
+            state[PARCELS + i] = tables.fixed[1 + i]
+            grid[state[PARCELS + i]] = DELIVERY_CELL
+    state[CELL] = tables.fixed[0]
+    if tables.fixed[0] == NOWHERE:
+        start, key = draw_open(tables, grid, key)
+        state[CELL] = start
+    grid[state[CELL]] = DRONE_CELL
+    for i in range(tables.deliveries):
+        if tables.fixed[1 + i] == NOWHERE:
+            cell, key = draw_open(tables, grid, key)
+            state[PARCELS + i] = cell
+            grid[cell] = DELIVERY_CELL
+    for kind in tables.drawn_kinds:
+        cell, key = draw_open(tables, grid, key)
+        grid[cell] = kind
+
+
 def scatter(tables: Tables, grid: Buffer, state: Buffer, seed: int) -> None:
     """Write map `seed` into `grid` and `state`: start, deliveries and each kind of terrain, all on distinct cells."""
     key = next_key(map_key(tables.key, seed))
     state[CELL] = uniform_below(key, tables.cells)
     state[UNDER] = ROAD_CELL
-    if tables.street_spacing == 0:
+    if len(tables.fixed) > 0:
+        place_on_terrain(tables, grid, state, next_key(key))
+    elif tables.street_spacing == 0:
         place_anywhere(tables, grid, state, next_key(key))
     else:
         place_along_streets(tables, grid, state, next_key(key))

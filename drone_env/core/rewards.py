@@ -80,6 +80,18 @@ class RewardProfile:
         if self.shaping_gamma is not None and not 0 <= self.shaping_gamma <= 1:
             raise InvalidTaskError(f"reward profile {self.id!r}: shaping_gamma must be in [0, 1]")
 
+    def terms(self) -> dict[str, str]:
+        """All that decides what it pays, by name, as it was written: what two profiles of a name may differ in."""
+        events = ", ".join(f"{event.name.lower()} {number}" for event, number in sorted(self.events))
+        return {
+            "task_events": str(self.task_events),
+            "events": events,
+            "shaping": str(self.shaping),
+            "clamp": "none" if self.clamp is None else f"{self.clamp[0]} to {self.clamp[1]}",
+            "shaping_gamma": str(self.shaping_gamma),
+            "pays_score": str(self.pays_score),
+        }
+
 
 _CLAMP = (Decimal("0.01"), Decimal("0.99"))
 _TERRAIN = Decimal("0.02")
@@ -119,7 +131,9 @@ REWARD_PROFILES: dict[str, RewardProfile] = {
         RewardProfile(id="score", summary="the graded score at the end, nothing else", pays_score=True),
     )
 }
-"""Every profile of the package, by its id."""
+"""Every profile that is known, by its id."""
+PACKAGE_PROFILES = frozenset(REWARD_PROFILES)
+"""Those of the package itself."""
 
 
 def get_reward_profile(name: str | RewardProfile) -> RewardProfile:
@@ -133,6 +147,16 @@ def get_reward_profile(name: str | RewardProfile) -> RewardProfile:
     if name not in list(REWARD_PROFILES):
         raise UnknownNameError("reward profile", name, REWARD_PROFILES)
     return REWARD_PROFILES[name]
+
+
+def own_profile(name: str) -> RewardProfile | None:
+    """The reward profile of this name where it is none of the package's: what a run has to keep, as names tell no more.
+
+    Raises:
+        UnknownNameError: if there is none.
+    """
+    profile = get_reward_profile(name)
+    return None if profile.id in PACKAGE_PROFILES else profile
 
 
 def profile_for_discount(profile: RewardProfile, gamma: float) -> RewardProfile:

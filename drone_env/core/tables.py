@@ -100,9 +100,14 @@ class Tables(NamedTuple):
     blocks: int
     """How many cells lie between the streets."""
     city_grids: Buffer
-    """The map before anything is drawn, for each way in which the streets can lie: uint8[ways * cells]."""
+    """The map before anything is drawn, for each way in which the streets can lie: uint8[ways * cells]. One way, where
+    the terrain is fixed."""
     city_cells: Buffer
-    """The cells between the streets, then those on them, in each of these ways: uint16[ways * cells]."""
+    """The cells between the streets, then those on them, in each of these ways: uint16[ways * cells]. Where the terrain
+    is fixed, those that start, parcels and pads are drawn from."""
+    fixed: Buffer
+    """Where the terrain is fixed, the cell of the start and of each parcel, `NOWHERE` for those that are drawn:
+    uint16[1 + deliveries]; else empty."""
     drawn_kinds: Buffer
     """The kinds of terrain that are drawn, in the order in which they are: uint8[draws]."""
     drawn_between: int
@@ -155,7 +160,7 @@ def tabulate(task: TaskConfig) -> Tables:
 
     numbers = np.arange(cells)
     tables: dict[str, Any] = {
-        "key": task_key(task.id, task.version),
+        "key": task_key(task.id + (f"/{task.terrain.digest()}" if task.terrain else ""), task.version),
         "width": width,
         "height": height,
         "cells": cells,
@@ -192,12 +197,24 @@ def _city_tables(task: TaskConfig) -> dict[str, Any]:
     one covers all at first, and the others are drawn: the fewest draws that do.
     """
     counts, spacing, cells = task.cell_counts(), task.street_spacing, task.width * task.height
+    if task.terrain is not None:
+        stops = [task.terrain.start, *(task.terrain.parcels or [None] * task.deliveries)]
+        drawn = 0 if Cell.PAD in task.terrain.cells else task.pads
+        return {
+            "blocks": 0,
+            "city_grids": np.frombuffer(task.terrain.cells, np.uint8).copy(),
+            "city_cells": np.array(task.terrain.drawn_cells(task.width, task.impassable), np.uint16),
+            "fixed": np.array([NOWHERE if at is None else at[1] * task.width + at[0] for at in stops], np.uint16),
+            "drawn_kinds": np.full(drawn, Cell.PAD, np.uint8),
+            "drawn_between": 0,
+        }
     if spacing == 0:
         kinds = [kind for kind, count in counts.items() for _ in range(count)]
         return {
             "blocks": 0,
             "city_grids": np.zeros(0, np.uint8),
             "city_cells": np.zeros(0, np.uint16),
+            "fixed": np.zeros(0, np.uint16),
             "drawn_kinds": np.array(kinds, np.uint8),
             "drawn_between": 0,
         }
@@ -220,6 +237,7 @@ def _city_tables(task: TaskConfig) -> dict[str, Any]:
         "blocks": blocks,
         "city_grids": np.ravel(np.where(on_street, covers[1], covers[0])).astype(np.uint8),
         "city_cells": np.ravel(np.argsort(on_street, axis=1, kind="stable")).astype(np.uint16),
+        "fixed": np.zeros(0, np.uint16),
         "drawn_kinds": np.array(kinds, np.uint8),
         "drawn_between": blocks - between[covers[0]],
     }

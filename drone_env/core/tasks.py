@@ -9,6 +9,7 @@ from typing import Any
 
 from drone_env.core.actions import Event
 from drone_env.core.cells import Cell
+from drone_env.core.terrain import PLACED, Terrain
 from drone_env.errors import InvalidTaskError, UnknownNameError, WithdrawnError
 
 MAX_SIDE = 64
@@ -46,6 +47,8 @@ class TaskConfig:
             most 16 and divides width and height. Buildings and trees then stand between the streets, everything else
             on them. 0 for no streets: everything anywhere.
         efficiency_needs_all: Whether battery and steps left count in the score only when everything is delivered.
+        terrain: The terrain of every map, where it is fixed; the counts of cells are then those of the terrain, but for
+            pads where it has none. What it does not fix is drawn on roads that can be reached from each other.
         family: Tasks of one family are listed together. It names no rule: results do not depend on it.
 
     Raises:
@@ -80,6 +83,7 @@ class TaskConfig:
     street_spacing: int = 0
     efficiency_needs_all: bool = False
     family: str = "other"
+    terrain: Terrain | None = None
 
     def __post_init__(self) -> None:
         def require(holds: bool, message: str) -> None:
@@ -115,6 +119,8 @@ class TaskConfig:
         require(placed <= self.width * self.height, f"{placed} things do not fit on {self.width * self.height} cells")
         require(type(self.efficiency_needs_all) is bool, "efficiency_needs_all must be True or False")
         self._check_streets(require)
+        if self.terrain is not None:
+            self._check_terrain(require, self.terrain)
         for name in ("max_steps", "battery_capacity"):
             value = getattr(self, name)
             require(1 <= value <= MAX_UNITS, f"{name} must be 1 to {MAX_UNITS}, got {value}")
@@ -127,6 +133,28 @@ class TaskConfig:
         require(self.impassable <= can_block, f"impassable may hold {sorted(c.name for c in can_block)}")
         require(0 <= self.charge_rate <= MAX_UNITS, f"charge_rate must be 0 to {MAX_UNITS}, got {self.charge_rate}")
         require(self.version >= 1, f"version must be at least 1, got {self.version}")
+
+    def _check_terrain(self, require: Callable[[bool, str], None], terrain: Terrain) -> None:
+        width, height = self.width, self.height
+        size = f"terrain must be {width} x {height} cells, got {len(terrain.cells)}"
+        require(len(terrain.cells) == width * height, size)
+        require(set(terrain.cells) <= set(PLACED), f"terrain may hold {[str(kind.name) for kind in PLACED]}")
+        require(self.street_spacing == 0, "street_spacing must be 0 where terrain is fixed")
+        held = {kind: terrain.cells.count(kind) for kind in self.cell_counts()}
+        held[Cell.PAD] = held[Cell.PAD] or self.pads
+        counts = {kind.name.lower(): count for kind, count in held.items()}
+        require(held == self.cell_counts(), f"the counts of cells must be those of the terrain: {counts}")
+        given = f"deliveries must be the {len(terrain.parcels)} parcels of the terrain, got {self.deliveries}"
+        require(len(terrain.parcels) in (0, self.deliveries), given)
+        fixed = [stop for stop in (terrain.start, *terrain.parcels) if stop is not None]
+        inside = all(0 <= x < width and 0 <= y < height for x, y in fixed)
+        require(inside and len(set(fixed)) == len(fixed), f"start and parcels must be different cells, got {fixed}")
+        open_cells = terrain.drawn_cells(width, self.impassable)
+        apart = [(x, y) for x, y in fixed if y * width + x not in open_cells]
+        require(not apart, f"start and parcels must be roads that can be reached from each other; {apart} are not")
+        pads = 0 if Cell.PAD in terrain.cells else self.pads
+        needed = 1 + self.deliveries + pads
+        require(needed <= len(open_cells), f"{needed} things do not fit on {len(open_cells)} roads that can be reached")
 
     def _check_streets(self, require: Callable[[bool, str], None]) -> None:
         spacing = self.street_spacing
@@ -157,8 +185,9 @@ class TaskConfig:
 
     def rules(self) -> dict[str, Any]:
         """All that decides how the task is flown, as JSON values by name: what hashes and data sets say of it."""
-        numbers = {name: value for name, value in asdict(self).items() if name != "family"}
-        return numbers | {"impassable": sorted(self.impassable)}
+        numbers = {name: value for name, value in asdict(self).items() if name not in ("family", "terrain")}
+        fixed = {} if self.terrain is None else {"terrain": self.terrain.digest()}
+        return numbers | {"impassable": sorted(self.impassable)} | fixed
 
     @property
     def telemetry_size(self) -> int:

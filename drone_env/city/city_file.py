@@ -1,0 +1,260 @@
+"""A city: the terrain of a place, and its file.
+
+    format = 1
+    attribution = "© OpenStreetMap contributors"
+    licence = "ODbL-1.0"
+    source = "helsinki.osm.pbf"                       # the name of the file that it was made from
+    cell = 16.0                                       # metres along the side of a cell
+    bbox = [24.9386, 60.1656, 24.9462, 60.1677]       # west, south, east, north in degrees (WGS 84)
+    start = [0, 1]                                    # [x, y]; x grows rightwards from 0, y downwards
+    parcels = [[3, 0]]
+
+    [task]
+    deliveries = 1                                    # and max_steps, battery_capacity, charge_rate, pads
+
+    [terrain]
+    rows = [
+        "🏢· · · ",
+        "· 🌳🚧🔋",
+    ]
+
+Every key but `format` and `terrain` may be left out. A row holds the symbols of `draw_text`: `· ` (a dot and a space)
+for a road, 🏢, 🌳, 🚧 for what cannot be entered, 🔋 for a pad.
+"""
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.core.cells import SYMBOLS, Cell
+from drone_env.core.tasks import MAX_DELIVERIES
+from drone_env.core.terrain import PLACED, XY, pieces
+from drone_env.errors import InvalidTaskError
+from drone_env.files import write_text
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+FORMAT = 1
+MIN_SIDE, MAX_SIDE = 2, 512
+"""Cells along a side of a city. A task flies at most `core.tasks.MAX_SIDE` of them."""
+MAX_FILE = 16 << 20
+"""Bytes: more than the largest city takes."""
+CELL_OF = {SYMBOLS[kind]: kind for kind in PLACED}
+ALLOWED = ", ".join(f"{symbol!r} {kind.name.lower()}" for symbol, kind in CELL_OF.items())
+TEXTS = ("attribution", "licence", "source")
+KEYS = ("format", *TEXTS, "cell", "bbox", "start", "parcels", "task", "terrain")
+NUMBERS = ("deliveries", "max_steps", "battery_capacity", "charge_rate", "pads")
+"""The numbers of a task that a city may name; `city_task` says what they are where it does not."""
+
+
+@dataclass(frozen=True, eq=False)
+class City:
+    """The terrain of a place. What is None or empty is not known, or is left to the seed of a map.
+
+    Attributes:
+        grid: uint8[height, width], cell ids, of those in `PLACED`; `grid[y, x]`.
+        attribution, licence, source: Whose data it is, under which licence it may be handed on, and the name of the
+            file that it was made from.
+        cell: Metres along the side of a cell.
+        bbox: West, south, east, north in degrees (WGS 84).
+        start: (x, y) of the start, a road.
+        parcels: (x, y) of each parcel, by its index: roads that can be reached from the start and from each other.
+        numbers: Those of `NUMBERS` that the city names for its task.
+
+    Raises:
+        InvalidTaskError: on construction, if it contradicts this; the message says where.
+    """
+
+    grid: npt.NDArray[np.uint8]
+    attribution: str = ""
+    licence: str = ""
+    source: str = ""
+    cell: float | None = None
+    bbox: tuple[float, float, float, float] | None = None
+    start: XY | None = None
+    parcels: tuple[XY, ...] = ()
+    numbers: Mapping[str, int] = field(default_factory=dict[str, int])
+
+    def __post_init__(self) -> None:
+        height, width = self.grid.shape
+        sides = f"a city is {MIN_SIDE} to {MAX_SIDE} cells wide and high"
+        _require(MIN_SIDE <= min(width, height) and max(width, height) <= MAX_SIDE, f"{sides}, got {width} x {height}")
+        for name in TEXTS:
+            text = getattr(self, name)
+            _require(text.isprintable(), f"{name} must be printable, got {text!r}")
+        _require(self.cell is None or 0 < self.cell < math.inf, f"cell must be metres above 0, got {self.cell}")
+        if self.bbox is not None:
+            check_bbox(self.bbox)
+        _require(len(self.parcels) <= MAX_DELIVERIES, f"at most {MAX_DELIVERIES} parcels, got {len(self.parcels)}")
+        stops = [] if self.start is None else [("start", self.start)]
+        stops += [(f"parcel {i}", parcel) for i, parcel in enumerate(self.parcels)]
+        taken: dict[XY, str] = {}
+        for name, (x, y) in stops:
+            _require(0 <= x < width and 0 <= y < height, f"{name} [{x}, {y}] is outside the {width} x {height} cells")
+            kind = Cell(self.grid[y, x])
+            _require(kind == Cell.ROAD, f"{name} [{x}, {y}] must be on a road, there is {_named(kind)}")
+            _require((x, y) not in taken, f"{name} is where {taken.get((x, y))} is, at [{x}, {y}]")
+            taken[x, y] = name
+        if taken:
+            (x, y), *others = taken
+            piece = pieces(self.grid == Cell.OBSTACLE)
+            for at in others:
+                message = f"{taken[at]} {list(at)} cannot be reached from {taken[x, y]} [{x}, {y}]"
+                _require(bool(piece[at[1], at[0]] == piece[y, x]), message)
+
+
+def check_bbox(bbox: Iterable[float]) -> None:
+    """See that west, south, east, north span a piece of the world.
+
+    Raises:
+        InvalidTaskError: if they do not.
+    """
+    west, south, east, north = bbox
+    # A comparison with what is not a number is False.
+    spans = -180 <= west < east <= 180 and -85 <= south < north <= 85
+    allowed = "-180 <= west < east <= 180 and -85 <= south < north <= 85"
+    _require(spans, f"bbox is west, south, east, north in degrees, {allowed}; got {west}, {south}, {east}, {north}")
+
+
+def city_text(city: City) -> str:
+    """The file of a city; equal cities give equal texts."""
+    lines = [f"format = {FORMAT}"]
+    lines += [f"{name} = {json.dumps(text, ensure_ascii=False)}" for name in TEXTS if (text := getattr(city, name))]
+    lines += [f"cell = {city.cell!r}"] * (city.cell is not None)
+    lines += [f"bbox = {list(city.bbox or ())!r}"] * (city.bbox is not None)
+    lines += [f"start = {list(city.start or ())!r}"] * (city.start is not None)
+    lines += [f"parcels = {[list(parcel) for parcel in city.parcels]!r}"] * bool(city.parcels)
+    numbers = [f"{name} = {city.numbers[name]}" for name in NUMBERS if name in city.numbers]
+    lines += ["", "[task]", *numbers] if numbers else []
+    lines += ["", "[terrain]", "rows = [", *(f'    "{row}",' for row in text_rows(city.grid)), "]"]
+    return "\n".join(lines) + "\n"
+
+
+def text_rows(grid: npt.NDArray[np.uint8]) -> list[str]:
+    """The rows of a grid as text."""
+    return ["".join(SYMBOLS[kind] for kind in row) for row in grid.tolist()]
+
+
+def write_city(city: City, path: str | Path) -> None:
+    """Write the file of a city, whole or not at all.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    write_text(Path(path), city_text(city))
+
+
+def read_city(path: str | Path) -> City:
+    """The city in a file.
+
+    Raises:
+        OSError: if the file cannot be read.
+        InvalidTaskError: if it is not a city; the message says why.
+    """
+    path = Path(path)
+    try:
+        return _city_of(path)
+    except InvalidTaskError as error:
+        raise InvalidTaskError(f"city {path}: {error}") from None
+
+
+def _city_of(path: Path) -> City:
+    with path.open("rb") as file:
+        content = file.read(MAX_FILE + 1)
+    _require(len(content) <= MAX_FILE, f"larger than {MAX_FILE >> 20} MiB, which no city is")
+    try:
+        table = tomllib.loads(content.decode("utf-8-sig"))
+        repr(table)  # so that the messages below can show all that it holds
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is one, a number of thousands of digits another
+        raise InvalidTaskError(f"not TOML that can be read: {error}") from None
+    for key in table:
+        _require(key in KEYS, f"unknown key {key!r}; allowed: {', '.join(KEYS)}")
+    version = table.get("format")
+    _require(type(version) is int and version == FORMAT, f"format must be {FORMAT}, got {version!r}")
+    terrain = table.get("terrain")
+    given = list(cast(dict[str, Any], terrain)) if isinstance(terrain, dict) else terrain
+    _require(given == ["rows"], f"[terrain] holds rows and nothing else, got {given!r}")
+    values: dict[str, Any] = {}
+    for name in TEXTS:
+        values[name] = table.get(name, "")
+        _require(isinstance(values[name], str), f"{name} must be a text, got {values[name]!r}")
+    if "cell" in table:
+        _require(_is_number(table["cell"]), f"cell must be a number of metres, got {table['cell']!r}")
+        values["cell"] = float(table["cell"])
+    if "bbox" in table:
+        box = _list(table["bbox"], "bbox", _is_number, 4, "[west, south, east, north]")
+        values["bbox"] = tuple(map(float, box))
+    if "start" in table:
+        values["start"] = _position(table["start"], "start")
+    if "parcels" in table:
+        parcels = table["parcels"]
+        _require(isinstance(parcels, list), f"parcels must be [[x, y], ...], got {parcels!r}")
+        values["parcels"] = tuple(_position(parcel, f"parcel {i}") for i, parcel in enumerate(parcels))
+    numbers = table.get("task", {})
+    _require(isinstance(numbers, dict), f"[task] must be a table, got {numbers!r}")
+    for name, number in numbers.items():
+        _require(name in NUMBERS, f"unknown number {name!r} in [task]; allowed: {', '.join(NUMBERS)}")
+        _require(type(number) is int, f"{name} must be an integer, got {number!r}")
+    return City(numbers=numbers, grid=_grid_of(table["terrain"]["rows"]), **values)
+
+
+def _grid_of(rows: Any) -> npt.NDArray[np.uint8]:
+    texts = cast(list[Any], rows) if isinstance(rows, list) else []
+    is_texts = bool(texts) and all(isinstance(row, str) for row in texts)
+    _require(is_texts, "rows must be a list of texts, one for each row")
+    grid = [_kinds(row, y) for y, row in enumerate(texts)]
+    for y, row in enumerate(grid):
+        wide = f"rows must be equally wide: row 0 has {len(grid[0])} cells, row {y} has {len(row)}"
+        _require(len(row) == len(grid[0]), wide)
+    return np.array(grid, np.uint8)
+
+
+def _kinds(row: str, y: int) -> list[int]:
+    kinds: list[int] = []
+    at = 0
+    while at < len(row):
+        symbol = next((symbol for symbol in CELL_OF if row.startswith(symbol, at)), None)
+        if symbol is None:
+            raise InvalidTaskError(
+                f"unknown symbol {row[at : at + 2]!r} in row {y}, column {len(kinds)}; allowed: {ALLOWED}"
+            )
+        kinds.append(CELL_OF[symbol])
+        at += len(symbol)
+    return kinds
+
+
+def _position(value: Any, name: str) -> XY:
+    x, y = _list(value, name, lambda item: type(item) is int, 2, "[x, y], two integers")
+    return x, y
+
+
+def _list(value: Any, name: str, fits: Callable[[object], bool], length: int, form: str) -> list[Any]:
+    items = cast(list[Any], value) if isinstance(value, list) else []
+    _require(len(items) == length and all(map(fits, items)), f"{name} must be {form}, got {value!r}")
+    return items
+
+
+def _is_number(value: object) -> bool:
+    try:
+        return type(value) in (int, float) and math.isfinite(float(value))  # pyright: ignore[reportArgumentType]
+    except OverflowError:
+        return False
+
+
+def _named(kind: Cell) -> str:
+    return f"{'an' if kind == Cell.OBSTACLE else 'a'} {kind.name.lower()}"
+
+
+def _require(holds: bool, message: str) -> None:
+    if not holds:
+        raise InvalidTaskError(message)

@@ -1,0 +1,80 @@
+"""A city as a task: its terrain is that of every map."""
+
+from pathlib import Path
+from typing import Any
+
+from drone_env.city.city_file import City, read_city
+from drone_env.core.cells import Cell
+from drone_env.core.tasks import TaskConfig
+from drone_env.core.terrain import Terrain
+from drone_env.errors import InvalidTaskError
+
+DELIVERIES = 5
+CHARGE_RATE = 5
+PAYS: dict[str, Any] = {"r_delivery": 0.85} | dict.fromkeys(
+    ("r_battery_dead", "r_wall", "r_blocked", "r_obstacle", "r_building", "r_tree", "r_wait", "r_step"), 0.25
+)
+"""What events pay by the profiles that ask the task, as on the largest tasks of the package."""
+
+
+def task_of(city: City, name: str) -> TaskConfig:
+    """The task whose maps are drawn on a city: as `skyline`, obstacles are closed, and buildings and trees cost more.
+
+    What the city's numbers leave open: 5 parcels, or as many as it fixes; as many steps as five times width and height;
+    where there is a pad, half as many again as width and height of battery units, else as many as steps.
+
+    Args:
+        city: The city.
+        name: Id and short name of the task.
+
+    Raises:
+        InvalidTaskError: if the name is none, the city is too large, or its numbers do not fit; the message says why.
+    """
+    height, width = city.grid.shape
+    cells = city.grid.tobytes()
+    count = {kind: cells.count(kind) for kind in Cell}
+    pads = city.numbers.get("pads", count[Cell.PAD])
+    if count[Cell.PAD] not in (0, pads):
+        raise InvalidTaskError(
+            f"task {name!r}: the terrain has {count[Cell.PAD]} pads, which pads = {pads} contradicts"
+        )
+    max_steps = 5 * (width + height)
+    numbers = {
+        "deliveries": len(city.parcels) or DELIVERIES,
+        "max_steps": max_steps,
+        "battery_capacity": 3 * (width + height) // 2 if pads else city.numbers.get("max_steps", max_steps),
+        "charge_rate": CHARGE_RATE if pads else 0,
+        **city.numbers,
+        "pads": pads,
+    }
+    return TaskConfig(
+        id=name,
+        short_name=name,
+        grader=f"drone_env.graders:grade_{name}",
+        width=width,
+        height=height,
+        buildings=count[Cell.BUILDING],
+        trees=count[Cell.TREE],
+        obstacles=count[Cell.OBSTACLE],
+        drain=((Cell.BUILDING, 3), (Cell.TREE, 2)),
+        impassable=frozenset({Cell.OBSTACLE}),
+        efficiency_needs_all=True,
+        family="place",
+        terrain=Terrain(cells, city.start, city.parcels),
+        **numbers,
+        **PAYS,
+    )
+
+
+def city_task(path: str | Path) -> TaskConfig:
+    """The task of a city's file; its name is the file's, without the suffix.
+
+    Raises:
+        OSError: if the file cannot be read.
+        InvalidTaskError: if it is no city, or none that can be a task; the message says why.
+    """
+    city = read_city(path)
+    try:
+        return task_of(city, Path(path).stem)
+    except InvalidTaskError as error:
+        raise InvalidTaskError(f"city {path}: {error}") from None

@@ -1,0 +1,137 @@
+"""A city from an extract of OpenStreetMap, or from a map of the MovingAI benchmark."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from drone_env.city.city_file import MAX_SIDE, MIN_SIDE, City
+from drone_env.city.layers import Layer, layers
+from drone_env.city.movingai import read_movingai
+from drone_env.city.openstreetmap import ATTRIBUTION, LICENCE, Extract, Found, extent, read_extract
+from drone_env.city.raster import paint_area, paint_line, water_beside
+from drone_env.city.window import BBox, Window, window_of
+from drone_env.core.cells import Cell
+from drone_env.errors import InvalidValueError
+
+FINE = 16
+"""Samples along the side of a cell: one a metre, where nothing else is said."""
+MIN_CELL, MAX_CELL = 1.0, 100.0
+"""Metres along the side of a cell."""
+
+
+@dataclass
+class Imported:
+    """A city, and what became of the file.
+
+    Attributes:
+        city: The city.
+        layers: (name, kind, things that reach into the city, cells that the layer has) of each layer.
+        outside: Things with a key that layers ask for, dropped as they lie outside.
+        broken: Things that were dropped as nodes are missing or rings do not close.
+        unknown: How many things were dropped that no layer takes, by `key=value`.
+        whole: Columns and rows of the file, where no box was named; None where one was.
+    """
+
+    city: City
+    whole: tuple[int, int] | None
+    layers: list[tuple[str, Cell, int, int]] = field(default_factory=list[tuple[str, Cell, int, int]])
+    outside: int = 0
+    broken: int = 0
+    unknown: Counter[str] = field(default_factory=Counter[str])
+
+
+def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: tuple[int, int] = (64, 64)) -> Imported:
+    """The city in a file. Equal files give equal cities.
+
+    Args:
+        path: An extract of OpenStreetMap (.osm.pbf or .osm), or a map of the MovingAI benchmark (.map).
+        bbox: West, south, east, north in degrees; of a .map, the first column and row and those after the last. Without
+            one, the middle of the file.
+        cell: Metres along the side of a cell; of no meaning for a .map.
+        size: The most columns and rows.
+
+    Raises:
+        InvalidValueError: if the file cannot be read, holds nothing there, or the box more cells than `size` allows.
+        MissingPackageError: if the extra `city` is not installed.
+        OSError: if the file cannot be opened.
+    """
+    if not (MIN_SIDE <= min(size) and max(size) <= MAX_SIDE):
+        raise InvalidValueError(
+            f"--size must be {MIN_SIDE}x{MIN_SIDE} to {MAX_SIDE}x{MAX_SIDE}, got {size[0]}x{size[1]}"
+        )
+    if not MIN_CELL <= cell <= MAX_CELL:
+        raise InvalidValueError(f"--cell must be {MIN_CELL:g} to {MAX_CELL:g} metres, got {cell:g}")
+    if path.is_dir():
+        raise InvalidValueError(f"{path} is a folder")
+    if path.suffix == ".map":
+        return _cut(path, bbox, size)
+    covered = extent(path)
+    try:
+        window = window_of(bbox or covered, cell, size, middle=bbox is None)
+    except InvalidValueError as error:
+        raise InvalidValueError(f"{path}: {error}") from None
+    extract = read_extract(path, window)
+    if not any(found.things for found in extract.layers.values()):
+        west, south, east, north = covered
+        raise InvalidValueError(f"{path}: nothing of the layers lies there; it covers {west} {south} {east} {north}")
+    grid, owner = _terrain(extract, window)
+    rows = [
+        (layer.name, layer.kind, extract.layers[layer.name].things, int((owner == i).sum()))
+        for i, layer in enumerate(layers())
+    ]
+    city = City(grid, ATTRIBUTION, LICENCE, path.name, cell, window.bbox)
+    whole = None if bbox else window_of(covered, cell, (1 << 30, 1 << 30))
+    of = whole and (whole.columns, whole.rows)
+    return Imported(city, of, rows, extract.outside, extract.broken, extract.unknown)
+
+
+def _cut(path: Path, box: BBox | None, size: tuple[int, int]) -> Imported:
+    """A piece of a map of the MovingAI benchmark."""
+    grid = read_movingai(path)
+    height, width = grid.shape
+    whole = None if box else (width, height)
+    if box is None:
+        columns, rows = min(width, size[0]), min(height, size[1])
+        box = (width - columns) // 2, (height - rows) // 2, (width + columns) // 2, (height + rows) // 2
+    west, north, east, south = box
+    inside = 0 <= west < east <= width and 0 <= north < south <= height and all(side == int(side) for side in box)
+    if not inside:
+        message = f"first column, first row, and those after the last, whole and within {width} x {height}"
+        raise InvalidValueError(f"--bbox of a .map is {message}; got {' '.join(f'{side:g}' for side in box)}")
+    if east - west > size[0] or south - north > size[1]:
+        got = f"--bbox holds {east - west:g} x {south - north:g} cells"
+        raise InvalidValueError(f"{got}; --size allows {size[0]} x {size[1]}")
+    piece = grid[int(north) : int(south), int(west) : int(east)]
+    return Imported(City(np.ascontiguousarray(piece), source=path.name), whole)
+
+
+def _terrain(extract: Extract, window: Window) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+    """The kind of each cell, and the number of the layer that it belongs to; -1 for none."""
+    grid = np.full((window.rows, window.columns), Cell.ROAD, np.uint8)
+    owner = np.full(grid.shape, -1)
+    for number, layer in enumerate(layers()):
+        claimed = _claims(layer, extract.layers[layer.name], window) & (owner < 0)
+        owner[claimed] = number
+        grid[claimed] = layer.kind
+    return grid, owner
+
+
+def _claims(layer: Layer, found: Found, window: Window) -> npt.NDArray[np.bool_]:
+    """bool[rows, columns]: the cells that a layer claims."""
+    claimed = np.zeros((window.rows, window.columns), np.bool_)
+    if found.areas or found.lines:
+        covered = np.zeros((window.rows * FINE, window.columns * FINE), np.bool_)
+        for rings in found.areas:
+            paint_area(covered, [ring * FINE for ring in rings])
+        for line, width in found.lines:
+            paint_line(covered, line * FINE, width / window.cell * FINE)
+        samples = np.reshape(covered, (window.rows, FINE, window.columns, FINE)).sum(axis=(1, 3))
+        claimed |= samples >= layer.share * FINE**2
+    if found.coasts:
+        claimed |= water_beside(found.coasts, claimed.shape)
+    for x, y in found.points:
+        claimed[int(y), int(x)] = True
+    return claimed

@@ -1,0 +1,272 @@
+"""Extracts of OpenStreetMap, and maps of the MovingAI benchmark, as cities."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drone_env.city.city_file import city_text, text_rows
+from drone_env.city.importer import import_city
+from drone_env.city.layers import layers
+from drone_env.city.raster import paint_area, water_beside
+from drone_env.city.window import metres_per_degree, window_of
+from drone_env.commands.city import city
+from drone_env.errors import InvalidValueError
+from tests.unit.osm_files import BOX, Drawing
+
+SIGNS = {"· ": ".", "🏢": "B", "🌳": "T", "🚧": "#", "🔋": "P"}
+RING = ((1, 1), (5, 1), (5, 3), (1, 3), (1, 1))
+OPEN = ["......"] * 4
+
+
+def rows_of(drawing: Drawing, folder: Path) -> list[str]:
+    """The rows of a drawing's city, a letter for each cell."""
+    text = "\n".join(text_rows(import_city(drawing.save(folder / "town.osm"), BOX).city.grid))
+    for symbol, sign in SIGNS.items():
+        text = text.replace(symbol, sign)
+    return text.split("\n")
+
+
+@pytest.mark.parametrize(
+    ("drawing", "rows"),
+    [
+        pytest.param(
+            Drawing().box(1, 1, 5, 3, building="yes"), ["......", ".BBBB.", ".BBBB.", "......"], id="a building"
+        ),
+        pytest.param(
+            Drawing().box(1.45, 1.45, 3.55, 3.55, building="yes"),
+            ["......", "..B...", ".BBB..", "..B..."],
+            id="half of a cell is enough, less is not",
+        ),
+        pytest.param(
+            Drawing().box(0, 0, 6, 4).box(2, 1, 4, 3).relation({1: "outer", 2: "inner"}, building="yes"),
+            ["BBBBBB", "BB..BB", "BB..BB", "BBBBBB"],
+            id="a courtyard",
+        ),
+        pytest.param(
+            Drawing()
+            .way((1, 1), (5, 1), (5, 3))
+            .way((5, 3), (1, 3), (1, 1))
+            .relation({1: "outer", 2: "outer"}, building="x"),
+            ["......", ".BBBB.", ".BBBB.", "......"],
+            id="a ring of two ways",
+        ),
+        pytest.param(
+            Drawing().box(-50, -50, 1, 50, natural="water").box(5, -9, 900, 9, landuse="basin"),
+            ["#....#"] * 4,
+            id="areas that reach far out",
+        ),
+        pytest.param(
+            Drawing().node((0.5, 0.5), natural="tree").node((5.9, 3.9), natural="tree").node((6, 2), natural="tree"),
+            ["T.....", "......", "......", ".....T"],
+            id="trees",
+        ),
+        pytest.param(
+            Drawing().way((0, 1.5), (6, 1.5), natural="tree_row").box(0, 3, 6, 4, natural="wood"),
+            ["......", "TTTTTT", "......", "TTTTTT"],
+            id="a row of trees, and a wood",
+        ),
+        pytest.param(
+            Drawing()
+            .node((2.5, 1.5), amenity="charging_station")
+            .box(4, 2, 4.4, 2.4, amenity="charging_station")
+            .box(1, 1, 5, 3, building="yes"),
+            ["......", ".BPBB.", ".BBBP.", "......"],
+            id="charging stations, a small area too",
+        ),
+        pytest.param(
+            Drawing()
+            .way((0, 2.5), (6, 2.5), railway="rail")
+            .way((2.5, 0), (2.5, 4), highway="residential", bridge="yes")
+            .node((4.5, 2.5), railway="level_crossing"),
+            ["......", "......", "##.#.#", "......"],
+            id="a railway with a bridge and a crossing",
+        ),
+        pytest.param(
+            Drawing()
+            .way((0, 2.5), (6, 2.5), railway="rail", tunnel="yes")
+            .box(1, 1, 2, 2, building="no")
+            .box(3, 1, 4, 2, building="roof")
+            .way((0, 0), (6, 4), highway="primary")
+            .node((0.5, 3.5), natural="tree"),
+            [*OPEN[:3], "T....."],
+            id="what is left out",
+        ),
+        pytest.param(
+            Drawing().way((0, 0.5), (2.1, 0.5), (3.9, 0.5), (6, 0.5), barrier="wall", missing=[2]),
+            ["##....", "......", "......", "......"],
+            id="a wall that leaves the extract",
+        ),
+        pytest.param(
+            Drawing()
+            .box(2, 0, 4, 4, natural="wood")
+            .box(2, 0, 4, 2, building="yes")
+            .box(2, 2, 6, 3, natural="water")
+            .node((5.5, 2.5), natural="tree"),
+            ["..BB..", "..BB..", "..####", "..TT.."],
+            id="the first layer has a cell",
+        ),
+        pytest.param(
+            Drawing().way((3, -1), (3, 5), natural="coastline"), ["###..."] * 4, id="a coast: south, so west is water"
+        ),
+        pytest.param(
+            Drawing().way(*RING[::-1], natural="coastline"),
+            ["######", "#....#", "#....#", "######"],
+            id="an island",
+        ),
+        pytest.param(Drawing().way(*RING, natural="coastline"), [*OPEN[:1], ".####.", ".####.", "......"], id="a bay"),
+    ],
+)
+def test_a_thing_becomes_these_cells(drawing: Drawing, rows: list[str], tmp_path: Path) -> None:
+    assert rows_of(drawing, tmp_path) == rows
+
+
+def test_what_is_dropped_is_counted(tmp_path: Path) -> None:
+    drawing = (
+        Drawing()
+        .box(1, 1, 5, 3, building="yes")
+        .box(7, 1, 8, 3, building="yes")
+        .node((-1, 2), natural="tree")
+        .box(1, 1, 5, 3, missing=(1,), building="yes")
+        .way((1, 1), (2, 2), missing=(0, 1), railway="rail")
+        .node((2, 2), barrier="bollard")
+        .way((0, 0), (1, 1), railway="tram")
+        .node((2, 2), shop="books")
+    )
+    imported = import_city(drawing.save(tmp_path / "town.osm"), BOX)
+    assert (imported.outside, imported.broken) == (2, 2)
+    assert imported.unknown == {"barrier=bollard": 1, "railway=tram": 1}
+    of_buildings = next(row for row in imported.layers if row[0] == "buildings")
+    assert of_buildings[2:] == (1, 8)
+
+
+def test_without_a_box_the_middle_of_the_file_is_taken(tmp_path: Path) -> None:
+    drawing = Drawing().box(2, 1, 4, 3, building="yes")
+    imported = import_city(drawing.save(tmp_path / "town.osm"), size=(4, 2))
+    assert imported.whole == (6, 4)
+    assert text_rows(imported.city.grid) == ["· 🏢🏢· "] * 2
+    # A file that does not say what it covers is measured.
+    drawing = Drawing(bounds=False).node((0, 0)).node((6, 4)).box(2, 1, 4, 3, building="yes")
+    imported = import_city(drawing.save(tmp_path / "town.osm"))
+    assert text_rows(imported.city.grid) == ["· · · · · · ", "· · 🏢🏢· · ", "· · 🏢🏢· · ", "· · · · · · "]
+    assert imported.city.bbox == pytest.approx(BOX, abs=1e-7)
+
+
+def test_the_box_of_a_city_gives_it_again(tmp_path: Path) -> None:
+    path = Drawing().box(1, 1, 5, 3, building="yes").save(tmp_path / "town.osm")
+    city = import_city(path, BOX).city
+    assert city_text(import_city(path, city.bbox).city) == city_text(city)
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude_km", "latitude_km"),
+    # National Geospatial-Intelligence Agency, "Length of a degree of latitude and longitude".
+    [(0, 111.320, 110.574), (30, 96.486, 110.852), (45, 78.847, 111.132), (60, 55.800, 111.412)],
+)
+def test_the_length_of_a_degree(latitude: float, longitude_km: float, latitude_km: float) -> None:
+    metres = metres_per_degree(latitude)
+    assert metres == (pytest.approx(1000 * longitude_km, abs=0.6), pytest.approx(1000 * latitude_km, abs=0.6))
+
+
+def test_a_box_of_too_many_cells_is_refused_with_what_is_allowed() -> None:
+    allowed = r"6 x 4 cells of 16 metres; --size allows 4 x 4: take a smaller --bbox, a larger --size, or --cell 22"
+    with pytest.raises(InvalidValueError, match=allowed):
+        window_of(BOX, 16.0, (4, 4))
+    assert window_of(BOX, 22.0, (4, 4))[1:3] == (4, 3)
+    assert window_of(BOX, 16.0, (4, 4), middle=True)[1:3] == (4, 4)
+
+
+def test_rings_are_filled_by_the_even_odd_rule() -> None:
+    """Against casting a ray from each sample, side by side, on stars whose sides cross."""
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        rings = [random.uniform(-4, 16, (n, 2)) for n in (3, 7, 12)]
+        rings = [np.concatenate([ring, ring[:1]]) for ring in rings]
+        mask = np.zeros((11, 13), np.bool_)
+        paint_area(mask, rings)
+        for y, x in np.ndindex(mask.shape):
+            crossings = 0
+            for ring in rings:
+                for (x0, y0), (x1, y1) in pairwise(ring.tolist()):
+                    if (y0 > y + 0.5) != (y1 > y + 0.5):
+                        crossings += x + 0.5 > x0 + (y + 0.5 - y0) / (y1 - y0) * (x1 - x0)
+            assert mask[y, x] == crossings % 2
+
+
+def test_the_water_of_a_jagged_coast_is_what_its_ring_does_not_hold() -> None:
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+        far = random.uniform(3, 9, 12)
+        ring = 10 + np.column_stack([far * np.cos(angles), -far * np.sin(angles)])  # land to the left
+        ring = np.concatenate([ring, ring[:1]])
+        land = np.zeros((20, 20), np.bool_)
+        paint_area(land, [ring])
+        assert (water_beside([ring], land.shape) == ~land).all()
+
+
+def test_every_row_of_the_table_can_be_met() -> None:
+    described = set()
+    for layer in layers():
+        assert 0 < layer.share <= 1
+        rules = [("points", rule) for rule in layer.points] + [("areas", rule) for rule in layer.areas]
+        rules += [("coasts", rule) for rule in layer.coasts] + [("lines", rule) for rule, _ in layer.lines]
+        assert rules
+        for form, rule in rules:
+            tags = {key: "yes" if value == "*" else value for key, value in rule}
+            met = layer.width(tags) if form == "lines" else layer.takes(form, tags)
+            assert met, (layer.name, rule)
+            assert (form, rule) not in described, rule
+            described.add((form, rule))
+
+
+MAP = "type octile\nheight 3\nwidth 4\nmap\n.G@O\nTWS.\n....\n"
+
+
+def test_a_map_of_the_benchmark(tmp_path: Path) -> None:
+    path = tmp_path / "arena.map"
+    path.write_text(MAP)
+    city = import_city(path).city
+    assert text_rows(city.grid) == ["· · 🚧🚧", "🚧🚧🌳· ", "· · · · "]
+    assert (city.cell, city.bbox, city.source) == (None, None, "arena.map")
+    assert text_rows(import_city(path, (1, 0, 3, 2)).city.grid) == ["· 🚧", "🚧🌳"]
+    imported = import_city(path, size=(2, 2))
+    assert (text_rows(imported.city.grid), imported.whole) == (["· 🚧", "🚧🌳"], (4, 3))
+    path.write_bytes(MAP.replace("\n", "\r\n").encode())
+    assert city_text(import_city(path).city) == city_text(city)
+
+
+@pytest.mark.parametrize(
+    ("text", "box", "said"),
+    [
+        ("", None, "a line each; got ''"),
+        ("type tile\n", None, "begins with `type octile`, `height H`, `width W`, `map`, a line each; got 'type tile"),
+        (MAP.replace("3", "x"), None, "got 'type octile\\nheight x"),
+        (MAP.replace("3", "-1"), None, "got 'type octile\\nheight -1"),
+        (MAP.replace("height 3\n", ""), None, "got 'type octile\\nwidth 4"),
+        (MAP.replace("map", "maps"), None, "maps"),
+        (MAP.replace("height 3", "height 4"), None, "height is 4, and there are 3 rows"),
+        (MAP.replace("width 4", "width 5"), None, "width is 5, and row 0 has 4 cells"),
+        (MAP.replace("S", "x"), None, "unknown sign 'x' in row 1, column 2; allowed: . G S @ O T W"),
+        (MAP, (0, 0, 5, 3), "whole and within 4 x 3; got 0 0 5 3"),
+        (MAP, (0, 0, 2.5, 3), "got 0 0 2.5 3"),
+        (MAP, (2, 0, 1, 3), "got 2 0 1 3"),
+        (MAP, (0, 0, float("nan"), 3), "got 0 0 nan 3"),
+        (MAP, (0, 0, 4, 1), "2 to 512 cells wide and high, got 4 x 1"),
+    ],
+)
+def test_what_is_no_map_of_the_benchmark_is_refused(
+    text: str, box: tuple[float, float, float, float] | None, said: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "arena.map"
+    path.write_text(text)
+    with pytest.raises(InvalidValueError) as raised:
+        import_city(path, box)
+    assert said in str(raised.value)
+
+
+def test_tags_of_strangers_do_not_write_to_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drawing = Drawing().box(1, 1, 5, 3, building="yes").node((2, 2), barrier="[red]a\u009b2J\u202e")
+    city(drawing.save(tmp_path / "town.osm"), tmp_path / "town.toml", bbox=BOX)
+    assert "1 that no layer takes (barrier=[red]a?2J? 1)." in capsys.readouterr().out

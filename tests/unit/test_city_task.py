@@ -1,0 +1,124 @@
+"""A city's file as a task, in every command."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from drone_env.city.city_file import City, write_city
+from drone_env.city.city_task import city_task, task_of
+from drone_env.cli import main
+from drone_env.core.tasks import TASKS
+from drone_env.envs.registry import PLUGINS, load_plugins, register_city
+from drone_env.errors import InvalidTaskError
+from drone_env.graders import GRADERS
+
+GRID = np.array([[0, 0, 1, 0], [0, 2, 3, 0], [0, 0, 0, 8], [0, 0, 0, 0]], np.uint8)
+
+
+@pytest.fixture
+def yard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The file of a city whose task is not known any more afterwards."""
+    monkeypatch.setenv(PLUGINS, "")
+    path = tmp_path / "yard.toml"
+    write_city(City(GRID, numbers={"deliveries": 3}), path)
+    before = dict(TASKS)
+    yield path
+    for name in set(TASKS) - set(before):
+        gymnasium.registry.pop(TASKS[name].gym_id)
+        del GRADERS[name], TASKS[name]
+
+
+def test_a_city_is_a_task_of_its_counts_and_numbers(yard: Path) -> None:
+    task = city_task(yard)
+    assert (task.id, task.gym_id, task.width, task.height) == ("yard", "DroneDelivery-Yard-v1", 4, 4)
+    assert (task.buildings, task.trees, task.obstacles, task.pads, task.deliveries) == (1, 1, 1, 1, 3)
+    assert (task.max_steps, task.battery_capacity, task.charge_rate) == (40, 12, 5)
+    roads = np.zeros((4, 4), np.uint8)
+    assert (task_of(City(roads), "a").battery_capacity, task_of(City(roads), "a").charge_rate) == (40, 0)
+    assert task_of(City(roads, numbers={"max_steps": 9}), "a").battery_capacity == 9
+    assert task_of(City(roads, numbers={"pads": 2}), "a").pads == 2
+    fixed = task_of(City(roads, start=(1, 1), parcels=((0, 0), (3, 3))), "a")
+    assert (fixed.deliveries, fixed.terrain and fixed.terrain.start) == (2, (1, 1))
+
+
+@pytest.mark.parametrize(
+    ("city", "said"),
+    [
+        (City(GRID, numbers={"pads": 3}), "the terrain has 1 pads, which pads = 3 contradicts"),
+        (City(GRID, numbers={"deliveries": 12}), "17 things do not fit on 16 cells"),
+        (City(np.zeros((65, 2), np.uint8)), "width and height must be 2 to 64, got (2, 65)"),
+        (City(GRID, numbers={"max_steps": 0}), "max_steps must be 1 to 32000, got 0"),
+    ],
+)
+def test_a_city_that_cannot_be_a_task_is_refused(city: City, said: str, tmp_path: Path) -> None:
+    write_city(city, tmp_path / "yard.toml")
+    with pytest.raises(InvalidTaskError) as raised:
+        city_task(tmp_path / "yard.toml")
+    assert str(raised.value).startswith(f"city {tmp_path / 'yard.toml'}: task 'yard': ")
+    assert said in str(raised.value)
+
+
+def test_the_name_of_the_file_is_that_of_the_task(tmp_path: Path) -> None:
+    write_city(City(GRID), tmp_path / "My Yard.toml")
+    with pytest.raises(InvalidTaskError, match="id must be lower-case letters, digits and _, got 'My Yard'"):
+        city_task(tmp_path / "My Yard.toml")
+
+
+def test_commands_take_the_file_in_place_of_a_task(yard: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["solve", "--task", str(yard), "--seed", "3", "--json"]) == 0
+    best = json.loads(capsys.readouterr().out)
+    assert (best["task"], best["deliveries"]) == ("yard", 3)
+    assert main(["fly", f"--task={yard}", "--agent", "optimal", "--seed", "3"]) == 0
+    assert capsys.readouterr().out.splitlines()[0].startswith("[START] task=drone_env.graders:grade_yard ")
+    table = ["evaluate", "--task", str(yard), "easy", "--agents", "greedy", "tournet", "optimal", "--episodes", "3"]
+    assert main(table) == 0
+    shown = capsys.readouterr().out
+    assert shown.count("yard v1") >= 1
+    assert "easy v1" in shown
+    assert main(["fly", "--task", str(yard.with_name("none.toml"))]) == 2
+    assert "none.toml" in capsys.readouterr().err
+    # Other options name files of their own.
+    other = yard.with_name("other.toml")
+    other.write_bytes(yard.read_bytes())
+    with pytest.raises(SystemExit):
+        main(["audit", "--task", "easy", "--reward", str(other), "--maps", "1"])
+    assert "other" not in TASKS
+
+
+def test_processes_that_are_started_know_the_city(yard: Path) -> None:
+    register_city(yard)
+    register_city(yard)
+    assert os.environ[PLUGINS] == str(yard)
+    code = """
+from drone_env import get_task
+from drone_env.envs.registry import load_plugins
+load_plugins()
+print(get_task("yard").rules()["terrain"])
+"""
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert told.strip() == TASKS["yard"].rules()["terrain"]
+
+
+def test_plugins_may_be_cities(yard: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert [module.__name__ for module in load_plugins(f"json, {yard}")] == ["json"]
+    env = gymnasium.make("DroneDelivery-Yard-v1")
+    assert env.reset(seed=3)[0]["grid"].shape == (4, 4)
+    assert gymnasium.make_vec("DroneDelivery-Yard-v1", num_envs=2).reset(seed=3)[0]["grid"].shape == (2, 4, 4)
+
+
+def test_the_name_of_another_task_cannot_be_taken(yard: Path) -> None:
+    register_city(yard)
+    write_city(City(GRID.T.copy()), yard)
+    with pytest.raises(InvalidTaskError, match="yard already names the task 'yard'"):
+        register_city(yard)
+    easy = yard.with_name("easy.toml")
+    write_city(City(GRID), easy)
+    with pytest.raises(InvalidTaskError, match="easy already names the task 'easy_delivery'"):
+        register_city(easy)
