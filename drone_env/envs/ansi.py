@@ -2,15 +2,12 @@
 
 from collections.abc import Sequence
 
-from drone_env.core.cells import CELL_KINDS, Cell
+from drone_env.core.cells import SYMBOLS, Cell
 from drone_env.core.episode import Episode
 
-ROAD = "· "
-"""Quieter than the emoji of a road, of which a city has too many."""
+ROAD = SYMBOLS[Cell.ROAD]
 TARGET = "🎯"
 WAY = "• "
-SYMBOLS = {int(cell): ROAD if cell == Cell.ROAD else kind.emoji for cell, kind in CELL_KINDS.items()}
-"""What stands for each cell id; each takes two columns of a terminal."""
 
 
 def draw_text(episode: Episode) -> str:

@@ -7,16 +7,26 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
-from drone_env.core.actions import N_ACTIONS
+from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.episode import Episode, Observation
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.ansi import draw_text
 from drone_env.envs.registry import check_gym_id
-from drone_env.envs.rendering import draw_picture
+from drone_env.envs.rendering import FPS, draw_picture
 from drone_env.envs.spaces import observation_space
 from drone_env.envs.window import Window
 from drone_env.errors import InvalidValueError
+from drone_env.reward_file import chosen_profile
+
+KEYS = {
+    Action.UP: (0x40000052, ord("w")),
+    Action.DOWN: (0x40000051, ord("s")),
+    Action.LEFT: (0x40000050, ord("a")),
+    Action.RIGHT: (0x4000004F, ord("d")),
+    Action.WAIT: (ord(" "), ord(".")),
+}
+"""Codes of the keys of each action, as SDL numbers them (`SDL_keycode.h`): arrows and letters."""
 
 
 class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
@@ -34,7 +44,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
     Args:
         task: A task or its name.
         version: The task's version, None for the current one.
-        reward_profile: A reward profile or its name.
+        reward_profile: A reward profile, its name, or that of a TOML file with one (.toml).
         render_mode: `ansi` (text), `rgb_array` (a picture, uint8[h, w, 3]), `human` (a window) or None.
         gym_id: The id that the environment is made under: it must be the task's own.
 
@@ -43,7 +53,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         InvalidValueError: if the render mode does not exist, or the id is another task's.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["ansi", "rgb_array", "human"], "render_fps": 8}
+    metadata: dict[str, Any] = {"render_modes": ["ansi", "rgb_array", "human"], "render_fps": FPS}
 
     def __init__(
         self,
@@ -59,7 +69,7 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
         self.task = get_task(task, version)
         check_gym_id(gym_id, self.task)
         self.render_mode = render_mode
-        self.episode = Episode(self.task, reward_profile)
+        self.episode = Episode(self.task, chosen_profile(reward_profile))
         self.observation_space = observation_space(self.task)  # type: ignore[assignment]
         self.action_space = spaces.Discrete(N_ACTIONS)  # type: ignore[assignment]
         self._window = Window(fps=self.metadata["render_fps"])
@@ -78,7 +88,8 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
             UnknownNameError: if the reward profile does not exist.
         """
         options = dict(options or {})
-        profile = options.pop("reward_profile", None)
+        named = options.pop("reward_profile", None)
+        profile = None if named is None else chosen_profile(named)
         if options:
             raise InvalidValueError(f"unknown reset options {list(options)}; allowed: reward_profile")
         self.episode.reset(seed, reward_profile=profile)
@@ -104,6 +115,10 @@ class DroneDeliveryEnv(gymnasium.Env[Observation, int]):
     def action_masks(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """bool[5]: the mask in the form that MaskablePPO asks for."""
         return self.episode.action_mask().astype(np.bool_)
+
+    def get_keys_to_action(self) -> dict[tuple[int, ...], int]:
+        """Which keys fly which action, as `gymnasium.utils.play` asks: arrows or w a s d; space or . waits."""
+        return {(key,): int(action) for action, keys in KEYS.items() for key in keys}
 
     def render(self) -> Any:
         """The episode as text or picture, according to `render_mode`; None for `human`, which shows it in a window.

@@ -8,11 +8,13 @@ A module registers its own when it is imported:
     register_agent("mine", MyAgent)
 
 `gymnasium.make("my_module:DroneDelivery-Courier-v1")` imports `my_module` first; the command line and the server import
-what `DRONE_ENV_PLUGINS` names, and so do the nodes of a cluster.
+what `DRONE_ENV_PLUGINS` names, and so do the nodes of a cluster. A name that ends in .toml is the file of a city, whose
+task is registered.
 """
 
 import os
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 
 import gymnasium
@@ -68,6 +70,27 @@ def register_task(task: TaskConfig) -> TaskConfig:
     return task
 
 
+def register_city(path: str | Path) -> TaskConfig:
+    """Register the task of a city's file, here and, by `DRONE_ENV_PLUGINS`, in the processes that this one starts.
+
+    Raises:
+        OSError: if the file cannot be read.
+        InvalidTaskError: if it is no city that can be a task, or its name is that of another task.
+    """
+    task = _register_city(path)
+    named = [name.strip() for name in plugin_names().split(",") if name.strip()]
+    absolute = str(Path(path).resolve())
+    if absolute not in named:
+        os.environ[PLUGINS] = ",".join([*named, absolute])
+    return task
+
+
+def _register_city(path: str | Path) -> TaskConfig:
+    from drone_env.city.city_task import city_task  # which few need
+
+    return register_task(city_task(path))
+
+
 def register_reward_profile(profile: RewardProfile) -> RewardProfile:
     """Make a reward profile known by its name everywhere; the profile is handed back.
 
@@ -87,14 +110,30 @@ def plugin_names() -> str:
     return os.environ.get(PLUGINS, "")
 
 
+def register_reward_file(path: str) -> RewardProfile:
+    """Make the reward profile in a TOML file known by its id.
+
+    Raises:
+        OSError: if the file cannot be read.
+        InvalidTaskError: if it is no reward profile, or its id is that of another one.
+    """
+    from drone_env.reward_file import load_reward_profile  # which few need
+
+    return register_reward_profile(load_reward_profile(path))
+
+
 def load_plugins(names: str | None = None) -> list[ModuleType]:
     """Import the modules that `names` lists, comma-separated, in order; `DRONE_ENV_PLUGINS` if nothing is said.
+
+    Of a name that ends in .toml, the city is registered.
 
     Raises:
         InvalidValueError: if there is no such module.
     """
-    parts = (plugin_names() if names is None else names).split(",")
+    parts = [part.strip() for part in (plugin_names() if names is None else names).split(",")]
+    for city in (part for part in parts if part.endswith(".toml")):
+        _register_city(city)
     try:
-        return [import_module(name) for name in map(str.strip, parts) if name]
+        return [import_module(name) for name in parts if name and not name.endswith(".toml")]
     except ModuleNotFoundError as error:
         raise InvalidValueError(f"{PLUGINS} takes modules that Python finds, comma-separated: {error}") from None

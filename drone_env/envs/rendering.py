@@ -3,7 +3,7 @@
 import io
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -36,6 +36,7 @@ STATUS = {
 }
 MIN_SIZE, MAX_SIZE, MAX_TRAIL = 64, 4096, 400  # pixels, pixels, and steps: more would make for slow pictures
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
+FPS = 8  # pictures of a flight per second
 PANEL, TEXT = 46, 38  # widths of the panel and of the text in it, in hundredths of the picture's height
 CARD = 1200, 630  # pixels: what is shown beside a link
 ROOM = 0.24  # share of a card's width that is kept for words
@@ -120,9 +121,28 @@ def draw_card(episode: Episode, lines: Sequence[tuple[str, bool]]) -> bytes:
     return file.getvalue()
 
 
+def draw_terrain(grid: npt.NDArray[np.uint8], size: int = 1080) -> bytes:
+    """The picture of terrain alone, as a PNG; equal cells give equal pictures.
+
+    Args:
+        grid: uint8[height, width], cell ids.
+        size: Height of the picture in pixels, 64 to 4096. The width follows from it and from the shape of the grid.
+
+    Raises:
+        InvalidValueError: if the size is out of range.
+    """
+    rows, columns = grid.shape
+    layout = _layout_of(columns, rows, _checked(size))
+    picture = Image.new("RGB", (layout.city, size), PALETTE["backdrop"])
+    _lay_ground(picture, layout, grid)
+    _lay_terrain(picture, layout, grid, ())
+    file = io.BytesIO()
+    picture.save(file, "PNG")
+    return file.getvalue()
+
+
 def _picture(episode: Episode, size: int) -> Image.Image:
-    if not MIN_SIZE <= size <= MAX_SIZE:
-        raise InvalidValueError(f"size must be {MIN_SIZE} to {MAX_SIZE} pixels, got {size!r}")
+    _checked(size)
     layout = _layout(episode.task, size)
     picture = _city(episode.task, episode.seed, size).copy()
     _draw_lines(picture, layout, episode)
@@ -135,13 +155,23 @@ def _picture(episode: Episode, size: int) -> Image.Image:
     return picture
 
 
+def _checked(size: int) -> int:
+    if not MIN_SIZE <= size <= MAX_SIZE:
+        raise InvalidValueError(f"size must be {MIN_SIZE} to {MAX_SIZE} pixels, got {size!r}")
+    return size
+
+
 def _layout(task: TaskConfig, size: int) -> Layout:
+    return _layout_of(task.width, task.height, size)
+
+
+def _layout_of(columns: int, rows: int, size: int) -> Layout:
     margin = round(size * 0.045)
-    cell = max(1, min((size - 2 * margin) // task.height, (2 * size - 2 * margin) // task.width))
-    return Layout(size, cell, margin, (size - task.height * cell) // 2, size // 90, task.width * cell + 2 * margin)
+    cell = max(1, min((size - 2 * margin) // rows, (2 * size - 2 * margin) // columns))
+    return Layout(size, cell, margin, (size - rows * cell) // 2, size // 90, columns * cell + 2 * margin)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)  # as many as fly side by side in a film
 def _city(task: TaskConfig, seed: int, size: int) -> Image.Image:
     """The picture of a map, all but what moves. Shared: draw on a copy."""
     city, layout = generate_city_map(task, seed), _layout(task, size)
@@ -149,15 +179,19 @@ def _city(task: TaskConfig, seed: int, size: int) -> Image.Image:
     picture = Image.new("RGB", (width + width % 2, size), PALETTE["backdrop"])
     _lay_ground(picture, layout, city.grid)
     _stamp(picture, "start", layout.draw_figure(), layout.centre(*city.start))
-    for (y, x), kind in np.ndenumerate(city.grid):
-        variety, at = crc32(bytes((x, y))) >> 8, layout.centre(x, y)
+    _lay_terrain(picture, layout, city.grid, task.impassable)
+    _lay_panel(picture, layout, task, seed)
+    return picture
+
+
+def _lay_terrain(picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8], closed: Collection[Cell]) -> None:
+    for (y, x), kind in np.ndenumerate(grid):
+        variety, at = crc32(bytes((x % 256, y % 256))) >> 8, layout.centre(x, y)
         number = {Cell.BUILDING: variety % 8, Cell.TREE: variety % 4}.get(Cell(kind), "")
         if kind not in (Cell.ROAD, Cell.DELIVERY):
             _stamp(picture, f"{CELL_KINDS[Cell(kind)].name}{number}", layout.cell, at)
-        if kind in task.impassable:
+        if kind in closed:
             _stamp(picture, "no_entry", layout.cell, at)
-    _lay_panel(picture, layout, task, seed)
-    return picture
 
 
 def _lay_ground(picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8]) -> None:
@@ -170,7 +204,7 @@ def _lay_ground(picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8
     streets, marks = Image.new("L", (wide, high)), Image.new("L", (wide, high))
     pen, street_pen, mark_pen = ImageDraw.Draw(ground), ImageDraw.Draw(streets), ImageDraw.Draw(marks)
     for x, y in np.ndindex(columns - 1, rows - 1):
-        variety, corner = crc32(bytes((y, x))), (base + (x + 1) * unit, base + (y + 1) * unit)
+        variety, corner = crc32(bytes((y % 256, x % 256))), (base + (x + 1) * unit, base + (y + 1) * unit)
         for i in range(variety // 8 % 4):
             angle = variety % 628 / 100 + 2.4 * i
             at = corner[0] + 0.13 * unit * math.cos(angle), corner[1] + 0.13 * unit * math.sin(angle)

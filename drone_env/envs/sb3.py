@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from typing import Any, SupportsIndex
+from typing import Any, SupportsIndex, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,10 @@ from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.seeds import check_seed
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
+from drone_env.envs.forms import to_planes, to_vector
+from drone_env.envs.rendering import FPS
 from drone_env.envs.vector import DroneDeliveryVectorEnv
-from drone_env.envs.wrappers import FlatObservation, OneHotPlanes, one_hot
+from drone_env.envs.wrappers import FlatObservation, OneHotPlanes
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.installer import pip
 
@@ -47,15 +49,16 @@ class DroneDeliveryVecEnv(VecEnv):
         task: A task or its name.
         num_envs: N, at least 1.
         version: The task's version, None for the current one.
-        reward_profile: A reward profile or its name.
+        reward_profile: A reward profile, its name, or that of a TOML file with one (.toml).
         num_threads: How many threads share a step.
         observation: `dict` for `{"grid": uint8[N, kinds, H, W], "telemetry": float32[N, 5]}`, the grid as one-hot
             planes, for `MultiInputPolicy`; `flat` for float32[N, kinds * H * W + 5], the planes and then the
             telemetry, for `MlpPolicy`. (The task's `telemetry_size` in place of 5 where that is 6 or 13.)
+        render_mode: `rgb_array`, for pictures of every episode, or None.
 
     Raises:
         UnknownNameError: if the task, version, profile or form of the observation does not exist.
-        InvalidValueError: if a number is not an integer or below 1.
+        InvalidValueError: if a number is not an integer or below 1, or the render mode does not exist.
     """
 
     def __init__(
@@ -66,18 +69,20 @@ class DroneDeliveryVecEnv(VecEnv):
         reward_profile: str | RewardProfile = DEFAULT_PROFILE,
         num_threads: SupportsIndex = 1,
         observation: str = "dict",
+        render_mode: str | None = None,
     ) -> None:
         if observation not in list(FORMS):
             raise UnknownNameError("observation form", observation, FORMS)
         self._vector = DroneDeliveryVectorEnv(
-            num_envs, task, version, reward_profile, AutoresetMode.SAME_STEP, num_threads, copy=False
+            num_envs, task, version, reward_profile, AutoresetMode.SAME_STEP, num_threads, False, render_mode
         )
         self.task = self._vector.task
         self.batch = self._vector.batch
         self.observation = observation
-        self.render_mode = None  # the base class asks for it through get_attr()
+        self.render_mode = render_mode  # the base class asks for it through get_attr()
         single = FORMS[observation](DroneDeliveryEnv(self.task))
         super().__init__(self.batch.num_envs, single.observation_space, spaces.Discrete(N_ACTIONS))
+        cast(dict[str, Any], self.metadata)["render_fps"] = FPS
         self._actions: Any = None
         self._returns = np.zeros(self.num_envs)
         self._start = time.perf_counter()
@@ -131,7 +136,7 @@ class DroneDeliveryVecEnv(VecEnv):
             EpisodeError: before the first reset.
         """
         batch = self.batch
-        batch.step(self._actions)
+        self._vector.fly(self._actions)
         self._returns += batch.rewards
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if len(batch.ended):
@@ -180,15 +185,22 @@ class DroneDeliveryVecEnv(VecEnv):
         """Whether the drones do what this wrapper does: True for SB3's `Monitor`, as infos hold `episode`."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
+    def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
+        """A picture of each episode, uint8[360, width, 3]; None for each without a render mode.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
+        return self._vector.render() or [None] * self.num_envs
+
     def close(self) -> None:
         """Nothing is held open."""
 
     def _observations(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Observations:
         """The observations of n drones, from uint8[n, H, W] and float32[n, telemetry_size]; new arrays."""
-        planes = one_hot(grids[:, None])
-        if self.observation == "dict":
-            return {"grid": planes, "telemetry": telemetry.copy()}
-        return np.concatenate([planes.reshape(len(grids), -1), telemetry], axis=1, dtype=np.float32)
+        if self.observation == "flat":
+            return to_vector({"grid": grids, "telemetry": telemetry})
+        return to_planes({"grid": grids, "telemetry": telemetry.copy()})
 
     def _add_finals(self, infos: list[dict[str, Any]]) -> None:
         """Fill the infos of the episodes that the last step ended."""

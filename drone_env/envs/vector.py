@@ -3,9 +3,11 @@
 from collections.abc import Sequence
 from typing import Any, SupportsIndex
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
@@ -14,9 +16,12 @@ from drone_env.core.batch import Batch
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.envs.pictures import Pictures
 from drone_env.envs.registry import check_gym_id
+from drone_env.envs.rendering import FPS
 from drone_env.envs.spaces import observation_space
 from drone_env.errors import EpisodeError, InvalidValueError
+from drone_env.reward_file import chosen_profile
 
 Observations = dict[str, npt.NDArray[Any]]
 
@@ -27,20 +32,21 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
     Observations: `{"grid": uint8[N, H, W], "telemetry": float32[N, telemetry_size]}`, as of a single one. Actions: N
     integers from 0 to 4. Rewards: float64[N].
 
-    `info` of a step holds `action_mask` (int8[N, 5]) and, where episodes ended, `final_info`: a dictionary of arrays
-    over all N with `score`, `steps`, `deliveries` and `seed`, each with its mask (`_score`, ...). In `SAME_STEP` mode
-    `final_obs` holds the observations that ended those episodes. Each is masked as Gymnasium does it.
+    `info` holds `action_mask` (int8[N, 5]), `seed` (int64[N], the maps) and, where episodes ended, `final_info`: a
+    dictionary of arrays over all N with `score`, `steps`, `deliveries` and `seed`. In `SAME_STEP` mode `final_obs`
+    holds the observations that ended those episodes. Each is masked as Gymnasium does it (`_seed`, ...).
 
     Args:
         num_envs: N, at least 1.
         task: A task or its name.
         version: The task's version, None for the current one.
-        reward_profile: A reward profile or its name.
-        autoreset_mode: `NEXT_STEP` or `SAME_STEP`, as `AutoresetMode` or its value.
+        reward_profile: A reward profile, its name, or that of a TOML file with one (.toml).
+        autoreset_mode: When the next episode begins: with the `NEXT_STEP`, in the `SAME_STEP`, or, where that is
+            `DISABLED`, by a `reset` with a mask. An `AutoresetMode`, its name or its value.
         num_threads: How many threads share a step.
         copy: Whether observations, rewards and masks are copies that stay as they are; otherwise they are the live
             buffers, which the next step overwrites and nobody else can write to.
-        render_mode: None; a batch has no picture.
+        render_mode: `rgb_array`, for which `render` draws every episode, or None.
         gym_id: The id that the environment is made under: it must be the task's own.
 
     Raises:
@@ -60,21 +66,23 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         render_mode: str | None = None,
         gym_id: str | None = None,
     ) -> None:
-        if render_mode is not None:
-            raise InvalidValueError(f"a batch has no pictures: render_mode must be None, got {render_mode!r}")
-        allowed = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]
-        modes = [mode for mode in allowed if autoreset_mode in (mode, mode.value, mode.name)]
+        if render_mode not in (None, "rgb_array"):
+            raise InvalidValueError(f"unknown render_mode {render_mode!r}; a batch allows: rgb_array")
+        modes = [mode for mode in AutoresetMode if autoreset_mode in (mode, mode.value, mode.name)]
         if not modes:
-            raise InvalidValueError(f"autoreset_mode must be NEXT_STEP or SAME_STEP, got {autoreset_mode!r}")
+            allowed = ", ".join(AutoresetMode.__members__)
+            raise InvalidValueError(f"autoreset_mode must be one of {allowed}; got {autoreset_mode!r}")
+        self.autoreset_mode = modes[0]
         self.task = get_task(task, version)
         check_gym_id(gym_id, self.task)
-        self.metadata = {"render_modes": [], "autoreset_mode": modes[0]}
-        self.render_mode = None
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": FPS, "autoreset_mode": self.autoreset_mode}
+        self.render_mode = render_mode
         self.copy = copy
-        self.batch = Batch(
-            self.task, num_envs, reward_profile, same_step=modes[0] is AutoresetMode.SAME_STEP, num_threads=num_threads
-        )
+        same_step = self.autoreset_mode is AutoresetMode.SAME_STEP
+        self._waits = self.autoreset_mode is AutoresetMode.DISABLED
+        self.batch = Batch(self.task, num_envs, chosen_profile(reward_profile), same_step, num_threads)
         self.num_envs = self.batch.num_envs
+        self._pictures = None if render_mode is None else Pictures(self.batch)
         self.single_observation_space = observation_space(self.task)
         self.single_action_space = spaces.Discrete(N_ACTIONS)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -88,7 +96,7 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         self._everyone = _read_only(np.ones(self.num_envs, np.bool_))
         self._live = {"grid": _read_only(batch.grids), "telemetry": _read_only(batch.telemetry)}
         self._live_outcome = (_read_only(batch.rewards), _read_only(batch.terminated), self._truncations)
-        self._live_masks = _read_only(batch.action_masks)
+        self._live_masks, self._live_seeds = _read_only(batch.action_masks), _read_only(batch.seeds)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -103,7 +111,8 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
             seed: A list of N seeds (None in a place: that episode's own next map), or one seed s for the maps s,
                 s + 1, ..., s + N - 1. None: each episode's own next map; the very first ones follow each other from a
                 train map drawn at random.
-            options: May hold `reset_mask`, bool[N] with at least one True: the other episodes fly on.
+            options: May hold `reset_mask`, bool[N] with at least one True: the other episodes fly on. It is the mask of
+                `info` then (`_seed`, ...), though the values are those of all.
 
         Raises:
             InvalidValueError: if a seed, a mask or an option is not allowed; nothing is changed.
@@ -114,13 +123,15 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         if options:
             raise InvalidValueError(f"unknown reset options {list(options)}; allowed: reset_mask")
         if mask is not None:
-            mask = np.asarray(mask)
+            mask = np.array(mask)  # it may be the live `terminated`, which the reset changes
             if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
                 raise InvalidValueError(f"reset_mask must be bool[{self.num_envs}] with at least one True")
             if not self.batch.started and not mask.all():
                 raise EpisodeError("no episode has begun yet: the first reset() must begin all of them")
         self.batch.reset(self._seeds(seed), mask)
-        return self._observations(), self._info() | {"seed": self.batch.seeds.copy(), "_seed": self._everyone}
+        if self._pictures is not None:
+            self._pictures.follow()
+        return self._observations(), self._info(self._everyone if mask is None else mask)
 
     def step(
         self, actions: npt.NDArray[Any]
@@ -129,18 +140,47 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
 
         Raises:
             InvalidValueError: if the actions are not N integers from 0 to 4; nothing is flown.
-            EpisodeError: before the first reset.
+            EpisodeError: before the first reset, and in `DISABLED` mode where an episode has ended; nothing is flown.
         """
-        self.batch.step(actions)
-        info = self._info()
-        ended = self.batch.ended
+        batch = self.batch
+        if self._waits and batch.terminated.any():
+            over = np.flatnonzero(batch.terminated)
+            raise EpisodeError(
+                f"{len(over)} of the episodes have ended, number {over[0]} among them, and autoreset_mode is DISABLED: "
+                'call reset(options={"reset_mask": terminations}) before step()'
+            )
+        self.fly(actions)
+        info = self._info(self._everyone)
+        ended = batch.ended
         if len(ended):
             self._add_finals(info, ended)
-        outcome = self._live_outcome
-        if self.copy:
-            outcome = tuple(array.copy() for array in outcome)
-        rewards, terminations, truncations = outcome
-        return self._observations(), rewards, terminations, truncations, info
+        if not self.copy:
+            return self._observations(), *self._live_outcome, info
+        outcome = batch.rewards.copy(), batch.terminated.copy(), self._truncations.copy()
+        return self._observations(), *outcome, info
+
+    def fly(self, actions: npt.NDArray[Any]) -> None:
+        """The same without handing anything out: `batch` has what came of it.
+
+        Raises:
+            InvalidValueError, EpisodeError: as `step`.
+        """
+        self.batch.step(actions)
+        if self._pictures is not None:
+            self._pictures.follow(np.asarray(actions))
+
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:  # type: ignore[override]  # it names one environment's
+        """A picture of each episode, uint8[360, width, 3]; None without a render mode.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
+        if self._pictures is None:
+            gymnasium.logger.warn("render() was called without a render mode; make it with render_mode='rgb_array'")
+            return None
+        if not self.batch.started:
+            raise ResetNeeded("there is nothing to show yet: call reset() before render()")
+        return self._pictures.draw()
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> npt.NDArray[np.int64]:
         if not self.batch.started:
@@ -161,11 +201,15 @@ class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArr
         return np.array([own if s is None else check_seed(s) for s, own in zip(seed, following, strict=True)], np.int64)
 
     def _observations(self) -> Observations:
-        return {name: array.copy() if self.copy else array for name, array in self._live.items()}
+        if not self.copy:
+            return self._live.copy()
+        return {"grid": self.batch.grids.copy(), "telemetry": self.batch.telemetry.copy()}
 
-    def _info(self) -> dict[str, Any]:
-        masks = self.batch.copy_action_masks() if self.copy else self._live_masks
-        return {"action_mask": masks, "_action_mask": self._everyone}
+    def _info(self, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        if not self.copy:
+            return {"action_mask": self._live_masks, "_action_mask": mask, "seed": self._live_seeds, "_seed": mask}
+        masks, seeds = self.batch.copy_action_masks(), self.batch.seeds.copy()
+        return {"action_mask": masks, "_action_mask": mask, "seed": seeds, "_seed": mask}
 
     def _add_finals(self, info: dict[str, Any], ended: npt.NDArray[np.int64]) -> None:
         mask = np.zeros(self.num_envs, np.bool_)

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+import drone_env
 from drone_env.core.seeds import SPLITS
 from drone_env.episodes.record import EpisodeRecord, replay
 from drone_env.evaluation.episodes import episodes_key, run_episodes
@@ -55,10 +56,21 @@ def test_bad_answers_are_repaired_once_then_wait(endpoint: Start, tmp_path: Path
     (sample,) = log.samples
     assert sample.scores["graded"].metadata["result"]["turns"]["parse_error"] == 60
     assert sample.scores["graded"].value["score"] == 0.01
-    assert "action=WAIT reward=0.10 done=false error=parse_error" in sample.scores["graded"].explanation
+    assert "action=WAIT reward=-0.01 done=false error=parse_error" in sample.scores["graded"].explanation
     mended = evaluated(endpoint(pilot="Let us go up!", repair="greedy"), tmp_path, {"episodes": 1})
     turns = mended.samples[0].scores["graded"].metadata["result"]["turns"]
     assert turns["repaired"] == sum(turns.values())
+
+
+def test_drawn_names_and_pictures_are_what_a_model_is_asked_by(endpoint: Start, tmp_path: Path) -> None:
+    log = evaluated(endpoint(pilot="greedy"), tmp_path, {"prompt": "minimal-drawn", "episodes": 1})
+    result = log.samples[0].scores["graded"].metadata["result"]
+    assert (result["turns"]["ok"], len(result["names"])) == (result["steps"], 11)
+    scripted = endpoint(pilot="WAIT")
+    evaluated(scripted, tmp_path, {"prompt": "vision", "episodes": 1}, token_limit=500)
+    picture, text = scripted.requests()[0]["body"]["messages"][1]["content"]
+    assert picture["image_url"]["url"].startswith("data:image/png;base64,iVBOR")
+    assert text["text"].startswith("Position: ")
 
 
 @pytest.mark.parametrize("limit", [{"token_limit": 500}, {"time_limit": 2}])
@@ -80,9 +92,11 @@ def test_a_failing_call_is_an_error_and_no_score(endpoint: Start, tmp_path: Path
 
 def test_the_command_line_knows_the_task(endpoint: Start, tmp_path: Path) -> None:
     scripted = endpoint(pilot="greedy")
-    # Inspect finds tasks of installed packages alone, and a path in front of them hides that this one is.
-    installed = environment(SCRIPTED_API_KEY="sk-scripted", SCRIPTED_BASE_URL=scripted.url)
-    del installed["PYTHONPATH"]
+    # Inspect finds tasks of packages in a folder of that name alone; what is installed as editable lies elsewhere.
+    packages = tmp_path / "site-packages"
+    packages.mkdir()
+    (packages / "drone_env").symlink_to(Path(drone_env.__file__).parent)
+    installed = environment(SCRIPTED_API_KEY="sk-scripted", SCRIPTED_BASE_URL=scripted.url, PYTHONPATH=str(packages))
     code = "from inspect_ai._cli.main import main; main()"
     arguments = ["eval", "drone_env/drone_delivery", "--model", "openai-api/scripted/pilot", "-T", "episodes=2"]
     done = subprocess.run(

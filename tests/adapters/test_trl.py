@@ -5,6 +5,9 @@ from typing import Any
 
 import pytest
 
+from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
+from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_for_discount
 from drone_env.llm.trl_environment import DroneEnvironment, training_maps
 from drone_env.planning.optimal import solve
 
@@ -25,6 +28,15 @@ def tokenizer() -> Any:
     made.add_special_tokens({"additional_special_tokens": ["<|im_start|>"]})
     made.chat_template = (Path(trl.__file__).parent / "chat_templates" / "qwen3.jinja").read_text(encoding="utf-8")
     return made
+
+
+def paid(route: list[str]) -> float:
+    """What flying a route over map 14, and waiting to the end, pays undiscounted."""
+    episode = Episode("easy", profile_for_discount(get_reward_profile(DEFAULT_PROFILE), 1), seed=14)
+    pay = [episode.step(Action[direction]) for direction in route]
+    while not episode.ended:
+        pay.append(episode.step(Action.WAIT))
+    return sum(pay)
 
 
 @pytest.mark.timeout(600)
@@ -83,9 +95,9 @@ def test_the_trainer_flies_scores_and_learns(tmp_path: Path) -> None:
     before = [p.detach().clone() for p in trainer.model.parameters()]
     trainer.train()
     (log,) = [entry for entry in trainer.state.log_history if "reward" in entry]
-    optimum = solve("easy", 14).score
-    # The flight with the wrong word reaches the optimum too: it costs no step.
-    assert log["rewards/DroneEnvironment/mean"] == pytest.approx((optimum + 0.01 + optimum + 0.01) / 4)
+    # The flight with the wrong word is paid like the best one: it costs no step.
+    pay = [paid(best), paid(best[:1]), paid(best), paid([])]
+    assert log["rewards/DroneEnvironment/mean"] == pytest.approx(sum(pay) / 4)
     assert log["tools/failure_frequency"] == pytest.approx(1 / sum(map(len, routes)))
     assert any(bool((p != q).any()) for p, q in zip(before, trainer.model.parameters(), strict=True))
     assert all('"name": "fly"' in text and '"enum": ["UP"' in text for text in asked)

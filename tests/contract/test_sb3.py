@@ -18,6 +18,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
+from drone_env import evaluate, summarise
 from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.tasks import TASKS, get_task
@@ -330,21 +331,6 @@ def test_without_stable_baselines3_the_import_says_what_to_install() -> None:
     assert f"drone_env.envs.sb3 needs Stable-Baselines3: {pip()} install stable-baselines3" in run.stderr
 
 
-def mean_score(model: Any, form: str) -> float:
-    """Over 200 validation maps, one for each environment; actions are sampled."""
-    env = DroneDeliveryVecEnv("easy", 200, observation=form)
-    env.seed(SPLITS["validation"].start)
-    observations: Any = env.reset()
-    scores: dict[int, float] = {}
-    torch.manual_seed(0)
-    while len(scores) < env.num_envs:
-        actions, _ = model.predict(observations, deterministic=False)
-        observations, _, dones, infos = env.step(actions)
-        for i in np.flatnonzero(dones).tolist():
-            scores.setdefault(i, infos[i]["score"])
-    return float(np.mean(list(scores.values())))
-
-
 @pytest.mark.long
 def test_ppo_learns_to_deliver() -> None:
     env = DroneDeliveryVecEnv("easy", 64, observation="flat")
@@ -359,9 +345,14 @@ def test_ppo_learns_to_deliver() -> None:
         seed=0,
         device="cpu",
     )
-    before = mean_score(model, "flat")
+
+    def score() -> float:
+        flown = evaluate(model, "easy", "validation", 200, wrapper="FlatObservation", sampled=True)
+        return summarise(flown)["mean_score"]
+
+    before = score()
     model.learn(100_000)
-    after = mean_score(model, "flat")
+    after = score()
     assert before < 0.3
     assert after > 0.45
     assert model.ep_info_buffer
@@ -391,10 +382,16 @@ def test_dqn_trains_on_the_dict() -> None:
         assert not torch.equal(parameter, old)
 
 
-def test_the_page_about_it_runs_as_written(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_page_about_it_runs_as_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     code = "\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL))
     shorter, found = re.subn(r"total_timesteps=[\d_]+", "total_timesteps=8_192", code)
-    assert found == 2
+    shorter, often = re.subn(r"eval_freq=\d+", "eval_freq=64", shorter)
+    assert (found, often) == (3, 1)
     exec(compile(shorter, str(PAGE), "exec"), {})
-    figures = re.findall(r"0\.\d+", capsys.readouterr().out)
-    assert len(figures) == 2
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["PPO", "DQN", "4,096", "8,192"]
+    assert all(re.search(r" 0\.\d+", line) for line in lines)
+    assert (tmp_path / "data" / "ppo" / "best_model.zip").is_file()

@@ -8,10 +8,12 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from drone_env.core.cells import N_CELL_KINDS
+from drone_env.core.cells import SYMBOLS
 from drone_env.core.episode import Observation
-from drone_env.envs.ansi import SYMBOLS, TARGET, draw_text
+from drone_env.envs.ansi import TARGET, draw_text
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
+from drone_env.envs.forms import planes_space, to_planes, to_vector, vector_space
+from drone_env.errors import InvalidValueError
 from drone_env.planning.optimal import best_of
 
 Env = gymnasium.Env[Observation, int]
@@ -47,29 +49,17 @@ def make(**options: Any) -> WithOptimum:
 make.metadata = DroneDeliveryEnv.metadata  # type: ignore[attr-defined]  # by which Gymnasium knows the render modes
 
 
-def one_hot(grid: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """uint8[kinds, H, W] of 0 and 1 from cell ids uint8[H, W]: plane i marks the cells of kind i."""
-    return (grid == np.arange(N_CELL_KINDS, dtype=np.uint8)[:, None, None]).view(np.uint8)
-
-
-def planes_space(env: Env) -> spaces.Dict:
-    """The space of observations whose grid is one-hot planes."""
-    inner = cast(spaces.Dict, env.observation_space)
-    shape = (N_CELL_KINDS, *cast(tuple[int, int], inner["grid"].shape))
-    return spaces.Dict({"grid": spaces.Box(0, 1, shape, np.uint8), "telemetry": inner["telemetry"]})
-
-
 class OneHotPlanes(gymnasium.ObservationWrapper[Any, int, Observation], gymnasium.utils.RecordConstructorArgs):
     """`grid` becomes one-hot planes for convolutional networks: uint8[kinds, H, W]; `telemetry` stays."""
 
     def __init__(self, env: Env) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
-        super().__init__(env)
-        self.observation_space = planes_space(env)
+        super().__init__(_single(env, type(self)))
+        self.observation_space = planes_space(env.observation_space)
 
     def observation(self, observation: Observation) -> dict[str, npt.NDArray[Any]]:
         """The observation with planes for a grid."""
-        return {"grid": one_hot(observation["grid"]), "telemetry": observation["telemetry"]}
+        return to_planes(observation)
 
 
 class FlatObservation(gymnasium.ObservationWrapper[Any, int, Observation], gymnasium.utils.RecordConstructorArgs):
@@ -77,13 +67,12 @@ class FlatObservation(gymnasium.ObservationWrapper[Any, int, Observation], gymna
 
     def __init__(self, env: Env) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
-        super().__init__(env)
-        self.observation_space = cast(spaces.Box, spaces.flatten_space(planes_space(env)))
+        super().__init__(_single(env, type(self)))
+        self.observation_space = vector_space(env.observation_space)
 
     def observation(self, observation: Observation) -> npt.NDArray[np.float32]:
         """The observation as one vector."""
-        planes = one_hot(observation["grid"]).reshape(-1)
-        return np.concatenate([planes, observation["telemetry"]], dtype=np.float32)
+        return to_vector(observation)
 
 
 class TextObservation(gymnasium.ObservationWrapper[str, int, Observation], gymnasium.utils.RecordConstructorArgs):
@@ -101,3 +90,11 @@ class TextObservation(gymnasium.ObservationWrapper[str, int, Observation], gymna
     def observation(self, observation: Observation) -> str:
         """The episode as text."""
         return draw_text(cast(DroneDeliveryEnv, self.unwrapped).episode)
+
+
+def _single(env: Env, wrapper: type[Any]) -> Env:
+    """The environment, which is to be a single one."""
+    if isinstance(env, gymnasium.vector.VectorEnv):
+        name = wrapper.__name__
+        raise InvalidValueError(f"for many drones take drone_env.envs.wrappers.vector.{name}; this {name} is for one")
+    return env

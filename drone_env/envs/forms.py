@@ -1,0 +1,59 @@
+"""The forms of the observation that networks take, the same for one drone and for many: planes of 0 and 1, one vector.
+
+What is said of shapes holds for one drone; axes in front of them, such as that of a batch, stay in front.
+"""
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from drone_env.core.cells import N_CELL_KINDS
+from drone_env.core.episode import Observation
+from drone_env.errors import InvalidValueError
+
+Shown = Observation | Mapping[str, npt.NDArray[Any]]
+KINDS = np.arange(N_CELL_KINDS, dtype=np.uint8)[:, None, None]
+
+
+def one_hot(grid: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """uint8[kinds, H, W] of 0 and 1 from cell ids uint8[H, W]: plane i marks the cells of kind i."""
+    return (grid[..., None, :, :] == KINDS).view(np.uint8)
+
+
+def to_planes(observation: Shown) -> dict[str, npt.NDArray[Any]]:
+    """The observation with one-hot planes for a grid; the telemetry is handed on uncopied."""
+    return {"grid": one_hot(observation["grid"]), "telemetry": observation["telemetry"]}
+
+
+def to_vector(observation: Shown) -> npt.NDArray[np.float32]:
+    """float32[kinds * H * W + n]: the one-hot planes, row by row, then the telemetry."""
+    planes = one_hot(observation["grid"])
+    flat = planes.reshape(*planes.shape[:-3], -1)
+    return np.concatenate([flat, observation["telemetry"]], axis=-1, dtype=np.float32)
+
+
+def planes_space(space: Any) -> spaces.Dict:
+    """The space of what `to_planes` makes of a drone's observations.
+
+    Raises:
+        InvalidValueError: if the space is not that of a drone's observations.
+    """
+    parts = dict(cast(Any, space)) if isinstance(space, spaces.Dict) else {}
+    if [*parts] != ["grid", "telemetry"] or len(parts["grid"].shape) != 2:
+        raise InvalidValueError(
+            f"this form is one of a drone's observations, a grid of cell ids and its telemetry; got {space}"
+        )
+    shape = (N_CELL_KINDS, *parts["grid"].shape)
+    return spaces.Dict({"grid": spaces.Box(0, 1, shape, np.uint8), "telemetry": parts["telemetry"]})
+
+
+def vector_space(space: Any) -> spaces.Box:
+    """The space of what `to_vector` makes of a drone's observations.
+
+    Raises:
+        InvalidValueError: if the space is not that of a drone's observations.
+    """
+    return cast(spaces.Box, spaces.flatten_space(planes_space(space)))

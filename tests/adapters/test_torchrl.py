@@ -1,0 +1,71 @@
+"""Many drones in TorchRL: its own check, and rollouts beside the environment flown by hand: `make adapters`."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+from drone_env.envs.wrappers import vector
+from tests.docs.pages import ROOT, blocks
+
+N, STEPS = 3, 150
+FORMS: dict[str, Any] = {"plain": lambda env: env, "planes": vector.OneHotPlanes, "flat": vector.FlatObservation}
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def make(form: str, mode: str) -> Any:
+    return FORMS[form](gymnasium.make_vec("drone_env:DroneDelivery-Skyline-Easy-v2", num_envs=N, autoreset_mode=mode))
+
+
+def named(observations: Any) -> list[tuple[str, Any]]:
+    """Observations by the names that TorchRL has for them."""
+    return [*observations.items()] if isinstance(observations, dict) else [("observation", observations)]
+
+
+# Of SAME_STEP it takes last observations that are one vector, and loses all others.
+@pytest.mark.parametrize(
+    ("form", "mode"),
+    [("plain", "DISABLED"), ("planes", "DISABLED"), ("flat", "DISABLED"), ("flat", "SAME_STEP")],
+)
+def test_a_rollout_is_what_the_same_actions_fly(form: str, mode: str) -> None:
+    # Here, since its import warns.
+    from torchrl.envs import GymWrapper
+    from torchrl.envs.utils import check_env_specs
+
+    torch.manual_seed(0)
+    env = GymWrapper(make(form, mode))
+    check_env_specs(env)
+    env.set_seed(5)
+    flown = env.rollout(STEPS, break_when_any_done=False).cpu()
+    byhand = make(form, "DISABLED")
+    byhand.reset(seed=5)
+    seen, _ = byhand.reset()  # a rollout begins with a reset
+    ended = 0
+    for step in range(STEPS):
+        now = flown[:, step]
+        for name, want in named(seen):
+            assert np.array_equal(now[name].numpy(), want)
+        seen, rewards, over, _, _ = byhand.step(now["action"].argmax(-1).numpy())
+        for name, want in named(seen):
+            assert np.array_equal(now["next", name].numpy(), want)
+        assert np.array_equal(now["next", "reward"][:, 0].numpy(), rewards.astype(np.float32))
+        assert np.array_equal(now["next", "terminated"][:, 0].numpy(), over)
+        assert np.array_equal(now["next", "done"][:, 0].numpy(), over)
+        ended += over.sum()
+        if over.any():
+            seen, _ = byhand.reset(options={"reset_mask": over})
+        if over.all() and mode == "SAME_STEP":
+            seen, _ = byhand.reset()  # TorchRL resets all that ended together, though new episodes have begun
+    assert ended > N
+
+
+def test_the_pages_example_never_bumps(capsys: pytest.CaptureFixture[str]) -> None:
+    (block,) = [block for block in blocks(ROOT / "docs" / "vector.md") if "TorchRL" in (block.not_run or "")]
+    names: dict[str, Any] = {}
+    exec(compile(block.text, block.where, "exec"), names)
+    flights = names["flights"]
+    assert flights["action_mask"][flights["action"].bool()].all()
+    assert not flights["action_mask"].all()
+    assert f"torch.Size([64, 200, {9 * 8 * 8 + 13}])" in capsys.readouterr().out
