@@ -8,7 +8,7 @@ with one key `action`, `direction`, `actions` or `directions`. Where a prompt al
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple, cast, get_args
 
 from pydantic import field_validator
@@ -70,13 +70,16 @@ class Reading(NamedTuple):
     """What was read: the arguments of the tool call, where there is one."""
 
 
-def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Reading:
+def read_answer(
+    answer: Answer, plan: bool, marks: Sequence[str] = (), actions: Mapping[str, Action] = Action.__members__
+) -> Reading:
     """Understand an answer.
 
     Args:
         answer: What was sent.
         plan: Whether a whole route was asked for; else exactly one action.
         marks: What the line of the answer may be marked with.
+        actions: What each action is called, in capitals; nothing else names one.
     """
     said = answer.text if answer.tool_arguments is None else answer.tool_arguments
 
@@ -92,7 +95,7 @@ def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Readin
     if text is None:
         return unusable("truncated", "the answer ends inside its <think> block")
     marked = _last_marked(text, marks)
-    words = _words(text if marked is None else marked, plan)
+    words = _words(text if marked is None else marked, plan, actions)
     if words is None and marked is None and REFUSAL.match(text):
         return unusable("refusal", "the model refused")
     if words is None:
@@ -101,10 +104,10 @@ def read_answer(answer: Answer, plan: bool, marks: Sequence[str] = ()) -> Readin
         missing = f", and has no line with {marks[0]}" if marks and marked is None else ""
         reason = f"{where} is not {asked}{missing}" if text.strip() else "the answer is empty"
         return unusable("parse_error", reason)
-    unknown = [word for word in words if word.upper() not in Action.__members__]
+    unknown = [word for word in words if word.upper() not in actions]
     if unknown:
         return unusable("illegal", f"{unknown[0][:40]!r} is not an action")
-    return Reading("ok", tuple(Action[word.upper()] for word in words), "", said)
+    return Reading("ok", tuple(actions[word.upper()] for word in words), "", said)
 
 
 def _without_thoughts(text: str) -> str | None:
@@ -129,27 +132,27 @@ def _last_marked(text: str, marks: Sequence[str]) -> str | None:
     return None
 
 
-def _words(text: str, plan: bool) -> list[str] | None:
+def _words(text: str, plan: bool, actions: Mapping[str, Action]) -> list[str] | None:
     """The words that stand where actions should; None where there is something else."""
-    text = _unfenced(text.strip())
+    text = _unfenced(text.strip(), actions)
     if text[:1] in ("{", "["):
         return _json_words(text, plan)
     text = text.strip(" \t\r\n*_`'\".")
     words = [word.strip("*_`'\".") for word in SEPARATOR.split(text) if word] if plan else [text]
     if not words or not all(WORD.match(word) for word in words):
         return None
-    if plan and len(words) > 1 and not any(word.upper() in Action.__members__ for word in words):
+    if plan and len(words) > 1 and not any(word.upper() in actions for word in words):
         return None  # prose
     return words
 
 
-def _unfenced(text: str) -> str:
+def _unfenced(text: str, actions: Mapping[str, Action]) -> str:
     """What stands inside of a code fence, without the name of a language; the text itself where there is no fence."""
     if len(text) < 2 * len(FENCE) or not text.startswith(FENCE) or not text.endswith(FENCE):
         return text
     text = text[len(FENCE) : -len(FENCE)]
     language = LANGUAGE.match(text)
-    if language and language[0].upper() not in Action.__members__:
+    if language and language[0].upper() not in actions:
         text = text[language.end() :]
     return text.strip()
 

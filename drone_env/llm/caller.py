@@ -8,8 +8,8 @@ from drone_env.llm.config import RunConfig, digest
 from drone_env.llm.desk import Desk
 from drone_env.llm.endpoint import Endpoint, TryFailedError
 from drone_env.llm.gate import Clock, LimitReachedError
+from drone_env.llm.messages import ChatMessage, with_pictures
 from drone_env.llm.options import Options
-from drone_env.llm.prompt import ChatMessage
 from drone_env.llm.transcript import Call, CallKey, Failure
 
 LONGEST_BACKOFF = 30.0
@@ -51,8 +51,9 @@ class Caller:
         cache_key = digest([self._config.base_url, request, repeat, key.attempt])
         answer, cached = await self._desk.known(key, request, cache_key)
         if answer is not None and not cached:
-            return read_answer(answer, self._prompt.plan, self._prompt.marks)
+            return self._read(answer, seed)
         failures: list[Failure] = []
+        picture: str | None = None
         began = self._clock.now()
 
         async def record(answer: Answer | None, outcome: str) -> Answer | None:
@@ -63,6 +64,7 @@ class Caller:
                 turn=key.turn,
                 attempt=1 if key.attempt == 1 else 2,
                 messages=messages,
+                picture=picture,
                 request_digest=request,
                 answer=answer,
                 outcome=outcome,
@@ -74,8 +76,9 @@ class Caller:
             return await self._desk.record(call, cache_key)
 
         if answer is None:
+            sent, picture = with_pictures(messages)
             try:
-                answer, began = await self._try(key, messages, failures)
+                answer, began = await self._try(key, sent, failures)
             except LimitReachedError:
                 if failures:
                     await record(None, "budget_stop")
@@ -83,9 +86,13 @@ class Caller:
             except TryFailedError as failed:
                 await record(None, "api_error")
                 await self._desk.failed(failed.status, failed.reason, failed.retried, failed.fatal)
-        reading = read_answer(answer, self._prompt.plan, self._prompt.marks)
+        reading = self._read(answer, seed)
         first = await record(answer, reading.kind)
-        return reading if first is None else read_answer(first, self._prompt.plan, self._prompt.marks)
+        return reading if first is None else self._read(first, seed)
+
+    def _read(self, answer: Answer, seed: int) -> Reading:
+        prompt = self._prompt
+        return read_answer(answer, prompt.plan, prompt.marks, prompt.symbols(self._config.task_config, seed).actions)
 
     async def _try(self, key: CallKey, messages: list[ChatMessage], failures: list[Failure]) -> tuple[Answer, float]:
         """The answer and when its request was sent; all failed tries are noted in `failures`."""

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 from typing_extensions import Self
 
-from drone_env.core.rewards import get_reward_profile
+from drone_env.core.rewards import RewardProfile, get_reward_profile
 from drone_env.core.seeds import N_SEEDS
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.files import differences
@@ -51,6 +51,7 @@ class RunConfig(Message):
     seeds: tuple[Count, Count] = Field(strict=False, description="The maps, [start, stop).")
     repeats: int = Field(ge=1, le=100, description="Flights over each map.")
     reward_profile: str
+    rewards: RewardProfile | None = Field(default=None, description="The profile, where it is none of the package's.")
     prompt: str = Field(description="Id of the prompt.")
     prompt_digest: str = Field(description="What its file held.")
     prompt_text: str | None = Field(default=None, description="The file itself, where it is none of the package's.")
@@ -75,7 +76,8 @@ class RunConfig(Message):
     @model_validator(mode="after")
     def _known(self) -> Self:
         get_task(self.task, self.task_version)
-        get_reward_profile(self.reward_profile)
+        if self.profile.id != self.reward_profile:
+            raise ValueError(f"rewards are those of {self.profile.id!r}, not of {self.reward_profile!r}")
         if self.history and not self._prompt().tells_history:
             raise ValueError(f"prompt {self.prompt} tells no last steps: history must be 0")
         start, stop = self.seeds
@@ -87,6 +89,11 @@ class RunConfig(Message):
     def task_config(self) -> TaskConfig:
         """The task."""
         return get_task(self.task, self.task_version)
+
+    @property
+    def profile(self) -> RewardProfile:
+        """What steps pay."""
+        return self.rewards or get_reward_profile(self.reward_profile)
 
     @property
     def flights(self) -> int:

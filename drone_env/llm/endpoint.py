@@ -19,7 +19,7 @@ from drone_env.core.actions import Action
 from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig
-from drone_env.llm.prompt import ChatMessage
+from drone_env.llm.messages import ChatMessage
 from drone_env.llm.redaction import without_secret
 from drone_env.llm.settings import LOOPBACK
 
@@ -56,6 +56,8 @@ OPTIONS = (
     ("response_format", "response_format|json_schema", "--answers text"),
     ("tools", r"tool_choice|\btools?\b|function", "--answers text"),
 )
+NO_PICTURE = re.compile(r"image|vision|multi-?modal|content\b.*\bstring|string\b.*\bcontent", re.IGNORECASE)
+"""How an endpoint says that it takes no pictures."""
 """What is sent, how an endpoint says that it does not take it so, and what helps; the first that fits is named."""
 
 
@@ -95,6 +97,7 @@ class Endpoint:
         self._token = token
         self._timeout = timeout
         self._stream = config.stream
+        self._picture = config.load_prompt().picture
         self.body = request_body(config)
         # The machine's own certificates beside those that httpx brings.
         certificates = httpx.create_ssl_context()
@@ -163,6 +166,9 @@ class Endpoint:
             # Who follows takes the token along.
             where = self._clean(response.headers.get("location", "elsewhere"))
             reason = f"it redirects to {where}, which is not followed: API_BASE_URL must be the endpoint itself"
+        if self._picture and _takes_no_picture(status, reason):
+            reason += " (each call shows a picture: try it with one that does not, such as --prompt grid)"
+            return TryFailedError(status, reason, retried=False, fatal=True)
         if status in HINTS:
             return TryFailedError(status, f"{HINTS[status]} ({reason})", retried=False, fatal=True)
         retried = status in RETRIED or status >= 500
@@ -182,6 +188,13 @@ class Endpoint:
         return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
 
 
+def _takes_no_picture(status: int, reason: str) -> bool:
+    """Whether a refusal is one of the picture; some call that an error of their own (500), or no such model (404)."""
+    if status == 500 and "support" not in reason:
+        return False
+    return status == 413 or (status in (400, 404, 415, 422, 500) and NO_PICTURE.search(reason) is not None)
+
+
 def request_body(config: RunConfig) -> dict[str, Any]:
     """What is sent beside the messages."""
     sampling = config.sampling.model_dump(exclude={"extra"}, exclude_none=True)
@@ -190,8 +203,10 @@ def request_body(config: RunConfig) -> dict[str, Any]:
 
 def _form(config: RunConfig) -> dict[str, Any]:
     """What asks for answers in the form of the run."""
-    plan = config.load_prompt().plan
-    one = {"type": "string", "enum": DIRECTIONS}
+    prompt = config.load_prompt()
+    plan = prompt.plan
+    # Where names are drawn for each map, the prompt says which.
+    one: dict[str, Any] = {"type": "string"} if prompt.drawn else {"type": "string", "enum": DIRECTIONS}
     properties = {"actions": {"type": "array", "items": one}} if plan else {"direction": one}
     schema = {
         "type": "object",

@@ -19,8 +19,9 @@ from drone_env.episodes.record import record_of
 from drone_env.errors import InvalidValueError, needs
 from drone_env.llm.answers import Answer, Reading, read_answer
 from drone_env.llm.gate import LimitReachedError
+from drone_env.llm.messages import ChatMessage, with_pictures
 from drone_env.llm.pilot import PilotedEpisode, fly
-from drone_env.llm.prompt import ChatMessage, first_messages, get_prompt
+from drone_env.llm.prompt import first_messages, get_prompt
 from drone_env.llm.run_folder import PilotedRecord
 from drone_env.llm.runner import MOST_ERRORED, log_text
 from drone_env.llm.transcript import CallKey
@@ -34,7 +35,9 @@ with needs("inspect"):
         ChatMessageAssistant,
         ChatMessageSystem,
         ChatMessageUser,
+        ContentImage,
         ContentReasoning,
+        ContentText,
         ModelOutput,
         get_model,
     )
@@ -76,7 +79,7 @@ def drone_delivery(
     samples: list[Sample] = []
     for seed in split_seeds(split, episodes):
         messages = first_messages(chosen, Episode(config, reward_profile, seed))
-        samples.append(Sample(id=str(seed), input=[_inspects(m) for m in messages], metadata={"seed": seed}))
+        samples.append(Sample(id=str(seed), input=_inspects(messages), metadata={"seed": seed}))
     return Task(
         dataset=MemoryDataset(samples, name=f"{config.id}-{split}"),
         solver=pilot(config.id, prompt if chosen.own else chosen.id, history, reward_profile),
@@ -103,17 +106,18 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
     async def solve(state: TaskState, generate: Generate) -> TaskState:
         model = get_model()
         stopped: BaseException | None = None
+        words = chosen.symbols(config, state.metadata["seed"]).actions
 
         async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
             nonlocal stopped
-            asked = [_inspects(message) for message in messages]
+            asked = _inspects(messages)
             try:
                 output = await model.generate(asked)
             except (LimitExceededError, anyio.get_cancelled_exc_class()) as error:
                 stopped = error
                 raise LimitReachedError(str(error) or "stopped by Inspect") from error
             state.messages, state.output = [*asked, output.message], output
-            return read_answer(_answer(output), chosen.plan, chosen.marks)
+            return read_answer(_answer(output), chosen.plan, chosen.marks, words)
 
         flown = PilotedEpisode(0, state.epoch - 1, Episode(config, reward_profile, state.metadata["seed"]))
         await fly(flown, chosen, history, ask)
@@ -161,8 +165,20 @@ def _stored(flown: PilotedEpisode, agent: str) -> dict[str, Any]:
     }
 
 
-def _inspects(message: ChatMessage) -> ChatMessageSystem | ChatMessageUser | ChatMessageAssistant:
-    return ROLES[message["role"]](content=message["content"])
+def _inspects(messages: list[ChatMessage]) -> list[ChatMessageSystem | ChatMessageUser | ChatMessageAssistant]:
+    """Messages as Inspect has them, with their picture."""
+
+    def content(message: ChatMessage) -> str | list[ContentText | ContentImage]:
+        parts = message["content"]
+        if isinstance(parts, str):
+            return parts
+        return [
+            ContentText(text=part["text"]) if part["type"] == "text" else ContentImage(image=part["image_url"]["url"])
+            for part in parts
+        ]
+
+    sent, _ = with_pictures(messages)
+    return [ROLES[message["role"]](content=content(message)) for message in sent]
 
 
 def _answer(output: ModelOutput) -> Answer:

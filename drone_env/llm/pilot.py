@@ -12,7 +12,8 @@ from drone_env.llm.config import RunConfig
 from drone_env.llm.desk import CallFailedError
 from drone_env.llm.gate import LimitReachedError
 from drone_env.llm.image import ServerSession
-from drone_env.llm.prompt import ChatMessage, Prompt, first_messages, repair_messages
+from drone_env.llm.messages import ChatMessage
+from drone_env.llm.prompt import Prompt, first_messages, repair_messages
 from drone_env.llm.transcript import CallKey
 
 Ask = Callable[[CallKey, list[ChatMessage]], Awaitable[Reading]]
@@ -32,6 +33,7 @@ class PilotedEpisode:
         status: `finished` also where a route that was planned at once ended before the episode did.
         error: Why it was not finished.
         begun: Whether any answer came.
+        names: What the prompt called actions and kinds of cells, where it drew names for them.
     """
 
     index: int
@@ -42,6 +44,7 @@ class PilotedEpisode:
     status: Status = "finished"
     error: str | None = None
     begun: bool = False
+    names: dict[str, str] = field(default_factory=dict[str, str])
 
 
 async def fly_one(config: RunConfig, index: int, ask: Ask, server: str | None = None) -> PilotedEpisode:
@@ -57,7 +60,7 @@ async def fly_one(config: RunConfig, index: int, ask: Ask, server: str | None = 
         InvalidValueError: if the server shows something else.
     """
     seed, repeat = config.flight(index)
-    flown = PilotedEpisode(index, repeat, Episode(config.task_config, config.reward_profile, seed))
+    flown = PilotedEpisode(index, repeat, Episode(config.task_config, config.profile, seed))
     with ExitStack() as stack:
         session = None if server is None else stack.enter_context(closing(ServerSession(server, config.model)))
         await fly(flown, config.load_prompt(), config.history, ask, session)
@@ -80,6 +83,8 @@ async def fly(
         InvalidValueError: if the server shows something else.
     """
     episode = flown.episode
+    symbols = prompt.symbols(episode.task, episode.seed)
+    flown.names = dict(symbols.names)
     if server is not None:
         await server.reset(episode)
     steps: list[str] = []
@@ -91,7 +96,7 @@ async def fly(
             flown.begun = True
             outcome: TurnKind = reading.kind
             if reading.kind != "ok":
-                again = repair_messages(prompt, asked, reading.text, reading.reason)
+                again = repair_messages(prompt, asked, reading.text, reading.reason, symbols)
                 reading = await ask(CallKey(flown.index, turn, 2), again)
                 outcome = "repaired" if reading.kind == "ok" else reading.kind
         except CallFailedError as error:

@@ -35,7 +35,7 @@ class ConsoleObserver:
         self._keep = keep
         self._console = Console(stderr=True, highlight=False, markup=False, emoji=False)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        terminal = self._console.is_terminal
+        terminal = self._console.file.isatty()
         self.progress = Progress(
             *columns,
             TextColumn("{task.fields[figures]}"),

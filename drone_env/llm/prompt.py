@@ -8,21 +8,22 @@ import hashlib
 import re
 import string
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
-from typing_extensions import TypedDict
 
-from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError, needs, text_of
 from drone_env.llm.answers import MARK
-from drone_env.models import NAMES, DroneObservation, Message
+from drone_env.llm.messages import LARGEST, SMALLEST, ChatMessage, Part, picture_part
+from drone_env.llm.symbols import PLAIN, Symbols, draw_symbols
+from drone_env.llm.values import FIRST_VALUES, TITLES, VALUES, deciding, values_of
+from drone_env.models import DroneObservation, Message
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -30,19 +31,8 @@ else:
     import tomli as tomllib
 
 FOLDER = Path(__file__).with_name("prompts")
-LETTERS = dict(zip(NAMES, ".BTOPxD?C", strict=True))
 QUOTED_CHARACTERS = 2000
 """How much of a bad answer is shown to the model again."""
-OWN = {Cell.DELIVERY: "parcel to deliver", Cell.DELIVERED: "delivered parcel", Cell.PAD: "charging pad"}
-"""What prompts call kinds of cells whose own names say too little."""
-TITLES = {Cell.BUILDING: "Buildings", Cell.TREE: "Trees", Cell.OBSTACLE: "Obstacles", Cell.PAD: "Charging pads"}
-
-
-class ChatMessage(TypedDict):
-    """One message of a request."""
-
-    role: str
-    content: str
 
 
 @dataclass(frozen=True)
@@ -55,7 +45,9 @@ class Prompt:
         marks: What may begin the line that holds the answer; none where the answer holds nothing else.
         system, user, repair: Templates; `repair` takes `reason` alone.
         jinja: Whether they are Jinja2's; else they are for `str.format`.
-        names: The values that `system` and `user` take, and the parts that they include.
+        drawn: Whether it calls actions and kinds of cells by names that are drawn for each map.
+        picture: Height in pixels of the picture that it shows of the map; 0 for none.
+        names: The values that `system` and `user` take, and the parts that they include; `picture` where it shows one.
         digest: SHA-256 of the file and of what it includes, whose lines end in LF here, 16 hex digits.
         own: The text of the file, where it is none of the package's.
     """
@@ -67,6 +59,8 @@ class Prompt:
     user: str
     repair: str
     jinja: bool
+    drawn: bool
+    picture: int
     names: frozenset[str]
     digest: str
     own: str | None = None
@@ -76,6 +70,10 @@ class Prompt:
         """Whether it has a place for the last steps."""
         return "history" in self.names
 
+    def symbols(self, task: TaskConfig, seed: int) -> Symbols:
+        """What it calls actions and kinds of cells over a map."""
+        return draw_symbols(task, seed) if self.drawn else PLAIN
+
 
 class PromptFile(Message):
     """What the file of a prompt holds."""
@@ -83,6 +81,8 @@ class PromptFile(Message):
     format: Literal[2] | None = None
     plan: bool
     marks: tuple[Annotated[str, Field(pattern=rf"^({MARK})$")], ...] = Field(default=(), strict=False)
+    symbols: Literal["drawn"] | None = None
+    picture: int | None = Field(default=None, ge=SMALLEST, le=LARGEST)
     system: str
     user: str
     repair: str
@@ -159,14 +159,23 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
         used = names_of(f"{path}: {part}", texts[part])
         if used - known - parts.keys():
             unknown = sorted(used - known - parts.keys())[0]
-            raise InvalidValueError(f"{path}: {part}: unknown {unknown!r}; there are {', '.join(sorted(known))}")
+            raise InvalidValueError(
+                f"{path}: {part}: unknown {unknown!r}; there are {', '.join(sorted(known | parts.keys()))}"
+            )
         names |= used - {"reason"}
+    if data.symbols and data.picture:
+        raise InvalidValueError(f"{path}: pictures name their figures plainly: give symbols without picture")
+    if data.symbols and "grid" in names and "legend" not in names:
+        raise InvalidValueError(f"{path}: the letters of the grid are drawn, too: {{{{ legend }}}} says what they are")
+    names |= {"picture"} if data.picture else set()
     whole = "".join([text, *(parts[name] for name in sorted(names & parts.keys()))])
     return Prompt(
         id=Path(path).stem,
         plan=data.plan,
         marks=data.marks,
         jinja=jinja,
+        drawn=data.symbols is not None,
+        picture=data.picture or 0,
         names=frozenset(names),
         digest=hashlib.sha256(whole.encode()).hexdigest()[:16],
         own=text if own else None,
@@ -233,34 +242,47 @@ def first_messages(prompt: Prompt, episode: Episode, last_steps: Sequence[str] =
     Raises:
         InvalidValueError: if a prompt of one's own cannot be filled in.
     """
+    system, user = first_texts(prompt, episode, last_steps)
+    content: str | list[Part] = user
+    if prompt.picture:
+        content = [picture_part(episode, prompt.picture), {"type": "text", "text": user}]
+    return [{"role": "system", "content": system}, {"role": "user", "content": content}]
+
+
+def first_texts(prompt: Prompt, episode: Episode, last_steps: Sequence[str] = ()) -> tuple[str, str]:
+    """The texts of the system and of the user in `first_messages`."""
+    task, symbols = episode.task, prompt.symbols(episode.task, episode.seed)
     observation = DroneObservation.of(episode)
-    values = _values(episode.task, observation, last_steps)
-    parts = [_fill(prompt, prompt.user, values), below_text(prompt, episode.task, observation.cell_below)]
-    return [
-        {"role": "system", "content": _fill(prompt, prompt.system, values)},
-        {"role": "user", "content": "\n".join(part for part in parts if part)},
-    ]
+    values = values_of(task, observation, last_steps, symbols)
+    system = [symbols.meaning, symbols.called(_fill(prompt, prompt.system, values))]
+    below = below_text(prompt, task, observation.cell_below)
+    user = [symbols.called(text) for text in (_fill(prompt, prompt.user, values), below)]
+    return "\n".join(filter(None, system)), "\n".join(filter(None, user))
 
 
 def below_text(prompt: Prompt, task: TaskConfig, kind: str) -> str:
     """What is said of the cell below the drone; nothing where it decides nothing. The first prompts tell only pads."""
-    if not task.pads and not (prompt.jinja and any(_deciding(task))):
+    if not task.pads and not (prompt.jinja and any(deciding(task))):
         return ""
     return f"Below the drone: {'charging pad' if kind == 'pad' else kind}"
 
 
-def repair_messages(prompt: Prompt, asked: Sequence[ChatMessage], answer: str, reason: str) -> list[ChatMessage]:
+def repair_messages(
+    prompt: Prompt, asked: Sequence[ChatMessage], answer: str, reason: str, symbols: Symbols = PLAIN
+) -> list[ChatMessage]:
     """The messages that ask once more, after an answer that could not be used."""
     return [
         *asked,
         {"role": "assistant", "content": answer[:QUOTED_CHARACTERS]},
-        {"role": "user", "content": repair_text(prompt, reason)},
+        {"role": "user", "content": repair_text(prompt, reason, symbols)},
     ]
 
 
-def repair_text(prompt: Prompt, reason: str) -> str:
+def repair_text(prompt: Prompt, reason: str, symbols: Symbols = PLAIN) -> str:
     """What is said about an answer that could not be used."""
-    return _fill(prompt, prompt.repair, {"reason": reason})
+    # The reason quotes the model: an UP that it said is told as it was.
+    text = _fill(prompt, prompt.repair, {"reason": reason})
+    return reason.join(symbols.called(around) for around in text.split(reason))
 
 
 def _fill(prompt: Prompt, template: str, values: Mapping[str, object]) -> str:
@@ -273,72 +295,6 @@ def _fill(prompt: Prompt, template: str, values: Mapping[str, object]) -> str:
         raise InvalidValueError(f"prompt {prompt.id} cannot be filled in: {error}") from error
 
 
-def _places(observation: DroneObservation, kind: str) -> str:
-    found = [
-        f"({x}, {y})" for y, line in enumerate(observation.cell_types) for x, name in enumerate(line) if name == kind
-    ]
-    return " ".join(found) or "none"
-
-
-def _target(observation: DroneObservation) -> str:
-    target = observation.current_target
-    return "none" if target is None else f"({target[0]}, {target[1]})"
-
-
-OBSERVED: dict[str, Callable[[DroneObservation], object]] = {
-    "x": lambda seen: seen.drone_x,
-    "y": lambda seen: seen.drone_y,
-    "battery_percent": lambda seen: round(100 * seen.battery),
-    "battery_steps": lambda seen: seen.battery_steps_remaining,
-    "target": _target,
-    "distance": lambda seen: round(seen.distance_to_target or 0),
-    "deliveries_done": lambda seen: seen.deliveries_done,
-    "deliveries_total": lambda seen: seen.deliveries_total,
-    "step": lambda seen: seen.step_count,
-    "steps_left": lambda seen: seen.max_steps - seen.step_count,
-    "max_steps": lambda seen: seen.max_steps,
-    "width": lambda seen: seen.grid_width,
-    "height": lambda seen: seen.grid_height,
-    "grid": lambda seen: "\n".join(" ".join(LETTERS[name] for name in line) for line in seen.cell_types),
-    "parcels": lambda seen: _places(seen, "delivery"),
-    "buildings": lambda seen: _places(seen, "building"),
-    "trees": lambda seen: _places(seen, "tree"),
-    "obstacles": lambda seen: _places(seen, "obstacle"),
-    "pads": lambda seen: _places(seen, "pad"),
-}
-VALUES = {*OBSERVED, "history", "task", "drains", "impassable", "terrain"}
-"""What a template may name."""
-FIRST_VALUES = {*OBSERVED, "history", "rules"}
-"""What one of the first form may name."""
-
-
-def _values(task: TaskConfig, observation: DroneObservation, last_steps: Sequence[str]) -> dict[str, object]:
-    history = "\n".join(["", "Last steps:", *last_steps]) if last_steps else ""
-    deciding = set(_deciding(task))
-    return {name: of(observation) for name, of in OBSERVED.items()} | {
-        "rules": rules_text(task),
-        "history": history,
-        "task": task,
-        "drains": [(_name(kind), units) for kind, units in task.drain if units != 1],
-        "impassable": sorted(map(_name, task.impassable)),
-        "terrain": [
-            (title, _places(observation, CELL_KINDS[kind].name), kind in deciding) for kind, title in TITLES.items()
-        ],
-    }
-
-
-def _name(kind: Cell) -> str:
-    return OWN.get(kind, CELL_KINDS[kind].name)
-
-
-def _deciding(task: TaskConfig) -> Iterator[Cell]:
-    """The kinds of terrain whose places decide how to fly over maps of a task."""
-    for kind, count in task.cell_counts().items():
-        charges = kind is Cell.PAD and task.charge_rate > 0
-        if count and (charges or kind in task.impassable or dict(task.drain).get(kind, 1) != 1):
-            yield kind
-
-
 def untold(prompt: Prompt, task: TaskConfig) -> list[str]:
     """What decides the best flight over maps of a task and has no place in a prompt, in words.
 
@@ -347,24 +303,13 @@ def untold(prompt: Prompt, task: TaskConfig) -> list[str]:
     one, alone = task.deliveries == 1, task.uniform and task.battery_capacity == task.max_steps
     needed: list[tuple[str, list[set[str]]]] = [
         ("the score and what ends a flight", [{name} for name in _parts() if name.startswith("rules-")]),
-        ("where the drone is", [{"x", "y"}, {"grid"}]),
+        ("where the drone is", [{"x", "y"}, {"grid"}, {"picture"}]),
         ("the units of battery", [{"battery_steps"}]),
         ("the steps taken", [{"step"}, {"steps_left"}, *([{"battery_steps"}] if alone else [])]),
-        ("all parcels", [{"parcels"}, {"grid"}, *([{"target"}] if one else [])]),
+        ("all parcels", [{"parcels"}, {"grid"}, {"picture"}, *([{"target"}] if one else [])]),
         *(
-            (TITLES[kind].lower(), [{"terrain"}, {"grid"}, {TITLES[kind].split()[-1].lower()}])
-            for kind in _deciding(task)
+            (TITLES[kind].lower(), [{"terrain"}, {"grid"}, {"picture"}, {TITLES[kind].split()[-1].lower()}])
+            for kind in deciding(task)
         ),
     ]
     return [words for words, ways in needed if not any(way <= prompt.names for way in ways)]
-
-
-def rules_text(task: TaskConfig) -> str:
-    """What a step costs and what blocks the way, in the words of the first prompts."""
-    drain = [f"{units} above a {CELL_KINDS[kind].name}" for kind, units in task.drain if units != 1]
-    costs = f"Each step, WAIT too, costs 1 unit of battery{', but ' + ', '.join(drain) if drain else ''}."
-    blocked = sorted(CELL_KINDS[kind].name for kind in task.impassable)
-    lines = [costs, f"{' and '.join(blocked).capitalize()} cells block the way." if blocked else ""]
-    if task.pads and task.charge_rate:
-        lines.append(f"WAIT on a charging pad adds {task.charge_rate} units instead.")
-    return " ".join(line for line in lines if line)

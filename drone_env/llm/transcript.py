@@ -15,7 +15,7 @@ from pydantic import Field
 from drone_env.errors import InvalidValueError
 from drone_env.files import locked
 from drone_env.llm.answers import Answer
-from drone_env.llm.prompt import ChatMessage
+from drone_env.llm.messages import ChatMessage
 from drone_env.models import Count, Message
 
 
@@ -46,7 +46,8 @@ class Call(Message):
     repeat: Count
     turn: int = Field(ge=1)
     attempt: Literal[1, 2]
-    messages: list[ChatMessage]
+    messages: list[ChatMessage] = Field(description="Of a picture, what it shows.")
+    picture: str | None = Field(default=None, description="SHA-256 of the PNG that was sent: how it looked.")
     request_digest: str = Field(description="Of the messages and all that is sent with them.")
     answer: Answer | None = Field(description="Null where no try brought one.")
     outcome: str = Field(description="How the answer was understood, or `api_error`.")

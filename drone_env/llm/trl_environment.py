@@ -22,7 +22,7 @@ from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, profile_
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import EpisodeError, InvalidValueError, needs
-from drone_env.llm.prompt import FOLDER, below_text, first_messages, read_prompt, repair_text
+from drone_env.llm.prompt import FOLDER, below_text, first_texts, read_prompt, repair_text
 from drone_env.models import NAMES, Direction
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class DroneEnvironment:
         if task is None or seed is None:
             raise InvalidValueError("each row of the data set needs the columns task and seed, as of training_maps()")
         self._episode = episode = Episode(task, self._reward_profile, seed)
-        return first_messages(PROMPT, episode)[1]["content"]
+        return first_texts(PROMPT, episode)[1]
 
     def fly(self, direction: Direction) -> str:
         """Fly the drone one step, or wait for one.
@@ -114,7 +114,7 @@ def training_maps(task: str = "easy", maps: int = 1000, split: str = "train") ->
         from datasets import Dataset  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
     config = get_task(task)
     seeds = list(split_seeds(split, maps))
-    system, user = first_messages(PROMPT, Episode(config, seed=seeds[0]))
+    system, _ = first_texts(PROMPT, Episode(config, seed=seeds[0]))
     # What is on the map comes from `reset`.
-    prompt = [system, {**user, "content": ""}]
+    prompt = [{"role": "system", "content": system}, {"role": "user", "content": ""}]
     return Dataset.from_dict({"prompt": [prompt] * len(seeds), "task": [config.id] * len(seeds), "seed": seeds})

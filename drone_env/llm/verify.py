@@ -12,8 +12,8 @@ from drone_env.llm.config import RunConfig, digest
 from drone_env.llm.desk import CallFailedError
 from drone_env.llm.endpoint import request_body
 from drone_env.llm.gate import LimitReachedError
+from drone_env.llm.messages import ChatMessage
 from drone_env.llm.pilot import fly_one
-from drone_env.llm.prompt import ChatMessage
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, PilotedRecord, load_config, load_results
 from drone_env.llm.transcript import Call, CallKey, read_calls
 
@@ -60,7 +60,7 @@ def verified_run(path: Path) -> VerifiedRun:
         # Leaving out the flights that went badly would make a run look better than it was.
         raise InvalidValueError(f"{path}: flight {lost[0]} was begun but is not among the results: resume the run")
     used: set[CallKey] = set()
-    body, prompt = request_body(config), config.load_prompt()
+    body, prompt, task = request_body(config), config.load_prompt(), config.task_config
 
     by_number = {result.flight: result for result in results}
 
@@ -72,7 +72,8 @@ def verified_run(path: Path) -> VerifiedRun:
             if call.request_digest != digest({"body": body, "messages": messages}):
                 raise InvalidValueError(f"call {key} asked another model or otherwise than run.json says")
             used.add(key)
-            return read_answer(call.answer, prompt.plan, prompt.marks)
+            words = prompt.symbols(task, config.flight(key.flight)[0]).actions
+            return read_answer(call.answer, prompt.plan, prompt.marks, words)
         # Where the answers end, the flight ended as its result says, which is compared with the rest of it.
         if ended.status == "errored" and key in failed:
             raise CallFailedError(ended.error or "")
@@ -87,7 +88,7 @@ def verified_run(path: Path) -> VerifiedRun:
             flown = asyncio.run(fly_one(config, result.flight, ask))
             fits = record_of(flown.episode, config.model) == record
             if not fits:
-                replay(record)  # says more, where the record does not even fit itself
+                replay(record, config.profile)  # says more, where the record does not even fit itself
         except DroneEnvError as error:
             raise InvalidValueError(f"{path}: flight {result.flight}: {error}") from None
         if not fits or PilotedRecord.of(flown) != result:

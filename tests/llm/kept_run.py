@@ -13,8 +13,9 @@ from drone_env.files import RUNS
 from drone_env.llm.answers import Answer, Reading, read_answer
 from drone_env.llm.config import RunConfig, Sampling, digest
 from drone_env.llm.endpoint import request_body
+from drone_env.llm.messages import ChatMessage
 from drone_env.llm.pilot import PilotedEpisode, fly_one
-from drone_env.llm.prompt import ChatMessage, get_prompt
+from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
 from drone_env.llm.transcript import Call, CallKey, Transcript
 from tests.llm.scripted_server import reply

@@ -1,16 +1,20 @@
-"""What a prompt tells, read from its text alone: the task, how its flights are scored, and where the drone stands."""
+"""What a prompt tells, read from what is sent alone: the task, how its flights are scored, where the drone stands."""
 
+import base64
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.standing import standing_episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.llm.prompt import ChatMessage
+from drone_env.llm.messages import DRAWN, ChatMessage
+
+from .picture_reader import read_picture
 
 KINDS = {
     "road": Cell.ROAD,
@@ -29,9 +33,14 @@ TITLES = {
     "Obstacles": Cell.OBSTACLE,
     "Charging pads": Cell.PAD,
 }
-LETTERS = (
-    "D is the drone, P a parcel to deliver, x a delivered one, . road, B building, T tree, O obstacle, C charging pad."
-)
+LEGEND = r"^(\S) is the drone, (\S) a parcel to deliver, (\S) a delivered one, (.*)\.$"
+LOOKS = {
+    "An orange box is a parcel to deliver": "parcel to deliver",
+    "a grey roof is a building": "building",
+    "round green crowns are a tree": "tree",
+    "a red and white barrier is an obstacle": "obstacle",
+    "a blue square with a flash is a charging pad": "charging pad",
+}
 MOVES = [("UP", "y", "-"), ("DOWN", "y", "+"), ("LEFT", "x", "-"), ("RIGHT", "x", "+")]
 REWARDS = "delivery battery_dead wall blocked obstacle building tree wait step"
 
@@ -49,12 +58,14 @@ class Told(NamedTuple):
         formula: The score at the end, of `delivered`, `battery`, `steps` and `all`.
         bounds: The least and the most that it can be.
         episode: One that stands so.
+        words: What an answer has to say for each action.
     """
 
     task: TaskConfig
     formula: str
     bounds: tuple[float, float]
     episode: Episode
+    words: Mapping[Action, str]
 
     def score(self, delivered: int, battery: int, steps: int) -> float:
         """What a flight scores that ends so."""
@@ -75,13 +86,18 @@ def said(text: str, pattern: str, what: str) -> tuple[str, ...]:
     return found.groups()
 
 
-def read_text(messages: Sequence[ChatMessage]) -> Told:
-    """What the messages of a prompt tell.
+def read_text(messages: Sequence[ChatMessage], names: Mapping[str, str] | None = None) -> Told:
+    """What the messages of a prompt tell, as they are sent.
+
+    Args:
+        messages: With their picture, where they have one.
+        names: The plain name of each drawn one. Who is not told them takes any for those that no rule tells apart.
 
     Raises:
         NotToldError: at the first thing that they do not.
     """
-    rules, seen = (message["content"] for message in messages)
+    rules, seen, picture = _parts(messages)
+    rules, seen, words = _in_plain_words(rules, seen, names)
     formula, lowest, highest = said(
         rules, r"Score at the end: (.*?)(?:, where .*)?; at least (\S+), at most (\S+)\.\n", "score"
     )
@@ -96,7 +112,7 @@ def read_text(messages: Sequence[ChatMessage]) -> Told:
     if re.findall(r"\b([A-Z]+) \(([xy]) ([+-]) 1\)", rules) != MOVES:
         raise NotToldError("actions")
     width, height = map(int, said(rules, r"The grid is (\d+) x (\d+):", "size"))
-    ground = _ground(seen, width, height)
+    ground = _ground(seen, width, height) if picture is None else _shown(rules, picture, width, height)
     x, y = map(int, said(seen, r"Position: \((\d+), (\d+)\)", "position"))
     ground[y, x] = KINDS[next(iter(re.findall("Below the drone: (.*)", seen)), "road")]
     counts = {f"{kind.name.lower()}s": int((ground == kind).sum()) for kind in TITLES.values() if kind != Cell.DELIVERY}
@@ -123,15 +139,72 @@ def read_text(messages: Sequence[ChatMessage]) -> Told:
     elsewhere = [cell for cell in range(width * height) if cell not in wanted][: deliveries - len(wanted)]
     parcels = [(cell, False) for cell in wanted] + [(cell, True) for cell in elsewhere]
     episode = standing_episode(task, ground, y * width + x, battery, steps, parcels)
-    return Told(task, formula, (float(lowest), float(highest)), episode)
+    return Told(task, formula, (float(lowest), float(highest)), episode, words)
+
+
+def _parts(messages: Sequence[ChatMessage]) -> tuple[str, str, bytes | None]:
+    """The text of the system, that of the user, and the picture beside it."""
+    system, user = (message["content"] for message in messages)
+    assert isinstance(system, str)
+    if isinstance(user, str):
+        return system, user, None
+    text, url = "", ""
+    for part in user:
+        if part["type"] == "text":
+            text = part["text"]
+        else:
+            url = part["image_url"]["url"]
+    return system, text, base64.b64decode(url.removeprefix(DRAWN), validate=True)
+
+
+def _in_plain_words(rules: str, seen: str, names: Mapping[str, str] | None) -> tuple[str, str, Mapping[Action, str]]:
+    """Rules and what is seen in plain words, and what an answer has to say for each action."""
+    if "are drawn for this map" not in rules:
+        return rules, seen, {action: action.name for action in Action}
+    ways = {"y - 1": Action.UP, "y + 1": Action.DOWN, "x - 1": Action.LEFT, "x + 1": Action.RIGHT}
+    words = {ways[way]: word for word, way in re.findall(r"\b([A-Z]+) is ([xy] [+-] 1)\b", rules)}
+    (words[Action.WAIT],) = said(rules, r"\b([A-Z]+) waits;", "waiting")
+    if names is None:
+        (road,) = said(rules, r"a cell on which nothing stands is (\w+)\.", "what is a road")
+        (parcel,) = said(rules, r"Coming to a (\w+)'s cell delivers it", "what is a parcel")
+        names = {road: "road", parcel: "parcel"}
+        names |= dict.fromkeys(re.findall(r"\b[A-Z]+ on a (\w+) costs nothing and adds", rules), "pad")
+        drains, blocks = re.findall(r"ends on: (.*), any other", rules), re.findall(r"be entered: (.*)\. Into", rules)
+        told = [one.split()[0] for listed in (*drains, *blocks) for one in listed.split(", ")]
+        told += [title.lower() for title in re.findall(r"^([A-Z][a-z]+)s: ", seen, re.MULTILINE)]
+        told += re.findall(r"\b[A-Z] ([a-z]+)[,.]", seen)
+        free = [kind for kind in ("building", "tree", "obstacle", "pad") if kind not in names.values()]
+        # Any of them is as good as another: nothing but what the rules say tells them apart.
+        unknown = [name for name in dict.fromkeys(told) if name not in {*names, "delivered"}]
+        names |= dict(zip(unknown, free[: len(unknown)], strict=True))
+    plain = {word: action.name for action, word in words.items()}
+    for name, kind in names.items():
+        long = "charging pad" if kind == "pad" else kind
+        plain |= {name: long, f"{name}s": f"{long}s", name.capitalize(): long.capitalize()}
+        plain[f"{name}s".capitalize()] = f"{long}s".capitalize()
+    texts = [re.sub("[A-Za-z]+", lambda found: plain.get(found[0], found[0]), text) for text in (rules, seen)]
+    return texts[0], texts[1], words
+
+
+def _shown(rules: str, picture: bytes, width: int, height: int) -> np.ndarray:
+    """What a picture shows, whose figures the text explains."""
+    ground = read_picture(picture, width, height)
+    told = {KINDS[kind] for look, kind in LOOKS.items() if look in rules}
+    if {Cell(kind) for kind in np.unique(ground).tolist()} - told - {Cell.ROAD, Cell.DELIVERED}:
+        raise NotToldError("what a figure is")
+    said(rules, "and every other cell is road", "road")
+    said(rules, "a green tick is a delivered parcel", "delivered parcels")
+    return ground
 
 
 def _ground(seen: str, width: int, height: int) -> np.ndarray:
     ground = np.zeros((height, width), np.uint8)
-    if LETTERS in seen:
+    legend = re.search(LEGEND, seen, re.MULTILINE)
+    if legend:
         rows = [line.split() for line in seen.splitlines()[:height]]
-        letters = {".": Cell.ROAD, "B": Cell.BUILDING, "T": Cell.TREE, "O": Cell.OBSTACLE, "P": Cell.DELIVERY}
-        letters |= {"x": Cell.DELIVERED, "C": Cell.PAD, "D": Cell.ROAD}
+        drone, parcel, delivered, rest = legend.groups()
+        letters = {drone: Cell.ROAD, parcel: Cell.DELIVERY, delivered: Cell.DELIVERED}
+        letters |= {one[0]: KINDS[one[2:]] for one in rest.split(", ")}
         return np.array([[letters[letter] for letter in row] for row in rows], np.uint8)
     lists = dict(re.findall(r"^([A-Z][a-z ]+): ((?:\(\d+, \d+\) ?)+|none)$", seen, re.MULTILINE))
     if "Parcels to deliver" not in lists:

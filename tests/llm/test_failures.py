@@ -76,6 +76,36 @@ def test_a_famous_refusal_names_the_option_that_helps(
     assert any(after.get(name) != value for name, value in before.items())
 
 
+@pytest.mark.parametrize(
+    ("status", "message"),
+    [
+        (400, "Invalid content type. image_url is only supported by certain models."),
+        (422, "messages[1]: unknown variant `image_url`, expected `text`"),
+        (400, "messages.1.content must be a string"),
+        (404, "No endpoints found that support image input"),
+        (500, "image input is not supported - hint: if this is unexpected, you may need to provide the mmproj"),
+        (413, "Request Entity Too Large"),
+    ],
+)
+def test_who_takes_no_pictures_is_named_a_prompt_without(endpoint: Start, status: int, message: str) -> None:
+    refuses = [[1, 10**9, {"status": status, "message": message}]]
+    scripted = endpoint(pilot="WAIT", faults=refuses)
+    refused = scripted.infer("--seeds", "14:16", "--prompt", "vision", "--concurrency", "1")
+    assert (refused.status, len(scripted.requests())) == (2, 2)
+    assert f"answers {status}: {message} (each call shows a picture: try it with one that does not" in refused.err
+    # Where none is shown, it is a refusal like any other.
+    plain = endpoint(pilot="WAIT", faults=refuses).infer("--seeds", "14:15", "--max-calls", "2", "--tries", "1")
+    assert "shows a picture" not in plain.err
+
+
+@pytest.mark.parametrize(("status", "message"), [(401, "no image for you"), (503, "the image store is not supported")])
+def test_other_refusals_are_not_blamed_on_the_picture(endpoint: Start, status: int, message: str) -> None:
+    scripted = endpoint(pilot="WAIT", faults=[[0, 10**9, {"status": status, "message": message}]])
+    refused = scripted.infer("--seeds", "14:15", "--prompt", "vision", "--tries", "1")
+    assert message in refused.err
+    assert "try it with" not in refused.err
+
+
 def test_no_option_is_named_for_what_was_not_sent(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy", faults=[[0, 0, {"status": 400, "message": "no temperature, please"}]])
     done = scripted.infer("--seeds", "14:15", "--no-temperature")

@@ -4,12 +4,14 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from decimal import Decimal
 
 import pytest
 
 from drone_env.core.seeds import SPLITS
 from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.llm.endpoint import POOLS
+from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
 
 from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines
@@ -129,3 +131,20 @@ def test_twice_as_many_requests_at_once_while_all_goes_well(endpoint: Start) -> 
         most = max(most, now)
     assert (now, most) == (0, 100)
     assert len(blocks(done.out)) == sum(waves)
+
+
+def test_a_run_keeps_the_rewards_of_a_file_of_ones_own(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy")
+    mine = scripted.folder / "mine.toml"
+    mine.write_text('id = "mine"\nshaping = 0.25\n[events]\ndelivery = 7\n')
+    flown = scripted.infer("--seeds", "14:15", "--reward-profile", "mine.toml")
+    assert flown.status == 0, flown.err
+    assert flown.out.endswith("rewards=0.25,0.25,7.25\n")
+    config = verified_run(flown.folder).config  # where nobody knows the name any more
+    assert (config.profile.id, config.profile.shaping) == ("mine", Decimal("0.25"))
+    again = ("--seeds", "14:15", "--reward-profile", "mine.toml", "--resume")
+    assert scripted.infer(*again, folder=flown.folder).out == flown.out
+    mine.write_text('id = "mine"\nshaping = 0.5\n[events]\ndelivery = 7\n')
+    other = scripted.infer(*again, folder=flown.folder)
+    assert other.status == 2
+    assert "another configuration: rewards" in other.err

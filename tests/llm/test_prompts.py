@@ -12,7 +12,8 @@ from drone_env.core.actions import Action
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.llm.prompt import FOLDER, VALUES, first_messages, get_prompt, prompt_ids, read_prompt, text_of_file
+from drone_env.llm.prompt import FOLDER, first_messages, first_texts, get_prompt, prompt_ids, read_prompt, text_of_file
+from drone_env.llm.values import VALUES
 from drone_env.planning.optimal import solve
 from tests.tools import missing_tool
 
@@ -41,8 +42,7 @@ def test_the_first_prompts_say_what_they_always_said() -> None:
             episode.reset(7)
             for action in (Action.UP, Action.WAIT, Action.LEFT):
                 episode.step(action)
-            messages = first_messages(get_prompt(name), episode, ["1. UP"])
-            digest.update("\n".join(message["content"] for message in messages).encode())
+            digest.update("\n".join(first_texts(get_prompt(name), episode, ["1. UP"])).encode())
         said[name] = f"{get_prompt(name).digest} {digest.hexdigest()[:16]}"
     assert said == {
         "coordinates-1": "efa13975020617da b6454cb90a1fdedf",
@@ -58,21 +58,23 @@ def test_prompts_tell_what_the_drone_sees() -> None:
     last = ["2. LEFT -> (0, 2). On the way."]
     x, y = episode.position
     for name in prompt_ids():
-        system, user = first_messages(get_prompt(name), episode, last)
-        assert all(action.name in system["content"] for action in Action)
-        assert f"Position: ({x}, {y})" in user["content"]
-        assert not re.search(r"\{\w+\}", system["content"] + user["content"])
+        prompt = get_prompt(name)
+        system, user = first_texts(prompt, episode, last)
+        words = {action: word for word, action in prompt.symbols(episode.task, 7).actions.items()}
+        assert all(words[action] in system for action in Action)
+        assert f"Position: ({x}, {y})" in user
+        assert not re.search(r"\{\w+\}", system + user)
     (_, minimal), (_, lists), (_, grid) = (
-        first_messages(get_prompt(name), episode, last) for name in ("minimal", "coordinates", "grid")
+        first_texts(get_prompt(name), episode, last) for name in ("minimal", "coordinates", "grid")
     )
     target = episode.target
     assert target is not None
     for part in (f"Target: ({target[0]}, {target[1]})", f"Distance: {episode.distance_to_target}", "100% (160 units)"):
-        assert part in minimal["content"]
-    assert minimal["content"].endswith("Last steps:\n2. LEFT -> (0, 2). On the way.")
-    parcels = next(line for line in lists["content"].splitlines() if line.startswith("Parcels"))
+        assert part in minimal
+    assert minimal.endswith("Last steps:\n2. LEFT -> (0, 2). On the way.")
+    parcels = next(line for line in lists.splitlines() if line.startswith("Parcels"))
     assert sorted(re.findall(r"\((\d+), (\d+)\)", parcels)) == sorted((str(a), str(b)) for a, b, _ in episode.parcels)
-    letters = "".join(line.replace(" ", "") for line in grid["content"].splitlines()[:18])
+    letters = "".join(line.replace(" ", "") for line in grid.splitlines()[:18])
     seen = [".BTOPxD?C"[cell] for cell in episode.grid().ravel()]
     assert letters == "".join(seen)
     assert len(Cell) == 9
@@ -87,16 +89,15 @@ def test_where_there_are_pads_every_prompt_tells_what_lies_below_the_drone() -> 
             kind = CELL_KINDS[Cell(episode.under)].name
             below = f"Below the drone: {'charging pad' if kind == 'pad' else kind}"
             for prompt in prompts:
-                _, user = first_messages(prompt, episode)
-                assert user["content"].splitlines()[-1] == below
+                _, user = first_texts(prompt, episode)
+                assert user.splitlines()[-1] == prompt.symbols(episode.task, seed).called(below)
             told.add(below)
             episode.step(action)
     assert "Below the drone: charging pad" in told
     episode = Episode("hard")
     episode.reset(7)
     for prompt in prompts:
-        _, user = first_messages(prompt, episode)
-        assert "Below" not in user["content"]
+        assert "Below" not in first_texts(prompt, episode)[1]
 
 
 def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
@@ -112,6 +113,10 @@ def test_prompts_that_are_none_are_named(tmp_path: Path) -> None:
         ("format = 2" + rest, "user: unknown 'weather'; there are battery_percent, battery_steps, "),
         ("format = 2" + rest.replace("}}", ""), "user: unexpected end of template"),
         ('format = 2\nmarks = ["ACTION"]' + rest.replace("weather", "x"), r"marks\.0: String should match pattern"),
+        ('format = 2\nsymbols = "names"' + rest, "symbols: Input should be 'drawn'"),
+        ("format = 2\npicture = 100" + rest, "picture: Input should be greater than or equal to 256"),
+        ('format = 2\nsymbols = "drawn"\npicture = 512' + rest.replace("weather", "x"), "give symbols without picture"),
+        ('format = 2\nsymbols = "drawn"' + rest.replace("weather", "grid"), r"\{\{ legend \}\} says what they are"),
         ("format = 2" + rest.replace('system = ""', "system = '{% include \"more.j2\" %}'"), r"unknown 'more\.j2'"),
     ]:
         path.write_text(text)
@@ -138,12 +143,12 @@ def test_a_template_may_name_every_value_and_no_other(tmp_path: Path) -> None:
     path.write_text(f"format = 2\nplan = false\nsystem = '{told}'\nuser = '{told}'\nrepair = '{{{{ reason }}}}'\n")
     episode = Episode("easy")
     episode.reset(14)
-    for message in first_messages(read_prompt(path), episode):
-        filled = dict(part.partition("=")[::2] for part in message["content"].split("; "))
+    for text in first_texts(read_prompt(path), episode):
+        filled = dict(part.partition("=")[::2] for part in text.split("; "))
         assert filled.keys() == VALUES
         assert (filled["x"], filled["y"], filled["steps_left"], filled["history"]) == ("6", "3", "60", "")
     path.write_text(path.read_text().replace("{{ reason }}", "{{ x }}"))
-    with pytest.raises(InvalidValueError, match="repair: unknown 'x'; there are reason"):
+    with pytest.raises(InvalidValueError, match=r"repair: unknown 'x'; there are .*reason, rules-2.j2"):
         read_prompt(path)
 
 

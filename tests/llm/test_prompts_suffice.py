@@ -1,20 +1,23 @@
-"""Prompts tell all that decides a flight: it is read from their text alone, and who sees no more flies the optimum."""
+"""Prompts tell all that decides a flight: it is read from them alone, and who sees no more flies the optimum."""
 
 from dataclasses import replace
 
 import pytest
 
+from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.score import score_of
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TaskConfig
+from drone_env.llm.answers import Answer, read_answer
+from drone_env.llm.messages import with_pictures
 from drone_env.llm.prompt import FOLDER, Prompt, first_messages, get_prompt, prompt_ids, read_prompt, untold
 from drone_env.planning.optimal import solve
 from drone_env.planning.solvers import solver_of
 
-from .prompt_reader import NotToldError, read_text
+from .prompt_reader import NotToldError, Told, read_text
 
 TOLD = [get_prompt(name) for name in prompt_ids() if get_prompt(name).jinja] + [
     read_prompt(FOLDER / "tools" / "fly-2.toml")
@@ -30,6 +33,9 @@ ODD = [
     replace(SKYLINE, drain=((Cell.DELIVERY, 3), (Cell.PAD, 2)), efficiency_needs_all=False),
 ]
 """Tasks of one's own, with rules that none of ours has."""
+TEXTS = [prompt for prompt in TOLD if not prompt.picture]
+SHORT = [prompt.id for prompt in TOLD if prompt.id.startswith("minimal-")]
+"""They tell no terrain that decides nothing."""
 FIRST = [get_prompt(name) for name in prompt_ids() if not get_prompt(name).jinja]
 UNSEEN = {
     *{"id", "short_name", "grader", "version"},  # names
@@ -50,13 +56,19 @@ def rules_of(task: TaskConfig, terrain: bool) -> dict[str, object]:
     return {name: value for name, value in rules.items() if name not in UNSEEN}
 
 
+def told_by(prompt: Prompt, episode: Episode) -> Told:
+    """What is read from a prompt as it is sent, by one who knows no drawn name of anything."""
+    return read_text(with_pictures(first_messages(prompt, episode))[0])
+
+
 @pytest.mark.parametrize("task", [*TASKS.values(), *ODD], ids=lambda task: task.short_name)
-@pytest.mark.parametrize("prompt", TOLD, ids=lambda prompt: prompt.id)
+@pytest.mark.parametrize("prompt", TEXTS, ids=lambda prompt: prompt.id)
 def test_every_number_and_rule_of_a_task_is_read_from_the_prompt_alone(prompt: Prompt, task: TaskConfig) -> None:
     episode = Episode(task)
     episode.reset(3)
-    told = read_text(first_messages(prompt, episode))
-    assert rules_of(told.task, True) == rules_of(task, terrain=prompt.id != "minimal-2")
+    names = {drawn: plain for plain, drawn in prompt.symbols(task, 3).names.items()}
+    told = read_text(first_messages(prompt, episode), names)
+    assert rules_of(told.task, True) == rules_of(task, terrain=prompt.id not in SHORT)
     for delivered in range(task.deliveries + 1):
         for battery, steps in (
             (0, task.max_steps),
@@ -73,30 +85,45 @@ def flown_by_reading(prompt: Prompt, task: str, seed: int) -> float:
     """The score of a planner that is told one prompt after another, or a single one that asks for the route."""
     episode = Episode(task)
     episode.reset(seed)
+    words = prompt.symbols(episode.task, seed).actions
     while not episode.ended:
-        told = read_text(first_messages(prompt, episode)).episode
-        solver = solver_of(told)
-        while not told.ended:
-            action = solver.optimal_actions(told)[0]
-            told.step(action)
+        told = told_by(prompt, episode)
+        flight, says = told.episode, []
+        solver = solver_of(flight)
+        while not flight.ended and (prompt.plan or not says):
+            action = solver.optimal_actions(flight)[0]
+            flight.step(action)
+            says.append(told.words[Action(action)])
+        for action in read_answer(Answer(text=" ".join(says)), prompt.plan, prompt.marks, words).actions:
             episode.step(action)
-            if not prompt.plan:
-                break
     return episode.score
 
 
 @pytest.mark.parametrize("task", [task.short_name for task in TASKS.values()])
-@pytest.mark.parametrize("prompt", TOLD, ids=lambda prompt: prompt.id)
+@pytest.mark.parametrize("prompt", TEXTS, ids=lambda prompt: prompt.id)
 def test_who_sees_nothing_but_the_text_flies_the_optimum(prompt: Prompt, task: str) -> None:
     for seed in split_seeds("test", 2):
         assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
 
 
+@pytest.mark.parametrize("task", [task.short_name for task in TASKS.values()])
+def test_the_map_can_be_rebuilt_from_its_picture(task: str) -> None:
+    seed = split_seeds("test", 1)[0]
+    prompt, episode, actions = get_prompt("vision"), Episode(task, seed=seed), solve(task, seed).actions
+    assert untold(prompt, episode.task) == []
+    assert rules_of(told_by(prompt, episode).task, True) == rules_of(episode.task, True)
+    for step, action in enumerate(actions):
+        if step % 8 == 0 or step == len(actions) - 1:
+            assert told_by(prompt, episode).episode.grid().tolist() == episode.grid().tolist()
+        episode.step(action)
+    assert episode.success
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("task", [task.short_name for task in TASKS.values()])
 @pytest.mark.parametrize("prompt", TOLD, ids=lambda prompt: prompt.id)
-def test_who_sees_nothing_but_the_text_flies_the_optimum_of_many_maps(prompt: Prompt, task: str) -> None:
-    for seed in split_seeds("test", 100 if prompt.id == "minimal-2" else 20):
+def test_who_sees_nothing_but_the_prompt_flies_the_optimum_of_many_maps(prompt: Prompt, task: str) -> None:
+    for seed in split_seeds("test", 100 if prompt.id in SHORT else 2 if prompt.picture else 20):
         assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
 
 

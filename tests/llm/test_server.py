@@ -9,7 +9,6 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
-import httpx
 import pytest
 from starlette.testclient import TestClient
 
@@ -32,7 +31,7 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--server", server.url)
         assert done.status == 0, done.err
         assert done.turns == {"ok": 3}
-        (stored,) = httpx.get(f"{server.url}/memory_logs", timeout=30).json()["episodes"]
+        (stored,) = server.client.get("/memory_logs", timeout=30).json()["episodes"]
         assert (stored["seed"], stored["agent"], stored["score"]) == (14, "scripted", 0.99)
         # A server of other rules would show another flight than the one here.
         episode, session = Episode("easy", "tiered"), ServerSession(server.url, "mine")

@@ -1,0 +1,150 @@
+"""Names that are drawn for each map: which they are, where they stand, and that nothing else is an answer."""
+
+import json
+import re
+from collections.abc import Callable
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
+from drone_env.core.tasks import get_task
+from drone_env.llm.answers import Answer, read_answer
+from drone_env.llm.prompt import FOLDER, Prompt, first_texts, get_prompt, prompt_ids, read_prompt, repair_text
+from drone_env.llm.symbols import FIRST, PLAIN, PLAIN_LETTERS, SECOND, draw_symbols
+from drone_env.planning.optimal import solve
+
+from .conftest import Endpoint
+from .log_lines import verified
+
+Start = Callable[..., Endpoint]
+EASY = get_task("easy")
+DRAWN = [get_prompt(name) for name in prompt_ids() if get_prompt(name).drawn]
+PLAINLY = r"\b(UP|DOWN|LEFT|RIGHT|WAIT|(?i:parcel|road|building|tree|obstacle|pad)s?)\b"
+DIRECTIONS = "up down left right wait stay stop north south east west fly move go"
+KINDS = "parcel road building tree obstacle pad charging drone delivery delivered target city street"
+COMMON = f"{DIRECTIONS} {KINDS} battery score action answer true false none null"
+"""Words that mean something in a prompt, or would."""
+
+
+def test_the_names_of_a_map_are_always_the_same() -> None:
+    """Runs are checked and gone on with by them: whoever changes them makes old runs unreadable."""
+    symbols = draw_symbols(get_task("skyline_hard"), 7)
+    assert " ".join(symbols.names.values()) == "PRULU FLUDO SKOZA PLEMI KLEBA druti stufi zwelu truvo vlafi freza"
+    assert "".join(symbols.letters.values()) == "NWAFEMJ?V"
+
+
+def test_no_two_are_alike_and_none_means_anything() -> None:
+    words = {a + b for a, b in product(FIRST.split(), SECOND.split())}
+    assert len(words) == len(FIRST.split()) * len(SECOND.split())
+    assert not words & set(COMMON.upper().split())
+    seen: set[tuple[str, ...]] = set()
+    for task, seed in product((EASY, get_task("hard")), range(500)):
+        symbols = draw_symbols(task, seed)
+        names = [name.upper() for name in symbols.names.values()]
+        assert {*names} <= words
+        assert len({name[:3] for name in names}) == len(names) == 11
+        assert list(symbols.actions) == names[:5]
+        letters = [letter for kind, letter in symbols.letters.items() if kind != "unknown"]
+        assert len({*letters}) == len(letters) == 8
+        assert not {*letters} & {*"".join(PLAIN_LETTERS.values()).upper()}
+        seen.add(tuple(names))
+    assert len(seen) == 1000
+
+
+def test_every_word_can_be_drawn_for_everything() -> None:
+    names = [draw_symbols(EASY, seed).names for seed in range(2000)]
+    for kind in names[0]:
+        assert len({of[kind].upper() for of in names}) == len(FIRST.split()) * len(SECOND.split())
+
+
+@pytest.mark.parametrize("prompt", DRAWN, ids=lambda prompt: prompt.id)
+@pytest.mark.parametrize("task", ["easy", "skyline_hard"])
+def test_no_plain_name_is_left_in_a_prompt(prompt: Prompt, task: str) -> None:
+    episode = Episode(task, seed=7)
+    history = [f"1. RIGHT -> (1, 2). {said}" for said in ("Above an obstacle.", "Above a tree.", "On the way.")]
+    system, user = first_texts(prompt, episode, history)
+    repaired = repair_text(prompt, "the answer is not one action", prompt.symbols(episode.task, 7))
+    assert not re.findall(PLAINLY, "\n".join((system, user, repaired)))
+    names = draw_symbols(episode.task, 7).names
+    assert f"1. {names['RIGHT']} -> (1, 2). Above a {names['obstacle']}.\n" in user
+
+
+@pytest.mark.parametrize(("plain", "drawn"), [("minimal-2", "minimal-drawn-1"), ("grid-2", "grid-drawn-1")])
+def test_a_drawn_prompt_differs_from_a_plain_one_in_its_names_alone(plain: str, drawn: str) -> None:
+    before, after = ((FOLDER / f"{name}.toml").read_text().splitlines()[1:] for name in (plain, drawn))
+    assert [line for line in after if line not in before] == [
+        'symbols = "drawn"',
+        *["{{ legend }}"] * ("grid" in plain),
+    ]
+    after.remove('symbols = "drawn"')
+    assert [PLAIN.legend if line == "{{ legend }}" else line for line in after] == before
+
+
+@pytest.mark.parametrize("text", ["UP", "up", "RIGHT", '{"action": "WAIT"}', "TREE"])
+def test_a_plain_name_is_no_answer_where_names_are_drawn(text: str) -> None:
+    words = draw_symbols(EASY, 14).actions
+    assert read_answer(Answer(text=text), False, (), words).kind == "illegal"
+    assert not read_answer(Answer(text=text), True, (), words).actions
+
+
+def test_drawn_names_are_read_as_plain_ones_are() -> None:
+    words = draw_symbols(EASY, 14).actions
+    (up, down), other = list(words)[:2], next(iter(draw_symbols(EASY, 15).actions))
+    for text in (up, f" {up.lower()}.\n", f"**{up}**", f'{{"action": "{up}"}}', f"```{up}```", f"Hm.\nACTION: {up}"):
+        assert read_answer(Answer(text=text), False, ("ACTION:",), words).actions == (Action.UP,)
+    assert read_answer(Answer(text=f"{up}, {down} -> {up}"), True, (), words).actions == (0, 1, 0)
+    assert read_answer(Answer(text=f"{up}, RIGHT"), True, (), words).kind == "illegal"
+    assert read_answer(Answer(text=up), False).kind == "illegal"
+    assert read_answer(Answer(text=other), False, (), words).kind == "illegal"
+
+
+def test_a_model_flies_by_drawn_names_and_the_run_keeps_them(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy")
+    done = scripted.infer("--seeds", "14:16", "--prompt", "minimal-drawn", "--history", "2")
+    assert (done.status, set(done.turns)) == (0, {"ok"}), done.err
+    for seed, flight in zip((14, 15), done.flights, strict=True):
+        assert (flight["score"], flight["names"]) == (solve("easy", seed).score, dict(draw_symbols(EASY, seed).names))
+    assert not {call["answer"]["text"] for call in done.calls} & {*Action.__members__}
+    verified(done)
+    # What is flown by the plain prompt keeps none.
+    assert {str(flight["names"]) for flight in endpoint(pilot="greedy").infer("--seeds", "14:15").flights} == {"{}"}
+
+
+def test_who_answers_by_heart_is_asked_again_and_waits(endpoint: Start) -> None:
+    done = endpoint(pilot="UP").infer("--seeds", "14:15", "--prompt", "minimal-drawn", "--max-calls", "2")
+    assert done.turns == {"illegal": 1, "budget_stop": 1}
+    names = draw_symbols(EASY, 14).names
+    _, _, said, again = done.calls[1]["messages"]
+    assert said == {"role": "assistant", "content": "UP"}
+    words = ", ".join(names[action.name] for action in Action).replace(f", {names['WAIT']}", f" or {names['WAIT']}")
+    why = "That answer could not be used: 'UP' is not an action. Answer with exactly one word:"
+    assert again["content"] == f"{why} {words}."
+    verified(done)
+
+
+@pytest.mark.parametrize("form", ["json", "tool"])
+def test_no_form_of_answers_names_an_action_plainly(endpoint: Start, form: str) -> None:
+    scripted = endpoint(pilot="greedy")
+    done = scripted.infer("--seeds", "14:15", "--prompt", "minimal-drawn", "--answers", form)
+    assert (done.status, done.turns) == (0, {"ok": 3}), done.err
+    assert not re.findall(PLAINLY, json.dumps(scripted.requests()[0]["body"]))
+    verified(done)
+
+
+def test_a_prompt_of_ones_own_may_draw_its_names(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'format = 2\nplan = true\nsymbols = "drawn"\nsystem = \'Trees! Say {"actions": ["RIGHT", "UP"]}\'\n'
+        'user = "An obstacle, {{ buildings }} and a pad; upright, Up."\nrepair = "Say UP: {{ reason }}"'
+    )
+    prompt, episode = read_prompt(path), Episode("easy", seed=14)
+    symbols = prompt.symbols(episode.task, 14)
+    of = symbols.names
+    system, user = first_texts(prompt, episode)
+    assert system.endswith(f'.\n{of["tree"].capitalize()}s! Say {{"actions": ["{of["RIGHT"]}", "{of["UP"]}"]}}')
+    assert user.startswith(f"A {of['obstacle']}, (")
+    assert user.endswith(f" and a {of['pad']}; upright, Up.")
+    assert repair_text(prompt, "'UP' is not an action", symbols) == f"Say {of['UP']}: 'UP' is not an action"
