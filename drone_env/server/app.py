@@ -21,23 +21,23 @@ from drone_env.errors import DroneEnvError, needs
 with needs("server", __name__):
     from fastapi import FastAPI
     from fastapi.responses import FileResponse
-    from fastapi.staticfiles import StaticFiles
     from pydantic_core import to_json
     from starlette.concurrency import run_in_threadpool
     from starlette.responses import Response
     from starlette.routing import WebSocketRoute
 
-from drone_env.envs.registry import load_plugins
+from drone_env.envs.registry import load_plugins, register_reward_file
 from drone_env.server.hello import hello
 from drone_env.server.live.socket import LiveSocket
 from drone_env.server.openenv import routes as openenv
 from drone_env.server.openenv.socket import OpenEnvSocket
+from drone_env.server.page_files import PAGE, PageFiles
 from drone_env.server.preview import Previews
 from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.request_log import LogRequests
-from drone_env.server.routes import catalogue, compare, flight, history, model_runs, page, replay, step, values
-from drone_env.server.security import ART, PAGE, protect
+from drone_env.server.routes import catalogue, compare, flight, history, page, replay, runs, step, values
+from drone_env.server.security import protect
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import Shared
 
@@ -60,11 +60,15 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
         clock: Gives the time in seconds, by which sessions are idle; None for a steady one.
 
     Raises:
-        InvalidValueError: if a variable of the environment has a value that it cannot have.
+        InvalidValueError: if a variable of the environment has a value that it cannot have, or a file of a reward
+            profile does.
+        OSError: if a file of a reward profile cannot be read.
     """
     load_plugins()
-    shared = Shared(settings or load_settings(), clock)
-    settings = shared.settings
+    settings = settings or load_settings()
+    for file in settings.reward_profiles:
+        register_reward_file(file)
+    shared = Shared(settings, clock)
     live = LiveSocket(shared)
     socket = OpenEnvSocket(shared, clock or time.monotonic)
 
@@ -104,7 +108,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     # The first is the innermost.
     protect(app, settings)
     app.add_middleware(LogRequests, log=shared.requests)
-    for routes in (step, flight, catalogue, history, compare, model_runs, replay, values, page, openenv):
+    for routes in (step, flight, catalogue, history, compare, runs, replay, values, page, openenv):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
     app.router.routes.append(WebSocketRoute("/live", live))
@@ -125,7 +129,7 @@ def _add_page(app: FastAPI) -> None:
         with lock:
             return Response(described(), media_type="application/json")
 
-    app.mount("/static", StaticFiles(directory=PAGE, packages=[("drone_env.envs", ART.name)]))
+    app.mount("/static", PageFiles())
 
 
 async def _sweep(shared: Shared, socket: OpenEnvSocket, live: LiveSocket) -> None:
@@ -159,7 +163,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.add_argument("--workers", default=defaults.workers, type=int, help="processes that serve (%(default)s)")
         parser.add_argument("--data", default=defaults.data, type=Path, help="folder of what is kept (%(default)s)")
         run(**vars(parser.parse_args(arguments)))
-    except DroneEnvError as error:
+    except (DroneEnvError, OSError) as error:
         sys.exit(f"server: {error}")
 
 

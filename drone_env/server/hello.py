@@ -19,8 +19,8 @@ from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.episodes.record import EpisodeRecord, replay
 from drone_env.server.links import Link
+from drone_env.server.page_files import ART, PAGE
 from drone_env.server.pilots import HUMAN, PILOTS
-from drone_env.server.security import ART, PAGE
 
 RIVALS = (HUMAN, "tournet", "greedy")
 SECOND, PAUSE = 4, 8

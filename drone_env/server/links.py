@@ -35,9 +35,14 @@ class Link(BaseModel):
     actions: str | None = Field(
         default=None,
         max_length=MAX_UNITS,
-        description=f"What that fork has flown from the start of the map on, a letter of {', '.join(LETTERS)} each.",
+        description=f"What that fork, or without one a person, has flown from the start of the map on, a letter of "
+        f"{', '.join(LETTERS)} each.",
     )
-    of: str | None = Field(default=None, max_length=200, description="Who flew up to that step.")
+    of: str | None = Field(
+        default=None,
+        max_length=200,
+        description="Who flew up to that step; of a person without a fork, as the record says it.",
+    )
     episode: str | None = Field(
         default=None, max_length=LONGEST_ID, description="A stored episode, in place of all else."
     )
@@ -66,7 +71,9 @@ class Link(BaseModel):
         Raises:
             InvalidValueError: if it is no fork.
         """
-        if self.fork is None and self.actions is None and self.of is None:
+        # What a person has flown is for himself to go on with: pictures show the map that he flies.
+        own = self.fork is None and HUMAN in self.names
+        if own or (self.fork is None and self.actions is None and self.of is None):
             return None
         if self.fork is None or self.actions is None or self.of is None or not self.names:
             raise InvalidValueError("a fork needs all of pilot=human&fork=3&actions=UULDW&of=pathqnet in its link")

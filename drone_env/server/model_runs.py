@@ -3,13 +3,10 @@
 What flies a model again is imported where it is asked for: most servers have no such run.
 """
 
-from collections import defaultdict
 from pathlib import Path
-from statistics import fmean
 from typing import TYPE_CHECKING
 
 from drone_env.errors import DroneEnvError
-from drone_env.evaluation.comparison import AgentMap
 from drone_env.files import stamp
 
 if TYPE_CHECKING:
@@ -94,28 +91,11 @@ class ModelRuns:
         return None
 
 
-def by_map(
-    flights: "list[tuple[str, PilotedRecord]]", optima: dict[int, float | None], kept: set[str]
-) -> list[AgentMap]:
-    """The flights of a run, map by map.
+def newest(flights: "list[tuple[str, PilotedRecord]]", kept: set[str]) -> dict[int, str]:
+    """The newest flight of a run over each map of those that a store has, by its id.
 
     Args:
-        flights: With their ids.
-        optima: Of the maps, by number.
+        flights: With their ids, oldest first.
         kept: The ids that the store has.
     """
-    flown: dict[int, list[tuple[str, PilotedRecord]]] = defaultdict(list)
-    for id_, result in flights:
-        flown[result.seed].append((id_, result))
-    return [
-        AgentMap(
-            seed=seed,
-            optimum=optima[seed],
-            id=next((id_ for id_, _ in reversed(of_map) if id_ in kept), None),
-            flights=len(of_map),
-            score=fmean(result.score for _, result in of_map),
-            steps=fmean(result.steps for _, result in of_map),
-            success=fmean(result.success for _, result in of_map),
-        )
-        for seed, of_map in sorted(flown.items())
-    ]
+    return {result.seed: id_ for id_, result in flights if id_ in kept}

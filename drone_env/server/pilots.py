@@ -112,13 +112,13 @@ class Credit(NamedTuple):
             pilot: Who flies on.
             step: How many steps of that flight there are.
             of: Who flew it. On a flight of its own a pilot goes on as if there were no fork; a person has then taken
-                back steps.
+                back steps. From step 0 nothing is another's: a person's own flight is begun again as it was left.
         """
         before = cls.parse(of)
         while before.forked_at is not None and before.of is not None and step <= before.forked_at:
             before = cls.parse(before.of)
         if step == 0:
-            return cls(pilot)
+            return before if before.pilot == pilot else cls(pilot)
         if before.pilot == pilot:
             return before._replace(undo=before.undo or pilot == HUMAN)
         return cls(pilot, forked_at=step, of=str(before))

@@ -123,17 +123,24 @@ class Networks:
         """What flies by the network of a task. PathQNet keeps nothing of a flight, so all share it; others are new.
 
         Raises:
-            UnsupportedTaskError: if there is none.
-            CheckpointError: if its file holds none that fits; the message names it.
+            UnsupportedTaskError: if there is none; the message names the tasks that have one.
+            CheckpointError: if its file holds none that fits; the message names it, but not where it lies.
             TooLargeError: if what there is to see on a map of the task would take too much memory.
             OSError: if the file can no longer be read.
         """
-        found = self._at(source, task)
+        found, file = self._at(source, task), self._file(source, task)
         if found is None:
-            raise UnsupportedTaskError(f"there is no network for {task.id!r}: {self._file(source, task)} is not there")
-        if isinstance(found, CheckpointError):
-            raise CheckpointError(str(found))
-        return NETWORK_AGENTS[SOURCES[source].agent].make(task, found) if isinstance(found, Path) else found
+            flown = [other.short_name for other in TASKS.values() if self.flies(source, other)]
+            raise UnsupportedTaskError(
+                f"there is no network for {task.id!r}: {source!r} has no {file.name}; "
+                f"it flies {', '.join(flown) or 'nothing here'}"
+            )
+        try:
+            if isinstance(found, CheckpointError):
+                raise found
+            return NETWORK_AGENTS[SOURCES[source].agent].make(task, found) if isinstance(found, Path) else found
+        except CheckpointError as error:
+            raise CheckpointError(str(error).replace(str(file), file.name)) from None
 
     def stamp_of(self, source: str, task: TaskConfig) -> object:
         """What changes with the file that a source flies a task by; None where there is no file.

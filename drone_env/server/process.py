@@ -7,11 +7,13 @@ import signal
 import socket
 import sys
 import threading
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 from drone_env import __version__
+from drone_env.envs.registry import register_reward_file
 from drone_env.episodes.store import Store
 from drone_env.errors import InvalidValueError, StoreError
 from drone_env.server.predict import Networks
@@ -34,7 +36,9 @@ OTHER_FILES = 128
 """Files of a process that are no connections: the store, logs, what a request opens."""
 
 
-def run(host: str | None, port: int | None, workers: int | None, data: Path | None) -> None:
+def run(
+    host: str | None, port: int | None, workers: int | None, data: Path | None, reward_profiles: Sequence[Path] = ()
+) -> None:
     """Serve until stopped; what is None comes from the environment.
 
     Args:
@@ -42,15 +46,20 @@ def run(host: str | None, port: int | None, workers: int | None, data: Path | No
         port: Port to listen on.
         workers: Processes that serve.
         data: Folder of what is kept.
+        reward_profiles: Files of reward profiles.
 
     Raises:
         InvalidValueError: if one of them is not allowed, or the address is taken.
+        OSError: if a file cannot be read.
         StoreError: if the data folder cannot be used.
     """
     # The workers are processes of their own, which read the environment.
-    chosen = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA": data}
+    files = ",".join(map(str, reward_profiles)) or None
+    chosen = {"HOST": host, "PORT": port, "WORKERS": workers, "DATA": data, "REWARD_PROFILES": files}
     os.environ.update({f"DRONE_ENV_{name}": str(value) for name, value in chosen.items() if value is not None})
     settings = load_settings()
+    for file in settings.reward_profiles:
+        register_reward_file(file)  # an error is said here in a line, as below
     import uvicorn
     from uvicorn.supervisors import Multiprocess
 

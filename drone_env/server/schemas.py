@@ -161,7 +161,9 @@ class SolutionAnswer(Message):
     path: list[Position] = Field(description="[x, y] of the drone, from its start on.")
 
 
-_PLAIN: dict[str, Any] = {n.name: (n.type, ...) for n in fields(TaskConfig) if n.name not in ("drain", "impassable")}
+LAID_OUT = ("drain", "impassable", "terrain")
+"""What is no plain number: the kinds of cells go by their names, and terrain is seen on every map."""
+_PLAIN: dict[str, Any] = {n.name: (n.type, ...) for n in fields(TaskConfig) if n.name not in LAID_OUT}
 
 
 class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):

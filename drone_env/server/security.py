@@ -8,7 +8,6 @@ import base64
 import binascii
 import hmac
 from collections.abc import Collection
-from pathlib import Path
 
 from fastapi import FastAPI
 from starlette.datastructures import Headers
@@ -18,16 +17,12 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from drone_env.errors import InvalidValueError
 from drone_env.server.incoming import parse_json
 from drone_env.server.local import host_name, is_local_name, listens_on_loopback
+from drone_env.server.page_files import is_file
 from drone_env.server.problems import RequestError, answer_to
 from drone_env.server.settings import Settings
 
-PAGE = Path(__file__).with_name("static")
-ART = Path(__file__).parents[1] / "envs" / "art"
-"""What the pictures of Gymnasium and the page are both drawn from."""
-OPEN_PATHS = {"/health", "/"} | {
-    f"/static/{path.relative_to(folder).as_posix()}" for folder in (PAGE, ART) for path in folder.rglob("*.*")
-}
-"""Answered without a token: programs that watch the process have none, and the page asks for it."""
+OPEN_PATHS = {"/health", "/"}
+"""Answered without a token, as the files of the page: programs that watch the process have none, and the page asks."""
 POLICY_VIOLATION = 1008
 OFFER = "bearer."
 BODY = "drone_env.body"
@@ -62,7 +57,7 @@ class SecurityHeaders:
             await self.app(scope, receive, send)
             return
 
-        # Browsers ask whether a file of the page has changed, so that an update of the package is seen at once.
+        # Browsers ask whether the page has changed, so that an update of the package is seen at once.
         is_page = scope["path"] in ("/", "/docs") or scope["path"].startswith("/static/")
 
         async def send_with_headers(message: Message) -> None:
@@ -118,7 +113,7 @@ class AllowedCallers:
         if origin is not None and not self._allowed(origin.lower(), named.lower()):
             detail = f"pages of {origin!r} may not call this server; DRONE_ENV_ALLOWED_ORIGINS lists those that may"
             raise RequestError(403, "origin", detail)
-        if self.expected is not None and scope["path"] not in OPEN_PATHS:
+        if self.expected is not None and scope["path"] not in OPEN_PATHS and not is_file(scope["path"]):
             given = _sent_token(scope) or _offered_token(scope)
             if not hmac.compare_digest(given, self.expected):
                 detail = "this server asks for a token: send Authorization: Bearer TOKEN"

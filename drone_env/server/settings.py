@@ -51,9 +51,13 @@ class Settings(BaseSettings):
         default=("'self'", "https://huggingface.co", "https://*.hf.space"),
         description="Who may show the page in a frame; comma-separated.",
     )
+    reward_profiles: Listed = Field(
+        default=(),
+        description="TOML files of reward profiles that callers may name beside those of the package; comma-separated.",
+    )
     max_bytes: int = Field(default=65_536, ge=1024, description="Largest request body and WebSocket frame, in bytes.")
 
-    @field_validator("allowed_origins", "allowed_hosts", "frame_ancestors", mode="before")
+    @field_validator("allowed_origins", "allowed_hosts", "frame_ancestors", "reward_profiles", mode="before")
     @classmethod
     def _split(cls, value: object) -> object:
         if isinstance(value, str):

@@ -13,8 +13,9 @@ from typing_extensions import Self
 
 from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.store import Store
-from drone_env.files import RUNS
+from drone_env.files import EVALUATIONS, RUNS
 from drone_env.planning.optimal import best_of
+from drone_env.server.evaluations import Evaluations
 from drone_env.server.exact_values import ExactValues
 from drone_env.server.local import local_address
 from drone_env.server.map_values import MapValues
@@ -55,6 +56,7 @@ class Shared:
         self.values = ExactValues()
         self.map_values = MapValues(self.values, self.networks)
         self.runs = ModelRuns(settings.data / RUNS)
+        self.evaluations = Evaluations(settings.data / EVALUATIONS)
         self._sessions: Sessions | None = None
         self.steps: ThreadPoolExecutor | None = None
         """Flies the steps of HTTP sessions while the server runs. One thread: the store has one writer anyway."""

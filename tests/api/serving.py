@@ -28,6 +28,9 @@ class Server:
 
     def __init__(self, command: list[str], data: Path, port: int, settings: dict[str, str]) -> None:
         self.url = f"http://127.0.0.1:{port}"
+        # One for all who ask: each reads the certificates of the system, which takes longer than most answers. It keeps
+        # no connection, which the server would count.
+        self.client = httpx.Client(base_url=self.url, timeout=60, limits=httpx.Limits(max_keepalive_connections=0))
         variables = {f"DRONE_ENV_{name}": value for name, value in settings.items()}
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "DRONE_ENV_DATA": str(data), **variables}
         self.data = data
@@ -44,19 +47,18 @@ class Server:
 
     def _wait(self) -> None:
         deadline = time.monotonic() + 60
-        # One client: each reads the certificates of the system, which takes longer than all of this.
-        with httpx.Client(timeout=1) as client:
-            while time.monotonic() < deadline:
-                assert self.process.poll() is None, self.log.read_text()
-                try:
-                    if client.get(f"{self.url}/health").status_code == 200:
-                        return
-                except httpx.HTTPError:
-                    time.sleep(0.05)
+        while time.monotonic() < deadline:
+            assert self.process.poll() is None, self.log.read_text()
+            try:
+                if self.client.get("/health", timeout=1).status_code == 200:
+                    return
+            except httpx.HTTPError:
+                time.sleep(0.05)
         raise AssertionError(f"the server did not answer: {self.log.read_text()}")
 
     def kill(self) -> None:
         """End it as a power cut would, but for the machine."""
+        self.client.close()
         self.process.send_signal(signal.SIGKILL)
         self.process.wait()
 
@@ -78,5 +80,6 @@ def serving(
     try:
         yield server
     finally:
+        server.client.close()
         if server.process.poll() is None:
             server.stop()

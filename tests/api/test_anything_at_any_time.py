@@ -7,7 +7,6 @@ import random
 from collections.abc import Iterator
 from typing import Any
 
-import httpx
 import pytest
 import websockets
 import websockets.exceptions
@@ -110,7 +109,7 @@ def test_fuzzed_frames_neither_end_nor_stall_a_session(server: Server) -> None:
                 socket.send('{"type": "reset", "data": {"seed": 7}}')
                 assert json.loads(socket.recv(timeout=60))["type"] == "observation"
     assert {"state", "error", "mcp"} <= kinds <= {"observation", "state", "error", "mcp"}
-    assert httpx.get(f"{server.url}/health", timeout=60).status_code == 200
+    assert server.client.get("/health", timeout=60).status_code == 200
     assert "Traceback" not in server.log.read_text()
 
 
@@ -182,5 +181,5 @@ def test_any_command_of_a_page_at_any_time_leaves_the_server_well(server: Server
         socket.send(json.dumps({"type": "start", "task": "easy", "seed": 7, "pilots": ["greedy"]}))
         while json.loads(socket.recv(timeout=60))["type"] != "flights":
             pass
-    assert httpx.get(f"{server.url}/health", timeout=60).status_code == 200
+    assert server.client.get("/health", timeout=60).status_code == 200
     assert "Traceback" not in server.log.read_text()

@@ -84,7 +84,7 @@ def test_the_leaderboard_counts_each_map_once(client: TestClient, flights: dict[
     rows = {row["agent"]: row for row in answer["rows"]}
     assert rows.keys() == flights.keys() - {FORK}
     assert (answer["task"], answer["forks"]) == (TASK, 1)
-    assert [row["score"] for row in answer["rows"]] == sorted((row["score"] for row in rows.values()), reverse=True)
+    assert [row["regret"] for row in answer["rows"]] == sorted(row["regret"] for row in rows.values())
     for agent, row in rows.items():
         maps = flights[agent]
         assert (row["flights"], row["maps"]) == (sum(map(len, maps.values())), len(maps))
@@ -165,7 +165,7 @@ def test_whom_nobody_knows_is_told_with_those_who_flew(client: TestClient) -> No
         answer = client.get(path)
         assert (answer.status_code, answer.json()["code"]) == (404, "unknown_name")
         assert "greedy" in answer.json()["detail"]
-    for path in ("/leaderboard/none", "/leaderboard/none/models", "/paired/none?a=greedy&b=random"):
+    for path in ("/leaderboard/none", "/leaderboard/none/runs", "/paired/none?a=greedy&b=random"):
         assert client.get(path).status_code == 404
     assert get(client, "/leaderboard/skyline_easy")["rows"] == []
 
@@ -173,12 +173,12 @@ def test_whom_nobody_knows_is_told_with_those_who_flew(client: TestClient) -> No
 def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
     client: TestClient, data: Path, flights: dict[str, dict[int, list[Any]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answer = get(client, "/leaderboard/easy/models")
+    answer = get(client, "/leaderboard/easy/runs")
     (board,) = answer["boards"]
     assert board["maps"] == "maps 14 to 15 (custom)"
-    assert [(row["run"], row["model"], row["flights"]) for row in board["rows"]] == [
-        ("good", "scripted", 4),
-        ("bad", "scripted/waits", 2),
+    assert [(row["run"], row["kind"], row["agent"], row["flights"]) for row in board["rows"]] == [
+        ("good", "model", "scripted", 4),
+        ("bad", "model", "scripted/waits", 2),
     ]
     good = board["rows"][0]
     greedy = {seed: flown("easy", seed, "greedy") for seed in (14, 15)}
@@ -204,7 +204,7 @@ def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
     assert str(data) not in json.dumps(answer)
     # What has been checked is not checked again.
     monkeypatch.setattr("drone_env.llm.leaderboard.verified_run", None)
-    assert get(client, "/leaderboard/easy/models") == answer
+    assert get(client, "/leaderboard/easy/runs") == answer
 
 
 def test_a_models_flight_has_its_prompts_and_answers_by_step(
@@ -237,10 +237,10 @@ def test_a_run_that_is_damaged_or_has_just_begun_stops_nothing(tmp_path: Path) -
     (tmp_path / "llm" / "unread").mkdir()
     (tmp_path / "llm" / "unread" / "run.json").write_text("{}")
     with TestClient(create_app(Settings(data=tmp_path))) as client:
-        assert [one["run"] for one in get(client, "/leaderboard/easy/models")["unranked"]] == ["unread"]
+        assert [one["run"] for one in get(client, "/leaderboard/easy/runs")["unranked"]] == ["unread"]
         calls = path / "calls.jsonl"
         calls.write_text(calls.read_text() + "no call\n")
-        cut, _ = get(client, "/leaderboard/easy/models")["unranked"]
+        cut, _ = get(client, "/leaderboard/easy/runs")["unranked"]
         assert "of cut/calls.jsonl is no call" in cut["reason"]
         refused = client.get(f"/episodes/{flight}/calls")
         assert (refused.status_code, refused.json()["code"]) == (404, "damaged_run")

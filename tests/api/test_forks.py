@@ -104,6 +104,21 @@ def test_a_fork_is_kept_as_what_it_is_and_counted_apart(client: TestClient) -> N
     assert row["id"] == ended["episode"]["id"]
 
 
+def test_a_person_goes_on_with_a_flight_of_his_own_as_he_left_it(client: TestClient) -> None:
+    way = flown("easy", "random", 4)
+    left = {"actions": directions(way), "step": 0, "of": "human with values"}
+    with client.websocket_connect("/live") as socket:
+        page = Page(socket)
+        own, beside = page.start("human", "greedy", fork=left)
+        assert [frame["action"] for frame in own["frames"]] == [None, *directions(way)]
+        assert [frame["action"] for frame in beside["frames"][1:]] == directions(flown("easy", "greedy", 4))
+        assert (own["opening"]["by"], own["opening"]["forked_at"]) == ("human with values", None)
+        for steps in (3, 2, 1, 0):
+            page.send("undo", flight=0)
+            undone = page.until("undone")
+            assert (undone["step"], undone["by"]) == (steps, "human with values and undo")
+
+
 @pytest.mark.parametrize("pilot", ["greedy", "optimal", "pathqnet", "random"])
 def test_an_agent_goes_on_from_where_another_was_and_comes_back_there(client: TestClient, pilot: str) -> None:
     before = flown("hard", "random")

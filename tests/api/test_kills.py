@@ -4,7 +4,7 @@ import json
 import os
 import random
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ class Pilot(threading.Thread):
         self.acknowledged = 0
         self.failure: BaseException | None = None
         self.expected: Episode | None = None
+        self.best: Sequence[Action] = ()
         self.pending: list[Action] = []
         """Sent, not acknowledged: may have been flown or not."""
         self.finished: list[tuple[int, float]] = []
@@ -55,9 +56,9 @@ class Pilot(threading.Thread):
             self.client.reset("easy", seed=seed, agent="pilot")
             self.expected = Episode("easy", "tiered")
             self.expected.reset(seed)
-        best = solve("easy", self.expected.seed).actions
+            self.best = solve("easy", seed).actions
         flown = self.expected.steps
-        action = best[flown] if flown < len(best) else Action.WAIT
+        action = self.best[flown] if flown < len(self.best) else Action.WAIT
         self.pending = [action]
         observation = self.client.step(action.name)
         self.pending = []
@@ -138,7 +139,7 @@ def test_nothing_acknowledged_is_lost_when_the_server_is_killed(
                 finished += pilot.finished
                 successor = Pilot(server.url, pilot.number)
                 successor.client.session_id = pilot.client.session_id
-                successor.random, successor.expected = pilot.random, pilot.expected
+                successor.random, successor.expected, successor.best = pilot.random, pilot.expected, pilot.best
                 successors.append(successor)
             carried = successors
         fly_on_the_page(server, session, KILLS)

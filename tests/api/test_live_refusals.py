@@ -199,7 +199,18 @@ class TestToken:
     def test_the_page_itself_is_open_and_nothing_behind_it(self, client: TestClient) -> None:
         assert client.get("/").status_code == 200
         assert client.get("/static/js/main.js").status_code == 200
-        for path in ("/tasks", "/static/../tasks", "/static/splits", "/static/js", "/episodes", "/staticx"):
+        edition = "/static/v-0123456789abcdef"
+        assert client.get(f"{edition}/js/main.js").status_code == 200
+        for path in (
+            "/tasks",
+            f"{edition}/../../tasks",
+            f"{edition}/tasks",
+            "/static/../tasks",
+            "/static/splits",
+            "/static/js",
+            "/episodes",
+            "/staticx",
+        ):
             assert client.get(path).status_code == 401
 
 

@@ -22,8 +22,8 @@ from drone_env.server import preview
 from drone_env.server.app import create_app
 from drone_env.server.hello import hello
 from drone_env.server.links import Link
+from drone_env.server.page_files import PAGE
 from drone_env.server.preview import Previews
-from drone_env.server.security import PAGE
 from drone_env.server.settings import Settings
 from drone_env.server.state import Shared
 from tests.api.networks import put_trained
@@ -99,6 +99,11 @@ class TestPreview:
         assert head["og:title"] == "A person from step 20 of Greedy: Hard, map 7"
         assert shared_client.get(head["og:image"]).content == whole.content
 
+    def test_what_a_person_has_flown_so_far_is_not_shown(self, shared_client: TestClient) -> None:
+        query = "task=hard&seed=7&pilots=human,greedy&step=2"
+        answer = shared_client.get(f"/preview.png?{query}&actions=WW&of=human with undo")
+        assert answer.content == shared_client.get(f"/preview.png?{query}").content
+
     @pytest.mark.parametrize(
         ("query", "status", "says"),
         [
@@ -119,8 +124,12 @@ class TestPreview:
             ("task=hard&seed=7&pilot=human&fork=3&actions=UU&of=a", 422, "has all actions up to there, got 2"),
             (f"task=hard&seed=7&pilot=human&fork=1&actions=U&of={'a' * 190}", 422, "one printable line of 1 to 200"),
             (f"task=easy&seed=7&pilot=human&fork=1&actions={'W' * 61}&of=a", 422, "ends after 60 steps"),
-            ("task=skyline_easy&seed=7&pilot=pathqnet", 422, "there is no network for 'skyline_easy'"),
-            ("episode=nothing", 404, "unknown episode 'nothing'"),
+            (
+                "task=skyline_easy&seed=7&pilot=pathqnet",
+                422,
+                "'pathqnet' has no skyline_easy_v2.npz; it flies easy, medium, hard",
+            ),
+            ("episode=nothing", 404, "there is no episode 'nothing'"),
         ],
     )
     def test_what_is_wrong_is_told(self, shared_client: TestClient, query: str, status: int, says: str) -> None:

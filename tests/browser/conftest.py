@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from tests.api.serving import Server, serving
-from tests.browser.flights import fill, flown
+from tests.browser.flights import fill, flown, put_evaluation
 from tests.browser.tabs import PATIENCE_MS, Tabs, needed_browser
 from tests.llm.kept_run import put_run
 
@@ -33,11 +33,13 @@ def browser() -> Generator[Browser, None, None]:
 
 @pytest.fixture(scope="package")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The data folder of the server: a history of easy flights, a run of a language model, and a training log."""
+    """The data folder of the server: a history of easy flights, a run of a language model and an evaluation over the
+    same maps, and a training log."""
     folder = tmp_path_factory.mktemp("served") / "data"
     flights = [flown("easy", seed, agent) for seed in range(SEEDS) for agent in ("random", "greedy")]
     fill(folder, [*flights, flown("medium", 3, "greedy"), flown("easy", SEEDS, "random", label=MARKUP)])
     put_run(folder, "run", "greedy", range(14, 16))
+    put_evaluation(folder, "flown", "random", range(14, 16))
     (folder / "train.log").write_text("\n".join(TRAINING) + "\n", encoding="utf-8")
     return folder
 

@@ -4,13 +4,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-import httpx
-
 from drone_env.agents import make_agent
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.episodes.store import Store
+from drone_env.evaluation.episodes import episodes_key, repeats_of
+from drone_env.evaluation.folder import ResultsFolder, evaluate_keys, local_engine
+from drone_env.files import EVALUATIONS
+from tests.api.serving import Server
 
 
 def flown(task: str, seed: int, agent: str, label: str | None = None, profile: str = "tiered") -> EpisodeRecord:
@@ -30,19 +32,27 @@ def fill(folder: Path, flights: list[EpisodeRecord]) -> list[str]:
         return [store.add_episode(flight) for flight in flights]
 
 
-def posted(url: str, path: str, record: EpisodeRecord) -> dict[str, Any]:
+def put_evaluation(data: Path, name: str, agent: str, maps: range, task: str = "easy", repeats: int = 1) -> Path:
+    """The evaluation of an agent in a data folder."""
+    folder = data / EVALUATIONS / name
+    keys = repeats_of(episodes_key(task, agent, maps), repeats)
+    evaluate_keys(keys, local_engine, ResultsFolder(folder, keys))
+    return folder
+
+
+def posted(server: Server, path: str, record: EpisodeRecord) -> dict[str, Any]:
     """What a server answers to a flight."""
-    answer = httpx.post(f"{url}/{path}", json=json.loads(record.to_json()), timeout=60)
+    answer = server.client.post(f"/{path}", json=json.loads(record.to_json()))
     answer.raise_for_status()
     return answer.json()
 
 
-def frames(url: str, record: EpisodeRecord) -> list[dict[str, Any]]:
+def frames(server: Server, record: EpisodeRecord) -> list[dict[str, Any]]:
     """What a server says of a flight, frame by frame."""
-    return posted(url, "replay", record)["frames"]
+    return posted(server, "replay", record)["frames"]
 
 
-def possible(url: str, record: EpisodeRecord) -> list[float]:
+def possible(server: Server, record: EpisodeRecord) -> list[float]:
     """The best score that could still be reached at each step of a flight that has ended; its score is the last."""
-    annotation = posted(url, "annotate", record)
+    annotation = posted(server, "annotate", record)
     return [move["value"] for move in annotation["moves"]] + [annotation["score"]]

@@ -12,11 +12,15 @@ from typing_extensions import Self
 from tests.tools import missing_tool
 
 WIDE = {"width": 1440, "height": 900}
+SMALL = {"width": 1120, "height": 700}
+"""As small as the wide layout gets: each cell that is drawn costs the processor."""
 NARROW = {"width": 390, "height": 844}
 PATIENCE_MS = 60_000
 """How long a page may take to come to what is expected: long, since nobody waits for it where all is well."""
 # Containers have little /dev/shm and run as root.
 FLAGS = ["--no-sandbox", "--disable-dev-shm-usage"]
+SHORT_LIVED = "--js-flags=--no-opt --no-maglev"
+"""For pages that do not live long enough for optimised code to pay."""
 
 
 def find_chromium() -> str | None:
@@ -25,10 +29,10 @@ def find_chromium() -> str | None:
 
 
 @contextmanager
-def launched(path: str) -> Generator[Browser, None, None]:
+def launched(path: str, *flags: str) -> Generator[Browser, None, None]:
     """A browser without a window."""
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
+        browser = playwright.chromium.launch(executable_path=path, args=[*FLAGS, *flags])
         try:
             yield browser
         finally:
@@ -38,7 +42,7 @@ def launched(path: str) -> Generator[Browser, None, None]:
 @contextmanager
 def needed_browser() -> Generator[Browser, None, None]:
     """The same of the machine's own chromium; a test that finds none is skipped, or fails."""
-    with launched(find_chromium() or missing_tool("chromium")) as browser:
+    with launched(find_chromium() or missing_tool("chromium"), SHORT_LIVED) as browser:
         yield browser
 
 
@@ -78,7 +82,7 @@ class Tabs:
         return page
 
     def _new_context(self, **options: Any) -> BrowserContext:
-        options.setdefault("viewport", WIDE)
+        options.setdefault("viewport", SMALL)
         options.setdefault("color_scheme", "dark")
         options.setdefault("reduced_motion", "no-preference")
         context = self.browser.new_context(base_url=self.url, **options)

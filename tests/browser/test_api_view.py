@@ -3,9 +3,9 @@
 import json
 import re
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
-import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
@@ -13,7 +13,6 @@ from drone_env.client import DroneEnvClient
 from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, TRAINING
 from tests.browser.stage import view
-from tests.browser.tabs import Tabs
 from tests.docs.pages import ROOT, blocks
 
 
@@ -43,21 +42,20 @@ def test_the_snippets_stand_in_the_docs_and_that_of_curl_flies(page: Page, serve
     assert (reset["step_count"], step["step_count"], grade["score"]) == (0, 1, step["score"])
 
 
-def test_all_calls_stand_at_docs_and_can_be_tried_without_the_internet(shared: Tabs, server: Server) -> None:
-    shared.forget()
-    docs = shared.open(go=False)
+def test_all_calls_stand_at_docs_and_can_be_tried_without_the_internet(
+    page: Page, beside: Callable[[str], Page], server: Server
+) -> None:
+    docs = beside("")
     asked: list[str] = []
     docs.on("request", lambda request: asked.append(request.url))
-    docs.goto("/?view=api")
-    docs.get_by_role("link", name="All calls").click()
+    view(page, "API")
+    docs.goto(page.get_by_role("link", name="All calls").evaluate("link => link.href"))
     call = docs.locator("#operations-catalogue-health")
     call.click()
     call.get_by_role("button", name="Try it out").click()
     call.get_by_role("button", name="Execute").click()
     expect(call.get_by_text('"status": "healthy"').first).to_be_visible()
     assert [url for url in asked if not url.startswith((server.url, "data:", "blob:"))] == []
-    assert shared.unexpected() == []
-    docs.close()
 
 
 @pytest.mark.feature("D1")
@@ -65,7 +63,7 @@ def test_requests_appear_as_they_are_answered(page: Page, server: Server) -> Non
     view(page, "API")
     log = page.get_by_role("log", name="Requests")
     expect(log).to_contain_text("GET /tasks 200")
-    httpx.get(f"{server.url}/grade/nowhere")
+    server.client.get("/grade/nowhere")
     expect(log.get_by_text("/grade/nowhere")).to_have_count(1)
 
 
@@ -89,7 +87,7 @@ def test_flights_that_end_appear_and_can_be_opened(page: Page, server: Server) -
         observation = client.reset("easy", seed=4242, agent="random")
         while not observation["done"]:
             observation = client.step("WAIT")
-    line = log.get_by_role("listitem").filter(has_text="Easy Delivery 4242")
+    line = log.get_by_role("listitem").filter(has_text="Easy, map 4242, Random")
     expect(line).to_contain_text("Battery empty, 60 steps")
     line.get_by_role("link", name="Open the flight").click()
     expect(page).to_have_url(re.compile(r"\?episode=\w+$"))

@@ -5,7 +5,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import httpx
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Locator, Page, expect
 
@@ -14,7 +13,7 @@ from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, SEEDS
 from tests.browser.flights import fill, flown
 from tests.browser.stage import fixed, percent, points, show, view
-from tests.browser.tabs import NARROW, PATIENCE_MS, WIDE, Tabs
+from tests.browser.tabs import NARROW, PATIENCE_MS, SMALL, Tabs
 from tests.browser.test_everybody import findings
 
 LISTED = 57
@@ -29,7 +28,7 @@ def compare(page: Page, task: str = "easy") -> None:
 
 
 def get(server: Server, path: str, **query: Any) -> Any:
-    return httpx.get(f"{server.url}/{path}", params=query).raise_for_status().json()
+    return server.client.get(f"/{path}", params=query).raise_for_status().json()
 
 
 def rows(page: Page, region: str) -> Locator:
@@ -149,27 +148,36 @@ def test_it_is_for_everybody(page: Page) -> None:
     page.get_by_role("combobox", name="Pilot").select_option(MARKUP)
     expect(page.locator("[data-episode]")).to_have_count(1)
     found: list[str] = []
-    for pilots, region in (("greedy,random", "Greedy against Random"), ("random", "Maps that Random flew")):
+    # The rest of the view is looked at with the other views.
+    for pilots, region, part in (
+        ("greedy,random", "Greedy against Random", ".compare-part:has(.paired)"),
+        ("random", "Maps that Random flew", ".opened"),
+    ):
         show(page, f"/?view=compare&task=easy&pilots={pilots}")
         expect(page.get_by_role("region", name=region)).to_be_visible()
-        found += findings(page, "main")
+        found += findings(page, part)
         page.set_viewport_size(NARROW)
         assert page.evaluate("document.documentElement.scrollWidth") == NARROW["width"]
-        page.set_viewport_size(WIDE)
+        page.set_viewport_size(SMALL)
     assert found == []
     # What somebody elsewhere is called is text.
     assert page.locator("img[src=x]").count() == 0
     expect(rows(page, "Leaderboard").filter(has_text=MARKUP)).to_have_count(1)
 
 
-def test_runs_of_language_models_have_their_own_board(page: Page, server: Server) -> None:
+def test_runs_of_models_and_agents_over_the_same_maps_stand_on_one_board(page: Page, server: Server) -> None:
     compare(page)
-    (board,) = get(server, "leaderboard/easy/models")["boards"]
-    (run,) = board["rows"]
-    line = rows(page, "Runs of language models over maps 14 to 15 (custom)")
-    expect(line).to_have_count(1)
-    for text in (run["model"], run["prompt"], points(run["score"]), points(run["regret"]), f"{run['tokens']:,}"):
-        expect(line).to_contain_text(text)
+    (board,) = get(server, "leaderboard/easy/runs")["boards"]
+    run, other = board["rows"]
+    line = rows(page, "Runs over maps 14 to 15 (custom)")
+    expect(line).to_have_count(2)
+    for text in (run["agent"], run["prompt"], points(run["score"]), points(run["regret"]), f"{run['tokens']:,}"):
+        expect(line.first).to_contain_text(text)
+    for text in ("random", "flown", points(other["score"]), percent(other["success_rate"])):
+        expect(line.last).to_contain_text(text)
+    expect(line.last.locator("td").last).to_have_text("")
+    page.get_by_text("Maps of random, flown").click()
+    expect(rows(page, "Maps that random flew")).to_have_count(2)
     page.get_by_text("Maps of scripted, run").click()
     page.get_by_role("button", name="Open the flight of scripted over map 15").click()
     expect(page).to_have_url(f"{server.url}/?episode={run['maps'][1]['id']}")
@@ -243,7 +251,7 @@ def test_a_flight_that_ends_elsewhere_appears_by_itself(page: Page, server: Serv
 
 def test_a_task_that_is_none_is_told_and_another_can_be_chosen(page: Page, shared: Tabs) -> None:
     shared.expect("404")
-    page.goto("/?view=compare&task=nowhere")
+    show(page, "/?view=compare&task=nowhere")
     problem = page.locator("#view-compare").get_by_role("alert")
     expect(problem).to_contain_text("nowhere")
     expect(problem).to_contain_text("easy_delivery")

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import httpx
 import pytest
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect
 
@@ -36,7 +35,7 @@ def test_two_tabs_fly_two_flights_at_once(page: Page, beside: Beside, server: Se
         (other, flown("easy", 52, "optimal"), 60),
     ):
         ended(one)
-        expect_frame(one, frames(server.url, record)[-1], capacity)
+        expect_frame(one, frames(server, record)[-1], capacity)
 
 
 @pytest.fixture
@@ -53,7 +52,7 @@ def told(beside: Beside) -> tuple[Page, list[str]]:
 
 
 def is_open(server: Server, session: str) -> bool:
-    return httpx.get(f"{server.url}/state", headers={"X-Session-Id": session}).status_code == 200
+    return server.client.get("/state", headers={"X-Session-Id": session}).status_code == 200
 
 
 def until(page: Page, holds: Callable[[], bool]) -> None:
@@ -83,7 +82,7 @@ def test_sessions_end_with_their_page_and_one_that_is_ended_elsewhere_begins_ane
     end_by(4, 8)
     show(tab, "/?task=hard&seed=5&pilot=greedy")
     end_by(8, 9)
-    httpx.delete(f"{server.url}/session", headers={"X-Session-Id": sessions[8]}).raise_for_status()
+    server.client.delete("/session", headers={"X-Session-Id": sessions[8]}).raise_for_status()
     expect(where).to_have_text("Step 0 of 160")
     step.click()
     expect(tab.locator("#toasts")).to_contain_text("it starts again")
@@ -105,14 +104,14 @@ def test_sessions_end_with_their_page_and_one_that_is_ended_elsewhere_begins_ane
 
 
 def test_a_server_that_wants_a_token_is_killed_and_comes_back_and_the_flight_goes_on(
-    browser: Browser, tmp_path: Path
+    beside: Beside, shared: Tabs, tmp_path: Path
 ) -> None:
     """The token is asked for until it is right, and once a tab: a page that connects anew has it still."""
     data, port = tmp_path / "data", reserved_port()
     flight = flown("hard", 7, "greedy")
-    with serving(data, port=port, TOKEN=TOKEN) as server, Tabs(browser, server.url) as tabs:
-        tabs.expect("401|WebSocket connection to|ERR_CONNECTION_REFUSED")
-        page = tabs.open("/?task=hard&seed=7&pilot=greedy", reduced_motion="reduce")
+    shared.expect("401|WebSocket connection to|ERR_CONNECTION_REFUSED")
+    with serving(data, port=port, TOKEN=TOKEN) as server:
+        page = beside(f"{server.url}/?task=hard&seed=7&pilot=greedy")
         dialog = page.get_by_role("dialog", name="This server asks for a token")
         expect(dialog).to_be_visible()
         for _ in range(3):
@@ -154,7 +153,6 @@ def test_a_server_that_wants_a_token_is_killed_and_comes_back_and_the_flight_goe
             page.reload()
             expect(where).to_contain_text(f"Step {len(flight.actions)} of")
             expect(dialog).to_be_hidden()
-    assert tabs.unexpected() == []
     with Store(data) as store:
         episodes = store.latest(10)
     kept = {(episode.record.seed, *episode.record.actions) for episode in episodes}
@@ -213,8 +211,18 @@ def test_a_server_that_ends_each_connection_is_asked_five_times_and_then_when_th
         # A view that could not be loaded meanwhile is loaded then.
         page.route("**/compare.js", lambda route: route.abort())
         view(page, "Compare")
-        expect(page.locator("#toasts")).to_contain_text("This view could not be loaded")
+        missing = page.get_by_role("alert").filter(has_text="This view could not be loaded.")
+        expect(missing).to_be_visible()
+        expect(page.locator("#toasts .toast")).to_have_count(0)
         page.unroute("**/compare.js")
+        page.route("**/learn.css", lambda route: route.abort())
+        view(page, "Learn")
+        expect(missing).to_be_visible()
+        page.unroute("**/learn.css")
+        missing.get_by_role("button", name="Try again").click()
+        expect(page.get_by_role("heading", name="Learn", exact=True)).to_be_visible()
+        expect(missing).to_be_hidden()
+        view(page, "Compare")
         connections[-1].close(code=1011)
         expect(dot).to_contain_text("away")
         page.clock.run_for(8000)

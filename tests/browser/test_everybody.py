@@ -7,7 +7,7 @@ from typing import Any
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 
-from tests.browser.stage import FASTEST, at_speed, ended, fly, pictures, show, whole_view
+from tests.browser.stage import FASTEST, at_its_end, at_speed, ended, fly, pictures, show, whole_view
 
 FLIGHT = "/?task=easy&seed=7&pilot=pathqnet"
 PAGE_BYTES = 300_000
@@ -31,6 +31,11 @@ def findings(page: Page, part: str = "html") -> list[str]:
     violations: list[dict[str, Any]] = []
 
     def look(scheme: str) -> None:
+        # One line of a log or a table is enough: all are alike, and axe takes its time for each.
+        page.evaluate(
+            "part => part.querySelectorAll('.log li ~ li, tbody tr ~ tr').forEach(line => line.remove())",
+            page.locator(part).element_handle(),
+        )
         answer = page.evaluate("options => axe.run(...options)", [part, {**options[scheme], **alike}])
         assert answer["passes"], "axe has looked at nothing"
         violations.extend(answer["violations"])
@@ -69,8 +74,6 @@ def test_axe_finds_nothing_serious_in_any_view_dark_or_light(page: Page) -> None
     found += findings(page, ".fly")
     for name in ("Compare", "Learn", "API"):
         whole_view(page, name)
-        # One line of a log or a table is enough: all are alike, and axe takes its time for each.
-        page.evaluate("document.querySelectorAll('.log li ~ li, tbody tr ~ tr').forEach(line => line.remove())")
         found += findings(page, "main")
     assert found == []
 
@@ -157,14 +160,14 @@ def test_everything_goes_with_the_keyboard_alone(page: Page) -> None:
     assert names[-1] == "Start", names
     assert {"Easy", "Greedy", "Greedy flies along", "New map", "Nearer"} <= {*names}
     for _ in range(4):
-        page.keyboard.press("-")
+        page.keyboard.press("<")
     expect(speed).to_have_value("0.5")
     page.keyboard.press("Enter")
     expect(page.get_by_role("button", name="Pause")).to_be_focused()
     page.keyboard.press("Space")
     expect(page.get_by_role("button", name="Go on").or_(page.get_by_role("button", name="Start"))).to_be_focused()
     for _ in range(8):
-        page.keyboard.press("+")
+        page.keyboard.press(">")
     expect(speed).to_have_value(FASTEST)
     page.keyboard.press("Space")
     ended(page)
@@ -210,11 +213,9 @@ def test_a_dialog_that_closes_gives_the_focus_back(page: Page) -> None:
     expect(helping).to_be_focused()
 
 
-def test_the_key_after_try_from_there_is_for_the_drone(page: Page) -> None:
+def test_the_key_after_try_from_step_is_for_the_drone(page: Page) -> None:
     """Not for the button, which stands there until the fork does."""
-    show(page, "/?task=hard&seed=7&pilot=greedy")
-    fly(page)
-    ended(page).get_by_role("button", name="Try from there").focus()
+    at_its_end(page, 7, "/?task=hard&seed=7&pilot=greedy").get_by_role("button", name="Try from step").focus()
     page.keyboard.press("Enter")
     page.keyboard.press("Space")
     expect(page.locator("#step-counter")).to_contain_text("WAIT")
@@ -238,7 +239,12 @@ def test_a_key_each_steps_scrubs_shows_and_begins_again(page: Page) -> None:
     page.keyboard.press("q")
     expect(arrows).to_be_checked()
     assert pictures(page)[-1] == before
-    for key, enabled in (("z", True), ("x", False)):
+    at_speed(page, "6")
+    page.locator("#speed").blur()
+    for key, speed in ((">", "10"), ("<", "6")):
+        page.keyboard.press(key)
+        expect(page.get_by_role("combobox", name="Speed")).to_have_value(speed)
+    for key, enabled in (("z", True), ("x", False), ("+", True), ("-", False)):
         page.keyboard.press(key)
         expect(page.get_by_role("button", name="Farther")).to_be_enabled(enabled=enabled)
     page.keyboard.press("r")

@@ -13,6 +13,7 @@ from drone_env.episodes.record import parse_record
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, posted
 from tests.browser.stage import (
+    at_its_end,
     at_speed,
     counter,
     ended,
@@ -48,8 +49,8 @@ def overlapping(page: Page) -> list[str]:
 
 def test_it_waits_for_start_shows_each_step_as_the_server_has_it_and_saves_them(page: Page, server: Server) -> None:
     record = flown("medium", 7, "greedy")
-    flight = frames(server.url, record)
-    page.goto("/?task=medium&seed=7&pilot=greedy")
+    flight = frames(server, record)
+    over(page, 7, "/?task=medium&seed=7&pilot=greedy")
     expect_frame(page, flight[0], 100)
     for frame in flight[1:4]:
         step(page)
@@ -86,7 +87,7 @@ def test_it_waits_for_start_shows_each_step_as_the_server_has_it_and_saves_them(
 
 @pytest.mark.feature("D1")
 def test_start_pause_a_step_go_on_the_end_play_it_again_reset_and_a_new_map(page: Page, server: Server) -> None:
-    flight = frames(server.url, flown("easy", 6, "greedy"))
+    flight = frames(server, flown("easy", 6, "greedy"))
     with page.expect_websocket() as socket:
         page.goto("/?task=easy&seed=6&pilot=greedy")
     at_speed(page, "2")  # slow enough that it does not end before it is paused
@@ -136,7 +137,7 @@ def says_paused(frame: str | bytes) -> bool:
 
 @pytest.mark.feature("D1")
 def test_the_network_shows_what_it_thinks_of_each_move(page: Page, server: Server) -> None:
-    flight = frames(server.url, flown("hard", 7, "pathqnet"))
+    flight = frames(server, flown("hard", 7, "pathqnet"))
     over(page, 7, "/?task=hard&seed=7&pilot=pathqnet")
     expect_frame(page, flight[0], 160)
     thoughts = page.get_by_role("table", name="Each move from here")
@@ -167,13 +168,11 @@ def test_the_network_shows_what_it_thinks_of_each_move(page: Page, server: Serve
 def test_the_graph_shows_what_was_possible_and_leads_to_each_moment(page: Page, server: Server) -> None:
     # Chance delivers on this map, but late: it gives something away.
     record = flown("easy", 82, "random")
-    flight = frames(server.url, record)
-    annotation = posted(server.url, "annotate", record)
+    flight = frames(server, record)
+    annotation = posted(server, "annotate", record)
     moves: list[dict[str, Any]] = annotation["moves"]
     last = len(flight) - 1
-    page.goto("/?task=easy&seed=82&pilot=random")
-    fly(page)
-    ended(page)
+    at_its_end(page, 82, "/?task=easy&seed=82&pilot=random")
     buttons = page.get_by_role("list", name="Moves").get_by_role("button")
     expect(buttons).to_have_count(last)
     for label, count in annotation["counts"].items():
@@ -250,9 +249,9 @@ def test_a_map_that_is_typed_is_flown_and_its_legend_shows_what_can_be_met_on_it
     )
     fly(page)
     ended(page)
-    expect_frame(page, frames(server.url, flown("easy", 7, "optimal"))[-1], 60)
+    expect_frame(page, frames(server, flown("easy", 7, "optimal"))[-1], 60)
     legend = page.get_by_role("list", name="Legend").get_by_role("listitem")
-    expect(legend.filter(has_text="Delivery")).to_be_visible()
+    expect(legend.filter(has_text="Parcel").first).to_be_visible()
     expect(legend.filter(has_text="Pad")).to_be_hidden()
     expect(page.locator("#below")).to_be_hidden()
     page.get_by_role("radio", name="Skyline Easy").check()
@@ -260,7 +259,7 @@ def test_a_map_that_is_typed_is_flown_and_its_legend_shows_what_can_be_met_on_it
     expect(page.locator("#below")).to_have_text("Road")
     expect(page.get_by_text("a battery of")).to_be_visible()
     # The first map on whose best flight the drone comes to a pad.
-    flights = ((seed, frames(server.url, flown("skyline_easy", seed, "optimal"))) for seed in range(100))
+    flights = ((seed, frames(server, flown("skyline_easy", seed, "optimal"))) for seed in range(100))
     seed, flight = next((seed, all_) for seed, all_ in flights if any(frame["cell_below"] == "pad" for frame in all_))
     number.fill(str(seed))
     number.press("Enter")

@@ -5,7 +5,6 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-import httpx
 from playwright.sync_api import Locator, Page, expect
 
 from drone_env.core.actions import Action
@@ -15,7 +14,7 @@ from drone_env.evaluation.analysis import analyse_flight
 from drone_env.models import DIRECTIONS
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames
-from tests.browser.stage import ended, expect_frame, fly, painted, pictures, points, show, step
+from tests.browser.stage import at_its_end, expect_frame, over, painted, pictures, points, show, step
 
 KEYS = {"UP": "ArrowUp", "DOWN": "ArrowDown", "LEFT": "ArrowLeft", "RIGHT": "ArrowRight", "WAIT": " "}
 
@@ -112,12 +111,9 @@ def test_where_a_flight_went_wrong_another_is_tried_and_kept_as_what_it_is(page:
     episode = Episode("easy", "tiered", 20)
     for action in record.actions[:at]:
         episode.step(Action[action])
-    show(page, "/?task=easy&seed=20&pilot=random")
-    expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
-    fly(page)
-    strip = ended(page)
+    strip = at_its_end(page, 20, "/?task=easy&seed=20&pilot=random")
     expect(strip).to_contain_text(f"Worst move: step {worst.step}, {record.actions[at]}, lost {points(worst.regret)}")
-    page.get_by_role("button", name="Try from there").click()
+    page.get_by_role("button", name="Try from step").click()
     name = f"You from step {at}"
     expect(standing(page, name)).to_be_visible()
     expect(page.locator("#step-counter")).to_have_text(re.compile(f"^Step {at} of 60"))
@@ -134,15 +130,15 @@ def test_where_a_flight_went_wrong_another_is_tried_and_kept_as_what_it_is(page:
     page.get_by_role("button", name="Copy result").click()
     expect(page.locator("#toasts")).to_contain_text("Result copied.")
     assert f"{name}: {episode.steps}, optimum " in page.evaluate("navigator.clipboard.readText()")
-    stored = httpx.get(f"{server.url}/episodes", params={"task": "easy"}).json()["episodes"][0]
+    stored = server.client.get("/episodes", params={"task": "easy"}).json()["episodes"][0]
     assert stored["agent"] == f"human with values from step {at} of random"
     assert stored["score"] == episode.score
 
 
 def test_a_stored_flight_is_left_by_key_and_its_link_comes_back(page: Page, server: Server) -> None:
     record = flown("medium", 9, "random", label="me")
-    id_, flight = fill(server.data, [record])[0], frames(server.url, record)
-    page.goto(f"/?episode={id_}&step=6")
+    id_, flight = fill(server.data, [record])[0], frames(server, record)
+    over(page, 9, f"/?episode={id_}&step=6")
     expect_frame(page, flight[6], 100)
     page.keyboard.press("f")
     expect(standing(page, "You from step 6")).to_be_visible()
@@ -201,4 +197,4 @@ def test_a_fork_is_left_by_another_once_the_visitor_gives_it_up(page: Page) -> N
     play(page, "UP")
     question.get_by_role("button", name="Give it up").click()
     expect(where).to_have_text(re.compile("^Step 5 of 60 · UP"))
-    expect(page.locator("#standings .standing-name")).to_have_text(["You from step 4", "You from step 2"])
+    expect(page.locator("#standings .standing-name")).to_have_text(["Greedy", "You from step 4", "You from step 2"])

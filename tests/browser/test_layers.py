@@ -69,15 +69,19 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
         while not held:
             page.wait_for_timeout(20)
         expect(page.locator("#q-values tr.best")).to_have_count(0)
+        # Until the answer is there, what lies on the map is of the moment before.
+        cells = page.locator(".map-cells")
+        expect(cells).to_have_css("opacity", "0.2")
         with page.expect_response("**/values") as answer:
             held[0].continue_()
         exact = answer.value.json()["q_values"]
         page.unroute("**/values")
+        expect(cells).to_have_css("opacity", "1")
         for action, value in exact.items():
-            cells = page.locator(f"#q-values tr[data-action={action}]").get_by_role("cell")
-            expect(cells.nth(1)).to_have_text(points(value))
+            row = page.locator(f"#q-values tr[data-action={action}]").get_by_role("cell")
+            expect(row.nth(0)).to_have_text(points(value))
             lost = max(exact.values()) - value
-            expect(cells.nth(2)).to_have_text(points(lost) if lost > 0.0005 else "0")
+            expect(row.nth(1)).to_have_text(points(lost) if lost > 0.0005 else "0")
         there = pictures(page)
         page.keyboard.press("Home")
         expect(page.locator("#q-values tr.best").first).to_be_visible()
@@ -104,9 +108,30 @@ def test_only_where_there_is_something_to_be_shown(page: Page) -> None:
     before = pictures(page)
     page.keyboard.press("b")
     assert changed(page, before) == []
-    show(page, "/?task=skyline_easy&seed=7&pilot=greedy")
+    expect(box(page, "What the network thinks")).to_be_checked()
+    thoughts = page.get_by_role("table", name="Each move from here").get_by_role("columnheader")
+    expect(thoughts).to_have_text(["Move", "Network", "Still possible", "Loses"])
+    # Nor does the network that flies here value single moves.
+    show(page, "/?task=skyline_easy&seed=7&pilot=tournet")
+    expect(box(page, "What the network thinks")).to_be_hidden()
+    expect(thoughts).to_have_text(["Move", "Still possible", "Loses"])
+    expect(page.locator("#confidence")).to_contain_text("No network values single moves here")
     expect(box(page, "Range of the battery")).to_be_visible()
     expect(box(page, "Range of the battery")).not_to_be_checked()
+    with page.expect_response("**/values") as answer:
+        page.keyboard.press("b")
+    pads = answer.value.json()["pads"]
+    chosen = page.get_by_role("combobox", name="The numbers are the units of battery left there")
+    expect(chosen.locator("option")).to_have_text(
+        ["here", *(f"the pad at {pad['position']}, charged in full" for pad in pads)]
+    )
+    here = pictures(page)
+    chosen.select_option(index=1)
+    assert changed(page, here) == [CELLS]
+    chosen.select_option("here")
+    assert changed(page, here) == []
+    page.keyboard.press("b")
+    expect(chosen).to_be_hidden()
 
 
 def test_a_map_that_is_not_solved_says_so_and_a_refusal_is_told_once(page: Page, shared: Tabs, server: Server) -> None:

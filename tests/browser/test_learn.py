@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import httpx
 import pytest
 from playwright.sync_api import Page, Route, expect
 
@@ -35,7 +34,7 @@ def flight(task: str, seed: int, actions: list[Action]) -> Episode:
 def track(server: Server, flown: Episode, pilot: str = "human", by: str | None = None) -> dict[str, Any]:
     """What the page has of a flight: the server's frames, and at its end what each step lost."""
     start: list[dict[str, Any]] = [{"outcome": "flying", "step": 0}]
-    shown = frames(server.url, record_of(flown, pilot)) if flown.steps else start
+    shown = frames(server, record_of(flown, pilot)) if flown.steps else start
     if flown.ended:
         analysis = analyse_flight(record_of(flown, pilot))
         for frame, value in zip(shown, analysis.values, strict=True):
@@ -125,8 +124,22 @@ def test_goals_are_reached_by_the_flights_that_their_lessons_ask_for(page: Page,
     assert goals(page, 3, stage(track(server, flight(*PADS, [Action.WAIT] * 11)))) == []
 
 
+def outstanding(page: Page) -> list[str]:
+    """The buttons that stand out as the way on."""
+    return page.locator(".fly .primary:visible").evaluate_all(
+        """buttons => {
+            const accent = document.createElement("i");
+            accent.style.background = "var(--accent)";
+            document.body.append(accent);
+            const colour = getComputedStyle(accent).backgroundColor;
+            accent.remove();
+            return buttons.filter(one => getComputedStyle(one).backgroundColor === colour).map(one => one.innerText);
+        }"""
+    )
+
+
 def test_two_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page: Page) -> None:
-    page.goto("/?view=learn")
+    view(page, "Learn")
     page.get_by_role("link", name="Begin: Fly yourself").click()
     expect(page).to_have_url(re.compile(r"/\?task=easy&seed=18&pilot=human&lesson=1$"))
     bar = page.get_by_role("region", name="Lesson")
@@ -139,6 +152,8 @@ def test_two_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     for key in ("ArrowRight", *["ArrowDown"] * 6):
         page.keyboard.press(key)
     expect(reached).to_have_count(3)
+    expect(page.locator(".strip")).to_be_visible()
+    assert outstanding(page) == ["Next lesson"]
     page.keyboard.press("n")
     expect(bar).to_be_hidden()
     page.go_back()
@@ -191,12 +206,12 @@ def table(page: Page, name: str) -> dict[str, list[str]]:
 
 
 @pytest.mark.feature("D4")
-def test_the_levels_stand_side_by_side_as_the_server_tells_them(page: Page, server: Server) -> None:
-    tasks = httpx.get(f"{server.url}/tasks").json()["tasks"]
+def test_the_tasks_stand_side_by_side_as_the_server_tells_them(page: Page, server: Server) -> None:
+    tasks = server.client.get("/tasks").json()["tasks"]
     view(page, "Learn")
     for family in ("City", "Skyline"):
         page.get_by_role("radio", name=family).check()
-        shown = table(page, f"Technical specifications of the {family} levels")
+        shown = table(page, f"Technical specifications of the {family} tasks")
         levels = [task for task in tasks if task["family"] == family.lower()]
         assert len(levels) == 3
         assert shown["Id"] == [task["id"] for task in levels]
@@ -209,10 +224,11 @@ def test_the_levels_stand_side_by_side_as_the_server_tells_them(page: Page, serv
         }
         for row, name in numbers.items():
             assert shown[row] == [str(task[name]) for task in levels]
-        for event in ("delivery", "tree", "wait", "battery_dead"):
+        events = {"delivery": "Delivery", "tree": "Tree", "wait": "Wait", "battery_dead": "Battery empty"}
+        for event, named in events.items():
             for profile in ("tiered", "composite"):
                 pays = [" / ".join(f"{pay:.2f}" for pay in task["rewards"][profile][event]) for task in levels]
-                assert shown[f"{event.capitalize().replace('_', ' ')}, {profile}"] == pays
+                assert shown[f"{named}, {profile}"] == pays
         assert shown["Battery"] == [f"{task['battery_capacity']} units" for task in levels]
         if family == "City":
             assert shown["Grid"] == ["10 × 10", "14 × 14", "18 × 18"]
@@ -222,7 +238,7 @@ def test_the_levels_stand_side_by_side_as_the_server_tells_them(page: Page, serv
 
 def test_all_reward_profiles_and_kinds_of_cells_are_told_as_the_server_does(page: Page, server: Server) -> None:
     view(page, "Learn")
-    profiles = httpx.get(f"{server.url}/tasks").json()["reward_profiles"]
+    profiles = server.client.get("/tasks").json()["reward_profiles"]
     told = page.get_by_role("region", name="Reward profiles")
     expect(told.locator("dt")).to_have_text([profile["id"] for profile in profiles])
     for profile in profiles:
@@ -232,9 +248,11 @@ def test_all_reward_profiles_and_kinds_of_cells_are_told_as_the_server_does(page
             if number:
                 expect(entry.locator("dd").last).to_contain_text(fixed(number))
         assert entry.locator("dd").last.inner_text().endswith("the score at the end") == profile["pays_score"]
-    kinds = httpx.get(f"{server.url}/kinds").json()["kinds"]
+    kinds = server.client.get("/kinds").json()["kinds"]
     legend = page.get_by_role("region", name="Legend")
-    expect(legend.locator("dt")).to_have_text([f"{kind['emoji']}{kind['name']}" for kind in kinds])
+    parcels = {"delivery": "Parcel", "delivered": "Delivered parcel"}
+    names = [parcels.get(kind["name"], kind["name"].title()) for kind in kinds]
+    expect(legend.locator("dt")).to_have_text([kind["emoji"] + name for kind, name in zip(kinds, names, strict=True)])
     expect(legend.locator("dd")).to_have_text([kind["effect"] for kind in kinds])
 
 
@@ -249,4 +267,4 @@ def test_a_task_of_a_plugin_stands_under_its_own_family(beside: Callable[[str], 
     page.route("**/tasks", tasks)
     page.goto("/?view=learn")
     page.get_by_role("radio", name="Parcel", exact=True).check()
-    assert table(page, "Technical specifications of the Parcel levels")["Id"] == ["hop"]
+    assert table(page, "Technical specifications of the Parcel tasks")["Id"] == ["hop"]

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable
 
-import httpx
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
@@ -11,7 +10,7 @@ from drone_env.core.tasks import get_task
 from tests.api.networks import put_trained
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames
-from tests.browser.stage import along, ended, expect_frame, fly, pilot, show, step, view
+from tests.browser.stage import along, ended, expect_frame, fly, over, pilot, show, step, view
 from tests.browser.tabs import Tabs
 
 
@@ -45,13 +44,13 @@ def test_a_link_opens_exactly_its_flight(page: Page, beside: Callable[[str], Pag
     expect(other.get_by_role("combobox", name="Rewards")).to_have_value("composite")
     fly(other)
     ended(other)
-    stored = httpx.get(f"{server.url}/episodes", params={"task": "easy", "agent": "optimal"}).json()["episodes"][0]
+    stored = server.client.get("/episodes", params={"task": "easy", "agent": "optimal"}).json()["episodes"][0]
     assert (stored["seed"], stored["reward_profile"]) == (int(seed), "composite")
 
 
 def test_a_link_opens_a_moment_which_the_address_goes_on_to_say(page: Page, server: Server) -> None:
-    flights = [frames(server.url, flown("medium", 7, agent)) for agent in ("greedy", "random")]
-    page.goto("/?task=medium&seed=7&pilots=greedy,random&step=9")
+    flights = [frames(server, flown("medium", 7, agent)) for agent in ("greedy", "random")]
+    over(page, 7, "/?task=medium&seed=7&pilots=greedy,random&step=9")
     expect_frame(page, flights[0][9], 100)
     for key, flight in (("2", flights[1]), ("1", flights[0])):
         page.keyboard.press(key)
@@ -61,18 +60,21 @@ def test_a_link_opens_a_moment_which_the_address_goes_on_to_say(page: Page, serv
     expect_frame(page, flights[0][10], 100)
     page.get_by_role("slider", name="Step of the flight").fill("4")
     expect_frame(page, flights[0][4], 100)
-    here = f"{server.url}/?task=medium&seed=7&pilots=greedy,random&step=4"
+    here = f"{server.url}/?task=medium&seed=7&pilots=greedy,random&step=4&flown=10"
     expect(page).to_have_url(here)
     page.reload()
     expect_frame(page, flights[0][4], 100)
     expect(page).to_have_url(here)
+    page.get_by_role("button", name="Last step").click()
+    expect_frame(page, flights[0][10], 100)
+    expect(page).to_have_url(here.replace("4&flown=10", "10"))
     # A moment that is not there is the last one.
     last = len(flights[0]) - 1
     show(page, "/?task=medium&seed=7&pilot=greedy&step=99")
     expect_frame(page, flights[0][last], 100)
     expect(page).to_have_url(re.compile(f"pilot=greedy&step={last}$"))
     page.go_back()
-    expect_frame(page, flights[0][4], 100)
+    expect_frame(page, flights[0][10], 100)
     expect_flying(page, "Greedy", "Random")
     # A person has not flown yet: there is no moment but the start.
     show(page, "/?task=medium&seed=7&pilot=human&step=9")
@@ -104,14 +106,14 @@ def test_back_and_reload_show_the_view_and_the_flight_that_the_address_says(page
     # Both in the middle of their flights: a moment that another does not have would not be told apart from its end.
     first, second = flown("medium", 5, "random"), flown("medium", 6, "random")
     ids = fill(server.data, [first, second])
-    shown = {id_: frames(server.url, one) for id_, one in zip(ids, (first, second), strict=True)}
+    shown = {id_: frames(server, one) for id_, one in zip(ids, (first, second), strict=True)}
 
     def expect_stored(id_: str, at: int, seed: int) -> None:
         expect(map_number(page)).to_have_value(str(seed))
         expect_frame(page, shown[id_][at], 100)
         expect(page).to_have_url(f"{server.url}/?episode={id_}" + (f"&step={at}" if at else ""))
 
-    page.goto(f"/?episode={ids[0]}&step=8")
+    over(page, 5, f"/?episode={ids[0]}&step=8")
     expect_stored(ids[0], 8, 5)
     view(page, "Compare")
     expect(page).to_have_url(f"{server.url}/?view=compare")
@@ -131,6 +133,42 @@ def test_back_and_reload_show_the_view_and_the_flight_that_the_address_says(page
     expect(page).to_have_url(f"{server.url}/?view=learn")
     view(page, "Fly")
     expect_stored(ids[0], 8, 5)
+
+
+def test_a_flight_of_ones_own_that_is_left_goes_on_where_it_was(page: Page, server: Server) -> None:
+    where = page.locator("#step-counter")
+    show(page, "/?task=easy&seed=9&pilot=greedy")
+    expect(map_number(page)).to_have_value("9")
+    pilot(page, "You").click()
+    expect(page).to_have_url(f"{server.url}/?task=easy&seed=9&pilot=human")
+    own = f"{server.url}/?task=easy&seed=9&pilot=human&of=human&actions=WWW"
+    for _ in range(3):
+        page.keyboard.press(" ")
+    expect(page).to_have_url(own)
+    page.go_back()
+    expect_flying(page, "Greedy")
+    expect(where).to_have_text("Step 0 of 60")
+    page.go_forward()
+    expect(where).to_have_text(re.compile("^Step 3 of 60 · WAIT"))
+    expect_flying(page, "You")
+    # As it was: what he has asked for and taken back is not forgotten.
+    page.get_by_role("button", name="Undo").click()
+    expect(page).to_have_url(f"{server.url}/?task=easy&seed=9&pilot=human&of=human%20with%20undo&actions=WW")
+    page.get_by_role("button", name="First step").click()
+    expect(page).to_have_url(re.compile("actions=WW&step=0$"))
+    page.reload()
+    expect(where).to_have_text("Step 0 of 60")
+    page.keyboard.press(" ")
+    expect(where).to_have_text(re.compile("^Step 3 of 60 · WAIT"))
+    # Once it has ended the address leads to what is kept of it.
+    for _ in range(57):
+        page.keyboard.press(" ")
+    expect(page).to_have_url(re.compile(r"/\?episode=\w+&task=easy&seed=9&pilot=human&step=60$"))
+    page.reload()
+    expect(page.locator(".strip")).to_contain_text("You")
+    expect(where).to_have_text(re.compile("^Step 60 of 60"))
+    known = server.client.get("/episodes", params={"agent": "human with undo"}).json()["episodes"]
+    assert len([one for one in known if one["seed"] == 9]) == 1
 
 
 def test_a_flight_of_ones_own_is_still_there_after_others_were_looked_at(page: Page, server: Server) -> None:
@@ -156,7 +194,9 @@ def test_a_flight_of_ones_own_is_still_there_after_others_were_looked_at(page: P
     expect(where).to_have_text(re.compile("^Step 3 of 60"))
 
 
-def test_links_of_earlier_versions_and_odd_ones_open_a_view_with_the_way_to_the_others_in_sight(page: Page) -> None:
+def test_links_of_earlier_versions_and_odd_ones_open_a_view_with_the_way_to_the_others_in_sight(
+    page: Page, shared: Tabs
+) -> None:
     current = page.get_by_role("navigation", name="Views").locator("[aria-current]")
 
     def expect_view(name: str) -> None:
@@ -181,9 +221,30 @@ def test_links_of_earlier_versions_and_odd_ones_open_a_view_with_the_way_to_the_
     expect_view("Fly")
     expect_flying(page, "Greedy", "Random")
     expect(map_number(page)).to_have_value("5")
-    page.goto("/?episode=&pilots=,,&task=&seed=#nothing")
+    show(page, "/?episode=&pilots=,,&task=&seed=#nothing")
     expect_view("Fly")
     expect(page.locator("#step-counter")).to_have_text(re.compile("^Step 0 of"))
+    told = page.locator("#toasts .toast")
+    expect(told).to_have_count(0)
+    show(page, "/?view=nosuch&task=easy&seed=6&pilot=greedy&fork=junk&step=-3&lesson=99")
+    lesson = told.filter(has_text="There is no lesson 99: they are 1 to 3.")
+    expect(told.first).to_have_text(
+        "Not understood in the address: view=nosuch, step=-3, fork=junk. The rest of it is shown."
+    )
+    expect(lesson).to_be_visible()
+    expect_view("Fly")
+    expect(map_number(page)).to_have_value("6")
+    page.locator("#toasts").evaluate("toasts => toasts.replaceChildren()")
+    show(page, "/?view=compare&task=easy&pilots=random,greedy,optimal")
+    expect(told).to_have_text("2 pilots are compared at a time: without optimal.")
+    expect(page.get_by_role("heading", name="Random against Greedy")).to_be_visible()
+    shared.expect("404")
+    show(page, "/?view=compare&task=zzz")
+    expect(page.get_by_role("alert").filter(has_text="unknown task 'zzz'; allowed: easy")).to_be_visible()
+    expect(page.get_by_role("combobox", name="Task")).to_have_value("")
+    expect(page.get_by_role("region", name="Leaderboard")).to_be_hidden()
+    page.get_by_role("combobox", name="Task").select_option("easy")
+    expect(page.get_by_role("region", name="Leaderboard")).to_be_visible()
 
 
 @pytest.mark.feature("L7")
@@ -247,14 +308,21 @@ def test_the_bare_address_has_a_flight_that_moves_by_itself_until_one_is_flown(
     # The map that is drawn there is the one that is flown.
     expect(map_number(page)).to_have_value(seed)
     expect(hello).to_be_visible()
+    bare = page.url
     step(page)
-    expect(hello).to_have_count(0)
-    page.goto("/")
+    expect(hello).to_be_hidden()
+    expect(where).to_have_text(re.compile("^Step 1 of 100"))
+    expect(page).to_have_url(re.compile(f"seed={seed}&pilot=[^&]+&step=1$"))
+    page.go_back()
+    expect(hello).to_be_visible()
+    expect(where).to_have_text("Step 0 of 100")
+    expect(page).to_have_url(bare)
     view(page, "Learn")
-    expect(hello).to_have_count(0)
-    page.goto("/")
-    hello.get_by_role("link", name="Fly it yourself").click()
+    expect(hello).to_be_hidden()
+    page.go_back()
+    # What lies there once the greeting has gone is not meant by the second half of a double click.
+    hello.get_by_role("link", name="Fly it yourself").dblclick()
     expect(where).to_have_text("Step 0 of 100")
     expect_flying(page, "You")
     expect(map_number(page)).to_have_value(seed)
-    expect(hello).to_have_count(0)
+    expect(hello).to_be_hidden()

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import quote
 
-import httpx
 import pytest
 from playwright.sync_api import Page, Route, WebSocketRoute, expect
 
@@ -84,7 +83,7 @@ def test_in_links_and_what_is_wrong_with_them(page: Page) -> None:
 
 
 def test_in_agents_calls_logs_and_files(page: Page, server: Server, tmp_path: Path) -> None:
-    listed = httpx.get(f"{server.url}/episodes", params={"agent": MARKUP}).json()["episodes"]
+    listed = server.client.get("/episodes", params={"agent": MARKUP}).json()["episodes"]
     call = {"step": 1, "messages": [{"role": MARKUP, "content": MARKUP}], "answer": MARKUP, "outcome": MARKUP}
     page.route("**/calls", lambda route: route.fulfill(json={"model": MARKUP, "calls": [call]}))
     show(page, f"/?episode={listed[0]['id']}")

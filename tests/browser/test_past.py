@@ -3,9 +3,7 @@
 import json
 import re
 from pathlib import Path
-from typing import Any
 
-import httpx
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
@@ -13,8 +11,8 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.episodes.record import EpisodeRecord, parse_record, record_of
 from tests.api.serving import Server
-from tests.browser.flights import flown, frames
-from tests.browser.stage import expect_frame, points, show
+from tests.browser.flights import flown, frames, posted
+from tests.browser.stage import expect_frame, over, points, show
 from tests.browser.tabs import Tabs
 
 
@@ -24,12 +22,6 @@ def slider(page: Page) -> Locator:
 
 def moves(page: Page) -> Locator:
     return page.get_by_role("list", name="Moves").get_by_role("button")
-
-
-def posted(server: Server, path: str, record: EpisodeRecord) -> dict[str, Any]:
-    answer = httpx.post(f"{server.url}/{path}", json=json.loads(record.to_json()), timeout=60)
-    answer.raise_for_status()
-    return answer.json()
 
 
 def dropped(page: Page, name: str, text: str) -> None:
@@ -56,10 +48,10 @@ def record() -> EpisodeRecord:
 
 
 def test_a_stored_flight_opens_from_its_link_with_slider_and_steps(page: Page, server: Server) -> None:
-    episode = httpx.get(f"{server.url}/episodes", params={"task": "medium", "agent": "greedy"}).json()["episodes"][0]
-    record = parse_record(httpx.get(f"{server.url}/episodes/{episode['id']}").content, "it")
-    flight, last = frames(server.url, record), episode["steps"]
-    page.goto(f"/?episode={episode['id']}")
+    episode = server.client.get("/episodes", params={"task": "medium", "agent": "greedy"}).json()["episodes"][0]
+    record = parse_record(server.client.get(f"/episodes/{episode['id']}").content, "it")
+    flight, last = frames(server, record), episode["steps"]
+    over(page, record.seed, f"/?episode={episode['id']}")
     expect_frame(page, flight[0], 100)
     for button, step in (("Step", 1), ("Last step", last), ("Step back", last - 1), ("First step", 0)):
         page.get_by_role("button", name=button, exact=True).click()
@@ -75,17 +67,25 @@ def test_a_stored_flight_opens_from_its_link_with_slider_and_steps(page: Page, s
     expect(page.get_by_role("spinbutton", name="Map")).to_have_value(str(episode["seed"]))
     here = f"{server.url}/?episode={episode['id']}&step=3"
     expect(page).to_have_url(here)
-    # A file has no address: that of the stored flight is a step back.
-    opened(page, flown("easy", 7, "greedy", label="me"))
-    expect(page).to_have_url(f"{server.url}/")
+    # A file has an address of its own while the page has it, and no link.
+    other = flown("easy", 7, "greedy", label="me")
+    opened(page, other)
+    expect(page).to_have_url(f"{server.url}/?file=flight.json")
+    page.get_by_role("button", name="Copy link to this moment").click()
+    expect(page.locator("#toasts")).to_contain_text("No link leads to a file")
     page.go_back()
     expect(page).to_have_url(here)
     expect_frame(page, flight[3], 100)
+    page.go_forward()
+    expect_frame(page, frames(server, other)[0], 60)
+    page.reload()
+    expect(page.get_by_role("alert")).to_contain_text("The file flight.json is on this page no more: open it again.")
 
 
 def test_it_plays_by_itself_at_the_chosen_speed_and_by_keys(page: Page) -> None:
     record = flown("medium", 7, "random", label="me")
     last = len(record.actions)
+    expect(page.locator("#step-counter")).to_contain_text("Step")
     opened(page, record)
     page.get_by_role("combobox", name="Speed").select_option("15")
     play = page.get_by_role("button", name="Play", exact=True)
@@ -150,13 +150,13 @@ def test_a_file_with_several_flights_offers_them(page: Page, tmp_path: Path) -> 
     expect(choice).to_be_hidden()
     page.get_by_label("Open a file…").set_input_files(file)
     expect(choice.locator("option")).to_have_text(
-        ["1. Easy Delivery, map 1, greedy", "2. Medium Delivery, map 2, greedy", "3. Easy Delivery, map 3, optimal"]
+        ["1. Easy, map 1, Greedy", "2. Medium, map 2, Greedy", "3. Easy, map 3, Optimal"]
     )
     for index, seed in ((1, "2"), (2, "3"), (0, "1")):
         choice.select_option(index=index)
         expect(page.get_by_role("spinbutton", name="Map")).to_have_value(seed)
         expect(slider(page)).to_have_attribute("max", str(len(flights[index].actions)))
-    expect(choice).to_have_value("1. Easy Delivery, map 1, greedy")
+    expect(choice).to_have_value("1. Easy, map 1, Greedy")
     # Where something else stands there, it offers nothing.
     page.go_back()
     expect(page.get_by_role("spinbutton", name="Map")).to_have_value("7")
@@ -204,9 +204,9 @@ def test_a_flight_of_the_past_lends_its_map_to_what_is_flown_next(page: Page, re
 
 
 def test_beside_a_language_models_flight_stands_what_it_was_asked_and_answered(page: Page, server: Server) -> None:
-    flights = httpx.get(f"{server.url}/episodes", params={"agent": "scripted"}).json()["episodes"]
+    flights = server.client.get("/episodes", params={"agent": "scripted"}).json()["episodes"]
     id_ = next(one["id"] for one in flights if one["seed"] == 14)
-    calls = httpx.get(f"{server.url}/episodes/{id_}/calls").json()["calls"]
+    calls = server.client.get(f"/episodes/{id_}/calls").json()["calls"]
     # Its first answer was none: it was asked again.
     assert [(call["step"], call["answer"], call["outcome"]) for call in calls[:1]] == [(1, "Hm.", "illegal")]
     show(page, f"/?episode={id_}")
@@ -220,6 +220,25 @@ def test_beside_a_language_models_flight_stands_what_it_was_asked_and_answered(p
         expect(answer).to_contain_text(call["answer"])
     show(page, "/?task=easy&seed=7&pilot=greedy")
     expect(answer).to_be_hidden()
+
+
+def test_of_a_prompt_with_a_picture_the_map_is_shown_as_it_stood(page: Page, server: Server) -> None:
+    flights = server.client.get("/episodes", params={"agent": "scripted"}).json()["episodes"]
+    id_ = next(one["id"] for one in flights if one["seed"] == 14)
+    parts = [{"type": "image_url", "image_url": {"url": "drone-env:picture?seed=3"}}, {"type": "text", "text": "Fly!"}]
+    call = {"step": 2, "attempt": 1, "messages": [{"role": "user", "content": parts}], "answer": "UP", "outcome": "ok"}
+    page.route("**/calls", lambda route: route.fulfill(json={"model": "sees", "calls": [call]}))
+    show(page, f"/?episode={id_}")
+    expect(page.locator(".strip")).to_be_visible()
+    page.keyboard.press("Home")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#step-counter")).to_contain_text("Step 2 of 3")
+    page.get_by_text("What it was asked").click()
+    expect(page.locator("#llm-prompt")).to_have_text("user: [drone-env:picture?seed=3]\nFly!")
+    expect(page.locator(".asked")).to_have_attribute("src", f"preview.png?episode={id_}&step=1")
+    expect(page.locator(".asked")).to_have_js_property("naturalWidth", 1200)
+    page.unroute("**/calls")
 
 
 def test_bad_files_are_refused_in_words(page: Page, shared: Tabs, record: EpisodeRecord) -> None:

@@ -2,7 +2,6 @@
 
 import re
 
-import httpx
 from playwright.sync_api import Locator, Page, Route, expect
 
 from drone_env.episodes.record import parse_record
@@ -26,8 +25,8 @@ def ranked(values: dict[str, float]) -> list[str]:
 
 def test_four_are_ranked_while_they_fly_as_their_agents_do_and_each_is_annotated(page: Page, server: Server) -> None:
     records = {agent: flown("easy", SEED, agent) for agent in NAMES}
-    flights = {agent: frames(server.url, record) for agent, record in records.items()}
-    values = {agent: possible(server.url, record) for agent, record in records.items()}
+    flights = {agent: frames(server, record) for agent, record in records.items()}
+    values = {agent: possible(server, record) for agent, record in records.items()}
     over(page, SEED, f"/?task=easy&seed={SEED}&pilots={','.join(NAMES)}")
     names = standings(page).get_by_role("rowheader")
     expect(names).to_have_text(list(NAMES.values()))
@@ -51,8 +50,8 @@ def test_four_are_ranked_while_they_fly_as_their_agents_do_and_each_is_annotated
         expect(row.get_by_role("cell")).to_have_text(
             [str(last["step"]), "1/1", points(last["score"]), points(optimum - last["score"])]
         )
-        known = httpx.get(f"{server.url}/episodes", params={"task": "easy", "agent": agent}).json()["episodes"]
-        stored = httpx.get(f"{server.url}/episodes/{next(one['id'] for one in known if one['seed'] == SEED)}")
+        known = server.client.get("/episodes", params={"task": "easy", "agent": agent}).json()["episodes"]
+        stored = server.client.get(f"/episodes/{next(one['id'] for one in known if one['seed'] == SEED)}")
         assert parse_record(stored.content, "it").actions == records[agent].actions
         # By mouse, and by the keys of their numbers.
         if number % 2:
@@ -61,7 +60,7 @@ def test_four_are_ranked_while_they_fly_as_their_agents_do_and_each_is_annotated
             page.keyboard.press(str(number))
         expect(standings(page).and_(page.locator(".selected"))).to_contain_text(name)
         expect(moves).to_have_count(last["step"])
-        for label, count in posted(server.url, "annotate", records[agent])["counts"].items():
+        for label, count in posted(server, "annotate", records[agent])["counts"].items():
             expect(moves.and_(page.locator(f"[data-label={label}]"))).to_have_count(count)
     page.keyboard.press("Home")
     expect(names).to_have_text(list(NAMES.values()))
@@ -70,9 +69,9 @@ def test_four_are_ranked_while_they_fly_as_their_agents_do_and_each_is_annotated
 def test_boards_of_their_own_the_ghost_of_a_best_flight_and_a_colour_that_is_the_pilots(
     page: Page, server: Server
 ) -> None:
-    known = httpx.get(f"{server.url}/pilots").json()["pilots"]
+    known = server.client.get("/pilots").json()["pilots"]
     colours = {one["id"]: f"--pilot-{one['colour']}" for one in known}
-    page.goto(f"/?task=easy&seed={SEED}&pilots=greedy,random")
+    over(page, SEED, f"/?task=easy&seed={SEED}&pilots=greedy,random")
     boards = page.get_by_role("img", name="City map")
     expect(standings(page)).to_have_count(2)
     assert painted(boards, *colours.values()) == [colours["greedy"]], "brackets around the target of who is looked at"
@@ -160,3 +159,13 @@ def test_over_skyline_tournet_flies_unless_another_is_named_and_who_cannot_says_
     page.get_by_role("radio", name="Skyline Easy").check()
     expect(page.locator("#toasts")).to_contain_text("PathQNet cannot fly Skyline Easy.")
     expect(pilot(page, "Tournet")).to_have_attribute("aria-pressed", "true")
+
+
+def test_a_person_who_has_flown_nothing_yet_can_still_win_all(page: Page) -> None:
+    over(page, SEED, f"/?task=easy&seed={SEED}&pilots=random,human")
+    names = standings(page).get_by_role("rowheader")
+    expect(names).to_have_text(["Random", "You"])
+    expect(standings(page).filter(has_text="Random").get_by_role("cell").nth(3)).to_have_text("0.0")
+    step(page)
+    expect(names).to_have_text(["You", "Random"])
+    expect(standings(page).filter(has_text="You").get_by_role("cell")).to_have_text(["0", "0/1", "\u2013", "\u2013"])

@@ -3,7 +3,6 @@
 import re
 from typing import Any
 
-import httpx
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
@@ -31,8 +30,8 @@ def expect_efficiency(page: Page, done: float, battery: float, steps: float) -> 
 def test_success_shows_the_optimum_the_worst_move_efficiency_and_all_flights(page: Page, server: Server) -> None:
     # Chance delivers on this map, but late: it gives something away.
     record = flown("easy", 82, "random")
-    flight = frames(server.url, record)
-    last, annotation = flight[-1], posted(server.url, "annotate", record)
+    flight = frames(server, record)
+    last, annotation = flight[-1], posted(server, "annotate", record)
     over(page, 82, "/?task=easy&seed=82&pilot=random")
     fly(page)
     strip = ended(page)
@@ -50,7 +49,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_and_all_flights(pag
     # Each of the 60 steps takes one of the 60 units of the battery.
     left = 1 - last["step"] / 60
     expect_efficiency(page, 1, left, left)
-    analysis = httpx.get(f"{server.url}/analyse/easy").json()
+    analysis = server.client.get("/analyse/easy").json()
     trend = analysis["success_trend"] * 100
     expect(strip).to_contain_text(f"All {analysis['episodes']} flights of Easy here")
     expect(strip).to_contain_text(f"Success rate{percent(analysis['success_rate'])}")
@@ -65,7 +64,7 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_and_all_flights(pag
     seen.click()
     expect_frame(page, flight[worst["step"]], 60)
     # From before it, the visitor flies on beside it.
-    strip.get_by_role("button", name="Try from there").click()
+    strip.get_by_role("button", name="Try from step").click()
     expect(page.get_by_role("table", name="Standings").locator("tr.selected")).to_contain_text("You")
     expect_frame(page, flight[worst["step"] - 1], 60)
     expect(strip).to_be_hidden()
@@ -133,8 +132,8 @@ def test_the_result_is_copied_as_a_line_and_the_link_shows_the_moment(page: Page
     assert line == expected
     page.keyboard.press("Home")
     page.keyboard.press("ArrowRight")
-    expect(page).to_have_url(re.compile("step=1$"))
+    expect(page).to_have_url(re.compile("step=1&flown=10$"))
     strip.get_by_role("button", name="Copy link").click()
     expect(page.locator("#toasts")).to_contain_text("Link copied.")
     link = page.evaluate("navigator.clipboard.readText()")
-    assert link == f"{server.url}/?task=easy&seed=7&pilots=human,pathqnet&step=1"
+    assert link == f"{server.url}/?task=easy&seed=7&pilots=human,pathqnet&step=1&flown=10"

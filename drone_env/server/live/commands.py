@@ -45,8 +45,10 @@ class Fork(Message):
     """A moment of a flight, and the moves from there on."""
 
     actions: list[Direction] = Field(max_length=MAX_UNITS, description="From the start of the map on.")
-    step: Count = Field(description="How many of them are of the flight that it forks from.")
-    of: AgentName = Field(description="Who flew that.")
+    step: Count = Field(
+        description="How many of them are of the flight that it forks from; 0 for a flight of one's own."
+    )
+    of: AgentName = Field(description="Who flew that, or the own one so far.")
 
     @model_validator(mode="after")
     def _step_is_there(self) -> Self:
@@ -58,8 +60,9 @@ class Fork(Message):
 class Start(Message):
     """Fly one map with one to four pilots; the flights before are given up.
 
-    With a fork the last pilot begins after its actions, of which it has flown those after its step; the others that fly
-    by themselves have flown as many steps, or to their end. With a step all those have flown so many.
+    With a fork the last pilot begins after its actions, of which it has flown those after its step, and where that is 0
+    the person; the others that fly by themselves have flown as many steps, or to their end. With a step all those have
+    flown so many.
     """
 
     type: Literal["start"]
@@ -135,4 +138,10 @@ def parse_command(text: str) -> Command:
     try:
         return _COMMAND.validate_python(value)
     except ValidationError as error:
-        raise InvalidValueError(text_of(error)) from None
+        raise InvalidValueError(text_of(error, _called)) from None
+
+
+def _called(where: str) -> str:
+    """What people call a part: not by the command that it is of. What is said of the map's number names it already."""
+    part = where.partition(".")[2]
+    return "" if part == "seed" else part

@@ -10,7 +10,7 @@ from drone_env.server.frames import ShownEpisode
 from drone_env.server.live.commands import Start
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.map_choice import start_episode
-from drone_env.server.pilots import Credit, agent_of
+from drone_env.server.pilots import HUMAN, Credit, agent_of
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.state import Shared
 
@@ -44,21 +44,24 @@ def open_flights(command: Start, shared: Shared, last: Episode | None) -> Opened
         seed = secrets.randbelow(MAPS)
     options = ResetOptions(task_name=task.id, seed=seed, reward_profile=command.reward_profile)
     start = start_episode(options, None)
+    # A fork is the last one's; a person who goes on with a flight of his own may have others behind him.
+    own = fork is not None and fork.step == 0 and HUMAN in agents
+    forking = agents.index(HUMAN) if own else len(agents) - 1
     if fork is not None:
         for _ in fly_directions(start.copy(), fork.actions):
             pass  # says where it ends too early
-        agents[-1] = str(Credit.of_fork(agents[-1], fork.step, fork.of))
+        agents[forking] = str(Credit.of_fork(agents[forking], fork.step, fork.of))
     opened: Opened = []
     try:
         for agent in agents:
             named = options.model_copy(update={"agent": agent})
             opened.append(LiveEpisode.attach(shared.sessions.reset(None, named)[0], shared))
         ahead = command.step if fork is None else len(fork.actions)
-        for live, shown in opened if fork is None else opened[:-1]:
-            shown.frames.extend(live.begin_at(ahead))
-        if fork is not None:
-            live, shown = opened[-1]
-            shown.frames.extend(live.begin_after(fork.actions))
+        for i, (live, shown) in enumerate(opened):
+            if fork is not None and i == forking:
+                shown.frames.extend(live.begin_after(fork.actions))
+            else:
+                shown.frames.extend(live.begin_at(ahead))
     except BaseException:
         end_all([live for live, _ in opened])
         raise

@@ -28,7 +28,7 @@ class Contender(Standing):
 
 
 class Leaderboard(Message):
-    """All who flew a task, the best score first. Flights that fork from another one are left out."""
+    """All who flew a task, who lost least first. Flights that fork from another one are left out."""
 
     task: str = Field(description="Id of the task.")
     rows: list[Contender]

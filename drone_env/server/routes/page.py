@@ -10,9 +10,9 @@ from fastapi import APIRouter, Query, Request, Response
 from drone_env.errors import DroneEnvError
 from drone_env.server.hello import hello
 from drone_env.server.links import Link, title_of
+from drone_env.server.page_files import PAGE, edition
 from drone_env.server.pilots import called
 from drone_env.server.problems import answers
-from drone_env.server.security import PAGE
 from drone_env.server.state import Shared, SharedParts
 
 router = APIRouter(tags=["page"])
@@ -26,7 +26,8 @@ ABOUT = "A drone delivers parcels on a generated city grid. Fly it, race a netwo
 @router.get("/", include_in_schema=False)
 def page(request: Request, shared: SharedParts) -> Response:
     """The page; where its address asks for nothing, with a flight that moves before any script has run."""
-    html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- link -->", _head(request, shared))
+    html = (PAGE / "index.html").read_text(encoding="utf-8").replace('="static/', f'="static/v-{edition()}/')
+    html = html.replace("<!-- link -->", _head(request, shared))
     if not request.url.query:
         style = '<link rel="stylesheet" href="static/css/hello.css">'
         html = html.replace("<!-- hello -->", hello().section).replace("</head>", f"{style}\n</head>")

@@ -25,10 +25,6 @@ export function actionsOf(context, fleet) {
     const pilots = past ? [track.pilot].filter((id) => fleet.flies(id, world.task)) : [];
     return givingUp(() => fleet.start(past ? fleet.asks({ pilots, ...flown, ...change }) : change, how));
   }
-  const goTo = (step) => {
-    clock.stop();
-    clock.seek(step);
-  };
   const acts = {
     givingUp,
     goesOn,
@@ -44,13 +40,13 @@ export function actionsOf(context, fleet) {
       else if (goesOn()) fleet.play();
       else clock.play();
     },
-    first: () => goTo(0),
-    back: () => goTo(clock.cursor - 1),
-    last: () => goTo(clock.newest()),
+    first: () => clock.goTo(0),
+    back: () => clock.goTo(clock.cursor - 1),
+    last: () => clock.goTo(clock.newest()),
     /** The next step of what was flown; at its end the pilots fly one more. */
     forward() {
       if (goesOn()) fleet.step();
-      else goTo(clock.cursor + 1);
+      else clock.goTo(clock.cursor + 1);
     },
     undo: () => fleet.undo(),
     reset: () => start({}),

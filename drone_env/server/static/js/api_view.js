@@ -1,7 +1,8 @@
 // API: how programs connect to this server, and what it does now: requests, training, flights that end.
 import { address } from "./api.js";
 import { copyText, el } from "./dom.js";
-import { fixed, moment, outcome, points, title } from "./format.js";
+import { fixed, moment, outcome, points } from "./format.js";
+import { flightName } from "./names.js";
 import { linkOf } from "./router.js";
 
 const KEPT = 200;
@@ -64,15 +65,11 @@ export function mount(root, context) {
     training.clear();
     training.add(lines.map((line) => [null, el("li", { text: line })]));
   });
-  live.on("episodes", ({ episodes }) => flights.add(byTime(episodes).map((e) => [e.id, flightLine(e)])));
+  live.on("episodes", ({ episodes }) => flights.add(byTime(episodes).map((e) => [e.id, flightLine(context, e)])));
   // Another process may answer after that, which counts its requests from 1 again.
   live.on("state", ({ state }) => state === "open" && requests.clear());
 
-  let unsubscribe = [];
-  context.on("view", (view) => {
-    unsubscribe.forEach((end) => end());
-    unsubscribe = view === "api" ? TOPICS.map((topic) => live.subscribe(topic)) : [];
-  });
+  context.on("view", (view) => view === "api" && live.subscribe(TOPICS));
 }
 
 function snippet([name, text]) {
@@ -93,8 +90,8 @@ function requestLine({ time, method, path, status, milliseconds }) {
   );
 }
 
-function flightLine(e) {
-  const flight = `${title(e.task)} ${e.seed}, ${e.agent}`;
+function flightLine(context, e) {
+  const flight = flightName(context, e);
   return el(
     "li",
     el("time.dim", { datetime: e.finished_at, text: moment(e.finished_at) }),

@@ -4,7 +4,7 @@ import { fit } from "./fitted.js";
 import { title } from "./format.js";
 import { LAYERS } from "./layers.js";
 import { lessMotion, nextFrame, noFrame } from "./loop.js";
-import { palette } from "./palette.js";
+import { colourOf } from "./palette.js";
 
 const SPIN = 0.03;
 const PLACES = ["ground", "cells", "air"];
@@ -94,7 +94,6 @@ export class Board {
       tracks: this.only ? [this.only] : stage.tracks,
       clock,
       layout,
-      colours: palette(),
       names: this.names,
       spin: this.spin,
       breath: moving && !still ? 0.5 - 0.5 * Math.cos(now / 260) : 0,
@@ -102,7 +101,8 @@ export class Board {
     const shown = LAYERS.filter((layer) => this.context.shows(layer.id));
     // What lies in cells is drawn for the whole map, and moved by the browser as the camera moves.
     this.drawCells(ground, view, shown, "ground", "");
-    this.drawCells(cells, view, shown, "cells", this.only ? "" : stage.values?.key);
+    this.drawCells(cells, view, track === stage.track ? shown : [], "cells", `${stage.values?.key} ${stage.pad}`);
+    cells.classList.toggle("waiting", stage.answer === null);
     for (const layer of shown) if (layer.place === "air") layer.draw(ctx, view);
     if (moving && !still) this.refresh();
   }
@@ -133,9 +133,10 @@ export class Board {
     const [, , air] = this.canvases;
     const canvas = el("canvas", { width: air.width, height: air.height });
     const ctx = canvas.getContext("2d");
-    ctx.fillStyle = palette().ground;
+    ctx.fillStyle = colourOf("--ground");
     ctx.fillRect(0, 0, canvas.width, canvas.height);
-    for (const one of this.canvases) if (one.width) ctx.drawImage(one, ...(one.at ?? [0, 0]));
+    for (const one of this.canvases)
+      if (one.width && !one.matches(".waiting")) ctx.drawImage(one, ...(one.at ?? [0, 0]));
     return canvas;
   }
 }

@@ -73,7 +73,7 @@ export function mountBoards(root, context) {
   }
 
   stage.on("load", () => {
-    if (stage.world) camera.reset();
+    camera.reset();
     isApart = isApart && stage.tracks.length > 1;
     if (isApart || shown.length) build();
   });

@@ -8,7 +8,8 @@ export function mountCalls(root, context) {
   const answer = el("pre.raw", { id: "llm-answer", tabindex: "0", "aria-label": "Answer" });
   const prompt = el("pre.raw", { id: "llm-prompt", tabindex: "0", "aria-label": "Prompt" });
   const note = el("p.note");
-  const details = el("details", el("summary", { text: "What it was asked" }), prompt);
+  const picture = el("img.asked", { loading: "lazy", alt: "The map at this step, as the picture of the prompt shows it" });
+  const details = el("details", el("summary", { text: "What it was asked" }), prompt, picture);
   root.append(model, note, answer, details);
 
   function draw() {
@@ -22,11 +23,17 @@ export function mountCalls(root, context) {
     setText(note, calls.length ? `For step ${step}` : `For step ${step} it was not asked: an answer before said it, too.`);
     setText(answer, calls.map(answered).join("\n\n"));
     // What was asked last repeats what was asked before.
-    setText(prompt, (calls.at(-1)?.messages ?? []).map(({ role, content }) => `${role}: ${textOf(content)}`).join("\n\n"));
+    const messages = calls.at(-1)?.messages ?? [];
+    setText(prompt, messages.map(({ role, content }) => `${role}: ${textOf(content)}`).join("\n\n"));
+    picture.hidden = !messages.some(({ content }) => typeof content !== "string");
+    // It was asked where the step before had led. An address that is set again is loaded again.
+    const shown = picture.hidden ? "" : `preview.png?episode=${encodeURIComponent(track.episode.id)}&step=${step - 1}`;
+    if (shown && picture.getAttribute("src") !== shown) picture.src = shown;
     answer.hidden = details.hidden = calls.length === 0;
   }
 
   stage.on("change", draw);
+  draw();
 }
 
 /** An answer as it came, and why it was not flown where it could not be used. */
@@ -36,4 +43,6 @@ function answered({ attempt, answer, reasoning, failures, outcome }) {
   return `${attempt > 1 ? "Asked again: " : ""}${said.join("\n\n")}${unusable}`;
 }
 
-const textOf = (content) => (typeof content === "string" ? content : JSON.stringify(content, null, 1));
+/** A text; of a text with a picture also what was shown: it was drawn when it was sent. */
+const textOf = (content) =>
+  typeof content === "string" ? content : content.map(({ text, image_url }) => text ?? `[${image_url.url}]`).join("\n");

@@ -2,7 +2,7 @@
 //
 // uPlot is loaded with the first chart: most visits never come to one.
 import { download, el, loaded } from "./dom.js";
-import { palette } from "./palette.js";
+import { colourOf, font } from "./palette.js";
 
 const FILES = new URL("../vendor/uplot/", import.meta.url);
 const HEIGHT = 208;
@@ -93,12 +93,12 @@ export class Chart {
 
   settings(uPlot) {
     const { kind, format, range, least = 1, x, y } = this.options;
-    const accent = () => palette().accent;
+    const accent = () => colourOf("--accent");
     const axis = {
-      stroke: () => palette().ink2,
-      grid: { stroke: () => palette().line, width: 1 },
+      stroke: () => colourOf("--ink-2"),
+      grid: { stroke: () => colourOf("--line"), width: 1 },
       ticks: { show: false },
-      font: `12px ${palette().font}`,
+      font: font(12, 400),
     };
     return {
       ...this.size(),
@@ -150,7 +150,7 @@ const known = (values) => values.filter((value) => value !== null).length;
 
 function fillBehind(ctx) {
   ctx.save();
-  ctx.fillStyle = palette().panel;
+  ctx.fillStyle = colourOf("--panel");
   ctx.fillRect(0, 0, ctx.canvas.width, ctx.canvas.height);
   ctx.restore();
 }

@@ -39,6 +39,12 @@ export class Clock {
     this.moved();
   }
 
+  /** Goes to a step, and stays there. */
+  goTo(step) {
+    this.stop();
+    this.seek(step);
+  }
+
   /** Shows the newest step, unless somebody looks back. */
   follow() {
     if (this.following) this.seek(this.newest());

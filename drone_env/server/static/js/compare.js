@@ -1,5 +1,5 @@
-// Compare: who flies a task best, two of them map by map, runs of language models, trainings, and the newest flights.
-import { el } from "./dom.js";
+// Compare: who flies a task best, two of them map by map, runs over the same maps, trainings, and the newest flights.
+import { el, toast } from "./dom.js";
 import { title } from "./format.js";
 import { Flights } from "./flights.js";
 import { leaderboard, mapsOf, runsOf } from "./rankings.js";
@@ -9,31 +9,37 @@ import { Training } from "./training.js";
 const TOPICS = ["episodes", "training"];
 /** Several flights that end at once are one change; so many milliseconds later all is asked for anew. */
 const PAUSE = 300;
+const MOST = 2;
 
 /** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
 export function mount(root, context) {
   const { live, router } = context;
   const compare = new Compare(root, context);
   const training = new Training(root, context);
-  let leave = null;
+  let shown = false;
   const look = () => {
-    const shown = router.address.view === "compare";
-    if (shown && !leave) {
-      const ends = TOPICS.map((topic) => live.subscribe(topic));
-      leave = () => ends.forEach((end) => end());
+    const before = shown;
+    shown = router.address.view === "compare";
+    if (shown && before) compare.look();
+    else if (shown) {
+      live.subscribe(TOPICS);
       compare.load();
-    } else if (shown) compare.look();
-    else {
-      leave?.();
-      leave = null;
     }
   };
-  context.on("view", look);
-  router.on("address", look);
-  live.on("training", ({ curve }) => leave && training.show(curve));
-  live.on("episodes", ({ episodes }) => leave && compare.heard(episodes));
-  live.on("state", ({ state }) => leave && state === "open" && compare.failed && compare.load());
+  router.on("address", () => {
+    look();
+    told();
+  });
+  live.on("training", ({ curve }) => shown && training.show(curve));
+  live.on("episodes", ({ episodes }) => shown && compare.heard(episodes));
+  live.on("state", ({ state }) => shown && state === "open" && compare.failed && compare.load());
+  /** What of the address is not shown. */
+  function told() {
+    const left = shown ? router.address.pilots.slice(MOST) : [];
+    if (left.length) toast(`${MOST} pilots are compared at a time: without ${left.join(", ")}.`);
+  }
   look();
+  told();
 }
 
 class Compare {
@@ -42,7 +48,7 @@ class Compare {
     this.asked = 0;
     this.timer = 0;
     this.failed = false;
-    /** What is compared: the task as `/tasks` tells it, its leaderboard, and the runs of language models over it. */
+    /** What is compared: the task as `/tasks` tells it, its leaderboard, and the runs over it. */
     this.task = this.board = this.runs = null;
     const option = (task) => el("option", { value: task.short_name, text: title(task.short_name) });
     const group = ([family, tasks]) => el("optgroup", { label: title(family) }, ...tasks.map(option));
@@ -54,7 +60,7 @@ class Compare {
     this.problem = el("p.problem", { role: "alert", hidden: true });
     this.rows = el("div");
     this.chosen = el("section.compare-part", { hidden: true });
-    this.models = el("section.compare-part", { hidden: true });
+    this.ranked = el("section.compare-part", { hidden: true });
     this.flights = new Flights(context);
     root.append(
       el(
@@ -65,14 +71,14 @@ class Compare {
       this.problem,
       this.rows,
       this.chosen,
-      this.models,
+      this.ranked,
       this.flights.root,
     );
   }
 
   /** The pilots that the address names: the maps of one are shown, two are paired. */
   get pilots() {
-    return this.context.router.address.pilots.slice(0, 2);
+    return this.context.router.address.pilots.slice(0, MOST);
   }
 
   go(pilots, task = this.task.short_name) {
@@ -95,6 +101,14 @@ class Compare {
     const asked = ++this.asked;
     const { api, router, tasks } = this.context;
     this.wanted = router.address.task;
+    // Beside what is said of a task that there is not, nothing of another is shown.
+    const nowhere = this.wanted !== null && !this.known(this.wanted);
+    for (const part of [this.rows, this.flights.root]) part.hidden = nowhere;
+    if (nowhere) {
+      this.choice.value = "";
+      this.chosen.hidden = this.ranked.hidden = true;
+      this.task = this.drawn = null;
+    }
     await this.trying(asked, async () => {
       const named = this.wanted ?? (await api.get("episodes", { limit: 1 })).episodes[0]?.task ?? tasks[0].id;
       const board = await api.get(`leaderboard/${encodeURIComponent(named)}`);
@@ -103,7 +117,7 @@ class Compare {
       if (this.task?.id !== board.task) {
         this.task = this.known(board.task);
         this.runs = null;
-        this.models.hidden = true;
+        this.ranked.hidden = true;
       }
       this.choice.value = this.task.short_name;
       await Promise.all([this.choose(asked), this.flights.show(this.task, board.rows), this.loadRuns(asked)]);
@@ -112,11 +126,11 @@ class Compare {
 
   /** What takes the server a while, the first time. */
   async loadRuns(asked) {
-    const runs = await this.context.api.get(`leaderboard/${this.board.task}/models`);
+    const runs = await this.context.api.get(`leaderboard/${this.board.task}/runs`);
     if (asked !== this.asked || JSON.stringify(runs) === JSON.stringify(this.runs)) return;
     this.runs = runs;
-    this.models.hidden = !runs.boards.length && !runs.unranked.length;
-    this.models.replaceChildren(...runsOf(this.context, runs, this.flights));
+    this.ranked.hidden = !runs.boards.length && !runs.unranked.length;
+    this.ranked.replaceChildren(...runsOf(this.context, runs, this.flights));
   }
 
   /** Shows the leaderboard, and what is chosen in it. */

@@ -21,19 +21,10 @@ export function mountControls(root, context, fleet, acts) {
   const back = button("back", "Step back", "←", ["M15 6l-7 6 7 6"], acts.back);
   const forward = button("step", "Step", "→ or .", ["M9 6l7 6-7 6"], acts.forward);
   const last = button("last", "Last step", "End", ["M6 6l7 6-7 6", "M17.500 6v12"], acts.last);
-  const undo = el("button.button", { id: "undo", title: "Take the last move back (U)", text: "Undo", press: acts.undo });
-  const reset = el("button.button", {
-    id: "reset",
-    title: "The same map from its start (R)",
-    text: "Reset",
-    press: acts.reset,
-  });
-  const fork = el("button.button", {
-    id: "fork",
-    title: "Fly on from this step, beside the flight (F)",
-    text: "Try from here",
-    press: () => acts.fork(),
-  });
+  const named = (id, text, title, press) => el("button.button", { id, text, title, press });
+  const undo = named("undo", "Undo", "Take the last move back (U)", acts.undo);
+  const reset = named("reset", "Reset", "The same map from its start (R)", acts.reset);
+  const fork = named("fork", "Try from here", "Fly on from this step, beside the flight (F)", () => acts.fork());
   const speed = el(
     "select",
     { id: "speed", "aria-label": "Speed", on: { change: () => fleet.setSpeed(Number(speed.value)) } },
@@ -52,7 +43,7 @@ export function mountControls(root, context, fleet, acts) {
     toggle.title = `${word} (Space)`;
     const away = context.live.state !== "open" && fleet.shown && !stage.over;
     toggle.disabled = !track || (away && !clock.playing);
-    toggle.hidden = fleet.own !== null && !fleet.automatic;
+    toggle.hidden = fleet.byHand && !fleet.automatic;
     first.disabled = back.disabled = clock.cursor === 0;
     last.disabled = clock.following;
     forward.disabled = !track || (acts.goesOn() ? playing || away : clock.cursor === clock.end());

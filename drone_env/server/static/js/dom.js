@@ -48,11 +48,6 @@ export function table(tag, props, caption, columns, ...bodies) {
   );
 }
 
-/** Closes a dialog by a click beside it. */
-export function closeBeside(dialog) {
-  dialog.addEventListener("click", (event) => event.target === dialog && dialog.close());
-}
-
 /** Sets the text of a node if it differs: unchanged nodes cost no layout. */
 export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
@@ -124,6 +119,3 @@ export async function copyText(text, said) {
     window.prompt("To copy:", text);
   }
 }
-
-/** Copies an address. */
-export const copyLink = (url) => copyText(String(url), "Link copied.");

@@ -1,6 +1,5 @@
 // Files of flights: chosen, or dropped anywhere on the page.
 import { el } from "./dom.js";
-import { named } from "./past.js";
 
 /** @param {HTMLElement} root @param {import("./past.js").Past} past @param {(flights: () => Promise<void>) => void} open */
 export function mountFiles(root, past, open) {
@@ -21,11 +20,12 @@ export function mountFiles(root, past, open) {
   root.append(el("div.field", input, el("label.button.small", { for: "flight-file", text: "Open a file…" }), flights));
 
   let offered = past.records;
-  past.context.stage.on("load", () => {
+  past.context.stage.on("load", async () => {
     if (past.records === offered) return;
     offered = past.records;
+    const { flightName } = await import("./names.js");
     flights.hidden = past.records.length < 2;
-    flights.replaceChildren(...past.records.map((record, i) => el("option", { text: `${i + 1}. ${named(record)}` })));
+    flights.replaceChildren(...past.records.map((record, i) => el("option", { text: `${i + 1}. ${flightName(past.context, record)}` })));
   });
 }
 

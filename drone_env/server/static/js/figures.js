@@ -1,5 +1,6 @@
 // What stands on maps: the sheet of figures from which the pictures of Gymnasium are drawn too, and the marks of the page.
 import { el } from "./dom.js";
+import { colourOf, font } from "./palette.js";
 
 /** A figure's field on the sheet is so much wider than the cell in its middle. */
 const FIELD = 1.8;
@@ -65,11 +66,11 @@ function inSize([x, y], size) {
  * @param {number} size Its width in device pixels. @param {number} heading Radians, 0 is up.
  * @param {number} spin Angle of the rotors. @param {number} lift 0 on the ground, 1 in flight: how far its shadow lies.
  */
-export function drawDrone(ctx, x, y, size, heading, spin, lift, colour, colours) {
+export function drawDrone(ctx, x, y, size, heading, spin, lift, colour) {
   ctx.save();
   ctx.translate(x, y);
   ctx.rotate(heading);
-  ctx.shadowColor = colours.map.shade;
+  ctx.shadowColor = colourOf("--map-shade");
   ctx.shadowOffsetX = ctx.shadowOffsetY = size * (0.06 + 0.12 * lift);
   drawFigure(ctx, "drone", 0, 0, size);
   ctx.shadowColor = "transparent";
@@ -127,13 +128,13 @@ export function drawArrow(ctx, x1, y1, x2, y2, width) {
 }
 
 /** A chess player's mark (`?!`, `?`, `??`, `!!`) in a disc. */
-export function drawMark(ctx, x, y, size, mark, colour, colours) {
+export function drawMark(ctx, x, y, size, mark, colour) {
   ctx.fillStyle = colour;
   ctx.beginPath();
   ctx.arc(x, y, size * 0.5, 0, 2 * Math.PI);
   ctx.fill();
-  ctx.fillStyle = colours.ground;
-  ctx.font = `600 ${size * 0.62}px ${colours.font}`;
+  ctx.fillStyle = colourOf("--ground");
+  ctx.font = font(size * 0.62, 600);
   ctx.textAlign = "center";
   ctx.textBaseline = "middle";
   ctx.fillText(mark, x, y + size * 0.04);

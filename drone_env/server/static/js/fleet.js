@@ -1,6 +1,7 @@
 // The live flights of this page: what is asked of the server, and what it tells.
 import { toast } from "./dom.js";
 import { Emitter } from "./emitter.js";
+import { NOTHING } from "./router.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
 
@@ -64,23 +65,38 @@ export class Fleet extends Emitter {
     return this.setup.fork === null ? null : (this.tracks.at(-1) ?? null);
   }
 
+  /** The visitor's own flight while it goes on and is shown; null where there is none. */
+  get mine() {
+    const track = this.tracks[this.human];
+    return track && this.shown && !track.done ? track : null;
+  }
+
   /** Whether what is looked at is the visitor's own flight, where it goes on. */
   get atHand() {
     const { track, clock } = this.stage;
-    return this.shown && track === this.tracks[this.human] && !track.done && clock.cursor >= track.steps;
+    return this.mine !== null && track === this.mine && clock.cursor >= track.steps;
   }
 
-  /** The visitor's own flight while it goes on, which is lost where another begins; null where there is none. */
+  /** The same once he has flown in it, which is lost where another begins. */
   get own() {
-    const track = this.tracks[this.human];
-    return track && this.shown && !track.done && track.steps > (track === this.forked ? this.setup.fork : 0) ? track : null;
+    const { mine } = this;
+    return mine && mine.steps > (mine === this.forked ? this.setup.fork : 0) ? mine : null;
   }
 
   /** Whether the visitor's moves are flown: in the flight that is shown, or in one that is on its way. */
   get byHand() {
-    if (this.asked === "start") return this.how.flown.includes(this.person.id);
-    const track = this.tracks[this.human];
-    return this.shown && Boolean(track) && !track.done;
+    return this.asked === "start" ? this.how.flown.includes(this.person.id) : this.mine !== null;
+  }
+
+  /** What the address says so that a fork, or the visitor's own flight, goes on where it was left: its moves, and whose they are. */
+  get told() {
+    if (!this.shown) return {};
+    const track = this.forked ?? this.mine;
+    if (!track) return { actions: null, of: null };
+    const { by, pilot, steps } = track;
+    const actions = lettersOf(track.actionsTo(steps));
+    if (this.forked) return { actions };
+    return { actions, of: steps || by !== pilot ? by : null };
   }
 
   /** The pilot who is the visitor. */
@@ -95,16 +111,8 @@ export class Fleet extends Emitter {
 
   /** @returns {Object} What the server tells of a pilot; a stand-in where it does not know it. */
   pilot(id) {
-    return (
-      this.context.pilots.find((pilot) => pilot.id === id) ?? {
-        id,
-        name: id,
-        summary: "",
-        automatic: true,
-        tasks: [],
-        colour: "other",
-      }
-    );
+    const unknown = { id, name: id, summary: "", automatic: true, tasks: [], colour: "other" };
+    return this.context.pilots.find((pilot) => pilot.id === id) ?? unknown;
   }
 
   /** How a pilot is called and coloured. */
@@ -129,19 +137,15 @@ export class Fleet extends Emitter {
 
   /** What an address asks for, filled up with what is flown now. @param {import("./router.js").Address} address */
   asks(address) {
-    const { task = null, seed = null, profile = null, pilots = [], step = null } = address;
-    const { episode = null, fork = null, actions = null, of = null } = address;
+    const { lesson, ...asked } = { ...NOTHING, ...address };
+    const { task, pilots } = asked;
     const known = this.task(task ?? this.setup.task) ?? this.context.tasks[0];
     const named = pilots.length ? pilots : this.setup.pilots.filter((id) => this.flies(id, known));
     return {
+      ...asked,
       view: "fly",
       task: task === null || this.task(task) ? known.short_name : task, // the server says what is wrong with another
-      seed,
-      profile,
       pilots: named.length ? named : this.able(known).slice(0, 1),
-      episode,
-      step,
-      ...(fork === null ? { fork: null, actions: null, of: null } : { fork, actions, of }),
     };
   }
 
@@ -153,7 +157,7 @@ export class Fleet extends Emitter {
    *   moves until then.
    */
   start(change = {}, { play = false, beside = [], flown = null, after = null, moves = [] } = {}) {
-    const nothing = { fork: null, actions: null, of: null, step: null, episode: null };
+    const nothing = { fork: null, actions: null, of: null, step: null, flown: null, episode: null, file: null };
     const { live } = this.context;
     if (live.state !== "open" && this.tracks.length) {
       toast("The server is away: your flight is kept, and another cannot begin before it is back.");
@@ -164,10 +168,12 @@ export class Fleet extends Emitter {
     this.how = { play, beside, flown: flown ?? this.setup.pilots, after, moves };
     this.emit("setup");
     this.asked = "start";
-    const { task, seed, profile, fork, actions, of, step } = this.setup;
+    const { task, seed, profile, fork, actions, of, step, flown: newest } = this.setup;
     const what = { task, seed, reward_profile: profile, pilots: this.how.flown };
-    if (fork !== null) what.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork, of };
-    else if (step) what.step = step;
+    // The visitor's own flight goes on as a fork of nobody's, in which all moves are his.
+    if (fork !== null || of !== null)
+      what.fork = { actions: [...(actions ?? "")].map((one) => LETTERS[one] ?? one), step: fork ?? 0, of };
+    else if (newest ?? step) what.step = newest ?? step;
     // Without a connection it is started as soon as there is one.
     this.waiting = !live.send({ type: "start", number: ++this.number, ...what });
   }
@@ -181,24 +187,29 @@ export class Fleet extends Emitter {
   /** Flies on from a step of a flight, beside it: another move, and what comes of it. */
   fork(track, step, { pilot = this.person.id, action = null } = {}) {
     const { world } = this.stage;
-    // One that flies by itself flies the same again, where the link is opened; others must be in the store.
-    const again = this.pilot(track.pilot).automatic && !track.past && track.forkedAt === null;
-    const pilots = [...(again ? [track.pilot] : []), pilot];
-    // It flies on beside the fork unless it has ended.
-    const along = again && !track.done;
+    // A fork of a fork stands beside what the first one had left.
+    const kept = (one) => one !== track && (one.past || one.forkedAt === null);
+    const left = track === this.forked ? this.stage.tracks.filter(kept) : [track];
+    // Those that fly by themselves fly the same again, where the link is opened; another must be in the store.
+    const again = left.filter((one) => this.pilot(one.pilot).automatic && !one.past && one.forkedAt === null);
+    // They fly on beside the fork unless they have ended.
+    const along = again.filter((one) => !one.done);
+    const [stored = null] = left.filter((one) => !again.includes(one));
+    const idsOf = (tracks) => [...tracks.map((one) => one.pilot), pilot];
     const change = {
       task: world.task.short_name,
       seed: world.seed,
       profile: world.profile,
-      pilots,
-      episode: again ? null : (track.episode?.id ?? null),
+      pilots: idsOf([...again.filter((one) => one.done), ...along]),
+      episode: stored?.episode?.id ?? null,
       fork: step,
       actions: lettersOf(track.actionsTo(step)),
       of: track.by,
     };
     const after = () => action && this.fly(action);
     const play = this.pilot(pilot).automatic;
-    this.start(change, { play, beside: along ? [] : [track], flown: along ? pilots : [pilot], after });
+    const beside = [...new Set([...left, track])].filter((one) => !along.includes(one));
+    this.start(change, { play, beside, flown: idsOf(along), after });
   }
 
   play(speed = this.stage.clock.speed) {
@@ -247,8 +258,7 @@ export class Fleet extends Emitter {
 
   /** The visitor wants to see values while flying, which the record says from then on. */
   help() {
-    const track = this.tracks[this.human];
-    if (this.shown && track && !track.done && !track.asked) this.context.live.send({ type: "help", flight: this.human });
+    if (this.mine && !this.mine.asked) this.context.live.send({ type: "help", flight: this.human });
   }
 
   resume() {
@@ -319,7 +329,6 @@ export class Fleet extends Emitter {
       track?.frames.push(frame);
       if (track) this.stage.changed(track);
     }
-    this.tell();
   }
 
   undone({ flight, step, by }) {
@@ -328,7 +337,6 @@ export class Fleet extends Emitter {
     track.frames.length = step + 1;
     this.stage.changed(track);
     this.stage.clock.seek(this.stage.clock.newest());
-    this.tell();
   }
 
   helped({ flight, by, frame }) {
@@ -336,14 +344,6 @@ export class Fleet extends Emitter {
     track.by = by;
     track.frames[frame.step] = frame;
     this.stage.changed(track);
-  }
-
-  /** What a fork has flown stands in its link. */
-  tell() {
-    const { forked } = this;
-    if (!forked || !this.shown) return;
-    this.setup.actions = lettersOf(forked.actionsTo(forked.steps));
-    this.context.router.moment({ actions: this.setup.actions });
   }
 
   value({ flight, values, regrets }) {
@@ -375,7 +375,7 @@ export class Fleet extends Emitter {
     this.asked = null;
     if (asked !== "start" && code === "session_gone") {
       toast("The server has ended that flight meanwhile: it starts again.");
-      this.start(this.setup, { ...this.how, play: this.how.play || this.playing });
+      this.start({ ...this.setup, ...this.told }, { ...this.how, play: this.how.play || this.playing });
       return;
     }
     // Keys come faster than what they do: one after the end of a flight, or back beyond its start, is no matter.

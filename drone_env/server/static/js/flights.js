@@ -3,6 +3,7 @@ import { grid } from "./rankings.js";
 import { Chart } from "./charts.js";
 import { el } from "./dom.js";
 import { fixed, moment, outcome, percent, points } from "./format.js";
+import { flightName, who } from "./names.js";
 
 const PAGE = 50;
 const ROLLING = 20;
@@ -56,8 +57,7 @@ export class Flights {
   show(task, rows) {
     if (this.task !== task) [this.task, this.pages, this.seed, this.agent.value] = [task, [null], null, ""];
     const chosen = this.agent.value;
-    this.names = new Map(rows.map(({ agent, name }) => [agent, name]));
-    const known = [...this.names].map(([agent, name]) => el("option", { value: agent, text: name }));
+    const known = rows.map(({ agent, name }) => el("option", { value: agent, text: name }));
     this.agent.replaceChildren(el("option", { value: "", text: "All" }), ...known);
     this.agent.value = chosen;
     return this.load();
@@ -113,11 +113,11 @@ export class Flights {
       el("button.button.small", {
         text: "Open",
         data: { key: e.id, episode: e.id },
-        "aria-label": `Open ${e.task}, map ${e.seed}, by ${e.agent}`,
+        "aria-label": `Open ${flightName(this.context, e)}`,
         press: () => this.open(e),
       });
     const columns = [
-      ["Pilot", (e) => this.names.get(e.agent) ?? e.agent],
+      ["Pilot", (e) => who(this.context, e.agent)],
       ["Map", (e) => String(e.seed), true],
       ["Score", (e) => points(e.score), true],
       ["Lost", (e) => points(e.regret), true],

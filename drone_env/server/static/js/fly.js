@@ -1,12 +1,10 @@
 // Fly: a map with flights over it, live or past; puts plan, boards, controls and instruments together.
 import { actionsOf } from "./actions.js";
 import { mountBoards } from "./boards.js";
-import { mountCalls } from "./calls.js";
 import { mountControls } from "./controls.js";
 import { el, toast } from "./dom.js";
 import { listenToDrops, mountFiles } from "./drops.js";
 import { Fleet } from "./fleet.js";
-import { mountHelp } from "./help.js";
 import { mountHuman } from "./human.js";
 import { mountInstruments } from "./instruments.js";
 import { mountKeys } from "./keys.js";
@@ -21,9 +19,6 @@ import { mountStrip } from "./strip.js";
 import { mountSwitches } from "./switches.js";
 import { mountTelemetry } from "./telemetry.js";
 import { mountThinking } from "./thinking.js";
-
-/** Milliseconds that a moment is looked at before the address says it: browsers allow few changes a second. */
-const LINGER = 300;
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context */
 export function mountFly(root, context) {
@@ -60,10 +55,11 @@ export function mountFly(root, context) {
   panel("instruments", mountInstruments);
   panel("layers-panel", mountSwitches, acts);
   panel("thinking", mountThinking, fleet, acts);
-  panel("calls", mountCalls);
+  panel("calls", mountLater);
   panel("moves-panel", mountMoves);
   panel("telemetry-panel", mountTelemetry, { boards: () => boards.boards, graph });
-  mountKeys(context, fleet, acts, mountHelp());
+  mountKeys(context, fleet, acts, help);
+  document.getElementById("help-button").addEventListener("click", help);
   mountMapValues(context);
   listenToDrops((file) => openFile(() => past.openFile(file)));
 
@@ -80,40 +76,62 @@ export function mountFly(root, context) {
     }
   }
 
-  /** The same of a file, which has no address of its own. */
+  /** The same of a file. */
   async function openFile(flights) {
     if (context.view !== "fly") context.router.open("fly");
-    if (await open(flights)) context.router.go({ view: "fly", episode: "" });
+    if (await open(flights)) context.router.go({ file: past.file });
   }
 
-  /** The moment that is shown, as the address says it: where a fork stands, what it has flown says it. */
-  function step() {
-    const { clock } = stage;
-    if (fleet.shown && fleet.setup.fork !== null) return clock.following ? null : clock.cursor;
-    return clock.cursor || null;
+  /** The moment that is shown, as the address says it: where one flies is the last of the moves that it has. */
+  function told() {
+    const { cursor, following } = stage.clock;
+    const moves = fleet.told;
+    const unsaid = moves.actions ? following : cursor === 0;
+    const flown = !fleet.shown || moves.actions || following ? null : stage.clock.newest();
+    return { ...moves, step: unsaid ? null : cursor, flown };
   }
 
+  // Who asks for nothing is greeted with a flight that the server has drawn above, whose map waits below to be flown.
+  const greeting = document.getElementById("hello");
+  const greets = () => greeting !== null && context.router.bare;
+  function greeted() {
+    const { task, seed } = greeting.dataset;
+    return fleet.asks({ task, seed: Number(seed), pilots: fleet.able(fleet.task(task)).slice(0, 1) });
+  }
+  /** Whether nobody has touched what waits there. */
+  const waits = () => says(greeted(), fleet.setup) && stage.clock.end() === 0;
+
+  function sayWhatIsFlown() {
+    if (!fleet.shown || context.view !== "fly" || (greets() && waits())) return;
+    context.router.flies({ ...fleet.setup, ...told() }, greets());
+    if (greeting) greeting.hidden = true;
+  }
   fleet.on("begun", () => {
-    if (!fleet.shown) return;
-    problem.clear();
-    if (context.view === "fly") context.router.flies({ ...fleet.setup, step: step() });
+    if (fleet.shown) problem.clear();
+    sayWhatIsFlown();
   });
-  stage.on("load", () => root.classList.toggle("empty", !stage.world));
+  stage.on("frames", () => greets() && sayWhatIsFlown());
+  stage.on("load", () => root.classList.remove("empty"));
   root.classList.add("empty");
-  fleet.on("ended", (track) => explain(context, track));
+  fleet.on("ended", (track) => {
+    explain(context, track);
+    // The visitor's flight is found in the store from now on.
+    const alone = fleet.tracks.length === 1 && fleet.human === 0 && !fleet.forked;
+    if (alone && isThere()) context.router.moment({ episode: (fleet.setup.episode = track.episode.id) });
+  });
   context.on("view", follow);
 
   /** Shows what the address says. */
   async function follow(view) {
     const { address } = context.router;
-    // The flight that the server has put above is for those who ask for nothing.
-    if (address.task || address.episode !== null) document.getElementById("hello")?.remove();
+    if (greeting) greeting.hidden = !greets();
     if (address.lesson) teach(lesson, context);
     if (view !== "fly") {
       fleet.pause();
       stage.clock.stop();
-    } else if (address.episode === "") {
-      // a file, which stands there already
+    } else if (address.file) {
+      if (past.file === address.file) stage.clock.seek(address.step ?? stage.clock.cursor);
+      else await open(() => past.openRecord(0, address.file));
     } else if (address.episode && address.fork === null) {
       if (past.episode === address.episode) stage.clock.seek(address.step ?? stage.clock.cursor);
       else await open(() => past.open(address.episode, address.step ?? 0));
@@ -121,10 +139,8 @@ export function mountFly(root, context) {
   }
 
   async function fly(address) {
-    // Where the address leaves all open, the map that the server has drawn above.
-    const { task, seed } = document.getElementById("hello")?.dataset ?? {};
-    const asked = fleet.asks(task && !fleet.tracks.length ? { ...address, task, seed: Number(seed) } : address);
-    const flown = fleet.tracks.length > 0 && says(asked, fleet.setup);
+    const asked = greets() ? greeted() : fleet.asks(address);
+    const flown = fleet.tracks.length > 0 && (greets() ? waits() : says(asked, fleet.setup));
     if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
     else if (flown) fleet.show(address.step);
     else if (!address.episode) fleet.start(asked);
@@ -142,23 +158,33 @@ export function mountFly(root, context) {
     const { address } = context.router;
     if (context.view !== "fly") return false;
     if (fleet.shown) return fleet.asked === null && says(fleet.asks(address), fleet.setup);
-    return Boolean(address.episode) && stage.track?.episode?.id === address.episode;
+    if (address.file) return past.file === address.file;
+    return Boolean(address.episode) && address.fork === null && stage.track?.episode?.id === address.episode;
   }
 
-  // The address says which moment is shown, once somebody looks at it.
-  let linger = 0;
-  stage.on("cursor", () => {
-    clearTimeout(linger);
-    linger = setTimeout(() => {
-      const still = !stage.clock.playing && !stage.flying && isThere();
-      if (still && step() !== context.router.address.step) context.router.moment({ step: step() });
-    }, LINGER);
+  // The address says what the visitor has flown, and which moment is shown, unless it moves by itself.
+  stage.on("change", () => {
+    if (stage.clock.playing || !isThere()) return;
+    const now = told();
+    if (now.actions || !stage.flying) context.router.moment(now);
   });
-  // The flight that the server has put above has said its word once one is flown here, or another is chosen.
-  let loads = 0;
-  const heard = (enough) => enough && document.getElementById("hello")?.remove();
-  stage.on("frames", () => heard(stage.clock.end() > 0));
-  stage.on("load", () => heard(++loads > 1));
+}
+
+/** The keys, which are loaded with the first question for them. */
+const help = () =>
+  import("./help.js").then(
+    (loaded) => loaded.help(),
+    (error) => toast(`The help could not be loaded: ${error.message}`),
+  );
+
+/** What language models were asked, loaded with the first flight of one. */
+function mountLater(root, context) {
+  root.hidden = true;
+  const end = context.stage.on("change", async () => {
+    if (!context.stage.track?.calls) return;
+    end();
+    (await import("./calls.js")).mountCalls(root, context);
+  });
 }
 
 let teaching = null;

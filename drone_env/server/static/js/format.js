@@ -24,8 +24,11 @@ export function percent(share, digits = 0) {
   return share === null || share === undefined ? "–" : `${fixed(share * 100, digits)} %`;
 }
 
+const EMPTY = "Battery empty";
+
 /** `skyline_hard` -> `Skyline Hard`. */
 export function title(name) {
+  if (name === "battery_dead") return EMPTY;
   return name
     .split("_")
     .map((word) => word.charAt(0).toUpperCase() + word.slice(1))
@@ -35,9 +38,12 @@ export function title(name) {
 const OUTCOMES = {
   flying: "In flight",
   delivered: "All parcels delivered",
-  battery_dead: "Battery empty",
+  battery_dead: EMPTY,
   out_of_steps: "Out of steps",
 };
+
+/** A kind of cell in words. */
+export const cellName = (name) => ({ delivery: "Parcel", delivered: "Delivered parcel" })[name] ?? title(name);
 
 /** How a frame or an episode ended, in words. */
 export const outcome = ({ outcome }) => OUTCOMES[outcome] ?? outcome;

@@ -1,5 +1,5 @@
 // The help dialog: what this is, the keys, and where to learn more.
-import { closeBeside, el } from "./dom.js";
+import { el } from "./dom.js";
 import { LAYERS } from "./layers.js";
 
 /** What this is, in a sentence. */
@@ -12,18 +12,24 @@ const KEYS = [
   ["U", "Take a move of yours back"],
   ["← → Home End", "Look back and forth in the flight"],
   [".", "The next step"],
-  ["F", "Try from there: fly on yourself from the moment that is shown"],
-  ["N R", "New map; the same map again"],
-  ["+ −", "Faster, slower"],
-  ["Z X", "Nearer, farther"],
+  ["F", "Try from here: fly on yourself from the moment that is shown"],
+  ["N R", "New map; reset to the start of this one"],
+  ["+ − or Z X", "Nearer, farther"],
+  ["< >", "Slower, faster"],
   ["1 to 9", "Look at another flight"],
   ...LAYERS.filter(({ key }) => key).map(({ key, name }) => [key.toUpperCase(), name]),
   ["?", "This help"],
 ];
 
-/** @returns {() => void} Opens it. */
-export function mountHelp() {
-  const dialog = document.getElementById("help");
+const dialog = document.getElementById("help");
+
+/** Opens it. */
+export function help() {
+  if (!dialog.childElementCount) fill();
+  dialog.showModal();
+}
+
+function fill() {
   const close = () => dialog.close();
   dialog.append(
     el("h2", { id: "help-title", text: "Help" }),
@@ -35,8 +41,6 @@ export function mountHelp() {
       el("a.button", { href: "?view=learn", text: "Learn to fly", press: close }),
     ),
   );
-  closeBeside(dialog);
-  const open = () => dialog.showModal();
-  document.getElementById("help-button").addEventListener("click", open);
-  return open;
+  // A click beside it.
+  dialog.addEventListener("click", (event) => event.target === dialog && close());
 }

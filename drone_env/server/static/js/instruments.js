@@ -1,6 +1,6 @@
 // The instruments of one flight: score beside what is still possible, battery, steps, parcels, reward.
 import { el, setText } from "./dom.js";
-import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
+import { cellName, fixed, isLost, outcome, percent, points, signed } from "./format.js";
 
 /** @param {HTMLElement} root @param {import("./context.js").Context} context */
 export function mountInstruments(root, context) {
@@ -66,7 +66,7 @@ export function mountInstruments(root, context) {
     setText(total.value, fixed(frame.reward_total, 2));
     setText(efficiency.value, fixed(frame.efficiency, 1));
     setText(target.value, frame.target ? `[${frame.target.join(", ")}], ${frame.distance} away` : "–");
-    setText(below.value, frame.cell_below === "pad" ? "Pad: WAIT charges" : title(frame.cell_below));
+    setText(below.value, frame.cell_below === "pad" ? "Pad: WAIT charges" : cellName(frame.cell_below));
     ground.hidden = !world.task.pads;
   }
 

@@ -28,9 +28,11 @@ export function mountKeys(context, fleet, acts, help) {
     f: () => acts.fork(),
     u: acts.undo,
     Backspace: acts.undo,
-    "+": () => acts.faster(1),
-    "=": () => acts.faster(1),
-    "-": () => acts.faster(-1),
+    ">": () => acts.faster(1),
+    "<": () => acts.faster(-1),
+    "+": () => see(1),
+    "=": () => see(1),
+    "-": () => see(-1),
     z: () => see(1),
     x: () => see(-1),
     ArrowLeft: acts.back,
@@ -43,14 +45,15 @@ export function mountKeys(context, fleet, acts, help) {
 
   // What was chosen by mouse or finger has done its part: the next arrow is for the drone, not for another choice.
   let pointed = false;
+  let flown = "";
   document.addEventListener("pointerdown", () => {
     pointed = true;
+    flown = "";
   });
   const leave = ({ target }, what) => pointed && target.matches(what) && target.blur();
   document.addEventListener("click", (event) => leave(event, "input[type=radio]"));
   document.addEventListener("change", (event) => leave(event, "select"));
 
-  let flown = "";
   document.addEventListener("keydown", (event) => {
     pointed = false;
     if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
@@ -62,8 +65,9 @@ export function mountKeys(context, fleet, acts, help) {
     if (context.view !== "fly") return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     const direction = fleet.byHand ? FLY[key] : undefined;
-    // A key that is held beyond the end of a flight does not look back in it.
-    const beyond = event.repeat && key === flown && !direction;
+    // Who flies by hand is not done with his key where the flight ends: held on it does not look back, and Space, which
+    // may come once more, plays nothing. Nor does a key that is held start and pause by turns.
+    const beyond = !direction && (key === " " ? flown || event.repeat : event.repeat && key === flown);
     flown = direction || beyond ? key : "";
     if (direction) fleet.fly(direction);
     else if (KEYS[key]) beyond || KEYS[key]();

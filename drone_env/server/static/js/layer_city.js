@@ -1,28 +1,29 @@
 // What does not move: the ground, its grid and numbers, and what stands on it.
 import { drawFigure } from "./figures.js";
+import { colourOf, font } from "./palette.js";
 
 /** @param {CanvasRenderingContext2D} ctx */
-export function drawCity(ctx, { world, layout, names, colours }) {
+export function drawCity(ctx, { world, layout, names }) {
   const { cell, left, top } = layout;
   const field = [left, top, world.width * cell, world.height * cell];
-  ctx.fillStyle = colours.map.ground;
+  ctx.fillStyle = colourOf("--map-ground");
   ctx.fillRect(...field);
-  drawGrid(ctx, world, layout, colours);
+  drawGrid(ctx, world, layout);
   world.cells.forEach((row, y) =>
     row.forEach((kind, x) =>
       drawFigure(ctx, names[kind], left + (x + 0.5) * cell, top + (y + 0.5) * cell, cell, variety(x, y)),
     ),
   );
-  ctx.fillStyle = colours.map.night;
+  ctx.fillStyle = colourOf("--map-night");
   ctx.fillRect(...field);
-  if (layout.labels) drawLabels(ctx, world, layout, colours);
+  if (layout.labels) drawLabels(ctx, world, layout);
 }
 
 /** A number that belongs to a cell: the same city always looks the same. */
 const variety = (x, y) => Math.imul(x * 977 + y * 331 + 7, 2654435761) >>> 16;
 
-function drawGrid(ctx, world, { cell, left, top, scale }, colours) {
-  ctx.strokeStyle = colours.map.grid;
+function drawGrid(ctx, world, { cell, left, top, scale }) {
+  ctx.strokeStyle = colourOf("--map-grid");
   const line = Math.max(1, Math.round(scale));
   ctx.lineWidth = line;
   const half = (line % 2) / 2;
@@ -36,13 +37,13 @@ function drawGrid(ctx, world, { cell, left, top, scale }, colours) {
     ctx.lineTo(left + world.width * cell, top + y * cell + half);
   }
   ctx.stroke();
-  ctx.strokeStyle = colours.map.edge;
+  ctx.strokeStyle = colourOf("--map-edge");
   ctx.strokeRect(left - half, top - half, world.width * cell + 2 * half, world.height * cell + 2 * half);
 }
 
-function drawLabels(ctx, world, { cell, left, top, scale }, colours) {
-  ctx.fillStyle = colours.map.label;
-  ctx.font = `500 ${11 * scale}px ${colours.font}`;
+function drawLabels(ctx, world, { cell, left, top, scale }) {
+  ctx.fillStyle = colourOf("--map-label");
+  ctx.font = font(11 * scale);
   ctx.textAlign = "center";
   ctx.textBaseline = "alphabetic";
   for (let x = 0; x < world.width; x++) ctx.fillText(String(x), left + (x + 0.5) * cell, top - 6 * scale);

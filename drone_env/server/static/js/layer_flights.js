@@ -55,12 +55,12 @@ export function drawTrails(ctx, view) {
 const position = (track, k) => [track.frames[k].x, track.frames[k].y];
 
 /** A best flight over the map, known once the flight is annotated. */
-export function drawBest(ctx, { track, layout, clock, colours }) {
+export function drawBest(ctx, { track, layout, clock }) {
   const path = track.annotation?.optimal_path;
   if (!path) return;
   const { cell, scale } = layout;
   const aside = cell * 0.13;
-  ctx.strokeStyle = colours.map.ghost;
+  ctx.strokeStyle = colourOf("--map-ghost");
   ctx.lineWidth = Math.max(1.5 * scale, cell * 0.06);
   ctx.setLineDash([cell * 0.2, cell * 0.16]);
   ctx.lineCap = "butt";
@@ -97,7 +97,7 @@ export function drawParcels(ctx, { world, track, layout, clock, breath }) {
 }
 
 /** Arrows as long as an action is good beside the others; the best one stands out. Waiting is a ring. */
-export function drawThoughts(ctx, { track, layout, clock, colours }) {
+export function drawThoughts(ctx, { track, layout, clock }) {
   const values = track.frameAt(clock.cursor).q_values;
   if (!values) return;
   const { cell } = layout;
@@ -108,7 +108,7 @@ export function drawThoughts(ctx, { track, layout, clock, colours }) {
   const spread = best - Math.min(...all) || 1;
   for (const [action, value] of Object.entries(values)) {
     const strength = (value - (best - spread)) / spread;
-    ctx.fillStyle = ctx.strokeStyle = value === best ? colourOf("--network") : colours.ink;
+    ctx.fillStyle = ctx.strokeStyle = colourOf(value === best ? "--network" : "--ink");
     ctx.globalAlpha = value === best ? 0.95 : 0.12 + 0.4 * strength;
     const width = Math.max(3, cell * 0.11);
     if (action !== "WAIT") pointTo(ctx, action, x, y, size * 0.56, cell * (0.18 + 0.62 * strength), width);
@@ -129,7 +129,7 @@ function pointTo(ctx, action, x, y, from, length, width) {
 }
 
 export function drawDrones(ctx, view) {
-  const { track, layout, clock, spin, colours } = view;
+  const { track, layout, clock, spin } = view;
   const { cell } = layout;
   const size = droneSize(layout);
   inOrder(view).forEach((one, i) => {
@@ -140,22 +140,22 @@ export function drawDrones(ctx, view) {
     ctx.globalAlpha = front ? 1 : 0.75;
     if (front) drawBetterMoves(ctx, view, x, y, size);
     const wide = front ? size : size * 0.8;
-    drawDrone(ctx, x + aside, y + aside, wide, one.heading(clock.position), spin, lift, colourOf(one.colour), colours);
+    drawDrone(ctx, x + aside, y + aside, wide, one.heading(clock.position), spin, lift, colourOf(one.colour));
   });
   ctx.globalAlpha = 1;
   const move = track.annotation?.moves[clock.cursor - 1];
   if (!move?.mark || clock.position !== clock.cursor) return;
   const [x, y] = middle(layout, track.at(clock.position));
   const side = Math.max(18 * layout.scale, size * 0.5);
-  drawMark(ctx, x + size * 0.46, y - size * 0.46, side, move.mark, labelColour(move.label), colours);
+  drawMark(ctx, x + size * 0.46, y - size * 0.46, side, move.mark, labelColour(move.label));
 }
 
 /** What would have been best from here, where something else was flown. */
-function drawBetterMoves(ctx, { track, clock, layout, colours }, x, y, size) {
+function drawBetterMoves(ctx, { track, clock, layout }, x, y, size) {
   const next = track.annotation?.moves[clock.cursor];
   if (!next || next.label === "best" || clock.position !== clock.cursor) return;
   const { cell } = layout;
-  ctx.fillStyle = colours.map.ghost;
+  ctx.fillStyle = colourOf("--map-ghost");
   for (const action of next.best_actions) {
     if (STEP[action]) pointTo(ctx, action, x, y, size * 0.56, cell * 0.8, Math.max(3, cell * 0.13));
   }

@@ -1,6 +1,7 @@
 // What is known of each cell at a moment: what can still be reached from there, what the network would do, the battery's range.
 import { drawArrow } from "./figures.js";
 import { STEP } from "./layer_flights.js";
+import { colourOf, font } from "./palette.js";
 
 const SMALL = 18;
 
@@ -9,30 +10,30 @@ function eachCell(rows, visit) {
 }
 
 /** The greener a cell, the more is still possible from it; its arrows are the moves that give nothing away. */
-export function drawValues(ctx, { stage, layout, colours }) {
+export function drawValues(ctx, { stage, layout }) {
   const cells = stage.values?.answer?.cells;
   if (!cells?.values) return;
   const all = cells.values.flat().filter((value) => value !== null);
   const least = Math.min(...all);
   const spread = Math.max(...all) - least || 1;
   const { cell, left, top } = layout;
-  ctx.fillStyle = colours.good;
+  ctx.fillStyle = colourOf("--good");
   eachCell(cells.values, (value, x, y) => {
     ctx.globalAlpha = 0.04 + 0.46 * ((value - least) / spread);
     ctx.fillRect(left + x * cell, top + y * cell, cell, cell);
   });
   ctx.globalAlpha = 0.8;
-  ctx.fillStyle = ctx.strokeStyle = colours.ink;
+  ctx.fillStyle = ctx.strokeStyle = colourOf("--ink");
   eachCell(cells.best_actions, (actions, x, y) => actions.forEach((action) => drawMove(ctx, layout, action, x, y)));
   ctx.globalAlpha = 1;
 }
 
 /** The network's move where that gives something away. */
-export function drawNetwork(ctx, { stage, layout, colours }) {
+export function drawNetwork(ctx, { stage, layout }) {
   const cells = stage.values?.answer?.cells;
   const { cell, left, top, scale } = layout;
   ctx.lineWidth = Math.max(1.5, 2 * scale);
-  ctx.strokeStyle = ctx.fillStyle = colours.bad;
+  ctx.strokeStyle = ctx.fillStyle = colourOf("--bad");
   eachCell(cells?.disagree, (errs, x, y) => {
     if (!errs) return;
     ctx.strokeRect(left + (x + 0.08) * cell, top + (y + 0.08) * cell, cell * 0.84, cell * 0.84);
@@ -53,30 +54,34 @@ function drawMove(ctx, { cell, left, top }, action, x, y) {
   drawArrow(ctx, cx + dx * cell * 0.12, cy + dy * cell * 0.12, cx + dx * cell * 0.42, cy + dy * cell * 0.42, cell * 0.11);
 }
 
-/** What lies within the battery's range from here, with the units left there; dashed, what each pad's full battery reaches. */
-export function drawRange(ctx, { stage, layout, colours }) {
+/** What lies within the battery's range, with the units left there: from here, or from a pad that is chosen, charged in full. */
+export function drawRange(ctx, { stage, world, layout }) {
   const answer = stage.values?.answer;
   if (!answer?.range) return;
   const { cell, left, top, scale } = layout;
-  ctx.fillStyle = colours.ground;
-  ctx.globalAlpha = 0.55;
-  answer.range.forEach((row, y) =>
-    row.forEach((units, x) => units === null && ctx.fillRect(left + x * cell, top + y * cell, cell, cell)),
+  const pad = answer.pads[stage.pad];
+  const range = pad?.units ?? answer.range;
+  range.forEach((row, y) =>
+    row.forEach((units, x) => {
+      ctx.fillStyle = colourOf(units === null ? "--ground" : "--good");
+      ctx.globalAlpha = units === null ? 0.55 : 0.06 + (0.34 * units) / world.capacity;
+      ctx.fillRect(left + x * cell, top + y * cell, cell, cell);
+    }),
   );
   ctx.globalAlpha = 1;
   ctx.lineWidth = Math.max(2, 2.5 * scale);
-  ctx.strokeStyle = colours.good;
-  outline(ctx, layout, answer.range);
-  ctx.setLineDash([4 * scale, 4 * scale]);
-  ctx.strokeStyle = colours.warn;
-  for (const { units } of answer.pads) outline(ctx, layout, units);
-  ctx.setLineDash([]);
+  ctx.strokeStyle = colourOf("--good");
+  outline(ctx, layout, range);
+  if (pad) {
+    ctx.strokeStyle = colourOf("--warn");
+    ctx.strokeRect(left + pad.position[0] * cell, top + pad.position[1] * cell, cell, cell);
+  }
   if (cell < SMALL * 1.8 * scale) return;
-  ctx.fillStyle = colours.ink;
-  ctx.font = `500 ${Math.round(cell * 0.26)}px ${colours.font}`;
+  ctx.fillStyle = colourOf("--ink");
+  ctx.font = font(Math.round(cell * 0.26));
   ctx.textAlign = "right";
   ctx.textBaseline = "bottom";
-  eachCell(answer.range, (units, x, y) => ctx.fillText(String(units), left + (x + 0.94) * cell, top + (y + 0.98) * cell));
+  eachCell(range, (units, x, y) => ctx.fillText(String(units), left + (x + 0.94) * cell, top + (y + 0.98) * cell));
 }
 
 /** The border of the cells that are reached. */

@@ -1,7 +1,7 @@
 // What the figures on the map are, as the server names them.
 import { el } from "./dom.js";
 import { drawFigure } from "./figures.js";
-import { title } from "./format.js";
+import { cellName } from "./format.js";
 
 const SIDE = 24;
 const LEFT_OUT = new Set(["road", "unknown", "drone"]);
@@ -12,13 +12,12 @@ export function mountLegend(root, context) {
     .filter((kind) => !LEFT_OUT.has(kind.name))
     .map((kind) => ({
       kind,
-      entry: el("li", { title: kind.effect }, drawSign(kind.name), el("span", { text: title(kind.name) })),
+      entry: el("li", { title: kind.effect }, drawSign(kind.name), el("span", { text: cellName(kind.name) })),
     }));
   root.append(el("ul.legend", { "aria-label": "Legend" }, ...signs.map(({ entry }) => entry)));
 
   /** Only what can be met on the map that is shown. */
   context.stage.on("load", () => {
-    if (!context.stage.world) return;
     const there = new Set(context.stage.world.cells.flat());
     for (const { kind, entry } of signs) entry.hidden = kind.name !== "delivered" && !there.has(kind.id);
   });

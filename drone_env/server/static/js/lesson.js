@@ -1,5 +1,5 @@
 // The bar above the maps while a lesson of the tutorial is flown.
-import { el, icon } from "./dom.js";
+import { el, icon, toast } from "./dom.js";
 import { isComplete, LESSONS, reach, reached } from "./lessons.js";
 import { linkOf } from "./router.js";
 
@@ -63,7 +63,13 @@ export function mountLesson(root, { router, stage }) {
     );
   }
 
-  router.on("address", show);
+  function look() {
+    const { lesson } = router.address;
+    if (lesson > LESSONS.length) toast(`There is no lesson ${lesson}: they are 1 to ${LESSONS.length}.`);
+    show();
+  }
+
+  router.on("address", look);
   stage.on("change", show);
-  show();
+  look();
 }

@@ -53,13 +53,13 @@ export const LESSONS = [
     text:
       "Greedy flies to the nearest parcel and looks no further. The optimum of this map is 96.8; Greedy scores 53.3, " +
       "and loses the difference in a single move. Let it fly, then find that move in the graph below the " +
-      "map: a pad lies below the drone, where waiting charges the battery. Try from there.",
+      "map: a pad lies below the drone, where waiting charges the battery. Try from here.",
     address: { view: "fly", task: "skyline_easy", seed: 88, pilots: ["greedy"] },
     goals: [
       { text: "Let Greedy fly to its end", done: (stage) => by("greedy", stage).some((track) => track.done) },
       { text: "Go to its blunder in the graph", done: (stage) => atWorst(stage, "greedy") },
       {
-        text: "Try from there, and deliver all parcels",
+        text: "Try from here, and deliver all parcels",
         done: mine((track) => track.by.includes(" from step ") && delivers(track)),
       },
     ],
@@ -68,8 +68,8 @@ export const LESSONS = [
     title: "Plan the battery",
     text:
       "In Skyline the battery does not last for the tour. It holds 11 units here; a step takes 1, above a tree 2, " +
-      "above a building 3, and obstacles block the way. Range of the battery (B) shows how far it reaches from here " +
-      "and from each pad, where each wait (Space) charges 4. Without charging nobody delivers more than two of the " +
+      "above a building 3, and obstacles block the way. Range of the battery (B) shows how far it reaches from here, " +
+      "or from a pad, where each wait (Space) charges 4. Without charging nobody delivers more than two of the " +
       "three parcels.",
     address: { view: "fly", task: "skyline_easy", seed: 84, pilots: ["human"] },
     goals: [

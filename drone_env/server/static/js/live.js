@@ -21,7 +21,7 @@ export class Live extends Emitter {
   constructor(protocols) {
     super();
     this.protocols = protocols;
-    this.topics = new Map();
+    this.topics = [];
     this.state = "connecting";
     this.failures = 0;
     this.ended = 0;
@@ -62,23 +62,10 @@ export class Live extends Emitter {
     return true;
   }
 
-  /** Asks for a topic ("requests", "training", "episodes") until the returned function is called. */
-  subscribe(topic) {
-    this.topics.set(topic, (this.topics.get(topic) ?? 0) + 1);
-    this.sendTopics();
-    let open = true;
-    return () => {
-      if (!open) return;
-      open = false;
-      const left = this.topics.get(topic) - 1;
-      if (left) this.topics.set(topic, left);
-      else this.topics.delete(topic);
-      this.sendTopics();
-    };
-  }
-
-  sendTopics() {
-    this.send({ type: "subscribe", topics: [...this.topics.keys()] });
+  /** Asks for these topics alone, of "requests", "training" and "episodes", now and whenever it connects anew. */
+  subscribe(topics) {
+    this.topics = topics;
+    this.send({ type: "subscribe", topics });
   }
 
   opened() {
@@ -86,7 +73,7 @@ export class Live extends Emitter {
       this.failures = this.ended = 0;
     }, STEADY);
     this.change("open", 0, "");
-    if (this.topics.size) this.sendTopics();
+    if (this.topics.length) this.subscribe(this.topics);
   }
 
   closed(event, accepted) {

@@ -2,7 +2,7 @@
 import { createApi } from "./api.js";
 import { createContext } from "./context.js";
 import { mountConnection } from "./connection.js";
-import { el, loaded, toast } from "./dom.js";
+import { el, loaded } from "./dom.js";
 import { loadFigures } from "./figures.js";
 import { Live } from "./live.js";
 import { Router } from "./router.js";
@@ -36,15 +36,19 @@ async function boot() {
 /** Loads a view, which then hears that it is shown. */
 async function mountLater(name, context) {
   const file = LATER[name];
+  const root = document.getElementById(`view-${name}`);
   delete LATER[name];
   try {
     const style = el("link", { rel: "stylesheet", href: new URL(`../css/${file}.css`, import.meta.url) });
     const [view] = await Promise.all([import(`./${file}.js`), loaded(style)]);
-    view.mount(document.getElementById(`view-${name}`), context);
+    root.replaceChildren();
+    view.mount(root, context);
     if (context.view === name) context.emit("view", name);
   } catch (error) {
     LATER[name] = file;
-    toast(`This view could not be loaded: ${error.message}`);
+    console.warn(error);
+    const again = el("button.button.small", { text: "Try again", press: () => mountLater(name, context) });
+    root.replaceChildren(el("p.problem", { role: "alert" }, "This view could not be loaded. ", again));
   }
 }
 

@@ -70,10 +70,7 @@ export function mountMoves(root, context) {
           data: { label: move?.label ?? "", event: frame.event },
           "aria-label": said,
           title: frame.message,
-          press: () => {
-            stage.clock.stop();
-            stage.clock.seek(frame.step);
-          },
+          press: () => stage.clock.goTo(frame.step),
         },
         el("span.move-step", { text: String(frame.step) }),
         el("span.move-arrow", { text: ARROWS[frame.action] ?? frame.action }),

@@ -1,59 +1,20 @@
-// The colours of canvases: the custom properties of the style sheet, read once per theme.
+// The colours of canvases: the custom properties of the style sheet, each read once per theme.
 
-const NAMES = [
-  "ground",
-  "panel",
-  "line",
-  "line-strong",
-  "ink",
-  "ink-2",
-  "ink-3",
-  "accent",
-  "good",
-  "warn",
-  "bad",
-  "font",
-  "map-ground",
-  "map-grid",
-  "map-edge",
-  "map-night",
-  "map-shade",
-  "map-box",
-  "map-ghost",
-  "map-label",
-];
-const camel = (name) => name.replace(/^map-/, "").replace(/-(\w)/g, (_, letter) => letter.toUpperCase());
+const read = new Map();
 
-let read = null;
-
-/** `{ink, accent, ..., map: {ground, roof, ...}}` of the theme that is shown. */
-export function palette() {
-  if (read) return read;
-  const style = getComputedStyle(document.documentElement);
-  read = { map: {} };
-  for (const name of NAMES) {
-    const value = style.getPropertyValue(`--${name}`).trim();
-    if (name.startsWith("map-")) read.map[camel(name)] = value;
-    else read[camel(name)] = value;
-  }
-  read.named = new Map();
-  return read;
-}
-
-/** The colour behind a custom property, such as that of a pilot: `--pilot-3`. */
+/** The value of a custom property, such as `--ink`, or the colour of a pilot: `--pilot-3`. */
 export function colourOf(name) {
-  const { named } = palette();
-  if (!named.has(name)) named.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
-  return named.get(name);
+  if (!read.has(name)) read.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+  return read.get(name);
 }
 
 /** Another theme is shown: the colours are read again. */
-export function forgetPalette() {
-  read = null;
-}
+export const forgetColours = () => read.clear();
+
+/** The page's font for a canvas, so many device pixels high. */
+export const font = (size, weight = 500) => `${weight} ${size}px ${colourOf("--font")}`;
+
+const LABELS = { best: "--good", inaccuracy: "--warn", mistake: "--accent", blunder: "--bad" };
 
 /** The colour of a move's label, such as "blunder". */
-export function labelColour(label) {
-  const p = palette();
-  return { best: p.good, good: p.ink3, inaccuracy: p.warn, mistake: p.accent, blunder: p.bad }[label] ?? p.ink3;
-}
+export const labelColour = (label) => colourOf(LABELS[label] ?? "--ink-3");

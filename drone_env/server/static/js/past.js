@@ -1,13 +1,8 @@
 // Flights of the past: a stored one, or those in a file, flown again by the server and annotated move by move.
 import { ApiError } from "./api.js";
 import { toast } from "./dom.js";
-import { readFlights } from "./flight_file.js";
-import { title } from "./format.js";
 import { worldOf } from "./stage.js";
 import { Track } from "./track.js";
-
-/** @param {object} record */
-export const named = ({ task, seed, agent }) => `${title(String(task))}, map ${seed}, ${agent}`;
 
 export class Past {
   /** @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet Knows the pilots. */
@@ -16,8 +11,11 @@ export class Past {
     this.fleet = fleet;
     /** Id of the stored flight that is shown; null for none, or a file. */
     this.episode = null;
-    /** The records of a file, of which one is shown. */
+    /** The records of a file, of which one is shown, and its name. */
     this.records = [];
+    this.file = null;
+    /** All files that were opened here: name to records. No address leads to them from elsewhere. */
+    this.files = new Map();
     this.asked = 0;
     this.track = null;
     const { stage } = context;
@@ -30,6 +28,7 @@ export class Past {
     const track = await this.stored(id);
     if (asked !== this.asked) return;
     this.episode = id;
+    this.file = null;
     this.records = [];
     this.show(track, step);
   }
@@ -46,15 +45,21 @@ export class Past {
   /** Shows the flights of a file, one of them at a time. */
   async openFile(file) {
     const asked = ++this.asked;
+    const { readFlights } = await import("./flight_file.js");
     const records = await readFlights(file);
-    if (asked === this.asked) await this.openRecord(0, records);
+    this.files.set(file.name, records);
+    if (asked === this.asked) await this.openRecord(0, file.name);
   }
 
-  async openRecord(index, records = this.records) {
+  /** Shows a flight of a file that was opened before. */
+  async openRecord(index, file = this.file) {
+    const records = this.files.get(file);
+    if (!records) throw new Error(`The file ${file} is on this page no more: open it again.`);
     const asked = ++this.asked;
     const track = await this.flown(records[index]);
     if (asked !== this.asked) return;
     this.episode = null;
+    this.file = file;
     this.records = records;
     this.show(track, 0);
   }
@@ -62,7 +67,7 @@ export class Past {
   /** Nothing of this is shown any more. */
   leave() {
     this.asked += 1;
-    this.episode = this.track = null;
+    this.episode = this.file = this.track = null;
     this.records = [];
   }
 
@@ -98,17 +103,21 @@ export class Past {
   }
 }
 
+/** The record of a flight that was opened, or that the server has stored. */
+export async function recordOf({ api }, track) {
+  track.record ??= await api.get(`episodes/${encodeURIComponent(track.episode.id)}`);
+  return track.record;
+}
+
 /** Annotates a flight that has ended: what each of its moves gave away. Says so where that cannot be. */
-export async function explain({ api, stage }, track) {
+export async function explain(context, track) {
   if (track.annotation || !track.done) return;
   try {
-    const record = track.record ?? (await api.get(`episodes/${encodeURIComponent(track.episode.id)}`));
-    track.record = record;
-    const annotation = await api.post("annotate", record);
+    const annotation = await context.api.post("annotate", await recordOf(context, track));
     track.annotation = annotation;
     annotation.moves.forEach(({ value }, i) => Object.assign(track.frames[i], lost(value, annotation)));
     Object.assign(track.last, lost(annotation.score, annotation));
-    stage.changed(track);
+    context.stage.changed(track);
   } catch (error) {
     if (!(error instanceof ApiError)) throw error;
     toast(error.message);

@@ -1,7 +1,6 @@
 // What is flown: which task, which map, who flies, what the steps pay.
-import { copyLink, el, setText, toast } from "./dom.js";
+import { el, setText, toast } from "./dom.js";
 import { title } from "./format.js";
-import { linkOf } from "./router.js";
 
 /**
  * @param {HTMLElement} root @param {import("./context.js").Context} context @param {import("./fleet.js").Fleet} fleet
@@ -12,8 +11,9 @@ export function mountPlan(root, context, fleet, acts) {
   const heading = el("summary.plan-head");
   const tasks = el("fieldset.choice", el("legend", { text: "Task" }));
   const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
-  const { form, seed, typing } = mapForm(context, fleet, acts);
-  const change = () => acts.start({ profile: profile.value });
+  const { form, seed, typing } = mapForm(context, fleet, acts, () => update());
+  // Who flies on instead sees again what he flies.
+  const change = () => acts.start({ profile: profile.value }).finally(update);
   const profile = el("select", { id: "profile", on: { change } });
   for (const { id, summary } of context.rewardProfiles)
     profile.append(el("option", { value: id, text: title(id), title: summary }));
@@ -123,7 +123,8 @@ function taskNote(task) {
   return `Deliver ${parcels} on ${task.width} × ${task.height} cells in ${task.max_steps} steps${charge}.`;
 }
 
-function mapForm({ router, stage }, fleet, acts) {
+function mapForm({ router, stage }, fleet, acts, update) {
+  let typed = false;
   const seed = el("input.input", {
     id: "seed",
     type: "number",
@@ -132,28 +133,21 @@ function mapForm({ router, stage }, fleet, acts) {
     step: "1",
     inputmode: "numeric",
     autocomplete: "off",
+    on: { input: () => (typed = true), blur: () => (typed = false), change: open },
   });
-  let typed = false;
-  seed.addEventListener("input", () => {
-    typed = true;
-  });
-  seed.addEventListener("blur", () => {
-    typed = false;
-  });
-  const open = () => {
+  function open() {
     typed = false;
     if (!seed.validity.badInput && seed.value === "") seed.value = stage.world?.seed ?? "";
     else if (seed.reportValidity() && Number(seed.value) !== (fleet.shown ? fleet.setup : stage.world)?.seed)
-      acts.start({ seed: Number(seed.value) });
-  };
-  seed.addEventListener("change", open);
+      acts.start({ seed: Number(seed.value) }).finally(update);
+  }
   const fresh = el("button.button.small", { id: "new-map", press: acts.newMap, title: "Another map (N)", text: "New map" });
   const copy = el("button.button.small", {
     id: "copy-link",
     "aria-label": "Copy link to this moment",
     title: "Copy link to this moment",
     text: "Copy link",
-    press: () => copyLink(linkOf(router.address)),
+    press: () => router.copy(),
   });
   // Enter changes the number first, which opens the map.
   const submit = (event) => event.preventDefault();

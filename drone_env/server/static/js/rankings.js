@@ -1,4 +1,4 @@
-// Tables of who flies how well: the leaderboard, its rows down to maps, and the runs of language models.
+// Tables of who flies how well: the leaderboard, its rows down to maps, and runs over the same maps.
 import { el, table } from "./dom.js";
 import { fixed, percent, points } from "./format.js";
 
@@ -104,9 +104,9 @@ export function leaderboard(context, board, chosen, maps, choose) {
   const forks = board.forks ? ` Flights that fork from another one are left out: ${board.forks}.` : "";
   return el(
     "div",
-    grid("Leaderboard, the best score first", columns, board.rows, (row) => (isOpen(row) ? maps : null)),
+    grid("Leaderboard, who lost least first", columns, board.rows, (row) => (isOpen(row) ? maps : null)),
     el("p.note.below", {
-      text: `Scores times 100, means over the maps that each flew, ± 95 %. ${how}${forks}`,
+      text: `Scores times 100, means over the maps that each flew, ± 95 %. Ranked is what was lost of the optimum of each map, since maps differ. ${how}${forks}`,
     }),
   );
 }
@@ -156,33 +156,40 @@ export function shortened(all, first, draw) {
   return part;
 }
 
-/** The runs of language models, on the board of the maps that they flew, each with its maps below. */
+const figure = (count) => (count === null ? "" : count.toLocaleString());
+
+/** What only language models have: columns of no board where none flew. */
+const OF_MODELS = [
+  ["Errored", (row) => figure(row.errored), true],
+  ["Unusable", (row) => figure(row.waits), true],
+  ["Tokens", (row) => figure(row.tokens), true],
+];
+
+/** Agents and language models, on the board of the maps that they flew, each with its maps below. */
 export function runsOf(context, { boards, unranked }, flights) {
   const columns = [
-    ["Model", (row) => row.model],
-    ["Prompt", (row) => row.prompt],
+    ["Pilot", (row) => el("span", row.agent, el("span.margin", { text: row.prompt ? ` by ${row.prompt}` : "" }))],
+    ["Run", (row) => row.run],
     ["Score", (row) => scoreBar(row.score, row.score_ci95, "var(--accent)")],
     ["Lost", (row) => points(row.regret), true],
     ["Success", (row) => percent(row.success_rate), true],
     ["Random to optimum", (row) => percent(row.normalised), true],
     ["Steps", (row) => fixed(row.steps, 1), true],
-    ["Flights", (row) => String(row.flights), true],
-    ["Errored", (row) => String(row.errored), true],
-    ["Unusable", (row) => String(row.waits), true],
-    ["Tokens", (row) => row.tokens.toLocaleString(), true],
+    ["Flights", (row) => figure(row.flights), true],
   ];
+  const shown = (rows) => (rows.some(({ kind }) => kind === "model") ? [...columns, ...OF_MODELS] : columns);
   const maps = (row) => [
-    el("summary", { text: `Maps of ${row.model}, ${row.run}` }),
-    mapsOf(context, row.model, row.maps, flights, row.model),
+    el("summary", { text: `Maps of ${[...new Set([row.agent, row.run])].join(", ")}` }),
+    mapsOf(context, row.agent, row.maps, flights, row.agent),
   ];
   const draw = ({ maps: which, rows }) => [
     el("h3", { text: which }),
-    grid(`Runs of language models over ${which}, the best first`, columns, rows),
+    grid(`Runs over ${which}, the best first`, shown(rows), rows),
     ...rows.map((row) => el("details", ...maps(row))),
   ];
   const why = ({ run, reason }) => el("li", { text: `${run}: ${reason}` });
   return [
-    el("h2", { text: "Language models" }),
+    el("h2", { text: "Over the same maps" }),
     ...boards.flatMap(draw),
     unranked.length ? el("div.note", "Not ranked:", el("ul", ...unranked.map(why))) : "",
   ];

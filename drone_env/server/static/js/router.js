@@ -1,10 +1,14 @@
 // The address of the page is its state: which view is shown, which flight stands in it, and which moment of it. Back,
 // forward and reload show what the address says.
+import { copyText, toast } from "./dom.js";
 import { Emitter } from "./emitter.js";
 
 const VIEWS = new Set(["fly", "compare", "learn", "api"]);
 /** What views were called in links of earlier versions. */
 const OLDER = { watch: "fly", race: "fly", replay: "fly", history: "compare", specs: "learn", logs: "api" };
+
+/** Milliseconds between two changes of an entry: browsers allow few. */
+const PAUSE = 200;
 
 /**
  * @typedef {Object} Address Null and an empty list stand for what it does not say.
@@ -14,11 +18,14 @@ const OLDER = { watch: "fly", race: "fly", replay: "fly", history: "compare", sp
  * @property {string|null} profile
  * @property {string[]} pilots In Compare, too, those who are compared.
  * @property {string|null} episode A stored flight.
+ * @property {string|null} file Name of a file that was opened on this page, which no link leads to.
  * @property {number|null} step The moment that is shown; the start of a stored flight, and what is flown last of another.
+ * @property {number|null} flown How far was flown, where an earlier moment is shown.
  * @property {number|null} fork The step from which the last pilot has gone another way than `of`.
- * @property {string|null} actions All that this pilot has flown, a letter for each.
- * @property {string|null} of Who flew up to the fork.
- * @property {number|null} lesson
+ * @property {string|null} actions All that this pilot has flown, a letter for each; without a fork, the visitor.
+ * @property {string|null} of Who flew up to the fork; without one, the visitor, as records say it.
+ * @property {number|null} lesson From 1.
+ * @property {string[]} unread What of it was not understood.
  *
  * Events: "address" (address) another one is shown.
  */
@@ -28,12 +35,14 @@ export class Router extends Emitter {
     this.address = read(location);
     /** The last one of Fly: what the other views come back to. */
     this.flight = this.address.view === "fly" ? this.address : NOTHING;
+    this.timer = 0;
     window.addEventListener("popstate", () => this.show(read(location)));
   }
 
   /** Goes to another address, from which Back comes here. @param {Partial<Address>} address */
   go(address) {
     const next = { ...NOTHING, ...address };
+    this.write();
     if (linkOf(next).href !== linkOf(this.address).href) history.pushState(null, "", linkOf(next));
     this.show(next);
   }
@@ -48,40 +57,72 @@ export class Router extends Emitter {
     this.go(read(new URL(href)));
   }
 
-  /** Says what is flown: a new entry for Back, unless the present address left open just this. @param {Partial<Address>} flown */
-  flies(flown) {
+  /** Whether the address asks for nothing. */
+  get bare() {
+    return linkOf(this.address).search === "";
+  }
+
+  /**
+   * Says what is flown: a new entry for Back, unless the present address left open just this.
+   *
+   * @param {Partial<Address>} flown @param {boolean} entry Whether it is a new one even then.
+   */
+  flies(flown, entry = false) {
     const { lesson } = this.address;
     const next = { ...NOTHING, lesson, ...flown };
-    if (says(this.address, next)) history.replaceState(null, "", linkOf(next));
+    this.write();
+    if (!entry && says(this.address, next)) history.replaceState(null, "", linkOf(next));
     else history.pushState(null, "", linkOf(next));
     this.address = this.flight = next;
   }
 
-  /** Says which moment is shown, or what a fork has flown since: the same flight, so no new entry. @param {Partial<Address>} now */
+  /** Says which moment is shown, or what has been flown since: the same flight, so no new entry. @param {Partial<Address>} now */
   moment(now) {
+    if (Object.keys(now).every((name) => this.address[name] === now[name])) return;
     this.address = this.flight = { ...this.address, ...now };
+    this.timer ||= setTimeout(() => this.write(), PAUSE);
+  }
+
+  /** Writes what was said of the present entry. */
+  write() {
+    if (!this.timer) return;
+    clearTimeout(this.timer);
+    this.timer = 0;
     history.replaceState(null, "", linkOf(this.address));
   }
 
+  /** Copies the link to what is shown. */
+  copy() {
+    if (this.address.file) toast("No link leads to a file: send the file itself.");
+    else copyText(linkOf(this.address).href, "Link copied.");
+  }
+
   show(address) {
+    // What was said of an entry that Back has left is too late.
+    clearTimeout(this.timer);
+    this.timer = 0;
     this.address = address;
     if (address.view === "fly") this.flight = address;
     this.emit("address", address);
   }
 }
 
-const NOTHING = {
+/** What an address says that says nothing. */
+export const NOTHING = {
   view: "fly",
   task: null,
   seed: null,
   profile: null,
   pilots: [],
   episode: null,
+  file: null,
   step: null,
+  flown: null,
   fork: null,
   actions: null,
   of: null,
   lesson: null,
+  unread: [],
 };
 
 /** Whether an address says that this is flown, or leaves it open; rewards that it does not name are the server's. */
@@ -91,7 +132,7 @@ export function says(address, flown) {
   return (
     address.view === flown.view &&
     ["task", "seed", "pilots"].every((name) => open(name) || same(name)) &&
-    ["profile", "episode", "fork"].every(same)
+    ["profile", "episode", "file", "fork"].every(same)
   );
 }
 
@@ -103,22 +144,33 @@ function read({ search, hash }) {
     const value = text(name);
     return value !== null && Number.isSafeInteger(Number(value)) ? Number(value) : value;
   };
-  const count = (name) => (typeof number(name) === "number" ? Math.max(0, number(name)) : null);
+  const unread = [];
+  const count = (name, least = 0) => {
+    const value = number(name);
+    if (value === null || (Number.isInteger(value) && value >= least)) return value;
+    unread.push(`${name}=${value}`);
+    return null;
+  };
   // Links of earlier versions name the view behind a #.
   const named = [link.get("view"), hash.slice(1)].map((view) => (Object.hasOwn(OLDER, view) ? OLDER[view] : view));
+  const view = named.find((view) => VIEWS.has(view));
+  if (!view && link.get("view")) unread.push(`view=${link.get("view")}`);
   return {
-    view: named.find((view) => VIEWS.has(view)) ?? "fly",
+    view: view ?? "fly",
     task: text("task"),
     seed: number("seed"),
     profile: text("profile"),
     // Split before it is decoded: agents from elsewhere may have commas in their names.
     pilots: (search.match(/[?&]pilots?=([^&]*)/)?.[1] ?? "").split(",").filter(Boolean).map(decoded),
     episode: text("episode"),
+    file: text("file"),
     step: count("step"),
+    flown: count("flown"),
     fork: count("fork"),
     actions: text("actions"),
     of: text("of"),
-    lesson: count("lesson"),
+    lesson: count("lesson", 1),
+    unread,
   };
 }
 
@@ -132,10 +184,11 @@ export function linkOf(address) {
     if (rest[name] !== null && rest[name] !== "") parts.push(`${name}=${encodeURIComponent(rest[name])}`);
   };
   say("episode");
+  say("file");
   say("task");
   say("seed");
   if (pilots.length) parts.push(`${pilots.length > 1 ? "pilots" : "pilot"}=${pilots.map(encodeURIComponent).join(",")}`);
-  for (const name of ["profile", "fork", "of", "actions", "step", "lesson"]) say(name);
+  for (const name of ["profile", "fork", "of", "actions", "step", "flown", "lesson"]) say(name);
   const url = new URL(document.baseURI);
   url.search = parts.join("&");
   url.hash = "";

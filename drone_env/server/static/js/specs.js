@@ -1,14 +1,13 @@
-// Technical specifications: the numbers of all levels side by side as /tasks tells them, the reward profiles, and the
+// Technical specifications: the numbers of all tasks side by side as /tasks tells them, the reward profiles, and the
 // legend of the map.
 import { el, table } from "./dom.js";
-import { fixed, title } from "./format.js";
+import { cellName, fixed, title } from "./format.js";
 
 const NONE = "–";
 const drains = (drain) =>
   Object.entries(drain)
     .map(([kind, units]) => `; ${units} above a ${kind}`)
     .join("");
-const words = (name) => name.charAt(0).toUpperCase() + name.slice(1).replaceAll("_", " ");
 
 /** A row each: its name, and what stands in it for a task. Rows of nothing but dashes are left out. */
 const WORLD = [
@@ -39,14 +38,14 @@ const always = ({ shaping, clamp, shaping_gamma, pays_score }) =>
 /** What a profile pays for each event: farther from the target, as far, and closer. */
 const paid = (profile, { rewards }) =>
   Object.keys(rewards[profile]).map((event) => [
-    words(event),
+    title(event),
     (t) => t.rewards[profile]?.[event]?.map((pay) => fixed(pay)).join(" / ") ?? NONE,
   ]);
 
 /** @param {import("./context.js").Context} context @returns {HTMLElement[]} */
 export function specifications({ families, rewardProfiles, kinds }) {
-  const levels = el("div.scroller", { tabindex: "0", role: "region", "aria-label": "Table of specifications" });
-  const show = (family) => levels.replaceChildren(ofLevels(title(family), families.get(family)));
+  const numbers = el("div.scroller", { tabindex: "0", role: "region", "aria-label": "Table of specifications" });
+  const show = (family) => numbers.replaceChildren(ofTasks(title(family), families.get(family)));
   const choices = [...families.keys()].map((family, i) =>
     el(
       "label.segment",
@@ -59,9 +58,9 @@ export function specifications({ families, rewardProfiles, kinds }) {
     el(
       "div.view-head",
       el("h2", { text: "Technical specifications" }),
-      el("fieldset.segments", el("legend.visually-hidden", { text: "Levels" }), ...choices),
+      el("fieldset.segments", el("legend.visually-hidden", { text: "Tasks" }), ...choices),
     ),
-    levels,
+    numbers,
     glossary(
       "Reward profiles",
       rewardProfiles.map((profile) => [el("dt", { text: profile.id }), profile.summary, always(profile).join("; ")]),
@@ -69,20 +68,20 @@ export function specifications({ families, rewardProfiles, kinds }) {
     glossary(
       "Legend",
       kinds.map(({ emoji, name, effect }) => [
-        el("dt", el("span.emoji", { "aria-hidden": "true", text: emoji }), name),
+        el("dt", el("span.emoji", { "aria-hidden": "true", text: emoji }), cellName(name)),
         effect,
       ]),
     ),
   ];
 }
 
-function ofLevels(family, tasks) {
+function ofTasks(family, tasks) {
   const profiles = Object.keys(tasks[0].rewards).filter((profile) => Object.keys(tasks[0].rewards[profile]).length);
   return table(
     "table.table.specs-table",
     {},
-    `Technical specifications of the ${family} levels`,
-    [["Level"], ...tasks.map((task) => [title(task.short_name)])],
+    `Technical specifications of the ${family} tasks`,
+    [["Task"], ...tasks.map((task) => [title(task.short_name)])],
     group("World", WORLD, tasks),
     ...profiles.map((profile) =>
       group(`Rewards by event (${profile}): farther / as far / closer`, paid(profile, tasks[0]), tasks),

@@ -46,6 +46,8 @@ export class Stage extends Emitter {
     );
     /** What `POST /values` says of the moment and the flight that are looked at; null where nobody asked. */
     this.values = null;
+    /** Of its pads, the one from which the battery's range is shown; -1 for the drone's place. */
+    this.pad = -1;
     /** Whether a live flight is flying by itself just now. */
     this.flying = false;
   }
@@ -66,6 +68,11 @@ export class Stage extends Emitter {
     return `${world.task.id} ${world.seed} ${track.actionsTo(clock.cursor).join("")}`;
   }
 
+  /** What the server says of this very moment; null until it has, while `values` are of the one before. */
+  get answer() {
+    return this.values && this.values.key === this.moment ? this.values.answer : null;
+  }
+
   /** Whether all flights have ended. */
   get over() {
     return this.tracks.length > 0 && this.tracks.every((track) => track.done);
@@ -78,12 +85,9 @@ export class Stage extends Emitter {
     this.followed = followed;
     this.selected = selected;
     this.values = null;
+    this.pad = -1;
     this.clock.jump(step);
     this.tell("load");
-  }
-
-  clear() {
-    this.show(null, []);
   }
 
   /** Looks at another flight. */

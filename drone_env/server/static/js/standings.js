@@ -45,7 +45,10 @@ export function mountStandings(root, context, boards) {
       node.dataset.outcome = frame.outcome;
       node.classList.toggle("selected", track === stage.track);
     }
-    const ranked = [...rows].sort((a, b) => rank(b.track, cursor) - rank(a.track, cursor));
+    // Who has flown nothing can still win all: that is kept back from nobody.
+    const all = Math.max(...rows.map(({ track }) => track.valueAt(0) ?? track.frames[0].score));
+    const rank = ({ track }) => possible(track.frameAt(cursor), all);
+    const ranked = [...rows].sort((a, b) => rank(b) - rank(a));
     if (ranked.some(({ node }, i) => body.children[i] !== node)) {
       const focused = document.activeElement;
       body.replaceChildren(...ranked.map(({ node }) => node));
@@ -65,8 +68,8 @@ export function mountStandings(root, context, boards) {
   stage.on("change", draw);
 }
 
-/** What can still be won; where that is not known, what has been. */
-function rank(track, step) {
-  const frame = track.frameAt(step);
-  return frame.done ? frame.score : (frame.value ?? frame.score);
+/** What can still be won; where that is not known, what has been. @param {number} all What it is at the start. */
+function possible(frame, all) {
+  if (frame.done) return frame.score;
+  return frame.value ?? (frame.step ? frame.score : all);
 }

@@ -1,6 +1,6 @@
 // Under the map once the flight that is looked at has ended: how it went, its worst move, and what comes next.
-import { announce, copyLink, copyText, el, fact, setText } from "./dom.js";
-import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
+import { announce, copyText, el, setText } from "./dom.js";
+import { isLost, outcome, points, title } from "./format.js";
 import { linkOf } from "./router.js";
 
 /**
@@ -12,23 +12,18 @@ export function mountStrip(root, context, fleet, acts) {
   let worst = null;
   const head = el("h2", { id: "results-title" });
   const why = el("span.note");
-  const seek = (step) => () => {
-    stage.clock.stop();
-    stage.clock.seek(worst.step + step);
-  };
-  const see = el("button.link", { id: "worst", title: "Look at it", press: seek(0) });
+  const see = el("button.link", { id: "worst", title: "Look at it", press: () => stage.clock.goTo(worst.step) });
   const tryIt = el("button.button.small", {
     id: "try-worst",
-    text: "Try from there",
     press: () => {
-      seek(-1)();
+      stage.clock.goTo(worst.step - 1);
       acts.fork();
     },
   });
   const worstLine = el("div.strip-worst", see, tryIt);
   const next = el("button.button.small.primary", { id: "next", press: () => goOn(context, fleet, acts) });
   const copy = el("button.button.small", { text: "Copy result", press: () => copyText(result(stage), "Result copied.") });
-  const share = el("button.button.small", { text: "Copy link", press: () => copyLink(linkOf(context.router.address)) });
+  const share = el("button.button.small", { text: "Copy link", press: () => context.router.copy() });
   const more = el("details.strip-more", el("summary", { text: "Efficiency, and all flights of this task" }));
   const body = el("div.strip-body");
   more.append(body);
@@ -49,6 +44,7 @@ export function mountStrip(root, context, fleet, acts) {
     worst = annotation?.moves.reduce((a, b) => (b.regret > a.regret ? b : a), annotation.moves[0]) ?? null;
     worstLine.hidden = !worst || !isLost(worst.regret);
     if (worst) {
+      setText(tryIt, `Try from step ${worst.step - 1}`);
       setText(see, `Worst move: step ${worst.step}, ${worst.action}, lost ${points(worst.regret)}`);
     }
     const after = nextTask(context.families, stage.world.task);
@@ -59,12 +55,14 @@ export function mountStrip(root, context, fleet, acts) {
     if (track.done && (track.live || track.episode)) announce(`${outcome(last)}. Score ${points(last.score)}.`);
   }
 
+  /** What most visits never unfold is loaded once somebody does. */
   async function fill() {
-    const { track, world } = stage;
-    const analysis = el("div.analysis", { "aria-busy": "true" }, el("p.note", { text: "Counting …" }));
-    body.replaceChildren(efficiencyBar(track.last), analysis);
-    analysis.replaceChildren(...counted(await context.api.get(`analyse/${encodeURIComponent(world.task.id)}`), world));
-    analysis.removeAttribute("aria-busy");
+    try {
+      const { unfold } = await import("./strip_more.js");
+      await unfold(body, context);
+    } catch (error) {
+      body.replaceChildren(el("p.note", { text: `This could not be counted: ${error.message}` }));
+    }
   }
 
   stage.on("change", draw);
@@ -108,41 +106,4 @@ function goOn(context, fleet, acts) {
   // The strip goes, and what comes next is to start; but the keys of whoever flies himself are for the drone.
   if (pilots.includes(fleet.person.id)) document.activeElement.blur();
   else document.getElementById("start").focus();
-}
-
-/** Three parts as wide as their weights, each filled by what is left or done. */
-function efficiencyBar({ efficiency, efficiency_parts: parts }) {
-  return el(
-    "div.efficiency",
-    { "aria-label": "Efficiency", role: "group" },
-    el("p", { id: "efficiency-sum", text: `Efficiency ${fixed(efficiency, 1)} of 100` }),
-    ...parts.map(({ name, weight, share }) =>
-      el(
-        "div.efficiency-part",
-        { style: { "--weight": String(weight), "--share": String(share) } },
-        el("div.efficiency-bar", { "aria-hidden": "true" }, el("i")),
-        el("span.efficiency-name", { text: title(name) }),
-        el("span.efficiency-share", { text: `${percent(share)} · weighs ${weight} %` }),
-      ),
-    ),
-  );
-}
-
-/** What all finished flights of the task come to. */
-function counted(figures, { task }) {
-  const many = figures.episodes === 1 ? "The only flight" : `All ${figures.episodes} flights`;
-  const rows = [
-    ["Mean score", points(figures.average_score)],
-    ["Mean lost", points(figures.mean_regret)],
-    ["Success rate", percent(figures.success_rate)],
-    ["Success trend", figures.success_trend === null ? "–" : `${signed(figures.success_trend * 100, 0)} points`],
-    ["Mean steps", fixed(figures.average_steps, 1)],
-    ["Mean reward", fixed(figures.average_reward)],
-  ];
-  const shares = Object.entries(figures.action_distribution).map(([action, share]) => `${action} ${percent(share)}`);
-  return [
-    el("h3", { text: `${many} of ${title(task.short_name)} here` }),
-    el("dl.numbers", ...rows.map(([name, text]) => fact(name, text))),
-    el("p.note", { text: shares.join(" · ") }),
-  ];
 }

@@ -11,7 +11,19 @@ export function mountSwitches(root, context, acts) {
     return { layer, box, node: el("label.switch", { title: layer.hint }, box, el("span", { text: layer.name }), key) };
   });
   const unsolved = el("p.note", { id: "unsolved", role: "status" });
-  root.append(el("h2.eyebrow", { text: "On the map" }), ...rows.map(({ node }) => node), unsolved);
+  const choose = () => {
+    stage.pad = Number(pad.value);
+    stage.tell("frames");
+  };
+  const pad = el("select", { id: "pad", on: { change: choose } });
+  const range = el(
+    "label.note",
+    { id: "range-note" },
+    "The numbers are the units of battery left there, flying from ",
+    pad,
+  );
+  root.append(el("h2.eyebrow", { text: "On the map" }), ...rows.map(({ node }) => node), range, unsolved);
+  let listed = "";
 
   function draw() {
     root.hidden = !stage.world;
@@ -19,6 +31,14 @@ export function mountSwitches(root, context, acts) {
       node.hidden = layer.when ? !layer.when(stage) : false;
       box.checked = context.shows(layer.id);
     }
+    const pads = (context.shows("range") && stage.values?.answer?.pads) || [];
+    range.hidden = !pads.length;
+    const places = pads.map(({ position }) => `the pad at [${position.join(", ")}], charged in full`);
+    if (pads.length && listed !== String(places)) {
+      listed = String(places);
+      pad.replaceChildren(...["here", ...places].map((text, i) => el("option", { value: i - 1, text })));
+    }
+    pad.value = stage.pad;
     unsolved.textContent = stage.values?.answer?.unsolved ?? "";
   }
 

@@ -1,28 +1,13 @@
 // The raw numbers for those who want them, and the files to take away: CSV of the flights, PNG of map and chart.
 import { download, el, setText, toast } from "./dom.js";
-import { fixed } from "./format.js";
-import { palette } from "./palette.js";
+import { fixed, points } from "./format.js";
+import { colourOf, font } from "./palette.js";
+import { recordOf } from "./past.js";
 
-const COLUMNS = [
-  "step",
-  "action",
-  "x",
-  "y",
-  "cell_below",
-  "event",
-  "reward",
-  "reward_total",
-  "battery",
-  "battery_units",
-  "deliveries_done",
-  "distance",
-  "score",
-  "efficiency",
-  "value",
-  "regret",
-  "outcome",
-  "message",
-];
+const COLUMNS = (
+  "step action x y cell_below event reward reward_total battery battery_units deliveries_done distance score efficiency value " +
+  "regret outcome message"
+).split(" ");
 
 /**
  * @param {HTMLElement} root @param {import("./context.js").Context} context
@@ -57,14 +42,12 @@ export function mountTelemetry(root, context, { boards, graph }) {
   }
 
   async function saveRecord() {
-    const { track } = stage;
-    const kept = track.record ?? (await context.api.get(`episodes/${encodeURIComponent(track.episode.id)}`));
-    const text = `${JSON.stringify(kept, null, 2)}\n`;
+    const text = `${JSON.stringify(await recordOf(context, stage.track), null, 2)}\n`;
     download(`${name()}.json`, new Blob([text], { type: "application/json" }));
   }
 
   function savePng() {
-    sheet(boards(), [graph], caption()).toBlob((blob) => {
+    sheet(boards(), graph, captions()).toBlob((blob) => {
       if (blob) download(`${name()}.png`, blob);
       else toast("The picture could not be made.");
     }, "image/png");
@@ -79,11 +62,11 @@ export function mountTelemetry(root, context, { boards, graph }) {
       .slice(0, 100);
   }
 
-  const caption = () =>
+  const captions = () =>
     stage.tracks.map((track) => {
       const frame = track.frameAt(stage.clock.cursor);
       const where = `${stage.world.task.id} · map ${stage.world.seed}`;
-      return `${track.name} · ${where} · step ${frame.step} · score ${fixed(frame.score * 100, 1)}`;
+      return `${track.name} · ${where} · step ${frame.step} · score ${points(frame.score)}`;
     });
 
   details.addEventListener("toggle", draw);
@@ -95,34 +78,28 @@ function cell(value) {
   return /[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
 }
 
-/** All boards with what they show, and the charts below them. */
-function sheet(boards, charts, captions) {
-  const colours = palette();
+/** All boards with what they show, and the graph below them. */
+function sheet(boards, graph, captions) {
   const images = boards.map((board) => board.image());
   const columns = images.length > 1 ? 2 : 1;
   const rows = Math.ceil(images.length / columns);
   const scale = window.devicePixelRatio || 1;
   const head = 28 * scale;
-  const width = Math.max(images[0].width * columns, ...charts.map((chart) => chart.width));
-  const height = rows * (images[0].height + head);
-  const gap = 8 * scale;
-  const canvas = el("canvas", { width, height: charts.reduce((sum, chart) => sum + chart.height + gap, height + gap) });
+  const width = Math.max(images[0].width * columns, graph.width);
+  const height = rows * (images[0].height + head) + 8 * scale;
+  const canvas = el("canvas", { width, height: height + graph.height + 8 * scale });
   const ctx = canvas.getContext("2d");
-  ctx.fillStyle = colours.ground;
+  ctx.fillStyle = colourOf("--ground");
   ctx.fillRect(0, 0, canvas.width, canvas.height);
-  ctx.fillStyle = colours.ink;
+  ctx.fillStyle = colourOf("--ink");
   ctx.textBaseline = "middle";
-  ctx.font = `500 ${13 * scale}px ${colours.font}`;
+  ctx.font = font(13 * scale);
   images.forEach((image, i) => {
     const x = (i % columns) * image.width + Math.round((width - columns * image.width) / 2);
     const y = Math.floor(i / columns) * (image.height + head);
     ctx.fillText(images.length > 1 ? captions[i] : captions.join("  |  "), x + 12 * scale, y + head / 2, image.width - 24 * scale);
     ctx.drawImage(image, x, y + head);
   });
-  let y = height + gap;
-  for (const chart of charts) {
-    ctx.drawImage(chart, Math.round((width - chart.width) / 2), y);
-    y += chart.height + gap;
-  }
+  ctx.drawImage(graph, Math.round((width - graph.width) / 2), height);
   return canvas;
 }

@@ -1,5 +1,5 @@
 // Dark and light: the system's choice until the visitor makes one, which is remembered. first_theme.js has set it.
-import { forgetPalette } from "./palette.js";
+import { forgetColours } from "./palette.js";
 import { recall, remember } from "./storage.js";
 
 const KEY = "drone-env-theme";
@@ -12,7 +12,7 @@ export function mountTheme(context) {
   function apply(theme) {
     document.documentElement.dataset.theme = theme;
     button.setAttribute("aria-label", `Switch to ${other(theme)} colours`);
-    forgetPalette();
+    forgetColours();
     context.emit("theme", theme);
   }
 

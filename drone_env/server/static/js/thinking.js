@@ -35,12 +35,12 @@ export function mountThinking(root, context, fleet, acts) {
   }
 
   function draw() {
-    const { track, frame, values } = stage;
+    const { track, frame, answer } = stage;
     root.hidden = !track;
     if (!track) return;
     const network = frame.q_values;
-    // Until the server has answered, what stands on the map is of the moment before.
-    const exact = (values?.key === stage.moment && values.answer?.q_values) || null;
+    shown.classList.toggle("unweighed", !track.weighed);
+    const exact = answer?.q_values ?? null;
     const best = exact && Math.max(...Object.values(exact));
     const first = network && Math.max(...Object.values(network));
     for (const { action, cells, name, node } of rows) {
@@ -52,12 +52,13 @@ export function mountThinking(root, context, fleet, acts) {
       name.disabled = frame.done;
     }
     ask.hidden = !context.secret(track);
-    setText(lead, frame.done ? "" : said(network, exact));
+    setText(lead, frame.done ? "" : said(network));
   }
 
   /** How far the network's first choice lies ahead of its second. */
-  function said(network, exact) {
-    if (!network) return exact ? "" : "No network has a say here.";
+  function said(network) {
+    if (!ask.hidden) return "What the moves are worth is kept back from who flies.";
+    if (!network) return "No network values single moves here: Tournet weighs whole ways. Where the network errs (E) has those that lose something.";
     const [a, b] = ACTIONS.filter((action) => action in network).sort((x, y) => network[y] - network[x]);
     return `The network's ${a} leads ${b} by ${fixed(network[a] - network[b], 3)}.`;
   }

@@ -3,10 +3,10 @@ import { el } from "./dom.js";
 import { cleared, fit } from "./fitted.js";
 import { points } from "./format.js";
 import { nextFrame } from "./loop.js";
-import { colourOf, labelColour, palette } from "./palette.js";
+import { colourOf, font, labelColour } from "./palette.js";
 
 const MARKED = { inaccuracy: 2.5, mistake: 4, blunder: 5.5 };
-const ROOM = { top: 8, bottom: 14, side: 2 };
+const ROOM = { top: 15, bottom: 14, side: 2 };
 /** Lines that lie on one another stay visible side by side, so many pixels apart. */
 const ASIDE = 1.5;
 /** Of the fewest steps that the graph is wide. */
@@ -25,10 +25,7 @@ export function mountTimeline(root, context) {
     value: "0",
     "aria-label": "Step of the flight that is shown",
     on: {
-      input: () => {
-        stage.clock.stop();
-        stage.clock.seek(Number(slider.value));
-      },
+      input: () => stage.clock.goTo(Number(slider.value)),
       pointermove: (event) => {
         const step = Math.round((event.offsetX / slider.clientWidth) * Number(slider.max));
         slider.title = tip(stage.track, step);
@@ -43,17 +40,16 @@ export function mountTimeline(root, context) {
     if (!ctx || !stage.tracks.length) return;
     const { width, height } = size;
     const { clock, track, tracks } = stage;
-    const colours = palette();
     const x = (step) => ROOM.side + (step / wide()) * (width - 2 * ROOM.side);
     const [low, high] = range(tracks);
     const y = (value) => ROOM.top + ((high - value) / (high - low)) * (height - ROOM.top - ROOM.bottom);
-    drawEvents(ctx, track, x, height, colours);
+    drawEvents(ctx, track, x, height);
     tracks.forEach((one, i) => drawLine(ctx, one, x, y, (i - stage.selected) * ASIDE, one === track));
     drawMarks(ctx, track, x, y, height);
-    ctx.fillStyle = colours.ink;
+    ctx.fillStyle = colourOf("--ink");
     ctx.fillRect(x(clock.cursor) - 1, 0, 2, height);
     const known = tracks.some(({ last }) => last.value !== null);
-    drawScale(ctx, y, [low, high], known ? "still possible" : "so far", width, colours);
+    drawScale(ctx, y, [low, high], known ? "still possible" : "so far", width);
   }
 
   /** Steps from left to right: what has been flown, and while it is flown some more. */
@@ -94,10 +90,10 @@ function tip(track, step) {
   return `Step ${step}: ${frame.message}${gave}${possible}`;
 }
 
-function drawScale(ctx, y, [low, high], what, width, colours) {
-  ctx.font = `11px ${colours.font}`;
-  ctx.fillStyle = colours.ink3;
-  ctx.strokeStyle = colours.line;
+function drawScale(ctx, y, [low, high], what, width) {
+  ctx.font = font(11, 400);
+  ctx.fillStyle = colourOf("--ink-3");
+  ctx.strokeStyle = colourOf("--line");
   ctx.lineWidth = 1;
   ctx.textAlign = "right";
   ctx.textBaseline = "bottom";
@@ -109,25 +105,24 @@ function drawScale(ctx, y, [low, high], what, width, colours) {
     ctx.stroke();
   }
   ctx.lineWidth = 4;
-  ctx.strokeStyle = colours.panel;
+  ctx.strokeStyle = colourOf("--panel");
   const write = (text, at) => {
     ctx.strokeText(text, width - 4, at);
     ctx.fillText(text, width - 4, at);
   };
   write(points(low, 0), y(low) - 2);
-  ctx.textBaseline = "top";
-  write(`${points(high, 0)} ${what}`, y(high) + 3);
+  write(`${points(high, 0)} ${what}`, y(high) - 2);
 }
 
 /** Deliveries and charges of the flight that is looked at, below the graph. */
-function drawEvents(ctx, { frames }, x, height, colours) {
+function drawEvents(ctx, { frames }, x, height) {
   frames.forEach((frame, step) => {
     const before = frames[step - 1];
     if (frame.event === "delivery") {
-      ctx.fillStyle = colours.map.box;
+      ctx.fillStyle = colourOf("--map-box");
       ctx.fillRect(x(step) - 3, height - 10, 6, 8);
     } else if (before && frame.battery_units > before.battery_units) {
-      ctx.fillStyle = colours.good;
+      ctx.fillStyle = colourOf("--good");
       ctx.beginPath();
       ctx.arc(x(step), height - 6, 2.5, 0, 2 * Math.PI);
       ctx.fill();

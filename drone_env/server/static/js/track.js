@@ -40,6 +40,11 @@ export class Track {
     return this.by.split(" from step ")[0].includes(" with values");
   }
 
+  /** Whether a network says what it thinks of the moves. */
+  get weighed() {
+    return this.frames.some((frame) => frame.q_values);
+  }
+
   /** The newest frame. */
   get last() {
     return this.frames.at(-1);

@@ -1,14 +1,18 @@
 // Which view is shown: that of the address.
+import { toast } from "./dom.js";
 
 const TITLES = { fly: "Fly", compare: "Compare pilots", learn: "Learn", api: "API and logs" };
 
 /** @param {import("./context.js").Context} context */
 export function mountViews(context) {
-  const { router } = context;
+  const { router, live } = context;
   const links = [...document.querySelectorAll(".views a")];
 
-  function show({ view }) {
+  function show({ view, unread }) {
+    if (unread.length) toast(`Not understood in the address: ${unread.join(", ")}. The rest of it is shown.`);
     const first = !document.body.dataset.view;
+    // What another view wants to hear, it asks for itself.
+    if (context.view !== view) live.subscribe([]);
     context.view = view;
     document.body.dataset.view = view;
     for (const section of document.querySelectorAll("main > .view")) section.hidden = section.id !== `view-${view}`;
@@ -20,9 +24,19 @@ export function mountViews(context) {
     }
     document.getElementById("view-title").textContent = TITLES[view];
     document.title = `${TITLES[view]} · Drone Delivery`;
-    if (view !== "fly") document.getElementById("hello")?.remove();
     context.emit("view", view);
   }
+
+  // The greeting goes with the first half of a double click on it: what lies there then is not meant by the second.
+  let greeted = null;
+  const onGreeting = (event) => {
+    if (event.detail < 2) greeted = event.target.closest("#hello");
+    else if (greeted?.hidden) {
+      event.preventDefault();
+      event.stopPropagation();
+    }
+  };
+  for (const type of ["mousedown", "click"]) document.addEventListener(type, onGreeting, true);
 
   // All links to addresses of this page, wherever they stand: no need to load it anew.
   document.addEventListener("click", (event) => {

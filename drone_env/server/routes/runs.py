@@ -1,49 +1,62 @@
-"""The routes that show the runs of language models that are kept here: their leaderboard, and what was asked."""
+"""The routes that show runs that are kept here, of agents and of language models, and what these were asked."""
 
 from functools import partial
 from pathlib import Path
-from typing import Any
+from statistics import fmean
+from typing import TYPE_CHECKING, Any, Literal
 
 from fastapi import APIRouter
 from pydantic import Field
 
+from drone_env.agents.named import sb3_elsewhere, sb3_file
 from drone_env.core.tasks import get_task
+from drone_env.episodes.by_map import FlownMap
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation.comparison import AgentMap, Bounds
-from drone_env.llm.prompt import ChatMessage
+from drone_env.evaluation.comparison import AgentMap, Bounds, agent_map, kept_maps
+from drone_env.llm.messages import ChatMessage
 from drone_env.llm.transcript import Failure
 from drone_env.models import Count, Message
-from drone_env.server.model_runs import by_map
+from drone_env.server.model_runs import newest
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.state import Shared, SharedParts
 
+if TYPE_CHECKING:
+    from drone_env.evaluation.leaderboard import Judged, Refused
+
 router = APIRouter(tags=["compare"])
+LISTED = 1000
+"""Maps of one run that are told: all of an evaluation with the number of maps that it has unless it says another."""
 
 
-class ModelRun(Message):
-    """A run of a language model that was checked: each flight follows from the model's own answers."""
+class Run(Message):
+    """What an agent or a language model flew over the maps of a board.
+
+    Each flight of a model was checked: it follows from the model's own answers. Of an agent no actions are kept; its
+    scores are held to the optima of their maps.
+    """
 
     run: str = Field(description="Name of its folder.")
-    model: str
-    prompt: str
+    kind: Literal["agent", "model"] = Field(description="From `drone-env evaluate`, or from `drone-env infer`.")
+    agent: str = Field(description="Who flew: the model, or the agent as `drone-env evaluate` was told it.")
+    prompt: str | None = Field(description="What the model was asked by; null of an agent, as the next three.")
+    errored: Count | None = Field(description="Flights that were left out, since a request failed for good.")
+    waits: Count | None = Field(description="Steps that are a WAIT because no answer could be used.")
+    tokens: Count | None
     flights: Count = Field(description="Those that count.")
-    errored: Count = Field(description="Those that were left out, since a request failed for good.")
-    waits: Count = Field(description="Steps that are a WAIT because no answer could be used.")
-    tokens: Count
     success_rate: float = Field(ge=0, le=1)
     score: float = Field(ge=0, le=1)
     score_ci95: Bounds = Field(description="Over the maps; null for one.")
     regret: float | None
     normalised: float | None = Field(description="(score - random) / (optimum - random) over the same maps.")
     steps: float = Field(description="Mean length in steps, over the maps.")
-    maps: list[AgentMap]
+    maps: list[AgentMap] = Field(description=f"By number; of more than {LISTED}, those where most was lost.")
 
 
-class ModelBoard(Message):
+class RunBoard(Message):
     """Runs over the same maps, the best first."""
 
     maps: str = Field(description="Which maps, in words.")
-    rows: list[ModelRun]
+    rows: list[Run]
 
 
 class UnrankedRun(Message):
@@ -53,11 +66,11 @@ class UnrankedRun(Message):
     reason: str
 
 
-class ModelBoards(Message):
-    """The runs of language models over a task."""
+class RunBoards(Message):
+    """The runs over a task that are kept here."""
 
     task: str = Field(description="Id of the task.")
-    boards: list[ModelBoard]
+    boards: list[RunBoard]
     unranked: list[UnrankedRun]
 
 
@@ -86,27 +99,31 @@ class ModelCalls(Message):
     calls: list[ModelCall]
 
 
-@router.get("/leaderboard/{task_name}/models", responses=answers(404, 422, 503))
-async def model_boards(shared: SharedParts, task_name: str) -> ModelBoards:
-    """Runs of `drone-env infer` over a task, each flown again from the model's own answers before it is ranked.
+@router.get("/leaderboard/{task_name}/runs", responses=answers(404, 422, 503))
+async def run_boards(shared: SharedParts, task_name: str) -> RunBoards:
+    """Agents and language models side by side, over the same maps of a task.
 
-    They are those in `llm` of the data folder. The first look at a run takes seconds.
+    They are the evaluations (`drone-env evaluate --out`) in `evaluations` of the data folder, and the runs of
+    `drone-env infer` in `llm`, each flown again from the model's own answers before it is ranked. The first look at one
+    takes seconds.
     """
     task = get_task(task_name)
     configs = await shared.study(shared.runs.configs)
-    chosen = [path for path, config in configs.items() if config is None or config.task == task.id]
+    of_models = [path for path, config in configs.items() if config is None or config.task == task.id]
     # One by one: other studies may come between.
-    judged = [await shared.study(partial(shared.runs.judge, path)) for path in chosen]
+    judged = [await shared.study(partial(shared.runs.judge, path)) for path in of_models]
+    for path in shared.evaluations.folders():
+        judged += await shared.study(partial(shared.evaluations.judge, path, task.id))
     return await shared.study(lambda: _boards(shared, task.id, judged))
 
 
-def _boards(shared: Shared, task: str, judged: list[Any]) -> ModelBoards:
+def _boards(shared: Shared, task: str, judged: "list[Judged | Refused]") -> RunBoards:
     from drone_env.evaluation.leaderboard import Judged, Refused, boards_of
 
-    return ModelBoards(
+    return RunBoards(
         task=task,
         boards=[
-            ModelBoard(maps=board.maps, rows=[_row(shared, row) for row in board.rows])
+            RunBoard(maps=board.maps, rows=[_row(shared, row) for row in board.rows])
             for board in boards_of(one for one in judged if isinstance(one, Judged))
         ],
         unranked=[
@@ -117,26 +134,40 @@ def _boards(shared: Shared, task: str, judged: list[Any]) -> ModelBoards:
     )
 
 
-def _row(shared: Shared, figures: dict[str, Any]) -> ModelRun:
-    path = Path(figures["path"])
-    flights = shared.runs.flights(path)
-    maps = by_map(
-        flights,
-        {of_map["seed"]: of_map["optimum"] for of_map in figures["maps"]},
-        shared.store.kept(id_ for id_, _ in flights),
-    )
-    same = ("score", "score_ci95", "regret", "normalised", "success_rate", "waits")
-    return ModelRun(
+def _row(shared: Shared, figures: dict[str, Any]) -> Run:
+    path, config = Path(figures["path"]), figures["config"]
+    agent = figures.get("agent")
+    flown = kept_maps(agent or config["model"], figures)
+    of_model: dict[str, Any] = {"prompt": None, "errored": None, "waits": None, "tokens": None}
+    ids: dict[int, str] = {}
+    if agent is None:
+        flights = shared.runs.flights(path)
+        ids = newest(flights, shared.store.kept(id_ for id_, _ in flights))
+        of_model = {
+            "prompt": config["prompt"],
+            "errored": figures["flights"]["errored"],
+            "waits": figures["waits"],
+            "tokens": sum(figures["tokens"].values()),
+        }
+    same = ("score", "score_ci95", "regret", "normalised", "success_rate")
+    return Run(
         **{name: figures[name] for name in same},
+        **of_model,
         run=path.name,
-        model=figures["config"]["model"],
-        prompt=figures["config"]["prompt"],
-        flights=figures["flights"]["counted"],
-        errored=figures["flights"]["errored"],
-        tokens=sum(figures["tokens"].values()),
-        steps=sum(of_map.steps for of_map in maps) / len(maps),
-        maps=maps,
+        kind="model" if agent is None else "agent",
+        agent=config["model"] if agent is None else _without_place(agent),
+        flights=sum(row.flights for row in flown),
+        steps=fmean(row.steps for row in flown),
+        maps=[agent_map(row._replace(id=ids.get(row.seed))) for row in _listed(flown)],
     )
+
+
+def _listed(flown: list[FlownMap]) -> list[FlownMap]:
+    """As many as a page can show, by number."""
+    if len(flown) <= LISTED:
+        return flown
+    worst = sorted(flown, key=lambda row: row.score - (row.optimum or 1.0))[:LISTED]
+    return sorted(worst, key=lambda row: row.seed)
 
 
 @router.get("/episodes/{episode_id}/calls", responses=answers(404, 422, 503))
@@ -179,4 +210,10 @@ def _calls(shared: Shared, episode_id: str) -> ModelCalls:
 
 def _without_folder(reason: str, path: Path) -> str:
     """Strangers need not know where the folder is."""
-    return reason.replace(str(path), path.name)
+    return " ".join(map(_without_place, reason.replace(str(path), path.name).split(" ")))
+
+
+def _without_place(agent: str) -> str:
+    """Nor where the file of a policy is."""
+    file = sb3_file(agent)
+    return agent if file is None or not file.is_absolute() else sb3_elsewhere(agent, Path(file.name))
