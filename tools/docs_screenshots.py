@@ -27,7 +27,7 @@ sys.path.insert(0, str(ROOT))
 from tests.api.serving import serving  # noqa: E402
 from tests.browser.flights import fill, flown  # noqa: E402
 from tests.browser.stage import ended, fly, view  # noqa: E402
-from tests.browser.tabs import NARROW, Tabs, find_chromium, launched  # noqa: E402
+from tests.browser.tabs import NARROW, WIDE, Tabs, find_chromium, launched  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
 HARD = "/?task=hard&seed=7&pilot=pathqnet"
@@ -53,8 +53,8 @@ def fly_to_the_end(page: Page) -> None:
 def alone(tabs: Tabs) -> None:
     """One flight, dark, light and narrow."""
     views: tuple[tuple[str, dict[str, Any]], ...] = (
-        ("fly", {}),
-        ("fly-light", {"color_scheme": "light"}),
+        ("fly", {"viewport": WIDE}),
+        ("fly-light", {"viewport": WIDE, "color_scheme": "light"}),
         ("narrow", {"viewport": NARROW, "device_scale_factor": 2, "is_mobile": True, "has_touch": True}),
     )
     for name, options in views:
@@ -65,9 +65,9 @@ def alone(tabs: Tabs) -> None:
 
 def fork(tabs: Tabs) -> None:
     """Greedy's worst move over a skyline city, and another in its place."""
-    page = tabs.open("/?task=skyline_hard&seed=7&pilot=greedy")
+    page = tabs.open("/?task=skyline_hard&seed=7&pilot=greedy", viewport=WIDE)
     fly_to_the_end(page)
-    page.get_by_role("button", name="Try from there").click()
+    page.get_by_role("button", name="Try from step").click()
     for step in range(15, 22):
         expect(page.locator("#step-counter")).to_contain_text(f"Step {step} of")
         page.locator("#q-values tr.best button").first.click()
@@ -77,7 +77,7 @@ def fork(tabs: Tabs) -> None:
 
 def layers(tabs: Tabs) -> None:
     """A moment over a skyline city."""
-    page = tabs.open("/?task=skyline_medium&seed=43&pilot=tournet&step=24")
+    page = tabs.open("/?task=skyline_medium&seed=43&pilot=tournet&step=24", viewport=WIDE)
     for layer in ("values", "range"):
         page.locator(f"#layer-{layer}").check()
     expect(page.locator("#q-values tr.best").first).to_be_visible()
@@ -86,7 +86,7 @@ def layers(tabs: Tabs) -> None:
 
 def several(tabs: Tabs) -> None:
     """Four pilots, one of them selected with its moves."""
-    page = tabs.open("/?task=skyline_hard&seed=7&pilots=tournet,greedy,optimal,random")
+    page = tabs.open("/?task=skyline_hard&seed=7&pilots=tournet,greedy,optimal,random", viewport=WIDE)
     fly_to_the_end(page)
     page.locator("#standings").get_by_role("button", name="Greedy").click()
     page.locator("#timeline").fill("23")
@@ -95,7 +95,7 @@ def several(tabs: Tabs) -> None:
 
 def pages(tabs: Tabs) -> None:
     """Compare and Learn."""
-    page = tabs.open("/?view=compare&task=skyline_medium&pilots=tournet,greedy")
+    page = tabs.open("/?view=compare&task=skyline_medium&pilots=tournet,greedy", viewport=WIDE)
     expect(page.get_by_role("heading", name="Tournet against Greedy")).to_be_visible()
     page.wait_for_load_state("networkidle")
     save(page, "compare")

@@ -10,13 +10,14 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parents[1]
 OF_THE_ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 OTHER_FILE = re.compile(r"\[([^\]]+)\]\(\.\./([^)#]+)\)")
+EXAMPLE = re.compile(r"\[([^\]]+)\]\((examples/[^)#]+)\)")
 TARGET = re.compile(r"(?<=\]\()([^)#:\s]+)(?=[)#])")
 
 
 def on_files(files: Files, config: Any) -> Files:
     """Add them, with links that lead from where they stand on the site."""
     for name, page in OF_THE_ROOT.items():
-        text = (ROOT / name).read_text(encoding="utf-8")
+        text = EXAMPLE.sub(_named, (ROOT / name).read_text(encoding="utf-8"))
         files.append(File.generated(config, page, content=TARGET.sub(_from_docs, text)))
     return files
 

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from docs_imports import diagram
 
+from drone_env.city.layers import Rule, layers
 from drone_env.core.actions import Event
-from drone_env.core.cells import CELL_KINDS
+from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm.settings import InferenceSettings, models_table
 from drone_env.reports.tables import markdown_table, settings_table
@@ -103,11 +104,30 @@ def numbers(task: TaskConfig) -> str:
     return table([[name, cell] for name, cell in rows.items()])
 
 
+def of_cities() -> str:
+    """The layers of a city."""
+    rows: list[list[str]] = []
+    for layer in layers():
+        things = [f"`{described(rule)}`" for rule in (*layer.points, *layer.areas, *layer.coasts)]
+        things += [f"`{described(rule)}` ({width:g} m)" for rule, width in layer.lines]
+        but = f"; not {', '.join(f'`{described(rule)}`' for rule in layer.unless)}" if layer.unless else ""
+        share = f"{layer.share:.0%}" if layer.areas or layer.lines else "any"
+        kind = "road (open)" if layer.kind == Cell.ROAD else layer.kind.name.lower()
+        rows.append([layer.name, kind, share, ", ".join(things) + but])
+    return table([["layer", "cell", "share", "things"], *rows])
+
+
+def described(rule: Rule) -> str:
+    """What a rule describes, as `layers.toml` has it."""
+    return " ".join(f"{key}={value}" for key, value in rule)
+
+
 def tables() -> dict[tuple[str, str], str]:
     """Every table, by its page and its name."""
     of_tasks = {("tasks.md", task.id): numbers(task) for task in TASKS.values()}
     return {
         ("rules.md", "kinds"): kinds(),
+        ("cities.md", "layers"): of_cities(),
         ("rules.md", "standard tasks"): standard_tasks(),
         ("gymnasium.md", "environments"): environments(),
         ("configuration.md", "settings of the server"): settings_table(Settings),
