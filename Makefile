@@ -71,12 +71,12 @@ check: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-# What needs TRL and Inspect, in an environment of its own.
+# What needs TRL, Inspect, TorchRL, RLlib or MoviePy, in an environment of its own.
 ADAPTERS := $(VENV)/adapters
-$(ADAPTERS)/.made: $(VENV)/.dev
+$(ADAPTERS)/.made: Makefile $(VENV)/.dev
 	test -x $(ADAPTERS)/bin/python || $(PYTHON) -m venv $(ADAPTERS)
 	$(ADAPTERS)/bin/python -m pip install --quiet --no-compile $(TORCH)
-	$(BIN)/uv pip install --quiet --python $(ADAPTERS)/bin/python --editable '.[inspect,trl]' 'pytest>=8.3' 'pytest-timeout>=2.3'
+	$(BIN)/uv pip install --quiet --python $(ADAPTERS)/bin/python --editable '.[inspect,trl,video]' 'moviepy>=2' 'openai>=1' 'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'torchrl>=0.14' 'pytest>=8.3' 'pytest-timeout>=2.3'
 	touch $@
 
 adapters: $(ADAPTERS)/.made
@@ -101,6 +101,7 @@ mutants: $(VENV)/.dev
 OTHER_PYTHON ?= python3.13
 verify: $(VENV)/.dev
 	DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $(PYTEST) -m '' -n auto --timeout 36000 tests/property tests/parity tests/unit/test_exact.py tests/unit/test_legs.py tests/unit/test_store_processes.py tests/unit/test_training_run.py tests/unit/test_network.py
+	DRONE_ENV_MUTATIONS=2500 $(PYTEST) --timeout 36000 tests/unit/test_city_mutations.py
 	DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SOCKET_STEPS=1000000 DRONE_ENV_SCHEMA_EXAMPLES=200 $(PYTEST) -m '' --timeout 36000 tests/api
 	$(BIN)/python tests/api/hostile_callers.py
 	DRONE_ENV_KILLS=50 DRONE_ENV_LLM_MAPS=100 DRONE_ENV_LLM_ROUTES=100 $(PYTEST) --timeout 36000 tests/llm
@@ -169,10 +170,11 @@ evidence: $(VENV)/.dev
 docs: $(VENV)/.dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 
-# The generated pages, tables and pictures of docs/, and the table of README; takes half an hour. What an agent costs is
-# measured on one core. ARGS=tasks for what the agents reach alone.
+# The generated pages, tables and pictures of docs/, the table of README, and what the notebook puts out; takes half an
+# hour. What an agent costs is measured on one core. ARGS=tasks for what the agents reach alone.
 docs-data: $(VENV)/.dev
 	$(BIN)/python tools/docs_tables.py
+	$(BIN)/python tools/docs_notebook.py
 	$(BIN)/python tools/docs_generate.py $(ARGS)
 
 # The pictures of the dashboard in docs/images, taken in the system's chromium.

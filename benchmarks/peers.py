@@ -30,6 +30,7 @@ from gymnasium import spaces
 from sb3_contrib import MaskablePPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 from training import ReachedError, Watch
@@ -156,6 +157,7 @@ def train(
         options["policy_kwargs"] = {"features_extractor_class": Cells, **options.pop("policy_kwargs", {})}
     policy = "MultiInputPolicy" if form == "dict" else "MlpPolicy"
     model = ALGORITHMS[algorithm](policy, env, seed=seed, device="cpu", **options)
+    model.set_logger(Logger(None, []))  # its own would leave a folder behind for each model
     with contextlib.suppress(ReachedError):
         model.learn(10**12, judge)
     assert judge.watch is not None

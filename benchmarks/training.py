@@ -20,13 +20,14 @@ import torch
 from gymnasium import spaces
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
 from drone_env.agents.together import ActBatch
 from drone_env.core.tasks import get_task
+from drone_env.envs.forms import one_hot
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
-from drone_env.envs.wrappers import one_hot
 from drone_env.rl.config import preset
 from drone_env.rl.model import PathQNet
 from drone_env.rl.trainer import Trainer
@@ -140,7 +141,7 @@ class Look(BaseCallback):
         """The actions of the highest values of the network that acts."""
         model = self.model
         assert isinstance(model, DQN)
-        planes = torch.from_numpy(one_hot(grids[:, None]))
+        planes = torch.from_numpy(one_hot(grids))
         with torch.no_grad():
             return model.q_net({"grid": planes.float(), "telemetry": torch.from_numpy(telemetry)}).argmax(1).numpy()
 
@@ -167,6 +168,7 @@ def theirs(task: str, seed: int, threads: int, validator: Validator, limit: floa
     model = DQN(
         "MultiInputPolicy", env, policy_kwargs=policy, exploration_fraction=exploration, seed=seed, device="cpu", **SB3
     )
+    model.set_logger(Logger(None, []))  # its own would leave a folder behind for each model
     watch = Watch(validator, limit)
     with contextlib.suppress(ReachedError):
         model.learn(SB3_STEPS, Look(watch))

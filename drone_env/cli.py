@@ -10,7 +10,9 @@ from tyro.extras import SubcommandApp
 
 from drone_env import __version__
 from drone_env.commands.analyse_flight import analyse_flight
+from drone_env.commands.arguments import own_profiles_forgotten
 from drone_env.commands.audit import audit
+from drone_env.commands.city import city
 from drone_env.commands.compare import compare
 from drone_env.commands.dataset import dataset
 from drone_env.commands.doctor import doctor
@@ -24,7 +26,7 @@ from drone_env.commands.serve import serve
 from drone_env.commands.solve import solve
 from drone_env.commands.sweep import sweep
 from drone_env.commands.train import train_commands
-from drone_env.envs.registry import load_plugins
+from drone_env.envs.registry import load_plugins, register_city
 from drone_env.errors import DroneEnvError
 
 DESCRIPTION = (
@@ -35,9 +37,24 @@ DESCRIPTION = (
 def _app(train: Callable[..., int]) -> SubcommandApp:
     app = SubcommandApp()
     measuring = (evaluate, compare, leaderboard, solve, audit, analyse_flight)
-    for command in (fly, *measuring, train, sweep, infer, play, replay, dataset, serve, doctor):
+    for command in (fly, *measuring, train, sweep, infer, play, replay, dataset, city, serve, doctor):
         app.command(command)
     return app
+
+
+def _with_cities(arguments: Sequence[str]) -> list[str]:
+    """The arguments with the name of its task for each file of a city that --task names; the task is registered."""
+    named: list[str] = []
+    option = ""
+    for argument in arguments:
+        word, equals, value = argument.partition("=")
+        if argument.startswith("-"):
+            option = word
+        if option == "--task" and argument.endswith(".toml"):
+            file = value if equals and argument.startswith("-") else argument
+            argument = argument.removesuffix(file) + register_city(file).id
+        named.append(argument)
+    return named
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,11 +72,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if list(arguments[:1]) != ["doctor"]:  # which says what is wrong with them
             load_plugins()
+        arguments = _with_cities(arguments)
         status = 0
         for train in train_commands(arguments):  # one, whatever the command, unless all tasks are to be trained
-            status = status or _app(train).cli(
-                prog="drone-env", description=DESCRIPTION, args=arguments, config=[tyro.conf.DisallowNone]
-            )
+            with own_profiles_forgotten():
+                status = status or _app(train).cli(
+                    prog="drone-env", description=DESCRIPTION, args=arguments, config=[tyro.conf.DisallowNone]
+                )
         sys.stdout.flush()
         return int(status or 0)
     except BrokenPipeError:

@@ -45,13 +45,14 @@ def _again(kind: type[DroneEnvError], args: tuple[Any, ...], attributes: dict[st
 
 
 class UnknownNameError(DroneEnvError, LookupError):
-    """A name that is not in a registry; the message lists the names that are."""
+    """A name that is not in a registry; the message lists the names that are, unless none are given."""
 
     def __init__(self, kind: str, given: object, allowed: Iterable[str]) -> None:
         self.kind = kind
         self.given = given
         self.allowed = sorted(set(allowed))
-        super().__init__(f"unknown {kind} {given!r}; allowed: {', '.join(self.allowed)}")
+        known = f"unknown {kind} {given!r}; allowed: {', '.join(self.allowed)}"
+        super().__init__(known if self.allowed else f"there is no {kind} {given!r}")
 
 
 class WithdrawnError(UnknownNameError):
@@ -146,9 +147,10 @@ def text_of(error: Invalid, name: Callable[[str], str] = str) -> str:
 
     Args:
         error: What was raised.
-        name: What people call a part.
+        name: What people call a part; an empty name is not written.
     """
-    return "; ".join(f"{name(where)}: {why}" if where else why for where, why, _ in wrong_parts(error)[:5])
+    named = [(where and name(where), why) for where, why, _ in wrong_parts(error)[:5]]
+    return "; ".join(f"{called}: {why}" if called else why for called, why in named)
 
 
 @contextmanager

@@ -12,8 +12,8 @@ from drone_env.errors import InvalidValueError
 
 PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
 """Where the parts of what is kept lie in the working directory."""
-RUNS = "llm"
-"""The folder of the runs of language models in the data folder, unless a command names another."""
+RUNS, EVALUATIONS = "llm", "evaluations"
+"""The folders of the runs of language models and of evaluations in the data folder, which a server ranks."""
 
 
 def data_folder(part: str = "") -> Path:

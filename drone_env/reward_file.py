@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from drone_env.core.actions import Event
-from drone_env.core.rewards import REWARD_PROFILES, RewardProfile, get_reward_profile
+from drone_env.core.rewards import PACKAGE_PROFILES, RewardProfile, get_reward_profile
 from drone_env.errors import InvalidTaskError
 
 if sys.version_info >= (3, 11):
@@ -42,15 +42,17 @@ KEYS: dict[str, tuple[type, ...]] = {
 EVENTS = {event.name.lower(): event for event in Event if event is not Event.NONE}
 
 
-def reward_profile_from(name: str) -> RewardProfile:
-    """The reward profile of this name, or of the TOML file of this name.
+def chosen_profile(name: str | RewardProfile) -> RewardProfile:
+    """The reward profile of this name, or of the TOML file of this name; a `RewardProfile` is handed back as it is.
 
     Raises:
         UnknownNameError: if it does not end in `.toml` and there is no such profile.
         OSError: if the file cannot be read.
         InvalidTaskError: if the file is not a reward profile; the message says why.
     """
-    return load_reward_profile(name) if name.endswith(".toml") else get_reward_profile(name)
+    if isinstance(name, str) and name.endswith(".toml"):
+        return load_reward_profile(name)
+    return get_reward_profile(name)
 
 
 def load_reward_profile(path: str | Path) -> RewardProfile:
@@ -79,7 +81,7 @@ def load_reward_profile(path: str | Path) -> RewardProfile:
         require(fits, f"{key} must be {_named(KEYS[key])}, got {value!r}")
     require(bool(table.get("id")), "id is missing")
     require(table["id"].isprintable(), f"id must be printable, got {table['id']!r}")
-    require(table["id"] not in REWARD_PROFILES, f"id {table['id']!r} is taken by a profile of the package")
+    require(table["id"] not in PACKAGE_PROFILES, f"id {table['id']!r} is taken by a profile of the package")
     events: dict[str, Any] = table.pop("events", {})
     for name, value in events.items():
         require(name in EVENTS, f"unknown event {name!r}; allowed: {', '.join(EVENTS)}")

@@ -14,6 +14,12 @@ Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def sb3_log(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Where Stable-Baselines3 keeps its log, here and in what is started from here; else a folder of /tmp for each."""
+    os.environ["SB3_LOGDIR"] = str(tmp_path_factory.getbasetemp() / "sb3")
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--features", action="store_true", help="run what speaks for a feature, and print the table")
 

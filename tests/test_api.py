@@ -207,11 +207,15 @@ def test_get_the_dashboard(http: TestClient) -> None:
     page = http.get("/")
     assert (page.status_code, page.headers["Content-Type"]) == (200, "text/html; charset=utf-8")
     assert "Drone Delivery" in page.text
-    files = re.findall(r'(?:src|href)="((?:\./)?static/[^"]+)"', page.text)
+    files = re.findall(r'(?:src|href)="(static/[^"]+)"', page.text.replace("static/css/hello.css", ""))
     assert any(file.endswith("main.js") for file in files)
     for file in files:
-        answer = http.get(f"/{file}")
-        assert (answer.status_code, answer.headers["Cache-Control"]) == (200, "no-cache"), file
+        kept, asked_again, older = (
+            http.get("/" + re.sub("v-[0-9a-f]{16}/", edition, file)) for edition in (r"\g<0>", "", f"v-{'0' * 16}/")
+        )
+        assert (kept.status_code, kept.headers["Cache-Control"]) == (200, "max-age=31536000, immutable"), file
+        for answer in (asked_again, older):
+            assert (answer.content, answer.headers["Cache-Control"]) == (kept.content, "no-cache"), file
     assert http.get("/static/nothing.js").status_code == 404
     assert http.get("/docs").status_code == 200
 
@@ -233,7 +237,7 @@ REQUESTS: dict[tuple[str, str], Any] = {
     ("get", "/episodes/{episode_id}/calls"): {},
     ("get", "/leaderboard/{task_name}"): {"task_name": "easy"},
     ("get", "/leaderboard/{task_name}/maps"): {"task_name": "easy", "agent": "anonymous"},
-    ("get", "/leaderboard/{task_name}/models"): {"task_name": "easy"},
+    ("get", "/leaderboard/{task_name}/runs"): {"task_name": "easy"},
     ("get", "/paired/{task_name}"): {"task_name": "easy", "a": "anonymous", "b": "anonymous"},
     ("get", "/logs"): None,
     ("get", "/terminal_logs"): None,

@@ -15,12 +15,18 @@ from drone_env.core.seeds import map_key, next_key, task_key, two_halves
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs import wrappers
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
+from drone_env.envs.forms import to_planes, to_vector
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.installer import pip
 from drone_env.planning.from_observation import drone_positions
 
 KEY = task_key("agent/sb3", 1)
-SHIPPED = (wrappers.FlatObservation, wrappers.OneHotPlanes)
+AT_ONCE: Mapping[Any, Callable[[Any], Any]] = {
+    None: dict,
+    wrappers.FlatObservation: to_vector,
+    wrappers.OneHotPlanes: to_planes,
+}
+"""What the wrappers of this package, or none, make of the observations of many drones at once."""
 
 
 def open_actions(
@@ -56,7 +62,7 @@ class Sb3Agent:
         name = "none" if wrapper is None else getattr(wrapper, "__name__", str(wrapper))
         sees, shown = policy.observation_space, self._wrapped.observation_space
         if shown != sees:
-            fits = [shipped.__name__ for shipped in SHIPPED if shipped(env).observation_space == sees]
+            fits = [shipped.__name__ for shipped in AT_ONCE if shipped and shipped(env).observation_space == sees]
             hint = f"; behind {fits[0]} it would fit" if fits else ""
             raise CheckpointError(
                 f"this policy sees {_shapes(sees)}, and {task.id!r} behind the wrapper {name} is {_shapes(shown)}{hint}"
@@ -65,7 +71,7 @@ class Sb3Agent:
             raise InvalidValueError("a recurrent policy keeps a state: write an agent of your own that hands it on")
         if sampled and not hasattr(policy, "get_distribution"):
             raise InvalidValueError(f"{type(policy).__name__} has no probabilities of actions: leave `sampled` out")
-        self._task, self._policy, self._bare = task, policy, wrapper is None
+        self._task, self._policy, self._form = task, policy, AT_ONCE.get(wrapper)
         self._masked = "maskable" in type(policy).__module__
         self.stochastic, self.stateless = sampled, not sampled
         policy.set_training_mode(False)
@@ -110,8 +116,10 @@ class Sb3Agent:
 
     def _seen(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Any:
         """What the policy sees of N drones."""
-        each: Any = [{"grid": grid, "telemetry": values} for grid, values in zip(grids, telemetry, strict=True)]
-        shown: Any = each if self._bare else [self._wrapped.observation(one) for one in each]
+        if self._form is not None:
+            return self._form({"grid": grids, "telemetry": telemetry})
+        each = zip(grids, telemetry, strict=True)
+        shown: Any = [self._wrapped.observation({"grid": grid, "telemetry": values}) for grid, values in each]
         if isinstance(shown[0], np.ndarray):
             return np.stack(shown)
         return {name: np.stack([one[name] for one in shown]) for name in shown[0]}

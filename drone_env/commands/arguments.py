@@ -1,7 +1,8 @@
 """Arguments that several subcommands share."""
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
 from typing import Annotated
 
 import tyro
@@ -11,22 +12,57 @@ from drone_env.agents.named import sb3_file
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import N_SEEDS, SPLITS, split_seeds
 from drone_env.core.tasks import TASKS
+from drone_env.envs.registry import register_reward_file
 from drone_env.errors import InvalidValueError
 
 SHORT_NAMES = [task.short_name for task in TASKS.values()]
 
-TaskName = Annotated[str, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
-ChosenTask = Annotated[str | None, tyro.conf.arg(metavar="|".join(SHORT_NAMES))]
+TASK = "|".join((*SHORT_NAMES, "CITY.toml"))
+TaskName = Annotated[str, tyro.conf.arg(metavar=TASK)]
+ChosenTask = Annotated[str | None, tyro.conf.arg(metavar=TASK)]
 AGENT = "|".join((*AGENTS, "MODULE:NAME", "FILE.zip:WRAPPER"))
 AgentName = Annotated[str, tyro.conf.arg(metavar=AGENT)]
 AgentNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=AGENT)]
 ChosenAgent = Annotated[str | None, tyro.conf.arg(metavar=AGENT)]
 Split = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
-ProfileName = Annotated[str, tyro.conf.arg(metavar="|".join(REWARD_PROFILES))]
 ClusterAddress = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PORT")]
 SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
 SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
 Seed = Annotated[int | None, tyro.conf.arg(metavar="N")]
+
+
+def known_profile(name: str) -> str:
+    """The id of the reward profile that an argument names; that of a TOML file (.toml) is registered first.
+
+    Raises:
+        OSError: if the file cannot be read.
+        InvalidTaskError: if it is no reward profile, or its id is that of another one.
+    """
+    return register_reward_file(name).id if name.endswith(".toml") else name
+
+
+@contextmanager
+def own_profiles_forgotten() -> Generator[None, None, None]:
+    """The reward profiles that a command's arguments register are known up to the end of the `with`."""
+    before = dict(REWARD_PROFILES)
+    try:
+        yield
+    finally:
+        REWARD_PROFILES.clear()
+        REWARD_PROFILES.update(before)
+
+
+ProfileName = Annotated[
+    str,
+    tyro.constructors.PrimitiveConstructorSpec[str](
+        nargs=1,
+        metavar="|".join((*REWARD_PROFILES, "FILE.toml")),
+        instance_from_str=lambda given: known_profile(given[0]),
+        is_instance=lambda value: isinstance(value, str),
+        str_from_instance=lambda name: [name],
+    ),
+]
+"""A reward profile by its name or its file; a command gets its id."""
 
 
 def say_trusted(agents: Iterable[str]) -> None:

@@ -1,27 +1,24 @@
 """`drone-env audit`: whether maximising a reward is the same as flying well."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
 from rich.markup import escape
 
-from drone_env.commands.arguments import Split, TaskName
+from drone_env.commands.arguments import ProfileName, Split, TaskName
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
+from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.reports.tables import Table, number, print_table, table_console
 
-RewardName = Annotated[str, tyro.conf.arg(metavar=f"{'|'.join(REWARD_PROFILES)}|FILE.toml")]
-
 
 def audit(
     task: TaskName = "easy",
-    reward: RewardName = DEFAULT_PROFILE,
+    reward: ProfileName = DEFAULT_PROFILE,
     gamma: float = 1.0,
     maps: int = 20,
     split: Split = "test",
@@ -54,10 +51,9 @@ def audit(
     # These load a compiler, which other commands should not wait for.
     from drone_env.episodes.record import record_of, save_record
     from drone_env.planning.audit import MapAudit, audit_maps, audited_profile, summarise_audits
-    from drone_env.reward_file import reward_profile_from
 
     config = get_task(task)
-    profile = audited_profile(reward_profile_from(reward), gamma, shaping_gamma)
+    profile = audited_profile(reward, gamma, shaping_gamma)
     if maps < 1 or (jobs is not None and jobs < 1):
         raise InvalidValueError("--maps and --jobs must be at least 1")
     if replay is not None and (replay.is_dir() or not replay.parent.is_dir()):

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from drone_env.agents import file_of
-from drone_env.commands.arguments import SHORT_NAMES, say_trusted
+from drone_env.commands.arguments import TASK, say_trusted
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, UnsupportedTaskError
@@ -17,7 +17,7 @@ from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_
 from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
 from drone_env.files import write_json
 
-TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{'|'.join(SHORT_NAMES)}")]
+TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{TASK}")]
 EngineName = Literal["local", "ray"]
 JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
 

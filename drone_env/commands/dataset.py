@@ -43,7 +43,8 @@ def dataset(
         offset: The number of the first map within the split.
         agents: Who flies each map, one or more.
         epsilon: The probability with which a step flies a uniformly random action instead of the agent's.
-        reward_profile: What steps pay. V*, Q* and regret are in score and do not depend on it.
+        reward_profile: What steps pay: a reward profile, or a TOML file with one. V*, Q* and regret are in score and do
+            not depend on it.
         formats: One or both. Minari takes some 45 to 80 KB a flight, Parquet some 25 bytes a step.
     """
     from drone_env.datasets.build import build_dataset  # compiles, which only those who solve should wait for

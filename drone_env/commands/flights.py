@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import SupportsIndex
 
 from drone_env.core.actions import Action
@@ -42,9 +43,43 @@ def prepare_file(option: str, path: Path) -> None:
     """Make the folder of a file that an option names, so that it need not fail after the flight.
 
     Raises:
-        InvalidValueError: if it names a folder.
+        InvalidValueError: if it names a folder, or no file can be made beside it.
         OSError: if the folder cannot be made.
     """
     if path.is_dir():
         raise InvalidValueError(f"{option} takes the name of a file, got the folder {path}")
     path.parent.mkdir(parents=True, exist_ok=True)
+    if path.is_file() or not path.exists():  # else a device or a pipe, which is written to as it stands
+        try:
+            TemporaryFile(dir=path.parent).close()
+        except OSError as error:
+            raise InvalidValueError(f"{option}: no file can be made in {path.parent}: {error.strerror}") from None
+
+
+def prepare_film(path: Path | None) -> None:
+    """See that the film that `--video` names can be made, where it names one.
+
+    Raises:
+        InvalidValueError, OSError: if its suffix names no film, and as `prepare_file`.
+        MissingPackageError: if what makes such a film is not installed.
+    """
+    if path is None:
+        return
+    from drone_env.envs.film import check_film  # loads Pillow
+
+    check_film(path)
+    prepare_file("--video", path)
+
+
+def film(episode: Episode, path: Path | None) -> None:
+    """Write a flight as a film, where `--video` names one, and say so on standard error.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    if path is None:
+        return
+    from drone_env.envs.film import save_film  # loads Pillow
+
+    save_film(episode, path)
+    print(f"video: {path}", file=sys.stderr)

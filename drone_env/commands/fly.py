@@ -5,7 +5,7 @@ from pathlib import Path
 
 from drone_env.agents import make_agent
 from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName, say_trusted
-from drone_env.commands.flights import log_flight, prepare_file
+from drone_env.commands.flights import film, log_flight, prepare_file, prepare_film
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.rollout import choices
@@ -19,6 +19,7 @@ def fly(
     reward_profile: ProfileName = ORIGINAL_PROFILE,
     render: bool = False,
     picture: Path | None = None,
+    video: Path | None = None,
     record: Path | None = None,
 ) -> None:
     """Fly one map and print its log lines.
@@ -32,9 +33,10 @@ def fly(
         task: The task, by its short name, id or grader.
         agent: Who flies.
         seed: Number of the map, 0 to 2^53 - 1. Without one, a train map is drawn at random and its number is printed.
-        reward_profile: What steps pay.
+        reward_profile: What steps pay: a reward profile, or a TOML file with one.
         render: Show the map after every step.
         picture: Save a picture of the flight to this PNG file at the end.
+        video: Save the flight as a film to this file at the end: .gif, or .mp4, which needs the extra `video`.
         record: Save the flight to this JSON file at the end, for `replay` and `analyse-flight`; a file that ends in
             .jsonl keeps the flights that it holds, and gets one more line.
     """
@@ -45,6 +47,7 @@ def fly(
         if picture.suffix != ".png":
             raise InvalidValueError(f"--picture takes a file that ends in .png, got {picture}")
         prepare_file("--picture", picture)
+    prepare_film(video)
     if record is not None:
         prepare_file("--record", record)
     pilot.reset(episode.reset(seed))
@@ -54,6 +57,7 @@ def fly(
 
         save_picture(episode, picture)
         print(f"picture: {picture}", file=sys.stderr)
+    film(episode, video)
     if record is not None:
         # Loads Pydantic, which only a record needs.
         from drone_env.episodes.jsonl import RecordWriter

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName, SeedRange, SplitName, chosen_maps
-from drone_env.core.rewards import ORIGINAL_PROFILE
+from drone_env.core.rewards import ORIGINAL_PROFILE, own_profile
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, StoreError, needs, text_of
 from drone_env.files import RUNS
@@ -20,7 +20,7 @@ from drone_env.llm.options import Number, Options, Whole
 if TYPE_CHECKING:
     from drone_env.llm.runner import Engine, Verdict
 
-PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|FILE.toml"
+PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|minimal-drawn|grid-drawn|vision|FILE.toml"
 PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
 PromptNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=PROMPTS)]
 DEFAULTS = Options()
@@ -87,7 +87,7 @@ def infer(
         max_answer_tokens: The longest answer in tokens, sent as max_tokens; 0 sends none.
         sampling_seed: The endpoint's sampling seed; not sent if nothing is said.
         extra: More of the request's body, as a JSON object, such as '{"reasoning_effort": "low"}'.
-        reward_profile: What steps pay.
+        reward_profile: What steps pay: a reward profile, or a TOML file with one.
         options: How the run is made.
         data: Folder of the store that keeps the flights, where a server finds them; DRONE_ENV_DATA if nothing is said,
             else data. A server that flies along keeps them itself.
@@ -150,6 +150,7 @@ def infer(
                 seeds=(maps.start, maps.stop),
                 repeats=repeats,
                 reward_profile=reward_profile,
+                rewards=own_profile(reward_profile),
                 prompt=one.id,
                 prompt_digest=one.digest,
                 prompt_text=one.own,

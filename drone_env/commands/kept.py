@@ -2,8 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from statistics import fmean
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, needs
@@ -57,6 +56,7 @@ def kept(path: Path) -> list[Kept]:
         InvalidValueError: if it is not ranked on a leaderboard; the message says why.
         MissingPackageError: as `judged` does.
     """
+    from drone_env.evaluation.comparison import kept_maps
     from drone_env.evaluation.leaderboard import Refused
 
     found: list[Kept] = []
@@ -66,27 +66,6 @@ def kept(path: Path) -> list[Kept]:
         config = one.figures["config"]
         name = one.figures.get("agent") or config["model"]
         task = get_task(config["task"], config["task_version"])
-        rows = [_row(name, task, of_map) for of_map in one.figures["maps"]]
+        rows = kept_maps(name, one.figures)
         found.append(Kept(f"{name} ({path})", task, config["split"], range(*config["seeds"]), rows))
     return found
-
-
-def _row(name: str, task: TaskConfig, of_map: dict[str, Any]) -> "FlownMap":
-    from drone_env.episodes.by_map import FlownMap
-
-    flights = len(of_map["scores"])
-    return FlownMap(
-        agent=name,
-        task=task.id,
-        task_version=task.version,
-        seed=of_map["seed"],
-        flights=flights,
-        id=None,
-        score=fmean(of_map["scores"]),
-        success=of_map["success"] / flights,
-        steps=fmean(of_map["steps"]),
-        reward=0.0,
-        reward_profile=None,
-        solved=True,
-        optimum=of_map["optimum"],
-    )

@@ -48,7 +48,7 @@ def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName
     Args:
         task: The task, by its short name, id or grader.
         seed: Number of the map, 0 to 2^53 - 1. Without one, a train map is drawn at random.
-        reward_profile: What steps pay.
+        reward_profile: What steps pay: a reward profile, or a TOML file with one.
     """
     console = Console(highlight=False)
     episode = Episode(task, reward_profile)

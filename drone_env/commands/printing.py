@@ -19,7 +19,7 @@ def progress_bar(name: str, total: int) -> Generator[Callable[..., None], None, 
     """A bar on standard error, if that is a terminal; what it yields takes `advance=1` and another `name`."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with Progress(*columns, console=console, transient=True, disable=not console.file.isatty()) as progress:
         bar = progress.add_task(name, total=total)
 
         def advance(advance: int = 1, name: str | None = None) -> None:

@@ -7,20 +7,26 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from drone_env.commands.flights import log_flight
+from drone_env.commands.arguments import ProfileName
+from drone_env.commands.flights import film, log_flight, prepare_film
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
+from drone_env.core.rewards import RewardProfile, get_reward_profile
 from drone_env.envs.ansi import draw_text
 from drone_env.errors import InvalidValueError, StoreError, UnknownNameError
 
 if TYPE_CHECKING:
     from drone_env.episodes.record import EpisodeRecord
 
-RewardName = Annotated[str | None, tyro.conf.arg(metavar=f"{'|'.join(REWARD_PROFILES)}|FILE.toml")]
 Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|ID")]
 
 
-def replay(source: Source, verify: bool = False, render: bool = False, reward: RewardName = None) -> int:
+def replay(
+    source: Source,
+    verify: bool = False,
+    render: bool = False,
+    video: Path | None = None,
+    reward: ProfileName | None = None,
+) -> int:
     """Fly recorded flights again, check that they come to what the records say, and print their log lines.
 
     Every reward and the score must be the recorded ones to the last bit. Standard output holds the lines that `fly`
@@ -35,16 +41,22 @@ def replay(source: Source, verify: bool = False, render: bool = False, reward: R
         verify: Check all flights and print one line for each, no log. Exits with 1 if one does not fit its record,
             or is of a task, a version or a profile that there is not.
         render: Show the map after every step; with --verify, beside its lines.
+        video: Save the flight, which must be the only one, as a film to this file: .gif, or .mp4, which needs the extra
+            `video`.
         reward: What the steps are to pay, instead of the profile that the record names: another profile, or a TOML
             file with one. The rewards of another profile than the record's are not compared.
     """
     # Loads Pydantic, which only records need.
     from drone_env.episodes import record as records
-    from drone_env.reward_file import reward_profile_from
 
-    profile = None if reward is None else reward_profile_from(reward)
-    failed = False
-    for name, record in _records(source):
+    profile = None if reward is None else get_reward_profile(reward)
+    prepare_film(video)
+    found, failed = _records(source), False
+    if video is not None:
+        found = list(found)
+        if len(found) != 1:
+            raise InvalidValueError(f"--video takes one flight, and {source} holds {len(found)}")
+    for name, record in found:
         if verify:
             _require_own_profile(record, profile)
         try:
@@ -56,6 +68,7 @@ def replay(source: Source, verify: bool = False, render: bool = False, reward: R
             print(f"{what}: {name}: {error}", flush=True)
             failed = True
             continue
+        film(checked, video)
         episode = Episode(checked.task, checked.reward_profile, record.seed)
         if not verify:
             log_flight(episode, record.agent, checked.actions, render)

@@ -9,7 +9,11 @@ NEEDED = ("fastapi", "uvicorn", "websockets", "pydantic_settings", "sse_starlett
 
 
 def serve(
-    host: str | None = None, port: int | None = None, workers: int | None = None, data: Path | None = None
+    host: str | None = None,
+    port: int | None = None,
+    workers: int | None = None,
+    data: Path | None = None,
+    reward_profiles: tuple[Path, ...] = (),
 ) -> None:
     """Serve the environment: flat JSON over HTTP, OpenEnv over WebSocket; /docs describes both.
 
@@ -22,13 +26,14 @@ def serve(
         port: Port to listen on.
         workers: Processes that serve.
         data: Folder of what is kept: episodes, sessions, logs.
+        reward_profiles: TOML files of reward profiles that callers may name beside those of the package.
     """
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         raise MissingPackageError(" and ".join(missing), "server")
     from drone_env.server.process import run
 
-    run(host, port, workers, data)
+    run(host, port, workers, data, reward_profiles)
 
 
 def main() -> None:

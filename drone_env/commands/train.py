@@ -11,7 +11,8 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from drone_env.commands.arguments import SHORT_NAMES
+from drone_env.commands.arguments import TASK, ProfileName
+from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import data_folder
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 STANDARD = ("easy", "medium", "hard")
 """What `--task all` stands for where each task has a network of its own."""
-TaskOrAll = Annotated[str, tyro.conf.arg(metavar="|".join([*SHORT_NAMES, "all"]))]
+TaskOrAll = Annotated[str, tyro.conf.arg(metavar=f"{TASK}|all")]
 Network = Literal["pathqnet", "tournet"]
 CHOSEN = ("task", "kind")
 """What a checkpoint is found by, and so no setting that is taken from it."""
@@ -42,6 +43,8 @@ class Settings(TrainConfig):
     """How to train the task that the command names, or each of those."""
 
     task: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "easy"
+    reward_profile: ProfileName = DEFAULT_PROFILE
+    """What steps pay: a reward profile, or a TOML file with one. Its shaping, if it has one, is set to `gamma`."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +183,8 @@ def _as_before(defaults: AnySettings, name: str, named: argparse.Namespace) -> A
         from drone_env.rl.checkpoint import load_checkpoint
 
         kept = load_checkpoint(checkpoint)["config"]
-        names = [field.name for field in fields(defaults) if field.name in kept and field.name not in CHOSEN]
+        passed = {*CHOSEN, *({"reward_profile"} if kept.get("reward_profile") not in REWARD_PROFILES else ())}
+        names = [field.name for field in fields(defaults) if field.name in kept and field.name not in passed]
         return type(defaults)(**vars(defaults) | {name: kept[name] for name in names})
     except (CheckpointError, OSError, ModuleNotFoundError, KeyError, TypeError, InvalidValueError):
         return defaults  # `TrainingRun` says what is wrong with it, or what is missing
@@ -205,7 +209,7 @@ def _train(make: "Callable[[], Learner]", resume: bool, fresh: bool, data: Path 
         return 0
     if run.resumed:
         console.print(f"going on from {run.checkpoint}: {begun} of {wanted} {unit}")
-    bars = Progress(*COLUMNS, console=console, disable=not console.is_terminal)
+    bars = Progress(*COLUMNS, console=console, disable=not console.file.isatty())
     with bars as progress, run.stopping_on_interrupt():
         bar = progress.add_task(trainer.name, total=wanted, completed=begun, figures="")
         clock, work = progress.get_time, trainer.worked
@@ -214,7 +218,7 @@ def _train(make: "Callable[[], Learner]", resume: bool, fresh: bool, data: Path 
             rate = (getattr(line, trainer.work) - work) / max(clock() - started, 1e-9)
             figures = f"{rate:.0f} {trainer.work}/s  {trainer.figures(line)}"
             progress.update(bar, completed=trainer.done, figures=figures)
-            if not console.is_terminal and trainer.done % trainer.validation_every == 0:
+            if not console.file.isatty() and trainer.done % trainer.validation_every == 0:
                 print(f"{trainer.done}/{wanted} {unit}  {figures}", file=sys.stderr, flush=True)
     if run.stopped:
         console.print(

@@ -138,15 +138,13 @@ class Store:
         """The episode of this id.
 
         Raises:
-            UnknownNameError: if there is none; the message lists the newest ids.
+            UnknownNameError: if there is none; the message names no other, since anybody may ask.
             StoreError: if the store cannot be read.
         """
         if episode_id.isascii():
             for _, stored in self._stored("WHERE id = ?", (episode_id,)):
                 return stored
-        raise UnknownNameError(
-            "episode", episode_id, [stored.id for stored in self.latest(3)] or ["none: the store is empty"]
-        )
+        raise UnknownNameError("episode", episode_id, ())
 
     def latest(self, n: int, task: str | TaskConfig | None = None) -> list[StoredEpisode]:
         """The last `n` finished episodes, of one task or of all, newest first.

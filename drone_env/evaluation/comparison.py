@@ -3,9 +3,11 @@
 Of several flights of an agent over one map the mean counts, so that each map counts once. Intervals are over maps.
 """
 
+import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import fmean
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -39,7 +41,10 @@ class Standing(Message):
 
 
 def standings(flown: Sequence[FlownMap]) -> list[Standing]:
-    """How agents stand, the best score first.
+    """How agents stand: who lost least first, then who did over more maps.
+
+    Each flew maps of its own choice, and a map on which little can be won says nothing about who flew it: what was lost
+    is counted from the optimum of the same map. Who flew none whose optimum is known stands last.
 
     Args:
         flown: Of one task: a row for each agent and map.
@@ -47,7 +52,12 @@ def standings(flown: Sequence[FlownMap]) -> list[Standing]:
     by_agent: dict[str, list[FlownMap]] = defaultdict(list)
     for row in flown:
         by_agent[row.agent].append(row)
-    return sorted((_standing(agent, rows) for agent, rows in by_agent.items()), key=lambda s: (-s.score, s.agent))
+    return sorted((_standing(agent, rows) for agent, rows in by_agent.items()), key=_merit)
+
+
+def _merit(standing: Standing) -> tuple[float, int, str]:
+    lost = math.inf if standing.regret is None else standing.regret
+    return round(lost, 9), -standing.maps, standing.agent
 
 
 def _standing(agent: str, rows: Sequence[FlownMap]) -> Standing:
@@ -179,6 +189,34 @@ def flown_maps(agent: str, repeats: Sequence[EpisodeResults]) -> list[FlownMap]:
             optimum=None if np.isnan(first.optimal_scores[i]) else float(first.optimal_scores[i]),
         )
         for i, seed in enumerate(first.seeds.tolist())
+    ]
+
+
+def kept_maps(agent: str, figures: Mapping[str, Any]) -> list[FlownMap]:
+    """The maps of what stands on a leaderboard.
+
+    Args:
+        agent: What to call who flew.
+        figures: As `Judged` of `drone_env.evaluation.leaderboard` holds them.
+    """
+    config = figures["config"]
+    return [
+        FlownMap(
+            agent=agent,
+            task=config["task"],
+            task_version=config["task_version"],
+            seed=of_map["seed"],
+            flights=len(of_map["scores"]),
+            id=None,
+            score=fmean(of_map["scores"]),
+            success=of_map["success"] / len(of_map["scores"]),
+            steps=fmean(of_map["steps"]),
+            reward=0.0,
+            reward_profile=None,
+            solved=True,
+            optimum=of_map["optimum"],
+        )
+        for of_map in figures["maps"]
     ]
 
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from drone_env.agents import Agent, BatchAgent, make_agent
 from drone_env.agents.named import as_agent
+from drone_env.core.actions import integer
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import rollout
 from drone_env.core.seeds import N_SEEDS, SPLITS, check_seed, map_key, split_of, split_seeds, task_key
@@ -196,6 +197,10 @@ def evaluate(
         UnsupportedTaskError, CheckpointError, OSError: from the agent.
     """
     task = get_task(task)
+    for count, least, said in ((episodes, 1, "episodes"), (repeat, 0, "repeat")):
+        number = integer(count)
+        if number is None or number < least:
+            raise InvalidValueError(f"{said} must be an integer of at least {least}, got {count!r}")
     maps, name = split_seeds(split, episodes) if seeds is None else seeds, f"{policy}"
     if isinstance(policy, str):
         agent = make_agent(policy, task)
@@ -240,7 +245,15 @@ def summarise(results: EpisodeResults, *again: EpisodeResults) -> dict[str, Any]
     mean +- 1.96 standard errors (normal approximation), null for a single map. `score_ratio` is mean score / mean
     optimal score on the same maps. `mean_excess_steps` counts the steps beyond the optimal flight's, over flights that
     delivered everything; null where there is none.
+
+    Raises:
+        InvalidValueError: if they are not flights of one agent over the same maps.
     """
+    for one in again:
+        if one.key._replace(repeat=results.key.repeat) != results.key:
+            raise InvalidValueError(
+                f"these are not flights of one agent over the same maps: {results.key} and {one.key}"
+            )
     # Sums are correctly rounded: the same figures in any order that the episodes were flown.
     scores, success, steps = (np.array([getattr(r, name) for r in (results, *again)]) for name in AVERAGED)
     of_maps = scores.mean(axis=0)

@@ -12,7 +12,7 @@ import numpy as np
 from drone_env import __version__
 from drone_env.agents import network_file
 from drone_env.core.tasks import WITHDRAWN, get_task, withdrawal
-from drone_env.errors import DroneEnvError, InvalidValueError
+from drone_env.errors import DroneEnvError, InvalidValueError, TooLargeError
 from drone_env.evaluation.episodes import (
     COLUMNS,
     PIECE,
@@ -106,12 +106,20 @@ class NotWholeError(InvalidValueError):
     """An evaluation that has not been flown to its end."""
 
 
-def kept_results(path: Path) -> list[tuple[str, tuple[EpisodeResults, ...]]]:
+def kept_results(
+    path: Path, task: str | None = None, most: int | None = None
+) -> list[tuple[str, tuple[EpisodeResults, ...]]]:
     """What a folder holds of a whole evaluation: for each agent and task its name and its results, with their repeats.
+
+    Args:
+        path: The folder.
+        task: Leave other tasks than this one out.
+        most: Read no more maps than these.
 
     Raises:
         OSError: if it cannot be read.
         NotWholeError: if pieces are missing.
+        TooLargeError: if there are more maps.
         InvalidValueError: if it is none, or damaged.
         UnknownNameError: if it is of a task that does not exist, or no longer.
     """
@@ -121,9 +129,13 @@ def kept_results(path: Path) -> list[tuple[str, tuple[EpisodeResults, ...]]]:
         start, stop = config["seeds"]
         flown: list[tuple[str, tuple[EpisodeResults, ...]]] = []
         for label, digest in config["agents"].items():
-            agent, task = label.rsplit(" on ", 1)
-            get_task(task, int(versions[task]))
-            key = EpisodesKey(task, int(versions[task]), config["split"], (start, stop), agent, digest)
+            agent, of_task = label.rsplit(" on ", 1)
+            if task not in (None, of_task):
+                continue
+            if most is not None and stop - start > most:
+                raise TooLargeError(f"{stop - start} maps are more than the {most} that are looked at here")
+            get_task(of_task, int(versions[of_task]))
+            key = EpisodesKey(of_task, int(versions[of_task]), config["split"], (start, stop), agent, digest)
             repeats = [key._replace(repeat=repeat) for repeat in range(config.get("repeats", {}).get(label, 1))]
             flown.append((agent, tuple(_whole(path / PIECES, of, config["piece"]) for of in repeats)))
     except (KeyError, TypeError, ValueError) as error:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drone_env.errors import DroneEnvError, InvalidValueError, UnknownNameError
+from drone_env.errors import DroneEnvError, InvalidValueError, TooLargeError, UnknownNameError
 from drone_env.evaluation.episodes import EpisodeResults, episodes_key, run_episodes, summarise
 from drone_env.evaluation.folder import NotWholeError, kept_results
 
@@ -38,14 +38,19 @@ class Board(NamedTuple):
     rows: list[dict[str, Any]]
 
 
-def judge_evaluation(path: Path) -> list[Judged | Refused]:
+def judge_evaluation(path: Path, task: str | None = None, most: int | None = None) -> list[Judged | Refused]:
     """The figures of each agent and task in the folder of an evaluation, or why it is not ranked.
 
     Scores are taken as they are kept, since no actions are; they are held to the optima of their maps.
+
+    Args:
+        path: The folder.
+        task: Look at this one alone.
+        most: Look at no evaluation of more maps.
     """
     try:
-        return [Judged(path, _figures(agent, repeats)) for agent, repeats in kept_results(path)]
-    except (NotWholeError, UnknownNameError) as error:
+        return [Judged(path, _figures(agent, repeats)) for agent, repeats in kept_results(path, task, most)]
+    except (NotWholeError, TooLargeError, UnknownNameError) as error:
         return [Refused(path, str(error), damaged=False)]
     except (DroneEnvError, OSError, ValueError) as error:
         return [Refused(path, str(error).removeprefix(f"{path}: "), damaged=True)]

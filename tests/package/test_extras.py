@@ -111,6 +111,7 @@ PROGRAMS: Mapping[str, str] = {
     "drone_env.cli train": "train",
     "drone_env.cli sweep --task easy --set lr=1e-3 --out x": "train",
     "drone_env.cli dataset --task easy --maps 1 --out x": "data",
+    "drone_env.cli city x.osm --out y.toml": "city",
     "drone_env.cli evaluate --engine ray --task easy": "cluster",
     "drone_env.client": "server",
     "inference.py": "llm",
@@ -151,7 +152,7 @@ def test_extras_bring_what_they_name_and_no_more() -> None:
     assert not brought("server") & {"torch", "pygame", "matplotlib"}
     assert brought("inspect") >= brought("llm") >= {"httpx", "matplotlib", "dotenv"}
     assert not brought("train") & {"fastapi", "httpx", "ray"}
-    assert brought("all") >= brought(*(extra for extra in ("data", "human", "server", "llm", "train")))
+    assert brought("all") >= brought(*(extra for extra in ("city", "data", "human", "server", "llm", "train")))
     assert {extra for named in NEEDS.values() for extra in named} <= set(PROJECT["optional-dependencies"])
 
 

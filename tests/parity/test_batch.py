@@ -19,6 +19,7 @@ from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.tables import DELIVERIES_DONE, OUTCOME, interpreted, state_size
 from drone_env.core.tables import STEPS as STEPS_TAKEN
 from drone_env.core.tasks import MAX_UNITS, TASKS, TaskConfig
+from drone_env.core.terrain import Terrain
 
 STEPS = int(os.environ.get("DRONE_ENV_PARITY_STEPS", "250000"))
 """Steps in all, over every combination of task, profile and mode."""
@@ -31,6 +32,27 @@ CUSTOM = {
     "impassable": replace(
         HARD, width=9, height=6, impassable=frozenset({Cell.BUILDING, Cell.OBSTACLE}), buildings=9, battery_capacity=99
     ),
+}
+# Rows of 6: two pieces, parted by obstacles.
+CELLS = bytes([0, 0, 1, 0, 3, 0, 0, 2, 3, 0, 3, 0, 0, 0, 0, 1, 3, 0, 2, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 3])
+GIVEN = replace(
+    HARD,
+    width=6,
+    height=5,
+    deliveries=3,
+    buildings=2,
+    trees=2,
+    obstacles=6,
+    pads=2,
+    charge_rate=4,
+    battery_capacity=18,
+    impassable=frozenset({Cell.OBSTACLE}),
+    terrain=Terrain(CELLS),
+)
+CUSTOM |= {
+    "terrain": GIVEN,
+    "start": replace(GIVEN, terrain=Terrain(CELLS, start=(3, 3))),
+    "parcels": replace(GIVEN, terrain=Terrain(CELLS, parcels=((0, 0), (3, 0), (2, 4)))),
 }
 LARGEST = replace(
     HARD,

@@ -19,7 +19,7 @@ from drone_env.episodes.record import load_record, replay
 from drone_env.errors import InvalidTaskError, InvalidValueError, TooLargeError, UnknownNameError
 from drone_env.planning.audit import HACKS, audit_map, audited_profile
 from drone_env.planning.optimal import solve
-from drone_env.reward_file import load_reward_profile, reward_profile_from
+from drone_env.reward_file import chosen_profile, load_reward_profile
 
 STANDARD = ("easy", "medium", "hard")
 
@@ -203,16 +203,16 @@ step = -0.01
 """
 
 
-def test_a_reward_profile_from_a_file(tmp_path: Path) -> None:
+def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(MINE)
-    profile = reward_profile_from(str(path))
+    profile = chosen_profile(str(path))
     assert profile == load_reward_profile(path)
     assert profile.id == "mine"
     assert profile.shaping == Decimal("0.05")
     assert profile.clamp == (Decimal("-1.0"), Decimal(1))
     assert {event.name: str(value) for event, value in profile.events} == {"DELIVERY": "1", "STEP": "-0.01"}
-    assert reward_profile_from("tiered") is REWARD_PROFILES["tiered"]
+    assert chosen_profile("tiered") is REWARD_PROFILES["tiered"]
 
 
 @pytest.mark.parametrize(

@@ -118,6 +118,15 @@ def test_evaluate_shows_a_table_and_writes_the_same_figures(tmp_path: Path, caps
     assert [path.name for path in tmp_path.iterdir()] == ["results.json"]
 
 
+def test_a_bar_is_for_terminals_alone_whatever_colours_are_forced(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as notebooks do
+    monkeypatch.setenv("TERM", "xterm-256color")
+    assert main(["evaluate", "--task", "easy", "--agents", "greedy", "--seeds", "3:5"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_evaluate_unless_told_otherwise_flies_a_thousand_test_maps(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", "--task", "easy", "--agents", "greedy", "--json", "-"]) == 0
     easy = json.loads(capsys.readouterr().out)["tasks"]["easy_delivery"]

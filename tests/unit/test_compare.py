@@ -9,7 +9,7 @@ import pytest
 
 from drone_env.cli import main
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation.comparison import Pairing, flown_maps, paired
+from drone_env.evaluation.comparison import Pairing, flown_maps, paired, standings
 from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.evaluation.reliable import contest, interquartile_mean, mean, profile, shares_of_optimum
 
@@ -74,6 +74,17 @@ def test_a_profile_is_the_share_of_maps_above() -> None:
 def test_agents_that_never_differ_have_no_ratio() -> None:
     found = contest(pairing_of(A, A))
     assert (found.difference, found.narrower, found.improvement.mean) == ((0, 0, 0), None, 0.5)
+
+
+def test_who_lost_least_stands_first_whatever_the_maps_were_worth() -> None:
+    flown = flown_maps("-", [run_episodes(episodes_key("easy", "greedy", range(3)))])
+    by = {"best of one": [(0.6, 0.6)], "best of two": [(0.7, 0.7), (0.5, 0.5)], "rich": [(0.9, 1.0)] * 3}
+    rows = [
+        row._replace(agent=agent, score=score, optimum=optimum)
+        for agent, maps in ({"unknown": [(1.0, None)]} | by).items()
+        for row, (score, optimum) in zip(flown, maps, strict=False)
+    ]
+    assert [standing.agent for standing in standings(rows)] == ["best of two", "best of one", "rich", "unknown"]
 
 
 def test_one_map_is_no_comparison() -> None:

@@ -44,6 +44,8 @@ def test_whatever_a_record_names_stays_as_it_is(agent: str) -> None:
         ("human", 20, "pathqnet", "human from step 20 of pathqnet"),
         ("greedy", 3, "a model with values", "greedy from step 3 of a model with values"),
         ("human", 0, "pathqnet", "human"),
+        ("human", 0, "human from step 20 of pathqnet", "human"),
+        ("human", 0, "human with values", "human with values"),
         # On a flight of its own it goes on.
         ("human", 5, "human", "human with undo"),
         ("human", 5, "human with values", "human with values and undo"),

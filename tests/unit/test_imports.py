@@ -17,6 +17,7 @@ HEAVY = {
     "numba",
     "openai",
     "openenv",
+    "osmium",
     "pandas",
     "pydantic",
     "pygame",
@@ -29,7 +30,7 @@ ALLOWED_IN_CORE = {"numpy", "numba", "llvmlite", "platformdirs", *sys.stdlib_mod
 FLOORS = [
     {"errors", "files", "installer", "reports"},
     {"core"},
-    {"planning", "models", "reward_file"},
+    {"city", "planning", "models", "reward_file"},
     {"graders", "episodes"},
     {"envs"},
     {"agents"},

@@ -99,7 +99,11 @@ def flown_along(viewer: Viewer, episode: Episode, option: Option) -> Episode:
 
 
 @pytest.mark.parametrize(
-    "name", ["medium_delivery", "skyline_easy", "uniform, a short battery", "no pads", "a long battery"]
+    "name",
+    [
+        pytest.param("medium_delivery", marks=pytest.mark.long),
+        *("skyline_easy", "uniform, a short battery", "no pads", "a long battery"),
+    ],
 )
 def test_an_option_is_worth_what_the_exact_solver_says_of_where_it_leads(name: str) -> None:
     task = OWN.get(name) or EVERY_TASK[name]

@@ -50,6 +50,20 @@ class Dice:
         return self.random.randrange(5)
 
 
+class Homeless:
+    def reset(self, seed):
+        pass
+
+
+class Forgetful(Chaser):
+    def reset(self):
+        pass
+
+
+def two(observation, more):
+    return 4
+
+
 ready = Chaser(None)
 number = 7
 """
@@ -134,12 +148,25 @@ def test_repeats_are_kept_beside_each_other(tmp_path: Path, capsys: pytest.Captu
     [
         ("my_policies:missing", "my_policies.py has no 'missing'"),
         ("nowhere_at_all:chase", "Python finds no module 'nowhere_at_all'"),
+        ("my_policies.py:chase", "without .py it would be 'my_policies'"),
+        ("my_policies:Homeless", "the class Homeless is made for a task"),
         ("my_policies:number", "what flies is a function of the observation, an agent"),
+        ("my_policies:two", "two is called with one argument, an observation, which it does not take: missing"),
+        ("my_policies:Forgetful", "Forgetful.reset is called with one argument, a seed, which it does not take"),
+        ("broken_policies:fly", "module 'broken_policies' could not be imported: SyntaxError"),
+        ("leaving_policies:fly", "module 'leaving_policies' could not be imported: SystemExit: 0"),
+        ("lacking_policies:fly", "could not be imported: ModuleNotFoundError: No module named 'nowhere_at_all'"),
     ],
 )
 def test_names_of_nothing_that_flies_are_refused(
     mine: Any, name: str, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    for module, text in (
+        ("broken", "def fly("),
+        ("leaving", "raise SystemExit(0)"),
+        ("lacking", "import nowhere_at_all"),
+    ):
+        Path(f"{module}_policies.py").write_text(text)
     with pytest.raises(InvalidValueError, match=told):
         make_agent(name, "easy")
     assert main(["fly", "--agent", name]) == 2
@@ -168,3 +195,12 @@ def test_objects_that_cannot_fly_are_refused() -> None:
         evaluate(7, "easy")
     with pytest.raises(InvalidValueError, match="are said of a model of Stable-Baselines3"):
         evaluate(GreedyAgent(get_task("easy")), "easy", sampled=True)
+
+
+def test_counts_that_are_none_and_flights_that_do_not_belong_together_are_refused() -> None:
+    with pytest.raises(InvalidValueError, match=r"episodes must be an integer of at least 1, got 2\.5"):
+        evaluate("greedy", "easy", episodes=2.5)  # type: ignore[arg-type]
+    with pytest.raises(InvalidValueError, match="repeat must be an integer of at least 0, got -1"):
+        evaluate("greedy", "easy", episodes=2, repeat=-1)
+    with pytest.raises(InvalidValueError, match="not flights of one agent over the same maps"):
+        summarise(evaluate("greedy", "easy", episodes=2), evaluate("greedy", "hard", episodes=2))

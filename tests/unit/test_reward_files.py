@@ -1,0 +1,114 @@
+"""A reward profile from a file of one's own, wherever one is named."""
+
+import json
+import shutil
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from drone_env.cli import main
+from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.envs.sb3 import DroneDeliveryVecEnv
+from drone_env.errors import InvalidTaskError
+from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
+
+EASY = "drone_env:DroneDelivery-Easy-v1"
+MINE = """
+id = "mine"
+[events]
+step = -0.25
+wait = 0.5
+delivery = 7
+"""
+TRAIN = [
+    "train", "--task", "easy", "--episodes", "8", "--num-threads", "1", "--num-envs", "8", "--batch-size", "16",
+    "--replay-size", "400", "--learning-starts", "50", "--validation-every", "8", "--validation-maps", "1",
+]  # fmt: skip
+
+
+@pytest.fixture
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file, in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "mine.toml"
+    path.write_text(MINE)
+    return path
+
+
+def run(*arguments: str) -> int:
+    try:
+        return main(arguments)
+    except SystemExit as ended:
+        return int(ended.code or 0)
+
+
+def test_a_command_pays_by_the_file_and_forgets_it(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flight = ["fly", "--task", "easy", "--seed", "14", "--reward-profile"]
+    assert run(*flight, "mine.toml", "--record", "flight.json") == 0
+    assert capsys.readouterr().out.endswith("rewards=-0.25,-0.25,7.00\n")
+    assert "mine" not in REWARD_PROFILES
+    assert run(*flight, "mine") == 2
+    assert "unknown reward profile 'mine'" in capsys.readouterr().err
+    assert run("replay", "flight.json", "--verify", "--reward", "mine.toml") == 0
+    assert run("play", "--task", "easy", "--seed", "14", "--reward-profile", "nowhere.toml") == 2
+    assert "nowhere.toml" in capsys.readouterr().err
+    mine.write_text('id = "mine"\nbonus = 1')
+    assert run(*flight, "mine.toml") == 2
+    captured = capsys.readouterr()
+    said = " ".join(captured.err.replace("│", "").split())
+    assert "reward profile mine.toml: unknown key 'bonus'; allowed: id" in said
+    assert captured.out == ""
+
+
+@pytest.mark.usefixtures("mine")
+def test_a_data_set_pays_by_the_file_and_keeps_it() -> None:
+    import pyarrow.parquet as parquet
+
+    assert run("dataset", "--maps", "1", "--agents", "optimal", "--epsilon", "0", "--reward-profile", "mine.toml",
+               "--out", "steps") == 0  # fmt: skip
+    steps = parquet.read_table("steps/steps.parquet")
+    rewards = steps["reward"].to_pylist()
+    assert (min(rewards), rewards[-1]) == (-0.25, 7)
+    kept = json.loads(steps.schema.metadata[b"drone_env"])["reward_profile"]
+    assert (kept["id"], len(kept["events"])) == ("mine", 3)
+
+
+def test_a_training_goes_on_by_the_same_rewards_only(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(*TRAIN, "--reward-profile", "mine.toml") == 0
+    kept = load_checkpoint(Path("data/easy.pth"))["config"]
+    assert (kept["reward_profile"], kept["reward events"]) == ("mine", "delivery 7, wait 0.5, step -0.25")
+    shutil.copy(mine, "copy.toml")
+    assert run(*TRAIN, "--reward-profile", "copy.toml", "--resume") == 0
+    assert "nothing to do" in capsys.readouterr().err
+    state = load_checkpoint(Path("data/easy.pth"))
+    older = {name: value for name, value in kept.items() if not name.startswith("reward ")}
+    save_checkpoint(Path("older/easy.pth"), state | {"config": older})
+    assert run(*TRAIN, "--reward-profile", "mine.toml", "--resume", "--data", "older") == 0
+    assert "nothing to do" in capsys.readouterr().err
+    assert run("train", "--task", "easy") == 2
+    assert "is of a run with reward_profile 'mine' (now 'aligned'); --fresh" in capsys.readouterr().err
+    mine.write_text(MINE.replace("-0.25", "-0.5"))
+    assert run("train", "--task", "easy", "--reward-profile", "mine.toml") == 2
+    different = "reward events 'delivery 7, wait 0.5, step -0.25' (now 'delivery 7, wait 0.5, step -0.5'); --fresh"
+    assert f"is of a run with {different}" in capsys.readouterr().err
+
+
+def test_environments_pay_by_the_file(mine: Path) -> None:
+    single = gymnasium.make(EASY, reward_profile="mine.toml")
+    single.reset(seed=14)
+    assert single.step(4)[1] == 0.5
+    default = gymnasium.make(EASY)
+    default.reset(seed=14, options={"reward_profile": str(mine)})
+    assert default.step(4)[1] == 0.5
+    batch = gymnasium.make_vec(EASY, num_envs=2, reward_profile=str(mine))
+    batch.reset(seed=14)
+    assert batch.step(np.array([4, 2]))[1].tolist() == [0.5, -0.25]
+    sb3 = DroneDeliveryVecEnv("easy", 2, reward_profile="mine.toml")
+    sb3.seed(14)
+    sb3.reset()
+    assert sb3.step(np.array([4, 2]))[1].tolist() == [0.5, -0.25]
+    mine.write_text("id = 3")
+    with pytest.raises(InvalidTaskError, match=r"mine\.toml: id must be a text"):
+        gymnasium.make(EASY, reward_profile="mine.toml")
