@@ -60,7 +60,10 @@ def shared(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
 @pytest.fixture(scope="package")
 def loaded(shared: Tabs) -> Page:
     # Without motion a map is drawn once a step, not sixty times a second.
-    return shared.open("/?view=learn", reduced_motion="reduce")
+    page = shared.open("/?view=learn", reduced_motion="reduce")
+    # What is dropped on a page whose code is still to come is lost.
+    expect(page.get_by_role("heading", name="Learn", exact=True, level=2)).to_be_visible()
+    return page
 
 
 @contextmanager

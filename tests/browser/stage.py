@@ -6,6 +6,8 @@ from typing import Any
 
 from playwright.sync_api import Locator, Page, expect
 
+from drone_env.episodes.record import EpisodeRecord
+
 FASTEST = "60"
 """Steps per second, the last choice."""
 SIGNS = {
@@ -31,6 +33,28 @@ def whole_view(page: Page, name: str) -> None:
 def show(page: Page, path: str) -> None:
     """Go to an address of the page as Back and Forward do: what is loaded stays, which costs less than `goto`."""
     page.evaluate("path => { history.pushState(null, '', path); dispatchEvent(new PopStateEvent('popstate')); }", path)
+
+
+def slider(page: Page) -> Locator:
+    return page.get_by_role("slider", name="Step of the flight")
+
+
+def dropped(page: Page, name: str, text: str) -> None:
+    """Drop a file on the page."""
+    transfer = page.evaluate_handle(
+        "([name, text]) => { const t = new DataTransfer(); t.items.add(new File([text], name)); return t; }",
+        [name, text],
+    )
+    for event in ("dragover", "drop"):
+        page.dispatch_event("main", event, {"dataTransfer": transfer})
+
+
+def opened(page: Page, record: EpisodeRecord) -> None:
+    """Drop a record on the page, and wait until it stands there."""
+    dropped(page, "flight.json", record.to_json(2))
+    expect(page.locator(".strip")).to_contain_text(f"{record.agent}: ")
+    expect(page.get_by_role("spinbutton", name="Map")).to_have_value(str(record.seed))
+    expect(slider(page)).to_have_attribute("max", str(len(record.actions)))
 
 
 def over(page: Page, seed: int, path: str) -> None:

@@ -5,6 +5,7 @@ import re
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect
@@ -14,7 +15,7 @@ from drone_env.server.incoming import TRY_LATER
 from drone_env.server.live.socket import TOO_MANY_PAGES
 from tests.api.serving import Server, serving
 from tests.browser.flights import flown, frames
-from tests.browser.stage import FASTEST, at_speed, counter, ended, expect_frame, fly, show, view
+from tests.browser.stage import FASTEST, at_speed, counter, ended, expect_frame, fly, opened, show, view
 from tests.browser.tabs import PATIENCE_MS, Tabs
 from tests.tools import reserved_port
 
@@ -220,7 +221,7 @@ def test_a_server_that_ends_each_connection_is_asked_five_times_and_then_when_th
         expect(missing).to_be_visible()
         page.unroute("**/learn.css")
         missing.get_by_role("button", name="Try again").click()
-        expect(page.get_by_role("heading", name="Learn", exact=True)).to_be_visible()
+        expect(page.get_by_role("heading", name="Learn", exact=True, level=2)).to_be_visible()
         expect(missing).to_be_hidden()
         view(page, "Compare")
         connections[-1].close(code=1011)
@@ -230,8 +231,13 @@ def test_a_server_that_ends_each_connection_is_asked_five_times_and_then_when_th
 
 
 def test_a_full_server_is_called_full_and_never_live_before(beside: Beside, shared: Tabs) -> None:
-    """It is not away, and what it has no room for is not kept. Such a server says so once it has let the page in."""
+    """It is not away, and what it has no room for is not kept. Such a server says so once it has let the page in.
+
+    A file that is opened meanwhile is what stands there once it has room.
+    """
     page = beside("")
+    starts: list[dict[str, Any]] = []
+    room = False
     page.add_init_script(
         """addEventListener("DOMContentLoaded", () => {
             const said = window.said = [], dot = document.getElementById("connection");
@@ -240,13 +246,31 @@ def test_a_full_server_is_called_full_and_never_live_before(beside: Beside, shar
         })"""
     )
 
-    def refuse(socket: WebSocketRoute) -> None:
-        socket.on_message(lambda _: socket.close(code=TRY_LATER, reason=TOO_MANY_PAGES))
+    def connect(socket: WebSocketRoute) -> None:
+        if not room:
+            socket.on_message(lambda _: socket.close(code=TRY_LATER, reason=TOO_MANY_PAGES))
+            return
+        beyond = socket.connect_to_server()
 
-    page.route_web_socket("**/live", refuse)
+        def pass_on(text: str | bytes) -> None:
+            message = json.loads(text)
+            if message["type"] == "start":
+                starts.append(message)
+            beyond.send(text)
+
+        socket.on_message(pass_on)
+
+    page.route_web_socket("**/live", connect)
     page.goto("/?task=hard&seed=7&pilot=greedy")
     banner = page.get_by_role("alert").filter(has_text="The server is full (too many pages are open).")
     expect(banner).to_contain_text("Trying again")
     expect(page.locator("#banner-text")).not_to_contain_text("kept")
     expect(page.locator("#connection")).to_have_text("Server full")
     assert set(page.evaluate("said")) == {"Server full"}
+    opened(page, flown("easy", 21, "greedy", label="me"))
+    room = True
+    banner.get_by_role("button", name="Try now").click()
+    expect(page.locator("#connection")).to_have_text("Live")
+    page.go_back()
+    expect(page.locator("#step-counter")).to_have_text("Step 0 of 160")
+    assert [message["seed"] for message in starts] == [7]

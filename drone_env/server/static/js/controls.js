@@ -39,7 +39,8 @@ export function mountControls(root, context, fleet, acts) {
   function update() {
     const { track } = stage;
     const [word, playing] = acts.word();
-    toggle.replaceChildren(icon(...(playing ? PAUSE : PLAY)), el("span", { text: word }));
+    // A button whose parts are new while it is held down is not clicked.
+    if (toggle.textContent !== word) toggle.replaceChildren(icon(...(playing ? PAUSE : PLAY)), el("span", { text: word }));
     toggle.title = `${word} (Space)`;
     const away = context.live.state !== "open" && fleet.shown && !stage.over;
     toggle.disabled = !track || (away && !clock.playing);

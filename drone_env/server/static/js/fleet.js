@@ -225,6 +225,7 @@ export class Fleet extends Emitter {
   /** Something else is to be shown: they are paused, and those who were asked for are not waited for. */
   rest() {
     this.pause();
+    this.waiting = false;
     if (this.asked === "start") this.asked = null;
   }
 
