@@ -60,7 +60,7 @@ def task_of(city: City, name: str) -> TaskConfig:
         impassable=frozenset({Cell.OBSTACLE}),
         efficiency_needs_all=True,
         family="place",
-        terrain=Terrain(cells, city.start, city.parcels),
+        terrain=Terrain(cells, city.start, city.parcels, city.attribution),
         **numbers,
         **PAYS,
     )

@@ -1,7 +1,7 @@
 """Terrain that is the same on every map of a task."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 
 import numpy as np
@@ -22,11 +22,13 @@ class Terrain:
         cells: The id of each cell, row by row.
         start: (x, y) of the start; None where the seed draws it.
         parcels: (x, y) of each parcel; empty where the seed draws them.
+        attribution: Whose data it is, which whoever shows it has to say. It names no rule.
     """
 
     cells: bytes
     start: XY | None = None
     parcels: tuple[XY, ...] = ()
+    attribution: str = field(default="", compare=False)
 
     def grid(self, width: int) -> npt.NDArray[np.uint8]:
         """uint8[height, width], read only."""

@@ -178,6 +178,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
         "drone moves: farther from its target, as far, and closer; where it stays, one number."
     )
     published: bool = Field(description="Whether it is one of the three tasks of the OpenEnv manifest.")
+    attribution: str = Field(description="Whose data its terrain is, to be said where it is shown; empty for nobody's.")
 
     @classmethod
     def of(cls, task: TaskConfig, published: bool) -> Self:
@@ -189,6 +190,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
             impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
             rewards={profile.id: _event_rewards(task, profile) for profile in REWARD_PROFILES.values()},
             published=published,
+            attribution=task.terrain.attribution if task.terrain else "",
         )
 
 
