@@ -71,7 +71,14 @@ def test_the_symbols_are_those_of_the_map_as_text() -> None:
 
 def test_pieces_go_round_obstacles_and_not_across_corners() -> None:
     grid = np.array([[0, 3, 0], [1, 2, 3], [3, 8, 0]], np.uint8)
-    assert pieces(grid == Cell.OBSTACLE).tolist() == [[1, 0, 2], [1, 1, 0], [0, 1, 1]]
+    (a, _, b), *_ = piece = pieces(grid == Cell.OBSTACLE).tolist()
+    assert piece == [[a, 0, b], [a, a, 0], [0, a, a]]
+    assert 0 < min(a, b) < max(a, b)
+    # Pieces that meet only further down are one, and those of two grids are not.
+    comb = np.array([[0, 3, 0], [0, 3, 0], [0, 0, 0]])
+    one, other = pieces(np.stack([comb, comb]) == Cell.OBSTACLE)
+    assert len(np.unique(one[comb == 0])) == len(np.unique(other[comb == 0])) == 1
+    assert one[0, 0] != other[0, 0]
 
 
 @pytest.mark.parametrize(
