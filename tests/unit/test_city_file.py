@@ -125,7 +125,7 @@ def test_pieces_go_round_obstacles_and_not_across_corners() -> None:
         (f"format = 1\nparcels = [[2, 0], [2, 2]]\n{ROWS}", "parcel 1 [2, 2] cannot be reached from parcel 0 [2, 0]"),
         (f"format = 1\nparcels = {[[0, 0]] * 17}\n{ROWS}", "at most 16 parcels, got 17"),
         (f"format = 1\ntask = 1\n{ROWS}", "[task] must be a table, got 1"),
-        (f"format = 1\n[task]\nwidth = 1\n{ROWS}", "unknown number 'width' in [task]; allowed: deliveries, max_steps"),
+        (f"format = 1\n[task]\nwide = 1\n{ROWS}", "unknown number 'wide' in [task]; allowed: width, height"),
         (f"format = 1\n[task]\npads = 1.0\n{ROWS}", "pads must be an integer, got 1.0"),
         ("format = ", "not TOML that can be read"),
         ("x = " + "[" * 9999, "not TOML that can be read"),
