@@ -285,7 +285,7 @@ def _standard(
         max_steps=steps,
         battery_capacity=steps,
         **rewards,
-        family="city",
+        family="standard",
     )
 
 
@@ -330,12 +330,12 @@ def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
         InvalidTaskError: if they do not fit.
     """
     return replace(
-        _skyline("place", 4, (0, 0, 0), 0, 1, battery=1, steps=1, charge=0, r_delivery=0.85, r_other=0.25),
+        _skyline("city", 4, (0, 0, 0), 0, 1, battery=1, steps=1, charge=0, r_delivery=0.85, r_other=0.25),
         id=name,
         short_name=name,
         grader=f"drone_env.graders:grade_{name}",
         version=1,
-        family="place",
+        family="city",
         street_spacing=0,
         buildings=terrain.count(Cell.BUILDING),
         trees=terrain.count(Cell.TREE),
