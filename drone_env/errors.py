@@ -46,14 +46,14 @@ def _again(kind: type[DroneEnvError], args: tuple[Any, ...], attributes: dict[st
 
 
 class UnknownNameError(DroneEnvError, LookupError):
-    """A name that is not in a registry; the message lists the names that are, unless none are given."""
+    """A name that is not in a registry; the message lists the names that are, unless none are given, then `more`."""
 
-    def __init__(self, kind: str, given: object, allowed: Iterable[str]) -> None:
+    def __init__(self, kind: str, given: object, allowed: Iterable[str], more: str = "") -> None:
         self.kind = kind
         self.given = given
         self.allowed = sorted(set(allowed))
         known = f"unknown {kind} {given!r}; allowed: {', '.join(self.allowed)}"
-        super().__init__(known if self.allowed else f"there is no {kind} {given!r}")
+        super().__init__((known if self.allowed else f"there is no {kind} {given!r}") + more)
 
 
 class WithdrawnError(UnknownNameError):

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import get_task
-from drone_env.envs.registry import register_reward_profile
+from drone_env.envs.registry import register_reward_profile, task_argument
 from drone_env.errors import InvalidValueError
 from drone_env.files import differences
 from drone_env.models import Message
@@ -96,7 +96,8 @@ class SweepConfig(Message):
         # As the command finds them: those that are not said follow from the number of episodes, which is.
         usual = preset(self.preset, training.task).episodes
         defaults = replace(preset(self.preset, training.task, training.episodes), episodes=usual)
-        words = ["python", "train.py", "--task", training.task, "--preset", self.preset, "--seed", str(trial.seed)]
+        named = task_argument(get_task(training.task))
+        words = ["python", "train.py", "--task", named, "--preset", self.preset, "--seed", str(trial.seed)]
         given = asdict(training) | {"reward_profile": {**self.fixed, **self.settings[trial.setting]}["reward_profile"]}
         for name, value in given.items():
             if name in ("task", "seed", "checkpoint_seconds") or value == getattr(defaults, name):
