@@ -10,7 +10,7 @@
     parcels = [[3, 0]]
 
     [task]
-    deliveries = 1                                    # and max_steps, battery_capacity, charge_rate, pads
+    deliveries = 1                                    # and the other `NUMBERS`
 
     [terrain]
     rows = [
@@ -53,7 +53,7 @@ CELL_OF = {SYMBOLS[kind]: kind for kind in PLACED}
 ALLOWED = ", ".join(f"{symbol!r} {kind.name.lower()}" for symbol, kind in CELL_OF.items())
 TEXTS = ("attribution", "licence", "source")
 KEYS = ("format", *TEXTS, "cell", "bbox", "start", "parcels", "task", "terrain")
-NUMBERS = ("deliveries", "max_steps", "battery_capacity", "charge_rate", "pads")
+NUMBERS = ("width", "height", "deliveries", "max_steps", "battery_capacity", "charge_rate", "pads")
 """The numbers of a task that a city may name; `city_task` says what they are where it does not."""
 
 

@@ -1,27 +1,24 @@
 """A city as a task: its terrain is that of every map."""
 
 from pathlib import Path
-from typing import Any
 
 from drone_env.city.city_file import City, read_city
 from drone_env.core.cells import Cell
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import TaskConfig, task_on
 from drone_env.core.terrain import Terrain
 from drone_env.errors import InvalidTaskError
 
 DELIVERIES = 5
+PADS = 4
 CHARGE_RATE = 5
-PAYS: dict[str, Any] = {"r_delivery": 0.85} | dict.fromkeys(
-    ("r_battery_dead", "r_wall", "r_blocked", "r_obstacle", "r_building", "r_tree", "r_wait", "r_step"), 0.25
-)
-"""What events pay by the profiles that ask the task, as on the largest tasks of the package."""
 
 
 def task_of(city: City, name: str) -> TaskConfig:
     """The task whose maps are drawn on a city: as `skyline`, obstacles are closed, and buildings and trees cost more.
 
-    What the city's numbers leave open: 5 parcels, or as many as it fixes; as many steps as five times width and height;
-    where there is a pad, half as many again as width and height of battery units, else as many as steps.
+    What the city's numbers leave open: maps as large as the city, or else windows of it with 4 pads; 5 parcels, or as
+    many as it fixes; as many steps as five times width and height of a map; where there is a pad, half as many again as
+    width and height of battery units, else as many as steps.
 
     Args:
         city: The city.
@@ -30,14 +27,10 @@ def task_of(city: City, name: str) -> TaskConfig:
     Raises:
         InvalidTaskError: if the name is none, the city is too large, or its numbers do not fit; the message says why.
     """
-    height, width = city.grid.shape
-    cells = city.grid.tobytes()
-    count = {kind: cells.count(kind) for kind in Cell}
-    pads = city.numbers.get("pads", count[Cell.PAD])
-    if count[Cell.PAD] not in (0, pads):
-        raise InvalidTaskError(
-            f"task {name!r}: the terrain has {count[Cell.PAD]} pads, which pads = {pads} contradicts"
-        )
+    rows, columns = city.grid.shape
+    width, height = city.numbers.get("width", columns), city.numbers.get("height", rows)
+    terrain = Terrain(city.grid.tobytes(), columns, city.start, city.parcels, city.attribution)
+    pads = city.numbers.get("pads", terrain.count(Cell.PAD) if (width, height) == (columns, rows) else PADS)
     max_steps = 5 * (width + height)
     numbers = {
         "deliveries": len(city.parcels) or DELIVERIES,
@@ -45,25 +38,13 @@ def task_of(city: City, name: str) -> TaskConfig:
         "battery_capacity": 3 * (width + height) // 2 if pads else city.numbers.get("max_steps", max_steps),
         "charge_rate": CHARGE_RATE if pads else 0,
         **city.numbers,
+        "width": width,
+        "height": height,
         "pads": pads,
     }
-    return TaskConfig(
-        id=name,
-        short_name=name,
-        grader=f"drone_env.graders:grade_{name}",
-        width=width,
-        height=height,
-        buildings=count[Cell.BUILDING],
-        trees=count[Cell.TREE],
-        obstacles=count[Cell.OBSTACLE],
-        drain=((Cell.BUILDING, 3), (Cell.TREE, 2)),
-        impassable=frozenset({Cell.OBSTACLE}),
-        efficiency_needs_all=True,
-        family="place",
-        terrain=Terrain(cells, city.start, city.parcels, city.attribution),
-        **numbers,
-        **PAYS,
-    )
+    task = task_on(terrain, name, **numbers)
+    _ = task.windows  # what does not fit is refused here
+    return task
 
 
 def city_task(path: str | Path) -> TaskConfig:

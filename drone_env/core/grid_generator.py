@@ -24,6 +24,8 @@ from drone_env.core.tables import (
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 
+VALIDATION, TEST = SPLITS["validation"].start, SPLITS["test"].start
+
 
 def draw_road(tables: Tables, grid: Buffer, key: int) -> tuple[int, int]:
     """A cell that is still road, drawn uniformly, and the generator's state after the draw."""
@@ -105,35 +107,51 @@ def move_parcel(tables: Tables, state: Buffer, cell: int, to: int) -> None:
             state[i] = to
 
 
-def draw_open(tables: Tables, grid: Buffer, key: int) -> tuple[int, int]:
+def draw_window(tables: Tables, seed: int, key: int) -> tuple[int, int]:
+    """A window of the terrain, of those of the seed's split, and the generator's state after the draw."""
+    split = 0
+    if seed >= VALIDATION:
+        split = 1
+    if seed >= TEST:
+        split = 2
+    first, end = tables.windows[2 * split], tables.windows[2 * split + 1]
+    if end - first == 1:
+        return first, key
+    return first + uniform_below(key, end - first), next_key(key)
+
+
+def draw_open(open_cells: Buffer, grid: Buffer, key: int) -> tuple[int, int]:
     """A cell of fixed terrain that is still road and can be reached, and the generator's state after the draw."""
-    cell = tables.city_cells[uniform_below(key, len(tables.city_cells)) & INDEX_BITS]
+    cell = open_cells[uniform_below(key, len(open_cells)) & INDEX_BITS]
     while grid[cell] != ROAD_CELL:
         key = next_key(key)
-        cell = tables.city_cells[uniform_below(key, len(tables.city_cells)) & INDEX_BITS]
+        cell = open_cells[uniform_below(key, len(open_cells)) & INDEX_BITS]
     return cell, next_key(key)
 
 
-def place_on_terrain(tables: Tables, grid: Buffer, state: Buffer, key: int) -> None:
+def place_on_terrain(tables: Tables, grid: Buffer, state: Buffer, seed: int, key: int) -> None:
     """Place start, deliveries and pads on fixed terrain: what is fixed too, then the rest, with a draw for each."""
+    window, key = draw_window(tables, seed, key)
+    city_grid = tables.city_grids[window * tables.cells : (window + 1) * tables.cells]
+    open_cells = tables.city_cells[tables.window_cells[window] : tables.window_cells[window + 1]]
     for cell in range(tables.cells):
-        grid[cell] = tables.city_grids[cell]
+        grid[cell] = city_grid[cell]
     for i in range(tables.deliveries):
         if tables.fixed[1 + i] != NOWHERE:
             state[PARCELS + i] = tables.fixed[1 + i]
             grid[state[PARCELS + i]] = DELIVERY_CELL
     state[CELL] = tables.fixed[0]
     if tables.fixed[0] == NOWHERE:
-        start, key = draw_open(tables, grid, key)
+        start, key = draw_open(open_cells, grid, key)
         state[CELL] = start
     grid[state[CELL]] = DRONE_CELL
     for i in range(tables.deliveries):
         if tables.fixed[1 + i] == NOWHERE:
-            cell, key = draw_open(tables, grid, key)
+            cell, key = draw_open(open_cells, grid, key)
             state[PARCELS + i] = cell
             grid[cell] = DELIVERY_CELL
-    for kind in tables.drawn_kinds:
-        cell, key = draw_open(tables, grid, key)
+    for kind in tables.drawn_kinds[tables.window_pads[window] :]:
+        cell, key = draw_open(open_cells, grid, key)
         grid[cell] = kind
 
 
@@ -143,7 +161,7 @@ def scatter(tables: Tables, grid: Buffer, state: Buffer, seed: int) -> None:
     state[CELL] = uniform_below(key, tables.cells)
     state[UNDER] = ROAD_CELL
     if len(tables.fixed) > 0:
-        place_on_terrain(tables, grid, state, next_key(key))
+        place_on_terrain(tables, grid, state, seed, next_key(key))
     elif tables.street_spacing == 0:
         place_anywhere(tables, grid, state, next_key(key))
     else:

@@ -20,8 +20,9 @@ import numpy.typing as npt
 
 from drone_env.core.actions import ACTION_OFFSETS, N_ACTIONS, Action, Event
 from drone_env.core.cells import N_CELL_KINDS, Cell
-from drone_env.core.seeds import task_key
+from drone_env.core.seeds import SPLITS, task_key
 from drone_env.core.tasks import TERRAIN, TaskConfig
+from drone_env.core.terrain import Terrain
 
 Buffer: TypeAlias = "memoryview[int]"
 """A buffer of integers: a memory view when interpreted, a NumPy array when compiled."""
@@ -100,11 +101,18 @@ class Tables(NamedTuple):
     blocks: int
     """How many cells lie between the streets."""
     city_grids: Buffer
-    """The map before anything is drawn, for each way in which the streets can lie: uint8[ways * cells]. One way, where
-    the terrain is fixed."""
+    """The map before anything is drawn, for each way in which the streets can lie, or each window of fixed terrain:
+    uint8[ways * cells]."""
     city_cells: Buffer
     """The cells between the streets, then those on them, in each of these ways: uint16[ways * cells]. Where the terrain
-    is fixed, those that start, parcels and pads are drawn from."""
+    is fixed, those that start, parcels and pads are drawn from, window by window."""
+    windows: Buffer
+    """Where the terrain is fixed, the first window of each split, and the one after its last: int64[splits * 2]; else
+    empty."""
+    window_cells: Buffer
+    """Where those of each window stand in `city_cells`, and where the last ones end: int64[windows + 1]."""
+    window_pads: Buffer
+    """How many pads each window has already: int64[windows]."""
     fixed: Buffer
     """Where the terrain is fixed, the cell of the start and of each parcel, `NOWHERE` for those that are drawn:
     uint16[1 + deliveries]; else empty."""
@@ -197,24 +205,21 @@ def _city_tables(task: TaskConfig) -> dict[str, Any]:
     one covers all at first, and the others are drawn: the fewest draws that do.
     """
     counts, spacing, cells = task.cell_counts(), task.street_spacing, task.width * task.height
+    no_terrain = {
+        "windows": np.zeros(0, np.int64),
+        "window_cells": np.zeros(0, np.int64),
+        "window_pads": np.zeros(0, np.int64),
+        "fixed": np.zeros(0, np.uint16),
+    }
     if task.terrain is not None:
-        stops = [task.terrain.start, *(task.terrain.parcels or [None] * task.deliveries)]
-        drawn = 0 if Cell.PAD in task.terrain.cells else task.pads
-        return {
-            "blocks": 0,
-            "city_grids": np.frombuffer(task.terrain.cells, np.uint8).copy(),
-            "city_cells": np.array(task.terrain.drawn_cells(task.width, task.impassable), np.uint16),
-            "fixed": np.array([NOWHERE if at is None else at[1] * task.width + at[0] for at in stops], np.uint16),
-            "drawn_kinds": np.full(drawn, Cell.PAD, np.uint8),
-            "drawn_between": 0,
-        }
+        return _terrain_tables(task, task.terrain)
     if spacing == 0:
         kinds = [kind for kind, count in counts.items() for _ in range(count)]
         return {
             "blocks": 0,
             "city_grids": np.zeros(0, np.uint8),
             "city_cells": np.zeros(0, np.uint16),
-            "fixed": np.zeros(0, np.uint16),
+            **no_terrain,
             "drawn_kinds": np.array(kinds, np.uint8),
             "drawn_between": 0,
         }
@@ -237,9 +242,32 @@ def _city_tables(task: TaskConfig) -> dict[str, Any]:
         "blocks": blocks,
         "city_grids": np.ravel(np.where(on_street, covers[1], covers[0])).astype(np.uint8),
         "city_cells": np.ravel(np.argsort(on_street, axis=1, kind="stable")).astype(np.uint16),
-        "fixed": np.zeros(0, np.uint16),
+        **no_terrain,
         "drawn_kinds": np.array(kinds, np.uint8),
         "drawn_between": blocks - between[covers[0]],
+    }
+
+
+def _terrain_tables(task: TaskConfig, terrain: Terrain) -> dict[str, Any]:
+    """What a map on fixed terrain is drawn from."""
+    stops = [terrain.start, *(terrain.parcels or [None] * task.deliveries)]
+    by_split = list(task.windows.values())
+    # One window that serves all splits stands there once.
+    if all(windows == by_split[0] for windows in by_split):
+        by_split = by_split[:1]
+    windows = [window for split in by_split for window in split]
+    ends = np.cumsum([0, *map(len, by_split)])
+    bounds = np.column_stack([ends[:-1], ends[1:]])
+    return {
+        "blocks": 0,
+        "city_grids": np.frombuffer(b"".join(window.cells for window in windows), np.uint8).copy(),
+        "city_cells": np.concatenate([np.array(window.drawn, np.uint16) for window in windows]),
+        "windows": np.ravel(np.broadcast_to(bounds, (len(SPLITS), 2))).copy(),
+        "window_cells": np.cumsum([0, *(len(window.drawn) for window in windows)]),
+        "window_pads": np.array([window.pads for window in windows], np.int64),
+        "fixed": np.array([NOWHERE if at is None else at[1] * task.width + at[0] for at in stops], np.uint16),
+        "drawn_kinds": np.full(task.pads, Cell.PAD, np.uint8),
+        "drawn_between": 0,
     }
 
 

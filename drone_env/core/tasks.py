@@ -5,11 +5,12 @@ import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 from drone_env.core.actions import Event
 from drone_env.core.cells import Cell
-from drone_env.core.terrain import PLACED, Terrain
+from drone_env.core.terrain import PLACED, Terrain, Window, shipped_terrain
 from drone_env.errors import InvalidTaskError, UnknownNameError, WithdrawnError
 
 MAX_SIDE = 64
@@ -47,12 +48,14 @@ class TaskConfig:
             most 16 and divides width and height. Buildings and trees then stand between the streets, everything else
             on them. 0 for no streets: everything anywhere.
         efficiency_needs_all: Whether battery and steps left count in the score only when everything is delivered.
-        terrain: The terrain of every map, where it is fixed; the counts of cells are then those of the terrain, but for
-            pads where it has none. What it does not fix is drawn on roads that can be reached from each other.
+        terrain: The terrain of every map, where it is fixed, or one of which every map is a window; the counts of cells
+            are then those of the whole terrain, but for pads. A map has the pads of its terrain, and as many more as
+            make `pads`. What the terrain does not fix is drawn on roads that can be reached from each other.
         family: Tasks of one family are listed together. It names no rule: results do not depend on it.
 
     Raises:
-        InvalidTaskError: on construction, if the numbers are out of range or contradict each other.
+        InvalidTaskError: on construction, if the numbers are out of range or contradict each other; what does not fit
+            on the terrain is found when `windows` is first asked for.
     """
 
     id: str
@@ -116,7 +119,8 @@ class TaskConfig:
         counts = (self.buildings, self.trees, self.obstacles, self.pads)
         require(min(counts) >= 0, f"counts of cells must not be negative, got {counts}")
         placed = 1 + self.deliveries + sum(counts)
-        require(placed <= self.width * self.height, f"{placed} things do not fit on {self.width * self.height} cells")
+        fits = self.terrain is not None or placed <= self.width * self.height
+        require(fits, f"{placed} things do not fit on {self.width * self.height} cells")
         require(type(self.efficiency_needs_all) is bool, "efficiency_needs_all must be True or False")
         self._check_streets(require)
         if self.terrain is not None:
@@ -135,26 +139,67 @@ class TaskConfig:
         require(self.version >= 1, f"version must be at least 1, got {self.version}")
 
     def _check_terrain(self, require: Callable[[bool, str], None], terrain: Terrain) -> None:
-        width, height = self.width, self.height
-        size = f"terrain must be {width} x {height} cells, got {len(terrain.cells)}"
-        require(len(terrain.cells) == width * height, size)
+        window, sides = (self.width, self.height), (terrain.width, terrain.height)
+        rows = f"terrain must be rows of {terrain.width} cells, got {len(terrain.cells)} cells"
+        require(len(terrain.cells) == terrain.width * terrain.height, rows)
         require(set(terrain.cells) <= set(PLACED), f"terrain may hold {[str(kind.name) for kind in PLACED]}")
         require(self.street_spacing == 0, "street_spacing must be 0 where terrain is fixed")
         held = {kind: terrain.cells.count(kind) for kind in self.cell_counts()}
-        held[Cell.PAD] = held[Cell.PAD] or self.pads
+        least = held.pop(Cell.PAD)
         counts = {kind.name.lower(): count for kind, count in held.items()}
-        require(held == self.cell_counts(), f"the counts of cells must be those of the terrain: {counts}")
+        same = all(count == self.cell_counts()[kind] for kind, count in held.items())
+        require(same, f"the counts of cells must be those of the terrain: {counts}")
         given = f"deliveries must be the {len(terrain.parcels)} parcels of the terrain, got {self.deliveries}"
         require(len(terrain.parcels) in (0, self.deliveries), given)
-        fixed = [stop for stop in (terrain.start, *terrain.parcels) if stop is not None]
-        inside = all(0 <= x < width and 0 <= y < height for x, y in fixed)
-        require(inside and len(set(fixed)) == len(fixed), f"start and parcels must be different cells, got {fixed}")
-        open_cells = terrain.drawn_cells(width, self.impassable)
-        apart = [(x, y) for x, y in fixed if y * width + x not in open_cells]
-        require(not apart, f"start and parcels must be roads that can be reached from each other; {apart} are not")
-        pads = 0 if Cell.PAD in terrain.cells else self.pads
-        needed = 1 + self.deliveries + pads
-        require(needed <= len(open_cells), f"{needed} things do not fit on {len(open_cells)} roads that can be reached")
+        if sides == window:
+            require(self.pads >= least, f"pads must be at least the {least} of the terrain, got {self.pads}")
+        else:
+            size = " x ".join(map(str, sides))
+            fits = self.width <= terrain.width and self.height <= terrain.height
+            apart = 3 * self.width <= terrain.width or 3 * self.height <= terrain.height
+            splits = "so that the windows of two splits share no cell"
+            message = f"terrain of {size} cells must be three times as wide or high as a map, {splits}; got {window}"
+            require(fits and apart, message)
+            require(not terrain.fixed, "start and parcels cannot be fixed where each map is a window of the terrain")
+            # Observations do not tell the kind of the cell below the drone else, and no count of cells gives it away.
+            require(self.pads > 0, "pads must be at least 1 where each map is a window of the terrain, got 0")
+        inside = all(0 <= x < terrain.width and 0 <= y < terrain.height for x, y in terrain.fixed)
+        different = inside and len(set(terrain.fixed)) == len(terrain.fixed)
+        require(different, f"start and parcels must be different cells, got {terrain.fixed}")
+
+    @cached_property
+    def windows(self) -> dict[str, list[Window]]:
+        """What maps are drawn on, by split; nothing without fixed terrain.
+
+        Raises:
+            InvalidTaskError: if there is too little room on the terrain.
+        """
+        terrain = self.terrain
+        if terrain is None:
+            return {}
+        corners = terrain.corners(self.width, self.height)
+        all_corners = list(dict.fromkeys(chain.from_iterable(corners.values())))
+        windows = terrain.windows(all_corners, self.width, self.height, self.impassable)
+        at = dict(zip(all_corners, windows, strict=True))
+        # Only where there is one window.
+        apart = [(x, y) for x, y in terrain.fixed if y * self.width + x not in at[0, 0].drawn]
+        if apart:
+            message = f"start and parcels must be roads that can be reached from each other; {apart} are not"
+            raise InvalidTaskError(f"task {self.id!r}: {message}")
+
+        def needed(window: Window) -> int:
+            return 1 + self.deliveries + max(0, self.pads - window.pads)
+
+        found: dict[str, list[Window]] = {}
+        for split, here in corners.items():
+            own = [at[corner] for corner in here]
+            found[split] = [one for one in own if one.pads <= self.pads and needed(one) <= len(one.drawn)]
+            if not found[split]:
+                best = max(own, key=lambda one: len(one.drawn))
+                anywhere = f", in any window of {split}" if len(at) > 1 else ""
+                room = f"{len(best.drawn)} roads that can be reached from each other{anywhere}"
+                raise InvalidTaskError(f"task {self.id!r}: {needed(best)} things do not fit on {room}")
+        return found
 
     def _check_streets(self, require: Callable[[bool, str], None]) -> None:
         spacing = self.street_spacing
@@ -240,7 +285,7 @@ def _standard(
         max_steps=steps,
         battery_capacity=steps,
         **rewards,
-        family="city",
+        family="standard",
     )
 
 
@@ -273,6 +318,33 @@ def _skyline(
     )
 
 
+def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
+    """A task over the terrain of a place: what flying costs is as in skyline.
+
+    Args:
+        terrain: The terrain.
+        name: Id and short name of the task.
+        numbers: `width`, `height`, `deliveries`, `pads`, `max_steps`, `battery_capacity`, `charge_rate`.
+
+    Raises:
+        InvalidTaskError: if they do not fit.
+    """
+    return replace(
+        _skyline("city", 4, (0, 0, 0), 0, 1, battery=1, steps=1, charge=0, r_delivery=0.85, r_other=0.25),
+        id=name,
+        short_name=name,
+        grader=f"drone_env.graders:grade_{name}",
+        version=1,
+        family="city",
+        street_spacing=0,
+        buildings=terrain.count(Cell.BUILDING),
+        trees=terrain.count(Cell.TREE),
+        obstacles=terrain.count(Cell.OBSTACLE),
+        terrain=terrain,
+        **numbers,
+    )
+
+
 TASKS: dict[str, TaskConfig] = {
     task.id: task
     for task in (
@@ -285,6 +357,28 @@ TASKS: dict[str, TaskConfig] = {
         ),
         _skyline(
             "hard", 16, (80, 24, 14), 5, deliveries=5, battery=26, steps=160, charge=5, r_delivery=0.85, r_other=0.25
+        ),
+        task_on(
+            shipped_terrain("helsinki_8"),
+            "city_small",
+            width=16,
+            height=16,
+            deliveries=4,
+            pads=5,
+            max_steps=160,
+            battery_capacity=26,
+            charge_rate=5,
+        ),
+        task_on(
+            shipped_terrain("helsinki_16"),
+            "city",
+            width=64,
+            height=64,
+            deliveries=5,
+            pads=8,
+            max_steps=640,
+            battery_capacity=80,
+            charge_rate=8,
         ),
     )
 }

@@ -47,12 +47,15 @@ GIVEN = replace(
     charge_rate=4,
     battery_capacity=18,
     impassable=frozenset({Cell.OBSTACLE}),
-    terrain=Terrain(CELLS),
+    terrain=Terrain(CELLS, 6),
 )
+CITY = np.tile(np.reshape(np.frombuffer(CELLS, np.uint8), (5, 6)), (2, 5))
+CITY[:, -1] = Cell.PAD
 CUSTOM |= {
     "terrain": GIVEN,
-    "start": replace(GIVEN, terrain=Terrain(CELLS, start=(3, 3))),
-    "parcels": replace(GIVEN, terrain=Terrain(CELLS, parcels=((0, 0), (3, 0), (2, 4)))),
+    "windows": replace(GIVEN, buildings=20, trees=20, obstacles=58, pads=6, terrain=Terrain(CITY.tobytes(), 30)),
+    "start": replace(GIVEN, terrain=Terrain(CELLS, 6, start=(3, 3))),
+    "parcels": replace(GIVEN, terrain=Terrain(CELLS, 6, parcels=((0, 0), (3, 0), (2, 4)))),
 }
 LARGEST = replace(
     HARD,

@@ -44,6 +44,8 @@ def test_a_city_is_a_task_of_its_counts_and_numbers(yard: Path) -> None:
     assert (task_of(City(roads), "a").battery_capacity, task_of(City(roads), "a").charge_rate) == (40, 0)
     assert task_of(City(roads, numbers={"max_steps": 9}), "a").battery_capacity == 9
     assert task_of(City(roads, numbers={"pads": 2}), "a").pads == 2
+    wide = task_of(City(np.zeros((8, 30), np.uint8), numbers={"width": 10, "height": 6}), "a")
+    assert (wide.width, wide.height, wide.pads, wide.max_steps, wide.battery_capacity) == (10, 6, 4, 80, 24)
     fixed = task_of(City(roads, start=(1, 1), parcels=((0, 0), (3, 3))), "a")
     assert (fixed.deliveries, fixed.terrain and fixed.terrain.start) == (2, (1, 1))
 
@@ -51,8 +53,8 @@ def test_a_city_is_a_task_of_its_counts_and_numbers(yard: Path) -> None:
 @pytest.mark.parametrize(
     ("city", "said"),
     [
-        (City(GRID, numbers={"pads": 3}), "the terrain has 1 pads, which pads = 3 contradicts"),
-        (City(GRID, numbers={"deliveries": 12}), "17 things do not fit on 16 cells"),
+        (City(GRID, numbers={"pads": 0}), "pads must be at least the 1 of the terrain, got 0"),
+        (City(GRID, numbers={"deliveries": 12}), "13 things do not fit on 12 roads"),
         (City(np.zeros((65, 2), np.uint8)), "width and height must be 2 to 64, got (2, 65)"),
         (City(GRID, numbers={"max_steps": 0}), "max_steps must be 1 to 32000, got 0"),
     ],

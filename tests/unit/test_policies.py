@@ -128,24 +128,7 @@ def test_every_command_takes_them(mine: Any, tmp_path: Path, capsys: pytest.Capt
     assert main(["analyse-flight", "--task", "easy", "--agent", name, "--seed", "14"]) == 0
     assert name in capsys.readouterr().out
     assert main(["compare", name, "random", "--task", "easy", "--episodes", "5"]) == 0
-    assert (
-        main(
-            [
-                "dataset",
-                "--out",
-                "rows",
-                "--formats",
-                "parquet",
-                "--agents",
-                name,
-                "--maps",
-                "2",
-                "--formats",
-                "parquet",
-            ]
-        )
-        == 0
-    )
+    assert main(["dataset", "--out", "rows", "--agents", name, "--maps", "2", "--formats", "parquet"]) == 0
     assert main(["evaluate", "--agents", name, "my_policies:Chaser", "--seeds", "3:5", "--out", "kept"]) == 0
     assert f"{name} " in capsys.readouterr().out
 

@@ -8,11 +8,13 @@ import pytest
 
 from drone_env.core.cells import Cell
 from drone_env.core.grid_generator import generate_city_map
+from drone_env.core.seeds import SPLITS
 from drone_env.core.tables import tabulate
-from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.core.terrain import Terrain
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.terrain import Terrain, terrain_text
 from drone_env.errors import InvalidTaskError
 from drone_env.planning.optimal import solve
+from tools.city_data import FOLDER, city_data
 
 R, B, T, X, P = (int(kind) for kind in (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.PAD))
 # The last column lies behind obstacles.
@@ -20,7 +22,7 @@ CELLS = bytes([R, R, B, X, R, R, T, R, X, R, R, R, R, X, R])
 ROADS = {(0, 0), (1, 0), (0, 1), (2, 1), (0, 2), (1, 2), (2, 2)}
 
 
-def task(cells: bytes = CELLS, start: Any = None, parcels: Any = (), **numbers: Any) -> TaskConfig:
+def task(cells: bytes = CELLS, start: Any = None, parcels: Any = (), columns: int = 5, **numbers: Any) -> TaskConfig:
     counts = dict(zip(("buildings", "trees", "obstacles", "pads"), map(cells.count, (B, T, X, P)), strict=True))
     given = {
         "width": 5,
@@ -31,7 +33,7 @@ def task(cells: bytes = CELLS, start: Any = None, parcels: Any = (), **numbers: 
         "charge_rate": 3,
         **numbers,
     }
-    return replace(TASKS["easy_delivery"], **given, terrain=Terrain(cells, start, parcels))
+    return replace(TASKS["easy_delivery"], **given, terrain=Terrain(cells, columns, start, parcels))
 
 
 def test_the_terrain_of_every_map_is_the_given_one_and_the_seed_draws_the_rest() -> None:
@@ -71,10 +73,35 @@ def test_what_is_fixed_stays() -> None:
     assert {generate_city_map(task(start=(1, 0)), seed).start for seed in range(20)} == {(1, 0)}
 
 
-def test_pads_of_the_terrain_stay_and_no_others_are_drawn() -> None:
+def test_pads_of_the_terrain_stay_and_as_many_are_drawn_as_are_wanted_beside() -> None:
     cells = CELLS[:1] + bytes([P]) + CELLS[2:]
     for seed in range(20):
         assert np.argwhere(generate_city_map(task(cells), seed).grid == P).tolist() == [[0, 1]]
+        beside = generate_city_map(task(cells, pads=3), seed).grid == P
+        assert beside[0, 1]
+        assert beside.sum() == 3
+
+
+def test_each_map_of_a_larger_terrain_is_a_window_and_those_of_two_splits_share_no_cell() -> None:
+    own = {"train": (T, 0, 40), "validation": (B, 40, 52), "test": (X, 52, 64)}
+    city = np.zeros((5, 64), np.uint8)
+    for kind, first, end in own.values():
+        city[0, first:end] = kind
+    city[4, ::7] = P
+    config = task(city.tobytes(), columns=64, width=4, height=4, pads=2)
+    lying = Terrain(city.tobytes(), 64).corners(4, 4)
+    for split, (kind, first, end) in own.items():
+        assert [min(lying[split]), max(lying[split])] == [(first, 0), (end - 4, 1)]
+        start, stop = SPLITS[split]
+        maps = [generate_city_map(config, seed).grid for seed in (*range(start, start + 50), stop - 1)]
+        assert {int(n) for n in np.unique(maps)} == {R, P, kind, int(Cell.DELIVERY)}
+        assert {int((grid == P).sum()) for grid in maps} == {2}
+        # Windows with and without the upper row.
+        assert len({(grid[0] == kind).all() for grid in maps}) == 2
+    standing = Terrain(city.T.tobytes(), 5).corners(4, 4)
+    assert {split: sorted((y, x) for x, y in corners) for split, corners in standing.items()} == {
+        split: sorted(corners) for split, corners in lying.items()
+    }
 
 
 def test_the_best_flight_goes_round_obstacles() -> None:
@@ -88,18 +115,18 @@ def test_the_terrain_is_part_of_what_the_task_is() -> None:
     assert first.rules()["terrain"] != second.rules()["terrain"]
     assert task(start=(0, 0)).rules()["terrain"] != first.rules()["terrain"]
     assert tabulate(first).key != tabulate(second).key
-    assert all("terrain" not in other.rules() for other in TASKS.values())
+    assert {"terrain" in other.rules() for other in TASKS.values() if other.terrain is None} == {False}
     assert {first: 1}[task()] == 1
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"cells": CELLS[1:]}, "terrain must be 5 x 3 cells, got 14"),
+        ({"cells": CELLS[1:]}, "terrain must be rows of 5 cells, got 14 cells"),
         ({"cells": bytes([4]) + CELLS[1:]}, "terrain may hold ['ROAD', 'BUILDING', 'TREE', 'OBSTACLE', 'PAD']"),
-        ({"trees": 0}, "must be those of the terrain: {'building': 1, 'tree': 1, 'obstacle': 3, 'pad': 0}"),
-        ({"cells": CELLS[:-1] + bytes([P]), "pads": 2}, "must be those of the terrain"),
-        ({"width": 6, "street_spacing": 3, "cells": CELLS + bytes(3)}, "street_spacing must be 0"),
+        ({"trees": 0}, "must be those of the terrain: {'building': 1, 'tree': 1, 'obstacle': 3}"),
+        ({"cells": CELLS[:-1] + bytes([P]), "pads": 0}, "pads must be at least the 1 of the terrain, got 0"),
+        ({"height": 6, "width": 6, "street_spacing": 3}, "street_spacing must be 0"),
         ({"parcels": ((0, 0),)}, "deliveries must be the 1 parcels of the terrain, got 2"),
         ({"start": (5, 0)}, "start and parcels must be different cells, got [(5, 0)]"),
         ({"start": (0, -1)}, "start and parcels must be different cells"),
@@ -109,9 +136,23 @@ def test_the_terrain_is_part_of_what_the_task_is() -> None:
         ({"start": (3, 0)}, "[(3, 0)] are not"),
         ({"deliveries": 7}, "8 things do not fit on 7 roads that can be reached"),
         ({"deliveries": 4, "pads": 3}, "8 things do not fit on 7 roads"),
+        ({"width": 2, "pads": 1}, "terrain of 5 x 3 cells must be three times as wide or high as a map"),
+        ({"width": 2, "height": 4, "cells": CELLS * 2}, "terrain of 5 x 6 cells must be three times"),
+        ({"height": 2, "cells": CELLS * 2}, "pads must be at least 1 where each map is a window of the terrain, got 0"),
+        ({"height": 2, "cells": CELLS * 2, "start": (0, 0)}, "cannot be fixed where each map is a window"),
+        ({"height": 2, "cells": CELLS * 2, "deliveries": 6, "pads": 1}, ", in any window of train"),
     ],
 )
 def test_what_does_not_fit_is_refused(change: dict[str, Any], said: str) -> None:
     with pytest.raises(InvalidTaskError) as raised:
-        task(**change)
+        _ = task(**change).windows
     assert said in str(raised.value)
+
+
+def test_the_shipped_cities_are_what_the_importer_makes_of_the_extract() -> None:
+    for name, text in city_data().items():
+        assert (FOLDER / f"{name}.txt").read_text("utf-8") == text
+    city = get_task("city").terrain
+    assert city is not None
+    assert (city.attribution, city.width) == ("© OpenStreetMap contributors, ODbL-1.0", 64)
+    assert terrain_text(city.grid(), city.attribution) == city_data()["helsinki_16"]
