@@ -33,7 +33,7 @@ from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_wa
 
 WAIT = int(Action.WAIT)
 MAX_BETWEEN_PADS = 32 << 30
-"""What a map may take: sets delivered, times pads, stops, battery units and steps. Each is about a nanosecond."""
+"""What a map may take: sets delivered, times pads, stops, battery units and steps. A billion take a second or less."""
 CHUNK = 64
 """States that are looked at at a time: between two chunks other threads go on."""
 
@@ -294,6 +294,26 @@ def clock(task: TaskConfig, battery: Any, left: Any) -> tuple[Any, Any]:
     return (battery, left) if counts_units(task) else (1, np.minimum(battery, left))
 
 
+def require_room(task: TaskConfig, parcels: int, pads: int, units: int, steps: int) -> int:
+    """How many rows of ranks a map takes.
+
+    Raises:
+        TooLargeError: if they would take more memory than `map_graph.MAX_BYTES`, or the ways between many pads more
+            comparisons than `MAX_BETWEEN_PADS`. Both are counted before the work begins.
+    """
+    rows = (parcels + 1 + (parcels << parcels - 1) + (pads << parcels)) * (units + 1)
+    require_memory("the exact values", task, 2 * rows * (steps + 1))
+    between_pads = pads * (parcels + pads) * units * steps << parcels
+    if between_pads > MAX_BETWEEN_PADS:
+        raise TooLargeError(
+            f"the exact values of a map of {task.id!r} with {pads} pads would take {between_pads / 1e9:.0f} billion "
+            f"comparisons; {MAX_BETWEEN_PADS / 1e9:.0f} billion are allowed"
+        )
+    _, ranked = ranked_scores(task)
+    require_memory("the exact values", task, ranked.itemsize * rows * (steps + 1))
+    return rows
+
+
 def make_legs(
     task: TaskConfig, ground: npt.NDArray[np.uint8], parcels: Sequence[int], done: int, battery: int, left: int
 ) -> Legs:
@@ -309,8 +329,7 @@ def make_legs(
 
     Raises:
         UnsupportedTaskError: if `covers` says no.
-        TooLargeError: if the ranks would take more memory than `map_graph.MAX_BYTES`, or the ways between many pads
-            more comparisons than `MAX_BETWEEN_PADS`. Both are counted before the work begins.
+        TooLargeError: as `require_room`.
     """
     if not covers(task):
         raise UnsupportedTaskError(
@@ -320,16 +339,8 @@ def make_legs(
     pads = np.flatnonzero(ground == PAD_CELL) if counts and task.charge_rate else np.zeros(0, np.int64)
     stops = np.concatenate([np.array(parcels, np.int64), pads])
     units, steps = (task.battery_capacity, left) if counts else clock(task, battery, left)
-    rows = (n + 1 + (n << n - 1) + (len(stops) - n << n)) * (units + 1)
-    require_memory("the exact values", task, 2 * rows * (steps + 1))
+    rows = require_room(task, n, len(pads), units, steps)
     _, ranked = ranked_scores(task)
-    require_memory("the exact values", task, ranked.itemsize * rows * (steps + 1))
-    between_pads = (len(stops) - n) * len(stops) * units * steps << n
-    if between_pads > MAX_BETWEEN_PADS:
-        raise TooLargeError(
-            f"the exact values of a map of {task.id!r} with {len(stops) - n} pads would take {between_pads / 1e9:.0f} "
-            f"billion comparisons; {MAX_BETWEEN_PADS / 1e9:.0f} billion are allowed"
-        )
     ranks = np.zeros((rows, steps + 1), ranked.dtype)
     ends = np.reshape(ranks[: (n + 1) * (units + 1)], (n + 1, units + 1, steps + 1))
     later = np.arange(steps + 1)
