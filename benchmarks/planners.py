@@ -123,19 +123,19 @@ def row_of_city(file: str, parcels: int, pads: int, battery: int | None, maps: i
         print(f"{parcels} parcels, {pads} pads: {error}")
         return [str(parcels), str(pads), *"-----", *bounded]
     places = places_of(episodes[0])
-    whole = [cpu_seconds(lambda: solver.q_values_of(places.grids, places.states)) for _ in range(2)][-1]
     one = milliseconds(solver.q_values, episodes[:1] * 20)
+    whole = cpu_seconds(solver.q_values_of, places.grids, places.states)
     size = solver.nbytes / 1e6
-    del solver  # another one may take as much
-    taken = [cpu_seconds(lambda: LegSolver(episode)) for episode in episodes[: few if size > 300 else maps]]
+    solver = None  # another one may take as much
+    taken = [cpu_seconds(LegSolver, episode) for episode in episodes[: few if size > 300 else maps]]
     figures = (f"{median(taken):.2f}", f"{max(taken):.2f}", f"{size:.0f}", f"{one:.1f}", f"{whole:.1f}")
     return [str(parcels), str(pads), *figures, *bounded]
 
 
-def cpu_seconds(run: Callable[[], object]) -> float:
+def cpu_seconds(run: Callable[..., object], *arguments: object) -> float:
     """CPU time of one call."""
     began = time.process_time()
-    run()
+    run(*arguments)
     return time.process_time() - began
 
 
