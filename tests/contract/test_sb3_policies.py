@@ -19,7 +19,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rollout import choices, rollout
 from drone_env.core.tasks import get_task
 from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
-from drone_env.errors import CheckpointError, InvalidValueError
+from drone_env.errors import CheckpointError, InvalidValueError, UnknownNameError
 from drone_env.evaluation.episodes import episodes_key, repeats_of, run_episodes
 
 MAPS = range(100, 116)
