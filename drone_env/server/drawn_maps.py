@@ -3,6 +3,7 @@
 import logging
 import re
 import threading
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -19,6 +20,10 @@ NAME = re.compile("(?:drone_env.graders:grade_)?(drawn_[0-9a-f]{12})")
 def name_of(content: bytes) -> str:
     """The name of a map, which its file decides: whoever draws the same gets the same."""
     return f"drawn_{sha256(content).hexdigest()[:12]}"
+
+
+def _task_of(city: City, name: str) -> TaskConfig:
+    return replace(task_of(city, name), family="drawn")
 
 
 class DrawnMaps:
@@ -50,7 +55,7 @@ class DrawnMaps:
             known = self.find(name)
             if known is not None:
                 return known
-            task = task_of(city, name)
+            task = _task_of(city, name)
             if len(list(self._folder.glob("drawn_*.toml"))) >= self._most:
                 message = f"this server keeps {self._most} drawn maps, and has as many: save yours as a file"
                 raise CapacityError(message)
@@ -80,7 +85,7 @@ class DrawnMaps:
             except OSError as error:
                 raise StoreError(f"the map {name!r} could not be read: {error.strerror}") from error
             try:
-                task = task_of(parse_city(content), name) if name_of(content) == name else None
+                task = _task_of(parse_city(content), name) if name_of(content) == name else None
             except InvalidTaskError:
                 task = None
             if task is None:

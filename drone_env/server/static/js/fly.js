@@ -61,7 +61,10 @@ export function mountFly(root, context) {
   mountKeys(context, fleet, acts, help);
   document.getElementById("help-button").addEventListener("click", help);
   mountMapValues(context);
-  listenToDrops((file) => openFile(() => past.openFile(file)));
+  listenToDrops((file) => {
+    if (!file.name.endsWith(".toml")) openFile(() => past.openFile(file));
+    else import("./editor.js").then(({ openMap }) => openMap(file, context)).catch(({ message }) => toast(message));
+  });
 
   /** Shows flights of the past: the live ones rest. @returns {Promise<boolean>} Whether they are there. */
   async function open(flights) {
@@ -139,6 +142,8 @@ export function mountFly(root, context) {
   }
 
   async function fly(address) {
+    const unknown = address.task && !fleet.task(address.task);
+    if (unknown && !((await open(() => context.meet(address.task))) && context.router.address === address)) return;
     const asked = greets() ? greeted() : fleet.asks(address);
     const flown = fleet.tracks.length > 0 && (greets() ? waits() : says(asked, fleet.setup));
     if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
