@@ -45,7 +45,7 @@ class Terrain:
         attribution: Whose data it is, which whoever shows it has to say. It names no rule.
     """
 
-    cells: bytes
+    cells: bytes = field(repr=False)
     width: int
     start: XY | None = None
     parcels: tuple[XY, ...] = ()
