@@ -46,7 +46,8 @@ def picture(task: TaskConfig) -> None:
 
 INTRODUCTION = """# Tasks
 
-Written by `tools/docs_generate.py` from `TASKS` (`drone_env/core/tasks.py`). [rules.md](rules.md) says what the
+Written by `tools/docs_generate.py` from `TASKS` (`drone_env/core/tasks.py`); those over real places
+are told in [cities.md](cities.md). [rules.md](rules.md) says what the
 numbers mean. The pictures show a best flight over the first test map; the figures are means over the first 1,000 test
 maps.
 
@@ -64,7 +65,7 @@ best of 8 and of 64 of its plans.
 def write_tasks() -> None:
     """Write docs/tasks.md with its pictures, and the table of README.md."""
     parts = [INTRODUCTION]
-    for task in TASKS.values():
+    for task in (one for one in TASKS.values() if one.terrain is None):
         picture(task)
         shown = f"![A best flight on {task.id}](images/{task.id}.png)"
         parts.append(f"## {task.id}\n\n{shown}\n\n{between(task.id, numbers(task))}\n\n{table_of(task)}\n")

@@ -75,6 +75,8 @@ def numbers(task: TaskConfig) -> str:
     drain = ", ".join(f"{units} above a {CELL_KINDS[kind].name}" for kind, units in task.drain)
     blocked = ", ".join(sorted(CELL_KINDS[kind].name for kind in task.impassable)) or "nothing"
     streets = f"every {task.street_spacing} cells" if task.street_spacing else "none: everything lies anywhere"
+    if task.terrain:
+        streets = f"those of the terrain, {task.terrain.width} x {task.terrain.height} cells"
     charging = f"{task.pads} pads, {task.charge_rate} units a WAIT" if task.pads else "none"
     counts = "always" if not task.efficiency_needs_all else "only when everything is delivered"
     events = (e.name.lower() for e in Event if e not in SPECIAL)
@@ -124,7 +126,7 @@ def described(rule: Rule) -> str:
 
 def tables() -> dict[tuple[str, str], str]:
     """Every table, by its page and its name."""
-    of_tasks = {("tasks.md", task.id): numbers(task) for task in TASKS.values()}
+    of_tasks = {("cities.md" if task.terrain else "tasks.md", task.id): numbers(task) for task in TASKS.values()}
     return {
         ("rules.md", "kinds"): kinds(),
         ("cities.md", "layers"): of_cities(),

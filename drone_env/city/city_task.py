@@ -1,21 +1,16 @@
 """A city as a task: its terrain is that of every map."""
 
 from pathlib import Path
-from typing import Any
 
 from drone_env.city.city_file import City, read_city
 from drone_env.core.cells import Cell
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import TaskConfig, task_on
 from drone_env.core.terrain import Terrain
 from drone_env.errors import InvalidTaskError
 
 DELIVERIES = 5
 PADS = 4
 CHARGE_RATE = 5
-PAYS: dict[str, Any] = {"r_delivery": 0.85} | dict.fromkeys(
-    ("r_battery_dead", "r_wall", "r_blocked", "r_obstacle", "r_building", "r_tree", "r_wait", "r_step"), 0.25
-)
-"""What events pay by the profiles that ask the task, as on the largest tasks of the package."""
 
 
 def task_of(city: City, name: str) -> TaskConfig:
@@ -34,9 +29,8 @@ def task_of(city: City, name: str) -> TaskConfig:
     """
     rows, columns = city.grid.shape
     width, height = city.numbers.get("width", columns), city.numbers.get("height", rows)
-    cells = city.grid.tobytes()
-    count = {kind: cells.count(kind) for kind in Cell}
-    pads = city.numbers.get("pads", count[Cell.PAD] if (width, height) == (columns, rows) else PADS)
+    terrain = Terrain(city.grid.tobytes(), columns, city.start, city.parcels, city.attribution)
+    pads = city.numbers.get("pads", terrain.count(Cell.PAD) if (width, height) == (columns, rows) else PADS)
     max_steps = 5 * (width + height)
     numbers = {
         "deliveries": len(city.parcels) or DELIVERIES,
@@ -48,21 +42,7 @@ def task_of(city: City, name: str) -> TaskConfig:
         "height": height,
         "pads": pads,
     }
-    task = TaskConfig(
-        id=name,
-        short_name=name,
-        grader=f"drone_env.graders:grade_{name}",
-        buildings=count[Cell.BUILDING],
-        trees=count[Cell.TREE],
-        obstacles=count[Cell.OBSTACLE],
-        drain=((Cell.BUILDING, 3), (Cell.TREE, 2)),
-        impassable=frozenset({Cell.OBSTACLE}),
-        efficiency_needs_all=True,
-        family="place",
-        terrain=Terrain(cells, columns, city.start, city.parcels, city.attribution),
-        **numbers,
-        **PAYS,
-    )
+    task = task_on(terrain, name, **numbers)
     _ = task.windows  # what does not fit is refused here
     return task
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from drone_env.core.actions import Event
 from drone_env.core.cells import Cell
-from drone_env.core.terrain import PLACED, XY, Terrain, Window
+from drone_env.core.terrain import PLACED, Terrain, Window, shipped_terrain
 from drone_env.errors import InvalidTaskError, UnknownNameError, WithdrawnError
 
 MAX_SIDE = 64
@@ -178,7 +178,9 @@ class TaskConfig:
         if terrain is None:
             return {}
         corners = terrain.corners(self.width, self.height)
-        at = {corner: self._window(terrain, corner) for corner in dict.fromkeys(chain.from_iterable(corners.values()))}
+        all_corners = list(dict.fromkeys(chain.from_iterable(corners.values())))
+        windows = terrain.windows(all_corners, self.width, self.height, self.impassable)
+        at = dict(zip(all_corners, windows, strict=True))
         # Only where there is one window.
         apart = [(x, y) for x, y in terrain.fixed if y * self.width + x not in at[0, 0].drawn]
         if apart:
@@ -190,19 +192,14 @@ class TaskConfig:
 
         found: dict[str, list[Window]] = {}
         for split, here in corners.items():
-            windows = [at[corner] for corner in here]
-            found[split] = [one for one in windows if one.pads <= self.pads and needed(one) <= len(one.drawn)]
+            own = [at[corner] for corner in here]
+            found[split] = [one for one in own if one.pads <= self.pads and needed(one) <= len(one.drawn)]
             if not found[split]:
-                best = max(windows, key=lambda one: len(one.drawn))
+                best = max(own, key=lambda one: len(one.drawn))
                 anywhere = f", in any window of {split}" if len(at) > 1 else ""
                 room = f"{len(best.drawn)} roads that can be reached from each other{anywhere}"
                 raise InvalidTaskError(f"task {self.id!r}: {needed(best)} things do not fit on {room}")
         return found
-
-    def _window(self, terrain: Terrain, corner: XY) -> Window:
-        x, y = corner
-        grid = terrain.grid()[y : y + self.height, x : x + self.width]
-        return Window(grid.tobytes(), terrain.drawn_cells(grid, self.impassable), int((grid == Cell.PAD).sum()))
 
     def _check_streets(self, require: Callable[[bool, str], None]) -> None:
         spacing = self.street_spacing
@@ -288,7 +285,7 @@ def _standard(
         max_steps=steps,
         battery_capacity=steps,
         **rewards,
-        family="city",
+        family="standard",
     )
 
 
@@ -321,6 +318,33 @@ def _skyline(
     )
 
 
+def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
+    """A task over the terrain of a place: what flying costs is as in skyline.
+
+    Args:
+        terrain: The terrain.
+        name: Id and short name of the task.
+        numbers: `width`, `height`, `deliveries`, `pads`, `max_steps`, `battery_capacity`, `charge_rate`.
+
+    Raises:
+        InvalidTaskError: if they do not fit.
+    """
+    return replace(
+        _skyline("city", 4, (0, 0, 0), 0, 1, battery=1, steps=1, charge=0, r_delivery=0.85, r_other=0.25),
+        id=name,
+        short_name=name,
+        grader=f"drone_env.graders:grade_{name}",
+        version=1,
+        family="city",
+        street_spacing=0,
+        buildings=terrain.count(Cell.BUILDING),
+        trees=terrain.count(Cell.TREE),
+        obstacles=terrain.count(Cell.OBSTACLE),
+        terrain=terrain,
+        **numbers,
+    )
+
+
 TASKS: dict[str, TaskConfig] = {
     task.id: task
     for task in (
@@ -333,6 +357,28 @@ TASKS: dict[str, TaskConfig] = {
         ),
         _skyline(
             "hard", 16, (80, 24, 14), 5, deliveries=5, battery=26, steps=160, charge=5, r_delivery=0.85, r_other=0.25
+        ),
+        task_on(
+            shipped_terrain("helsinki_8"),
+            "city_small",
+            width=16,
+            height=16,
+            deliveries=4,
+            pads=5,
+            max_steps=160,
+            battery_capacity=26,
+            charge_rate=5,
+        ),
+        task_on(
+            shipped_terrain("helsinki_16"),
+            "city",
+            width=64,
+            height=64,
+            deliveries=5,
+            pads=8,
+            max_steps=640,
+            battery_capacity=80,
+            charge_rate=8,
         ),
     )
 }

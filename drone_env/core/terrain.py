@@ -1,8 +1,9 @@
 """Terrain that is the same on every map of a task, or of which each map is a window."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from hashlib import sha256
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,9 @@ from drone_env.core.seeds import SPLITS
 XY = tuple[int, int]
 PLACED = (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.PAD)
 """What a cell of terrain can be."""
+LETTERS = dict(zip(b".BTXP", PLACED, strict=True))
+"""What stands for each kind in the files of `cities`."""
+KIND_OF_LETTER = bytes(LETTERS.get(letter, letter) for letter in range(256))
 MOST_ALONG = 32
 """Windows along a side, about: what maps are drawn from grows with their number."""
 
@@ -41,7 +45,7 @@ class Terrain:
         attribution: Whose data it is, which whoever shows it has to say. It names no rule.
     """
 
-    cells: bytes
+    cells: bytes = field(repr=False)
     width: int
     start: XY | None = None
     parcels: tuple[XY, ...] = ()
@@ -51,6 +55,10 @@ class Terrain:
     def height(self) -> int:
         """Rows."""
         return len(self.cells) // self.width
+
+    def count(self, kind: Cell) -> int:
+        """How many cells of a kind there are."""
+        return self.cells.count(kind)
 
     @property
     def fixed(self) -> list[XY]:
@@ -90,23 +98,45 @@ class Terrain:
             corners[split] = [(x, y) for y in rows for x in columns]
         return corners
 
-    def drawn_cells(self, grid: npt.NDArray[np.uint8], closed: Collection[Cell]) -> list[int]:
-        """The numbers of the cells that start, parcels and pads are drawn from: roads that reach each other.
-
-        They are those of the piece of the fixed start or the first fixed parcel, else of the piece with most roads.
+    def windows(self, corners: Iterable[XY], width: int, height: int, closed: Collection[Cell]) -> list[Window]:
+        """The windows with these top left cells.
 
         Args:
-            grid: The terrain, or a window of it.
+            corners: The cells.
+            width: Of a window.
+            height: Of a window.
             closed: The kinds that the drone cannot enter.
         """
-        piece = pieces(np.isin(grid, list(closed)))
+        city = self.grid()
+        grids = np.stack([city[y : y + height, x : x + width] for x, y in corners])
+        reached = pieces(np.isin(grids, list(closed)))
+        return [
+            Window(grid.tobytes(), self._drawn(grid, piece), int((grid == Cell.PAD).sum()))
+            for grid, piece in zip(grids, reached, strict=True)
+        ]
+
+    def _drawn(self, grid: npt.NDArray[np.uint8], piece: npt.NDArray[np.int64]) -> list[int]:
+        """The roads of the piece of the fixed start or the first fixed parcel, else of the piece with most of them."""
         roads = np.where(grid == Cell.ROAD, piece, 0)
+        numbers, counts = np.unique(roads[roads > 0], return_counts=True)
         if self.fixed:
             x, y = self.fixed[0]
-            number = int(piece[y, x])
+            number = piece[y, x]
         else:
-            number = 1 + int(np.bincount(roads.ravel(), minlength=2)[1:].argmax())
-        return np.flatnonzero((roads == number).ravel() & (grid == Cell.ROAD).ravel()).tolist()
+            number = numbers[counts.argmax()] if len(numbers) else 0
+        return np.flatnonzero(roads == number).tolist() if number else []
+
+
+def shipped_terrain(name: str) -> Terrain:
+    """The terrain in a file of `cities`: whose data it is in the first line, then a row of letters in each."""
+    attribution, *rows = (Path(__file__).with_name("cities") / f"{name}.txt").read_text("utf-8").split("\n")
+    return Terrain("".join(rows).encode().translate(KIND_OF_LETTER), len(rows[0]), attribution=attribution)
+
+
+def terrain_text(grid: npt.NDArray[np.uint8], attribution: str) -> str:
+    """What such a file holds."""
+    letters = {kind: chr(letter) for letter, kind in LETTERS.items()}
+    return "\n".join([attribution, *("".join(map(letters.__getitem__, row)) for row in grid.tolist()), ""])
 
 
 def _along(area: tuple[int, int], side: int) -> range:
@@ -116,24 +146,30 @@ def _along(area: tuple[int, int], side: int) -> range:
 
 
 def pieces(closed: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
-    """int64[height, width]: which piece each cell belongs to, from 1; 0 for a closed cell.
+    """Which piece each cell belongs to.
 
     A drone gets from each cell of a piece to each other without entering a closed cell, and to no other piece.
+
+    Args:
+        closed: bool[..., height, width], one grid or more.
+
+    Returns:
+        int64[..., height, width], numbers above 0 that no two pieces share; 0 for a closed cell.
     """
-    walled = np.pad(closed, 1, constant_values=True)
-    width = walled.shape[1]
-    piece: list[int] = np.where(walled, 0, -1).ravel().tolist()
-    found = 0
-    for start in np.flatnonzero(~walled).tolist():
-        if piece[start] > 0:
-            continue
-        found += 1
-        piece[start] = found
-        pending = [start]
-        while pending:
-            at = pending.pop()
-            for to in (at - width, at - 1, at + 1, at + width):
-                if piece[to] < 0:
-                    piece[to] = found
-                    pending.append(to)
-    return np.reshape(np.array(piece), walled.shape)[1:-1, 1:-1]
+    begins = ~closed
+    begins[..., 1:] &= closed[..., :-1]
+    # The cells between two closed ones in a row are numbered alike; then those join that touch from row to row.
+    runs = np.where(closed, 0, np.reshape(begins.cumsum(), closed.shape))
+    above, below = runs[..., :-1, :], runs[..., 1:, :]
+    touch = (above > 0) & (below > 0)
+    parent = list(range(runs.max(initial=0) + 1))
+
+    def root(run: int) -> int:
+        while parent[run] != run:
+            parent[run] = run = parent[parent[run]]
+        return run
+
+    touching = np.unique(above[touch] * len(parent) + below[touch])
+    for one, other in zip(*(side.tolist() for side in np.divmod(touching, len(parent))), strict=True):
+        parent[root(one)] = root(other)
+    return np.array([root(run) for run in parent])[runs]

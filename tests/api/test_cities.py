@@ -31,7 +31,7 @@ def station(tmp_path: Path) -> Iterator[str]:
 
 def test_a_city_is_flown_over_http_and_on_the_page(station: str, client: TestClient) -> None:
     listed = next(task for task in client.get("/tasks").json()["tasks"] if task["id"] == station)
-    assert (listed["width"], listed["family"]) == (20, "place")
+    assert (listed["width"], listed["family"]) == (20, "city")
     assert listed["attribution"] == "© OpenStreetMap contributors"
     reset = client.post("/reset", json={"task_name": station, "seed": 7}).json()
     session = {"X-Session-Id": reset["session_id"]}

@@ -16,6 +16,7 @@ from drone_env.llm.messages import with_pictures
 from drone_env.llm.prompt import FOLDER, Prompt, first_messages, get_prompt, prompt_ids, read_prompt, untold
 from drone_env.planning.optimal import solve
 from drone_env.planning.solvers import solver_of
+from tests.which_tasks import DRAWN, SMALL
 
 from .prompt_reader import NotToldError, Told, read_text
 
@@ -61,7 +62,7 @@ def told_by(prompt: Prompt, episode: Episode) -> Told:
     return read_text(with_pictures(first_messages(prompt, episode))[0])
 
 
-@pytest.mark.parametrize("task", [*TASKS.values(), *ODD], ids=lambda task: task.short_name)
+@pytest.mark.parametrize("task", [*DRAWN.values(), *ODD], ids=lambda task: task.short_name)
 @pytest.mark.parametrize("prompt", TEXTS, ids=lambda prompt: prompt.id)
 def test_every_number_and_rule_of_a_task_is_read_from_the_prompt_alone(prompt: Prompt, task: TaskConfig) -> None:
     episode = Episode(task)
@@ -99,14 +100,14 @@ def flown_by_reading(prompt: Prompt, task: str, seed: int) -> float:
     return episode.score
 
 
-@pytest.mark.parametrize("task", [task.short_name for task in TASKS.values()])
+@pytest.mark.parametrize("task", [task.short_name for task in SMALL.values()])
 @pytest.mark.parametrize("prompt", TEXTS, ids=lambda prompt: prompt.id)
 def test_who_sees_nothing_but_the_text_flies_the_optimum(prompt: Prompt, task: str) -> None:
     for seed in split_seeds("test", 2):
         assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
 
 
-@pytest.mark.parametrize("task", [task.short_name for task in TASKS.values()])
+@pytest.mark.parametrize("task", [task.short_name for task in DRAWN.values()])
 def test_the_map_can_be_rebuilt_from_its_picture(task: str) -> None:
     seed = split_seeds("test", 1)[0]
     prompt, episode, actions = get_prompt("vision"), Episode(task, seed=seed), solve(task, seed).actions
@@ -120,7 +121,7 @@ def test_the_map_can_be_rebuilt_from_its_picture(task: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("task", [task.short_name for task in TASKS.values()])
+@pytest.mark.parametrize("task", [task.short_name for task in DRAWN.values()])
 @pytest.mark.parametrize("prompt", TOLD, ids=lambda prompt: prompt.id)
 def test_who_sees_nothing_but_the_prompt_flies_the_optimum_of_many_maps(prompt: Prompt, task: str) -> None:
     for seed in split_seeds("test", 100 if prompt.id in SHORT else 2 if prompt.picture else 20):

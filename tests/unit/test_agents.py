@@ -16,9 +16,10 @@ from drone_env.agents.tournet import SHIPPED
 from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import CheckpointError, InvalidValueError, UnknownNameError, UnsupportedTaskError
 from drone_env.planning.optimal import solve
+from tests.which_tasks import SMALL
 
 
 def flies(name: str, task: TaskConfig) -> bool:
@@ -28,7 +29,7 @@ def flies(name: str, task: TaskConfig) -> bool:
     return not name.startswith("tournet") or SHIPPED.is_file()
 
 
-PAIRS = [(name, task) for name in AGENTS for task in TASKS.values() if flies(name, task)]
+PAIRS = [(name, task) for name in AGENTS for task in SMALL.values() if flies(name, task)]
 """Agents with the tasks that they can fly."""
 FEWER = {"pathqnet": 9, "tournet": 5, "tournet-search": 4, "tournet-search-64": 2}
 """How many maps those fly that take their time."""
@@ -78,7 +79,7 @@ def test_greedy_flies_straight_to_the_current_target() -> None:
         assert episode.deliveries_done > done or episode.distance_to_target == far - 1
 
 
-@pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+@pytest.mark.parametrize("task", SMALL.values(), ids=SMALL)
 def test_the_optimal_agent_scores_the_optimum(task: TaskConfig) -> None:
     for seed in range(100 if task.uniform else 15):
         assert fly("optimal", task, seed).score == solve(task, seed).score

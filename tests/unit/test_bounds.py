@@ -10,12 +10,13 @@ from drone_env.agents import make_agent
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import TooLargeError
 from drone_env.planning.bounds import bounds
 from drone_env.planning.optimal import solve
 from tests.toy import fly, toy_episode
 from tests.unit.test_audit import tiny_task
+from tests.which_tasks import SMALL
 
 LINE = ["0..1.@...2", ".........."]
 """The nearest first: 2 + 3 + 9 steps. Best: 4 + 6 + 3."""
@@ -93,7 +94,7 @@ def test_from_the_middle_of_a_flight_and_after_its_end() -> None:
     assert bounds(dead) == (dead.score, dead.score)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", SMALL)
 def test_the_optimum_lies_between_its_bounds(task: str) -> None:
     for seed in split_seeds("test", 5):
         episode = started(task, seed)

@@ -71,7 +71,14 @@ def test_the_symbols_are_those_of_the_map_as_text() -> None:
 
 def test_pieces_go_round_obstacles_and_not_across_corners() -> None:
     grid = np.array([[0, 3, 0], [1, 2, 3], [3, 8, 0]], np.uint8)
-    assert pieces(grid == Cell.OBSTACLE).tolist() == [[1, 0, 2], [1, 1, 0], [0, 1, 1]]
+    (a, _, b), *_ = piece = pieces(grid == Cell.OBSTACLE).tolist()
+    assert piece == [[a, 0, b], [a, a, 0], [0, a, a]]
+    assert 0 < min(a, b) < max(a, b)
+    # Pieces that meet only further down are one, and those of two grids are not.
+    comb = np.array([[0, 3, 0], [0, 3, 0], [0, 0, 0]])
+    one, other = pieces(np.stack([comb, comb]) == Cell.OBSTACLE)
+    assert len(np.unique(one[comb == 0])) == len(np.unique(other[comb == 0])) == 1
+    assert one[0, 0] != other[0, 0]
 
 
 @pytest.mark.parametrize(
@@ -118,7 +125,7 @@ def test_pieces_go_round_obstacles_and_not_across_corners() -> None:
         (f"format = 1\nparcels = [[2, 0], [2, 2]]\n{ROWS}", "parcel 1 [2, 2] cannot be reached from parcel 0 [2, 0]"),
         (f"format = 1\nparcels = {[[0, 0]] * 17}\n{ROWS}", "at most 16 parcels, got 17"),
         (f"format = 1\ntask = 1\n{ROWS}", "[task] must be a table, got 1"),
-        (f"format = 1\n[task]\nwidth = 1\n{ROWS}", "unknown number 'width' in [task]; allowed: deliveries, max_steps"),
+        (f"format = 1\n[task]\nwide = 1\n{ROWS}", "unknown number 'wide' in [task]; allowed: width, height"),
         (f"format = 1\n[task]\npads = 1.0\n{ROWS}", "pads must be an integer, got 1.0"),
         ("format = ", "not TOML that can be read"),
         ("x = " + "[" * 9999, "not TOML that can be read"),

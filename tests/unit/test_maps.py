@@ -30,7 +30,9 @@ def chi_square(counts: "np.ndarray[Any, Any]") -> float:
 
 
 class TestContents:
-    @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
+    @pytest.mark.parametrize(
+        "task", [task for task in TASKS.values() if task.terrain is None], ids=lambda task: task.id
+    )
     def test_right_number_of_every_kind_on_distinct_cells(self, task: TaskConfig) -> None:
         for seed in SEEDS:
             city = generate_city_map(task, seed)

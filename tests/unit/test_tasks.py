@@ -116,7 +116,7 @@ class TestSkylineTasks:
 
     def test_families(self) -> None:
         families = [task.family for task in TASKS.values()]
-        assert families == ["city"] * 3 + ["skyline"] * 3
+        assert families == ["standard"] * 3 + ["skyline"] * 3 + ["city"] * 2
 
     def test_the_family_is_no_rule(self) -> None:
         assert "family" not in EASY.rules()
@@ -124,7 +124,8 @@ class TestSkylineTasks:
 
     def test_with_the_standard_tasks_these_are_all(self) -> None:
         names = ["easy", "medium", "hard"]
-        assert list(TASKS) == [f"{name}_delivery" for name in names] + [f"skyline_{name}" for name in names]
+        skyline = [f"skyline_{name}" for name in names]
+        assert list(TASKS) == [f"{name}_delivery" for name in names] + skyline + ["city_small", "city"]
 
 
 class TestNames:

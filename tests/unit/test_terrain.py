@@ -10,10 +10,11 @@ from drone_env.core.cells import Cell
 from drone_env.core.grid_generator import generate_city_map
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tables import tabulate
-from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.core.terrain import Terrain
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.terrain import Terrain, terrain_text
 from drone_env.errors import InvalidTaskError
 from drone_env.planning.optimal import solve
+from tools.city_data import FOLDER, city_data
 
 R, B, T, X, P = (int(kind) for kind in (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.PAD))
 # The last column lies behind obstacles.
@@ -114,7 +115,7 @@ def test_the_terrain_is_part_of_what_the_task_is() -> None:
     assert first.rules()["terrain"] != second.rules()["terrain"]
     assert task(start=(0, 0)).rules()["terrain"] != first.rules()["terrain"]
     assert tabulate(first).key != tabulate(second).key
-    assert all("terrain" not in other.rules() for other in TASKS.values())
+    assert {"terrain" in other.rules() for other in TASKS.values() if other.terrain is None} == {False}
     assert {first: 1}[task()] == 1
 
 
@@ -139,10 +140,19 @@ def test_the_terrain_is_part_of_what_the_task_is() -> None:
         ({"width": 2, "height": 4, "cells": CELLS * 2}, "terrain of 5 x 6 cells must be three times"),
         ({"height": 2, "cells": CELLS * 2}, "pads must be at least 1 where each map is a window of the terrain, got 0"),
         ({"height": 2, "cells": CELLS * 2, "start": (0, 0)}, "cannot be fixed where each map is a window"),
-        ({"height": 2, "cells": CELLS * 2, "deliveries": 6, "pads": 1}, ", in any window of validation"),
+        ({"height": 2, "cells": CELLS * 2, "deliveries": 6, "pads": 1}, ", in any window of train"),
     ],
 )
 def test_what_does_not_fit_is_refused(change: dict[str, Any], said: str) -> None:
     with pytest.raises(InvalidTaskError) as raised:
         _ = task(**change).windows
     assert said in str(raised.value)
+
+
+def test_the_shipped_cities_are_what_the_importer_makes_of_the_extract() -> None:
+    for name, text in city_data().items():
+        assert (FOLDER / f"{name}.txt").read_text("utf-8") == text
+    city = get_task("city").terrain
+    assert city is not None
+    assert (city.attribution, city.width) == ("© OpenStreetMap contributors, ODbL-1.0", 64)
+    assert terrain_text(city.grid(), city.attribution) == city_data()["helsinki_16"]

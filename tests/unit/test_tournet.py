@@ -24,6 +24,7 @@ from drone_env.planning.exact import ExactSolver
 from drone_env.rl.tour_model import TourNet
 from tests.toy import toy_episode
 from tests.unit.tour_views import EVERY_TASK, HARD, observations, parameters_of, save, view_of
+from tests.which_tasks import SMALL
 
 
 @pytest.fixture(scope="module")
@@ -148,18 +149,20 @@ def test_a_way_is_as_it_is_offered_and_goes_on_with_every_step(name: str) -> Non
     assert episode.steps > 3
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", SMALL)
 def test_the_optimum_can_be_flown_by_the_options_that_are_offered(name: str) -> None:
     """Whatever the best option is, by the exact value of where its first step leads."""
     task = TASKS[name]
     viewer = Viewer(task)
-    for seed in range(1 if name in ("skyline_hard", "hard_delivery") else 4):
+    for seed in range(1 if name in ("skyline_hard", "hard_delivery", "city_small") else 4):
         episode = Episode(task, seed=seed)
         solver = ExactSolver(episode)
         optimum = solver.value(episode)
         while not episode.ended:
             values = solver.q_values(episode)
             offered = view_of(viewer, episode.observation()).numbers[:, 2]
+            if not len(offered):  # nothing can be won any more
+                break
             episode.step(max(offered, key=lambda action: values[action]))
         assert episode.score == optimum
 

@@ -13,8 +13,9 @@ from drone_env.agents.tour_view import View
 from drone_env.agents.tour_viewer import Viewer
 from drone_env.core.batch import Batch
 from drone_env.core.episode import Observation
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.rl.tour_model import TourNet
+from tests.which_tasks import SMALL
 
 HARD = get_task("skyline_hard")
 OWN = {
@@ -26,7 +27,7 @@ OWN = {
     "uniform, 16 parcels, not square": replace(get_task("hard"), deliveries=16, width=30, height=9),
 }
 """Tasks of one's own."""
-EVERY_TASK = {**TASKS, **{name: replace(task, id="own", short_name="own") for name, task in OWN.items()}}
+EVERY_TASK = {**SMALL, **{name: replace(task, id="own", short_name="own") for name, task in OWN.items()}}
 
 
 def save(path: Path, parameters: dict[str, Any], metadata: Mapping[str, object] | None = None) -> Path:

@@ -1,0 +1,30 @@
+"""Make the terrain of the tasks that are real places: `python tools/city_data.py`."""
+
+from pathlib import Path
+
+from drone_env.city.importer import import_city
+from drone_env.core import terrain
+from drone_env.core.terrain import terrain_text
+
+EXTRACT = Path(__file__).parents[1] / "examples" / "cities" / "helsinki.osm.pbf"
+CENTRE = (24.9351440, 60.1641664, 24.9534467, 60.1733574)
+"""A square of 1,024 metres: west, south, east, north in degrees."""
+FOLDER = Path(terrain.__file__).with_name("cities")
+CELLS = {"helsinki_8": 8.0, "helsinki_16": 16.0}
+"""Metres along the side of a cell, by the name of the file."""
+
+
+def city_data() -> dict[str, str]:
+    """The files, by name."""
+    found = {name: import_city(EXTRACT, CENTRE, cell, (128, 128)).city for name, cell in CELLS.items()}
+    return {name: terrain_text(city.grid, f"{city.attribution}, {city.licence}") for name, city in found.items()}
+
+
+def main() -> None:
+    """Write them."""
+    for name, text in city_data().items():
+        (FOLDER / f"{name}.txt").write_text(text, "utf-8")
+
+
+if __name__ == "__main__":
+    main()
