@@ -13,7 +13,6 @@ card, the rest is drawing by software. First paint is that of visits with an emp
 """
 
 import argparse
-import contextlib
 import json
 import re
 import statistics
@@ -29,14 +28,11 @@ from playwright.sync_api import Browser, Page, WebSocketRoute, expect
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from drone_env.city.city_file import write_city  # noqa: E402
-from drone_env.city.importer import import_city  # noqa: E402
 from tests.api.serving import serving  # noqa: E402
 from tests.browser.tabs import WIDE, find_chromium, launched  # noqa: E402
 
 FOUR = "/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random"
 EIGHT = "/?task={task}&seed=7&pilots=optimal,greedy,random,random"
-HELSINKI = ROOT / "examples" / "cities" / "helsinki.osm.pbf"
 SCRIPT = {
     "FireAnimationFrame",
     "FunctionCall",
@@ -146,14 +142,14 @@ def nearby(page: Page, task: str = "large_city") -> None:
         page.get_by_role("button", name="Nearer").click()
 
 
-def helsinki(page: Page) -> None:
+def city(page: Page) -> None:
     """Eight flights over a real city, all of it."""
-    eight(page, "helsinki")
+    eight(page, "city")
 
 
-def helsinki_nearby(page: Page) -> None:
+def city_nearby(page: Page) -> None:
     """The same twice as large, with its small map beside it."""
-    nearby(page, "helsinki")
+    nearby(page, "city")
 
 
 def flying(
@@ -204,12 +200,13 @@ def main() -> None:
     chromium = find_chromium()
     if chromium is None:
         raise SystemExit("chromium is not installed: apt-get install chromium")
-    with tempfile.TemporaryDirectory() as folder, launched(chromium) as browser, contextlib.ExitStack() as stack:
-        city = Path(folder) / "helsinki.toml"
-        write_city(import_city(HELSINKI, size=(64, 64)).city, city)
-        server = stack.enter_context(serving(Path(folder) / "data", PLUGINS=f"benchmarks.large_city,{city}"))
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        serving(Path(folder) / "data", PLUGINS="benchmarks.large_city") as server,
+        launched(chromium) as browser,
+    ):
         frames: dict[str, dict[str, Any]] = {}
-        for opened in (four, apart, helsinki, helsinki_nearby, eight, nearby):
+        for opened in (four, apart, city, city_nearby, eight, nearby):
             intervals, scripts = flying(browser, server.url, opened, given.seconds, given.speed)
             costs = {"frame_ms": percentiles(intervals), "script_ms": percentiles(scripts)}
             frames[opened.__name__] = {"frames": len(intervals), **costs}

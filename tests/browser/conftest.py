@@ -4,12 +4,9 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from drone_env.city.city_file import City, write_city
-from drone_env.core.cells import Cell
 from tests.api.serving import Server, serving
 from tests.browser.flights import fill, flown, put_evaluation
 from tests.browser.tabs import PATIENCE_MS, Tabs, needed_browser
@@ -18,14 +15,6 @@ from tests.llm.kept_run import put_run
 expect.set_options(timeout=PATIENCE_MS)
 MARKUP = '<img src=x onerror="document.title=1"><b>bold</b>'
 """What must never come to be an element."""
-CONTRIBUTORS = "© OpenStreetMap contributors"
-HARBOUR = [
-    (Cell.BUILDING, slice(2, 9), slice(2, 9)),
-    (Cell.TREE, slice(4, 8), slice(14, 20)),
-    (Cell.OBSTACLE, slice(18, 24), slice(0, 14)),
-    (Cell.PAD, 12, 28),
-]
-"""What stands there: kinds, rows, columns."""
 SEEDS = 27
 """More than a page of flights by each agent."""
 TRAINING = [
@@ -57,13 +46,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="package")
 def server(data: Path) -> Generator[Server, None, None]:
-    """It knows `harbour` besides, a city of 32 x 24 cells."""
-    grid = np.full((24, 32), Cell.ROAD, np.uint8)
-    for kind, rows, columns in HARBOUR:
-        grid[rows, columns] = kind
-    city = data.parent / "harbour.toml"
-    write_city(City(grid, attribution=CONTRIBUTORS, start=(16, 12), numbers={"deliveries": 1}), city)
-    with serving(data, PLUGINS=str(city)) as running:
+    with serving(data) as running:
         yield running
 
 
