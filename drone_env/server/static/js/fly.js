@@ -8,6 +8,7 @@ import { Fleet } from "./fleet.js";
 import { mountHuman } from "./human.js";
 import { mountInstruments } from "./instruments.js";
 import { mountKeys } from "./keys.js";
+import { isJoined } from "./layer_city.js";
 import { mountLegend } from "./legend.js";
 import { mountMapValues } from "./map_values.js";
 import { mountMoves } from "./moves.js";
@@ -115,6 +116,7 @@ export function mountFly(root, context) {
   });
   stage.on("frames", () => greets() && sayWhatIsFlown());
   stage.on("load", () => root.classList.remove("empty"));
+  stage.on("load", () => isJoined(stage.world) && mountAround(context));
   root.classList.add("empty");
   fleet.on("ended", (track) => {
     explain(context, track);
@@ -190,6 +192,19 @@ function mountLater(root, context) {
     end();
     (await import("./calls.js")).mountCalls(root, context);
   });
+}
+
+let around = null;
+
+/** Large maps and real places: how they are drawn, and what stands around them. */
+function mountAround(context) {
+  around ??= import("./around.js").then(
+    ({ mount }) => mount(context),
+    (error) => {
+      around = null;
+      toast(`The map could not be loaded: ${error.message}`);
+    },
+  );
 }
 
 let teaching = null;
