@@ -16,11 +16,19 @@ const BY_HAND = 22;
 /** A pad on the small map. */
 const SMALLEST_SIGN = 6;
 
+/** How such maps are drawn. @type {Promise<void>|null} */
+let ready = null;
+
+/** Has them drawn, on whichever board. */
+export function join() {
+  const style = el("link", { rel: "stylesheet", href: new URL("../css/around.css", import.meta.url) });
+  ready ??= loaded(style).then(() => (joined.draw = drawBlocks));
+  return ready;
+}
+
 /** Mounted with the first map that it is about. @param {import("./context.js").Context} context */
 export async function mount(context) {
-  const style = el("link", { rel: "stylesheet", href: new URL("../css/around.css", import.meta.url) });
-  await loaded(style);
-  joined.draw = drawBlocks;
+  await join();
   const field = document.querySelector(".boards-field");
   const credit = el("p.credit", { hidden: true });
   field.append(credit);

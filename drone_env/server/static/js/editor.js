@@ -6,6 +6,7 @@ import { announce, copyText, download, el, icon, setText, toast } from "./dom.js
 import { add } from "./drawn.js";
 import { Emitter } from "./emitter.js";
 import { cellName, points } from "./format.js";
+import { isJoined } from "./layer_city.js";
 import { drawSign } from "./legend.js";
 import { linkOf } from "./router.js";
 import { Stage } from "./stage.js";
@@ -60,6 +61,7 @@ export function mount(root, context) {
   /** The stroke that is drawn: the map before it, the cell that it has come to, and that of what it moves. */
   let stroke = null;
   let cursor = null;
+  let blocks = null;
 
   // What stands on the page.
   const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
@@ -231,6 +233,8 @@ export function mount(root, context) {
   }
 
   // What is shown.
+  /** Large maps and real places are drawn by what most visits do not load. */
+  const join = () => (blocks ??= trying(async () => (await (await import("./around.js")).join(), own.emit("terrain"))));
   /** The map has another size, or is another. */
   function show() {
     draw();
@@ -244,7 +248,9 @@ export function mount(root, context) {
     const frames = [{ x, y, step: 0, done: false, delivered: [], target: null }];
     const track = new Track({ opening: { pilot: "", by: "", forked_at: null }, frames }, { name: "", colour: "--accent" });
     track.annotation = worth?.optimum ? { optimal_path: worth.optimum.path, moves: [] } : null;
-    stage.world = { task: { short_name: "drawing" }, seed: 0, width, height, cells: map.cells, parcels: map.parcels };
+    const task = { short_name: "drawing", attribution: map.attribution };
+    stage.world = { task, seed: 0, width, height, cells: map.cells, parcels: map.parcels };
+    if (isJoined(stage.world)) join();
     stage.tracks = [track];
     for (const board of boards.boards) board.reload();
     for (const [i, side] of [width, height].entries()) sides[i].input.value = String(side);
