@@ -12,8 +12,9 @@ from drone_env.errors import InvalidValueError
 
 PLACES = {"": "data", "results": "results", "sweep": "runs/sweep"}
 """Where the parts of what is kept lie in the working directory."""
-RUNS, EVALUATIONS = "llm", "evaluations"
-"""The folders of the runs of language models and of evaluations in the data folder, which a server ranks."""
+RUNS, EVALUATIONS, MAPS = "llm", "evaluations", "maps"
+"""Folders in the data folder: of the runs of language models and of evaluations, which a server ranks, and of the maps
+that were drawn on its page."""
 
 
 def data_folder(part: str = "") -> Path:

@@ -221,6 +221,8 @@ def test_get_the_dashboard(http: TestClient) -> None:
 
 
 SPLIT = {"split": "easy_delivery/test"}
+DRAWN = {"cells": [[0, 0], [0, 0]], "start": [0, 0], "parcels": [[1, 1]]}
+CITY = 'format = 1\nparcels = [[1, 1]]\n[terrain]\nrows = ["· · ", "· · "]'
 REQUESTS: dict[tuple[str, str], Any] = {
     ("post", "/reset"): {"task_name": "easy_delivery", "seed": 14},
     ("post", "/predict"): None,
@@ -242,6 +244,7 @@ REQUESTS: dict[tuple[str, str], Any] = {
     ("get", "/logs"): None,
     ("get", "/terminal_logs"): None,
     ("get", "/tasks"): None,
+    ("get", "/tasks/{task_name}"): {"task_name": "easy"},
     ("get", "/graders"): None,
     ("get", "/pilots"): None,
     ("get", "/kinds"): None,
@@ -249,6 +252,10 @@ REQUESTS: dict[tuple[str, str], Any] = {
     ("post", "/replay"): RECORD.model_dump(),
     ("post", "/annotate"): {},
     ("post", "/values"): {"task": "easy", "seed": 7, "actions": ["UP"]},
+    ("get", "/maps/{task_name}/{seed}"): {"task_name": "easy", "seed": 7},
+    ("post", "/maps/file"): {"toml": CITY},
+    ("post", "/maps/worth"): DRAWN,
+    ("post", "/maps"): DRAWN,
     ("get", "/preview.png"): {"task": "easy", "seed": 7, "pilot": "greedy"},
     ("get", "/metadata"): None,
     ("get", "/schema"): None,

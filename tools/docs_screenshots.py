@@ -7,6 +7,7 @@
     docs/images/dashboard-layers.png     what is best from each cell of a skyline city, and the battery's range
     docs/images/dashboard-several.png    four pilots on one map, their flights annotated
     docs/images/dashboard-compare.png    who flies best, and two pilots map by map
+    docs/images/dashboard-draw.png       the map editor
     docs/images/dashboard-learn.png      the tutorial, and the levels side by side
 
 Server, flights and the machine's own chromium are real; the pictures depend on its fonts a little.
@@ -104,6 +105,13 @@ def pages(tabs: Tabs) -> None:
     save(page, "learn")
 
 
+def drawing(tabs: Tabs) -> None:
+    """A skyline city in the editor."""
+    page = tabs.open("/?view=draw&task=skyline_medium&seed=43", viewport=WIDE)
+    expect(page.locator("#map-note")).to_contain_text("steps")
+    save(page, "draw")
+
+
 def main() -> None:
     """Take them all."""
     expect.set_options(timeout=60_000)
@@ -116,7 +124,7 @@ def main() -> None:
         fill(data, [flown("skyline_medium", seed, agent) for seed in range(FLIGHTS // len(agents)) for agent in agents])
         with serving(data) as server, launched(chromium) as browser:
             tabs = Tabs(browser, server.url)
-            for take in (alone, fork, layers, several, pages):
+            for take in (alone, fork, layers, several, drawing, pages):
                 take(tabs)
             tabs.close()
             if tabs.complaints:

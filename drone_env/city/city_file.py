@@ -162,15 +162,20 @@ def read_city(path: str | Path) -> City:
         InvalidTaskError: if it is not a city; the message says why.
     """
     path = Path(path)
+    with path.open("rb") as file:
+        content = file.read(MAX_FILE + 1)
     try:
-        return _city_of(path)
+        return parse_city(content)
     except InvalidTaskError as error:
         raise InvalidTaskError(f"city {path}: {error}") from None
 
 
-def _city_of(path: Path) -> City:
-    with path.open("rb") as file:
-        content = file.read(MAX_FILE + 1)
+def parse_city(content: bytes) -> City:
+    """The city in what a file holds.
+
+    Raises:
+        InvalidTaskError: if it is not a city; the message says why.
+    """
     _require(len(content) <= MAX_FILE, f"larger than {MAX_FILE >> 20} MiB, which no city is")
     try:
         table = tomllib.loads(content.decode("utf-8-sig"))

@@ -57,7 +57,7 @@ def city(
     if picture is not None:
         from drone_env.envs.rendering import draw_terrain  # loads Pillow
 
-        drawn = draw_terrain(imported.city.grid)
+        drawn = draw_terrain(imported.city.grid, attribution=imported.city.attribution)
         prepare_file("--picture", picture)
     prepare_file("--out", out)
     write_city(imported.city, out)

@@ -388,6 +388,9 @@ TASKS: dict[str, TaskConfig] = {
 PAST_TASKS: tuple[TaskConfig, ...] = ()
 """Earlier versions of tasks: they keep working forever."""
 
+FINDERS: list[Callable[[str], TaskConfig | None]] = []
+"""Who is asked, in order, for a task that is none of these: as a server that keeps the maps drawn on its page."""
+
 WITHDRAWN = tuple((f"skyline_{level}", 1) for level in ("easy", "medium", "hard"))
 """(id, version) of tasks that were never published on a package index, and that no code draws maps of any more."""
 
@@ -406,6 +409,7 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
             raise UnknownNameError(f"version of task {name.id!r}", version, [str(name.version)])
         return name
     named = [t for t in (*TASKS.values(), *PAST_TASKS) if name in (t.id, t.short_name, t.grader)]
+    named = named or [task for find in FINDERS if (task := find(name)) is not None]
     if not named:
         names = [n for task in TASKS.values() for n in (task.id, task.short_name)]
         raise UnknownNameError("task", name, names, "; a city where --task or DRONE_ENV_PLUGINS names its file")

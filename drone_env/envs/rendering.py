@@ -121,12 +121,13 @@ def draw_card(episode: Episode, lines: Sequence[tuple[str, bool]]) -> bytes:
     return file.getvalue()
 
 
-def draw_terrain(grid: npt.NDArray[np.uint8], size: int = 1080) -> bytes:
+def draw_terrain(grid: npt.NDArray[np.uint8], size: int = 1080, attribution: str = "") -> bytes:
     """The picture of terrain alone, as a PNG; equal cells give equal pictures.
 
     Args:
         grid: uint8[height, width], cell ids.
         size: Height of the picture in pixels, 64 to 4096. The width follows from it and from the shape of the grid.
+        attribution: Whose data it is, written below it; empty for nobody's.
 
     Raises:
         InvalidValueError: if the size is out of range.
@@ -136,6 +137,7 @@ def draw_terrain(grid: npt.NDArray[np.uint8], size: int = 1080) -> bytes:
     picture = Image.new("RGB", (layout.city, size), PALETTE["backdrop"])
     _lay_ground(picture, layout, grid)
     _lay_terrain(picture, layout, grid, ())
+    _lay_attribution(picture, layout, rows, attribution)
     file = io.BytesIO()
     picture.save(file, "PNG")
     return file.getvalue()
@@ -181,7 +183,17 @@ def _city(task: TaskConfig, seed: int, size: int) -> Image.Image:
     _stamp(picture, "start", layout.draw_figure(), layout.centre(*city.start))
     _lay_terrain(picture, layout, city.grid, task.impassable)
     _lay_panel(picture, layout, task, seed)
+    if task.terrain:
+        _lay_attribution(picture, layout, task.height, task.terrain.attribution)
     return picture
+
+
+def _lay_attribution(picture: Image.Image, layout: Layout, rows: int, words: str) -> None:
+    """Whose data a city is, right below it: all pictures have room there."""
+    if words:
+        left, bottom = layout.left, layout.top + rows * layout.cell + 1.4 * layout.rim
+        height = min(layout.size / 44, layout.size - bottom)
+        _write(ImageDraw.Draw(picture), (left, bottom), words, height, "muted", "la", layout.city - 2 * left)
 
 
 def _lay_terrain(picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8], closed: Collection[Cell]) -> None:

@@ -36,7 +36,7 @@ from drone_env.server.preview import Previews
 from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.request_log import LogRequests
-from drone_env.server.routes import catalogue, compare, flight, history, page, replay, runs, step, values
+from drone_env.server.routes import catalogue, compare, flight, history, maps, page, replay, runs, step, values
 from drone_env.server.security import protect
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import Shared
@@ -108,7 +108,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     # The first is the innermost.
     protect(app, settings)
     app.add_middleware(LogRequests, log=shared.requests)
-    for routes in (step, flight, catalogue, history, compare, runs, replay, values, page, openenv):
+    for routes in (step, flight, catalogue, history, compare, runs, replay, values, maps, page, openenv):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
     app.router.routes.append(WebSocketRoute("/live", live))

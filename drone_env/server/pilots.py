@@ -142,9 +142,14 @@ def called(agent: str) -> str:
 
 def tasks_of(pilot: str, networks: Networks) -> list[str]:
     """Ids of the tasks that a pilot can fly."""
+    return [task.id for task in TASKS.values() if can_fly(pilot, task, networks)]
+
+
+def can_fly(pilot: str, task: TaskConfig, networks: Networks) -> bool:
+    """Whether a pilot can fly a task."""
     if pilot in SOURCES:
-        return [task.id for task in TASKS.values() if networks.flies(pilot, task)]
-    return [task.id for task in TASKS.values() if pilot in OURS or _flies(AGENTS[pilot], task)]
+        return networks.flies(pilot, task)
+    return pilot in OURS or _flies(AGENTS[pilot], task)
 
 
 @lru_cache

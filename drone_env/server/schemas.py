@@ -230,6 +230,13 @@ class TaskList(Message):
     reward_profiles: list[ProfileInfo]
 
 
+class OneTask(Message):
+    """One task, and who flies it."""
+
+    task: TaskInfo
+    pilots: list[str] = Field(description="Ids of those who can fly it, as in `/pilots`.")
+
+
 class GraderInfo(Message):
     """One grader."""
 

@@ -11,10 +11,11 @@ import anyio.to_thread
 from fastapi import Depends, Header, Request, Response
 from typing_extensions import Self
 
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import FINDERS, TaskConfig
 from drone_env.episodes.store import Store
-from drone_env.files import EVALUATIONS, RUNS
+from drone_env.files import EVALUATIONS, MAPS, RUNS
 from drone_env.planning.optimal import best_of
+from drone_env.server.drawn_maps import DrawnMaps
 from drone_env.server.evaluations import Evaluations
 from drone_env.server.exact_values import ExactValues
 from drone_env.server.local import local_address
@@ -57,6 +58,7 @@ class Shared:
         self.map_values = MapValues(self.values, self.networks)
         self.runs = ModelRuns(settings.data / RUNS)
         self.evaluations = Evaluations(settings.data / EVALUATIONS)
+        self.maps = DrawnMaps(settings.data / MAPS, settings.maps)
         self._sessions: Sessions | None = None
         self.steps: ThreadPoolExecutor | None = None
         """Flies the steps of HTTP sessions while the server runs. One thread: the store has one writer anyway."""
@@ -110,6 +112,7 @@ class Shared:
         store = Store(self.settings.data, self._clock)
         self.steps = ThreadPoolExecutor(1, "drone_env-steps")
         self._sessions = Sessions(store, self.settings.capacity, self.settings.idle_seconds)
+        FINDERS.append(self.maps.find)
 
     def close(self) -> None:
         """Close it; waits for the map that is being solved just now."""
@@ -118,6 +121,7 @@ class Shared:
             self.steps.shutdown()
             self.steps = None
         if self._sessions is not None:
+            FINDERS.remove(self.maps.find)
             self._sessions.store.close()
             self._sessions = None
         self._studies = None

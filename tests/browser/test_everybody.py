@@ -75,6 +75,9 @@ def test_axe_finds_nothing_serious_in_any_view_dark_or_light(page: Page) -> None
     for name in ("Compare", "Learn", "API"):
         whole_view(page, name)
         found += findings(page, "main")
+    show(page, "/?view=draw&task=easy&seed=7")
+    expect(page.locator("#map-note")).to_contain_text("steps")
+    found += findings(page, "#view-draw")
     assert found == []
 
 

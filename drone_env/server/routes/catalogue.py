@@ -5,10 +5,10 @@ from fastapi import APIRouter
 from drone_env import __version__
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import REWARD_PROFILES
-from drone_env.core.tasks import TASKS
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import StoreError
 from drone_env.server.live.commands import MOST_EPISODES
-from drone_env.server.pilots import COLOURS, HUMAN, PILOTS, tasks_of
+from drone_env.server.pilots import COLOURS, HUMAN, PILOTS, can_fly, tasks_of
 from drone_env.server.predict import SOURCES
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.schemas import (
@@ -17,13 +17,14 @@ from drone_env.server.schemas import (
     Health,
     KindInfo,
     KindList,
+    OneTask,
     PilotInfo,
     PilotList,
     ProfileInfo,
     TaskInfo,
     TaskList,
 )
-from drone_env.server.state import SharedParts
+from drone_env.server.state import Shared, SharedParts
 
 router = APIRouter(tags=["catalogue"])
 PUBLISHED = ("easy_delivery", "medium_delivery", "hard_delivery")
@@ -37,6 +38,18 @@ async def tasks() -> TaskList:
         tasks=[TaskInfo.of(task, task.id in PUBLISHED) for task in TASKS.values()],
         reward_profiles=[ProfileInfo.of(profile) for profile in REWARD_PROFILES.values()],
     )
+
+
+@router.get("/tasks/{task_name}", responses=answers(404))
+def one_task(shared: SharedParts, task_name: str) -> OneTask:
+    """One task with all its numbers, and who can fly it. A drawn map that is kept is found by its name alone."""
+    return describe(get_task(task_name), shared)
+
+
+def describe(task: TaskConfig, shared: Shared) -> OneTask:
+    """A task as the page needs it to fly it."""
+    flying = [name for name in PILOTS if can_fly(name, task, shared.networks)]
+    return OneTask(task=TaskInfo.of(task, task.id in PUBLISHED), pilots=flying)
 
 
 @router.get("/graders")

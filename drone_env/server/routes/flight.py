@@ -6,7 +6,7 @@ from fastapi import APIRouter, Body, Request, Response
 from pydantic_core import to_json
 
 from drone_env.core.tasks import get_task
-from drone_env.graders import GRADERS
+from drone_env.graders import GRADERS, make_grader
 from drone_env.models import DIRECTIONS, DroneState
 from drone_env.server.observation_json import flat_json, openenv_json
 from drone_env.server.predict import arrays_of
@@ -95,7 +95,7 @@ def grade(shared: SharedParts, caller: CallerOf, answer: Response, task_name: st
     with shared.sessions.reading(caller.session(shared, answer)) as (_, episode):
         if episode.task.id != task.id:
             raise RequestError(409, "other_task", f"the session flies {episode.task.id!r}, not {task.id!r}")
-        score = GRADERS[task.id](DroneState.of(episode))
+        score = GRADERS.get(task.id, make_grader(task.id))(DroneState.of(episode))
         return Grade(task=task.id, score=score, done=episode.ended)
 
 

@@ -4,7 +4,6 @@ import { fit } from "./fitted.js";
 import { title } from "./format.js";
 import { LAYERS } from "./layers.js";
 import { lessMotion, nextFrame, noFrame } from "./loop.js";
-import { colourOf } from "./palette.js";
 
 const SPIN = 0.03;
 const PLACES = ["ground", "cells", "air"];
@@ -43,6 +42,7 @@ export class Board {
       context.on("layers", () => this.refresh()),
       context.on("camera", () => this.refresh()),
       context.on("theme", anew),
+      context.on("terrain", anew),
       this.size.stop,
       () => noFrame(this.draw),
     ];
@@ -88,6 +88,7 @@ export class Board {
     const size = { width: air.width, height: air.height, scale: this.size.scale };
     const layout = this.context.camera.layout(world, size, track.at(clock.position));
     const view = {
+      size,
       stage,
       world,
       track,
@@ -104,6 +105,7 @@ export class Board {
     this.drawCells(cells, view, track === stage.track ? shown : [], "cells", `${stage.values?.key} ${stage.pad}`);
     cells.classList.toggle("waiting", stage.answer === null);
     for (const layer of shown) if (layer.place === "air") layer.draw(ctx, view);
+    this.context.emit("drawn", view);
     if (moving && !still) this.refresh();
   }
 
@@ -126,18 +128,6 @@ export class Board {
       ? `translate(${(layout.left - own.left) / scale}px, ${(layout.top - own.top) / scale}px)`
       : "";
     canvas.at = zoomed ? [layout.left - own.left, layout.top - own.top] : [0, 0];
-  }
-
-  /** The map as it stands, as an image of its own. @returns {HTMLCanvasElement} */
-  image() {
-    const [, , air] = this.canvases;
-    const canvas = el("canvas", { width: air.width, height: air.height });
-    const ctx = canvas.getContext("2d");
-    ctx.fillStyle = colourOf("--ground");
-    ctx.fillRect(0, 0, canvas.width, canvas.height);
-    for (const one of this.canvases)
-      if (one.width && !one.matches(".waiting")) ctx.drawImage(one, ...(one.at ?? [0, 0]));
-    return canvas;
   }
 }
 

@@ -62,6 +62,7 @@ export function mountBoards(root, context) {
       head.setAttribute("aria-pressed", String(track === stage.track));
     }
     grid.classList.toggle("near", camera.zoom > 1);
+    nearer.disabled = camera.nearest;
     farther.disabled = follow.disabled = camera.zoom === 1;
     follow.hidden = camera.following || camera.zoom === 1;
   }
@@ -107,10 +108,10 @@ function listenToDrags(grid, context) {
     // One finger flies where the visitor does.
     if (pointers.size === 1 && event.pointerType !== "mouse" && document.body.classList.contains("human-flies")) return;
     if (pointers.size === 2 && Math.abs(Math.log(spread() / apart)) > 0.3) {
-      camera.nearer(spread() > apart ? 1 : -1);
+      camera.nearer(spread() > apart ? 1 : -1, cellBelow(event, context).at);
       apart = spread();
     }
-    const cell = cellOf(event.currentTarget, context);
+    const { cell } = cellBelow(event, context);
     camera.pan((event.clientX - before.clientX) / cell, (event.clientY - before.clientY) / cell);
     context.emit("camera");
   });
@@ -119,16 +120,18 @@ function listenToDrags(grid, context) {
     (event) => {
       if (!event.ctrlKey) return;
       event.preventDefault();
-      if (camera.nearer(event.deltaY < 0 ? 1 : -1)) context.emit("camera");
+      if (camera.nearer(event.deltaY < 0 ? 1 : -1, cellBelow(event, context).at)) context.emit("camera");
     },
     { passive: false },
   );
 }
 
-/** Side of a cell in CSS pixels. */
-function cellOf(grid, { camera, stage }) {
-  const { width, height } = grid.querySelector(".map").getBoundingClientRect();
+/** Side of a cell in CSS pixels, and which one lies below the pointer, [x, y]. */
+function cellBelow({ target, currentTarget, clientX, clientY }, { camera, stage }) {
+  const map = target.closest(".map") ?? currentTarget.querySelector(".map");
+  const { x, y, width, height } = map.getBoundingClientRect();
   const scale = window.devicePixelRatio || 1;
   const size = { width: width * scale, height: height * scale, scale };
-  return camera.layout(stage.world, size, [stage.frame.x, stage.frame.y]).cell / scale;
+  const { cell, left, top } = camera.layout(stage.world, size, [stage.frame.x, stage.frame.y]);
+  return { cell: cell / scale, at: [((clientX - x) * scale - left) / cell, ((clientY - y) * scale - top) / cell] };
 }

@@ -31,10 +31,25 @@ export class Camera {
     this.following = true;
   }
 
-  /** One step nearer or farther. @returns {boolean} Whether that was possible. */
-  nearer(by) {
+  /** Whether it cannot go nearer: the picture of the map would be too large. */
+  get nearest() {
+    return this.zoom === ZOOMS.at(-1) || this.zoom * this.whole >= this.most;
+  }
+
+  /**
+   * One step nearer or farther.
+   *
+   * @param {number[]} [at] What is to stay where it is, [x, y] in cells, unless a drone is followed from nearby.
+   * @returns {boolean} Whether that was possible.
+   */
+  nearer(by, at) {
     const next = ZOOMS[ZOOMS.indexOf(this.zoom) + by];
-    if (!next) return false;
+    if (!next || (by > 0 && this.nearest)) return false;
+    if (at && (this.zoom === 1 || !this.following)) {
+      const middle = this.centre ?? this.middle;
+      this.centre = at.map((cell, axis) => cell + ((middle[axis] - cell) * this.zoom) / next);
+      this.following = false;
+    }
     this.zoom = next;
     if (next === 1) this.reset();
     return true;
@@ -50,9 +65,11 @@ export class Camera {
   /** @param {import("./stage.js").World} world @param {{width: number, height: number, scale: number}} size Device pixels. @param {number[]} at [x, y] of the drone. @returns {Layout} */
   layout(world, size, at) {
     const whole = fitted(world, size);
+    this.whole = whole.cell;
+    this.most = Math.floor(WIDEST / Math.max(world.width, world.height));
+    this.middle = [world.width / 2, world.height / 2];
     if (this.zoom === 1) return whole;
-    const most = Math.floor(WIDEST / Math.max(world.width, world.height));
-    const cell = Math.max(whole.cell, Math.min(Math.floor(whole.cell * this.zoom), most));
+    const cell = Math.max(whole.cell, Math.min(Math.floor(whole.cell * this.zoom), this.most));
     const middle = [at[0] + 0.5, at[1] + 0.5];
     this.centre ??= middle;
     const along = (axis, cells, room) => {

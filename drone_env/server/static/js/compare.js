@@ -57,6 +57,7 @@ class Compare {
       { id: "compare-task", on: { change: () => this.go([], this.choice.value) } },
       ...[...context.families].map(group),
     );
+    context.on("task", (task) => this.choice.append(option(task)));
     this.problem = el("p.problem", { role: "alert", hidden: true });
     this.rows = el("div");
     this.chosen = el("section.compare-part", { hidden: true });
@@ -101,6 +102,8 @@ class Compare {
     const asked = ++this.asked;
     const { api, router, tasks } = this.context;
     this.wanted = router.address.task;
+    await this.trying(asked, () => this.context.meet(this.wanted));
+    if (asked !== this.asked) return;
     // Beside what is said of a task that there is not, nothing of another is shown.
     const nowhere = this.wanted !== null && !this.known(this.wanted);
     for (const part of [this.rows, this.flights.root]) part.hidden = nowhere;
@@ -111,6 +114,7 @@ class Compare {
     }
     await this.trying(asked, async () => {
       const named = this.wanted ?? (await api.get("episodes", { limit: 1 })).episodes[0]?.task ?? tasks[0].id;
+      await this.context.meet(named);
       const board = await api.get(`leaderboard/${encodeURIComponent(named)}`);
       if (asked !== this.asked) return;
       this.board = board;

@@ -16,12 +16,13 @@ import { Stage } from "./stage.js";
  * @property {Object[]} kinds As `GET /kinds` tells them.
  * @property {Stage} stage The map, the flights and the moment that are shown in Fly.
  * @property {Camera} camera @property {(id: string) => boolean} shows Whether a layer is shown.
- * @property {string} view "fly", "compare", "learn" or "api".
+ * @property {string} view "fly", "compare", "learn", "api" or "draw".
+ * @property {(name: string|null) => Promise} meet Asks for the task of a drawn map, which `/tasks` does not list.
  * @property {(event: string, f: Function) => () => void} on
  * @property {(event: string, ...args: any[]) => void} emit
  *
  * Events: "view" (name) another view is shown; "theme" (name) the colours have changed; "layers" others are shown; "camera" the
- * map is seen from elsewhere.
+ * map is seen from elsewhere; "task" (task) one more is known.
  */
 
 /** @returns {Context} */
@@ -42,5 +43,6 @@ export function createContext(parts) {
       context.emit("layers");
     },
   });
+  context.meet = async (name) => name?.startsWith("drawn_") && (await import("./drawn.js")).meet(context, name);
   return context;
 }

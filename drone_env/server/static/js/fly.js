@@ -8,6 +8,7 @@ import { Fleet } from "./fleet.js";
 import { mountHuman } from "./human.js";
 import { mountInstruments } from "./instruments.js";
 import { mountKeys } from "./keys.js";
+import { isJoined } from "./layer_city.js";
 import { mountLegend } from "./legend.js";
 import { mountMapValues } from "./map_values.js";
 import { mountMoves } from "./moves.js";
@@ -61,7 +62,10 @@ export function mountFly(root, context) {
   mountKeys(context, fleet, acts, help);
   document.getElementById("help-button").addEventListener("click", help);
   mountMapValues(context);
-  listenToDrops((file) => openFile(() => past.openFile(file)));
+  listenToDrops((file) => {
+    if (!file.name.endsWith(".toml")) openFile(() => past.openFile(file));
+    else import("./editor.js").then(({ openMap }) => openMap(file, context)).catch(({ message }) => toast(message));
+  });
 
   /** Shows flights of the past: the live ones rest. @returns {Promise<boolean>} Whether they are there. */
   async function open(flights) {
@@ -112,6 +116,7 @@ export function mountFly(root, context) {
   });
   stage.on("frames", () => greets() && sayWhatIsFlown());
   stage.on("load", () => root.classList.remove("empty"));
+  stage.on("load", () => isJoined(stage.world) && mountAround(context));
   root.classList.add("empty");
   fleet.on("ended", (track) => {
     explain(context, track);
@@ -139,6 +144,8 @@ export function mountFly(root, context) {
   }
 
   async function fly(address) {
+    const unknown = address.task && !fleet.task(address.task);
+    if (unknown && !((await open(() => context.meet(address.task))) && context.router.address === address)) return;
     const asked = greets() ? greeted() : fleet.asks(address);
     const flown = fleet.tracks.length > 0 && (greets() ? waits() : says(asked, fleet.setup));
     if (flown && fleet.shown) stage.clock.seek(address.step ?? stage.clock.cursor);
@@ -185,6 +192,19 @@ function mountLater(root, context) {
     end();
     (await import("./calls.js")).mountCalls(root, context);
   });
+}
+
+let around = null;
+
+/** Large maps and real places: how they are drawn, and what stands around them. */
+function mountAround(context) {
+  around ??= import("./around.js").then(
+    ({ mount }) => mount(context),
+    (error) => {
+      around = null;
+      toast(`The map could not be loaded: ${error.message}`);
+    },
+  );
 }
 
 let teaching = null;

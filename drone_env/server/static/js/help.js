@@ -15,6 +15,7 @@ const KEYS = [
   ["F", "Try from here: fly on yourself from the moment that is shown"],
   ["N R", "New map; reset to the start of this one"],
   ["+ − or Z X", "Nearer, farther"],
+  ["Shift ↑ ↓ ← →", "Move a map that is seen from nearby"],
   ["< >", "Slower, faster"],
   ["1 to 9", "Look at another flight"],
   ...LAYERS.filter(({ key }) => key).map(({ key, name }) => [key.toUpperCase(), name]),

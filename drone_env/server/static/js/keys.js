@@ -20,6 +20,10 @@ const FLY = {
 export function mountKeys(context, fleet, acts, help) {
   const { camera, stage } = context;
   const see = (by) => camera.nearer(by) && context.emit("camera");
+  const pan = (x, y) => () => {
+    camera.pan(x, y);
+    context.emit("camera");
+  };
   const KEYS = {
     " ": acts.toggle,
     ".": acts.forward,
@@ -39,6 +43,10 @@ export function mountKeys(context, fleet, acts, help) {
     ArrowRight: acts.forward,
     Home: acts.first,
     End: acts.last,
+    ShiftArrowLeft: pan(2, 0),
+    ShiftArrowRight: pan(-2, 0),
+    ShiftArrowUp: pan(0, 2),
+    ShiftArrowDown: pan(0, -2),
   };
   for (const layer of LAYERS) if (layer.key) KEYS[layer.key] = () => acts.flick(layer);
   for (let i = 0; i < 9; i++) KEYS[String(i + 1)] = () => stage.select(i);
@@ -63,7 +71,8 @@ export function mountKeys(context, fleet, acts, help) {
       return;
     }
     if (context.view !== "fly") return;
-    const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+    const moves = event.shiftKey && camera.zoom > 1 && event.key.startsWith("Arrow") ? "Shift" : "";
+    const key = event.key.length === 1 ? event.key.toLowerCase() : moves + event.key;
     const direction = fleet.byHand ? FLY[key] : undefined;
     // Who flies by hand is not done with his key where the flight ends: held on it does not look back, and Space, which
     // may come once more, plays nothing. Nor does a key that is held start and pause by turns.

@@ -2,8 +2,19 @@
 import { drawFigure } from "./figures.js";
 import { colourOf, font } from "./palette.js";
 
+/** Draws what is no field of single signs; `blocks.js` does, once it is loaded. */
+export const joined = { draw() {} };
+
+/** Whether a map is drawn with its buildings joined to blocks: a large one, or of a real place. */
+export const isJoined = ({ width, height, task }) => width * height > 400 || Boolean(task.attribution);
+
 /** @param {CanvasRenderingContext2D} ctx */
-export function drawCity(ctx, { world, layout, names }) {
+export function drawCity(ctx, view) {
+  if (isJoined(view.world)) {
+    joined.draw(ctx, view);
+    return;
+  }
+  const { world, layout, names } = view;
   const { cell, left, top } = layout;
   const field = [left, top, world.width * cell, world.height * cell];
   ctx.fillStyle = colourOf("--map-ground");
@@ -20,9 +31,9 @@ export function drawCity(ctx, { world, layout, names }) {
 }
 
 /** A number that belongs to a cell: the same city always looks the same. */
-const variety = (x, y) => Math.imul(x * 977 + y * 331 + 7, 2654435761) >>> 16;
+export const variety = (x, y) => Math.imul(x * 977 + y * 331 + 7, 2654435761) >>> 16;
 
-function drawGrid(ctx, world, { cell, left, top, scale }) {
+export function drawGrid(ctx, world, { cell, left, top, scale }) {
   ctx.strokeStyle = colourOf("--map-grid");
   const line = Math.max(1, Math.round(scale));
   ctx.lineWidth = line;
@@ -41,7 +52,7 @@ function drawGrid(ctx, world, { cell, left, top, scale }) {
   ctx.strokeRect(left - half, top - half, world.width * cell + 2 * half, world.height * cell + 2 * half);
 }
 
-function drawLabels(ctx, world, { cell, left, top, scale }) {
+export function drawLabels(ctx, world, { cell, left, top, scale }) {
   ctx.fillStyle = colourOf("--map-label");
   ctx.font = font(11 * scale);
   ctx.textAlign = "center";

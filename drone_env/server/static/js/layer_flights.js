@@ -7,6 +7,7 @@ const DOT = { inaccuracy: 0.09, mistake: 0.13, blunder: 0.16 };
 const RECENT = [9, 5, 2];
 const SMALLEST_DRONE = 22;
 const LARGE_DRONE = 56;
+const SMALLEST_PARCEL = 15;
 /** How far aside, in cells, what flies in the same cell is drawn. */
 const ASIDE = 0.09;
 
@@ -81,11 +82,12 @@ export function drawBest(ctx, { track, layout, clock }) {
 export function drawParcels(ctx, { world, track, layout, clock, breath }) {
   const { cell, scale } = layout;
   const frame = track.frameAt(Math.round(clock.position));
+  const side = Math.max(cell, SMALLEST_PARCEL * scale);
   const delivered = new Set(frame.delivered.map(String));
   for (const parcel of world.parcels) {
-    drawFigure(ctx, delivered.has(String(parcel)) ? "delivered" : "parcel", ...middle(layout, parcel), cell);
+    drawFigure(ctx, delivered.has(String(parcel)) ? "delivered" : "parcel", ...middle(layout, parcel), side);
   }
-  if (frame.target) drawTarget(ctx, ...middle(layout, frame.target), cell, breath, colourOf(track.colour));
+  if (frame.target) drawTarget(ctx, ...middle(layout, frame.target), side, breath, colourOf(track.colour));
   for (const move of track.annotation?.moves ?? []) {
     const size = DOT[move.label];
     if (!size) continue;

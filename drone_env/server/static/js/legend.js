@@ -24,7 +24,7 @@ export function mountLegend(root, context) {
 }
 
 /** The figure of a kind of cell on a canvas of 24 by 24. */
-function drawSign(kind) {
+export function drawSign(kind) {
   const side = SIDE * (window.devicePixelRatio || 1);
   const canvas = el("canvas", { "aria-hidden": "true", width: side, height: side });
   drawFigure(canvas.getContext("2d"), kind === "delivery" ? "parcel" : kind, side / 2, side / 2, side);

@@ -11,7 +11,7 @@ import { mountViews } from "./views.js";
 import { mountFly } from "./fly.js";
 
 /** Views that are loaded when they are first shown: most visits never come to them. */
-const LATER = { compare: "compare", learn: "learn", api: "api_view" };
+const LATER = { compare: "compare", learn: "learn", api: "api_view", draw: "editor" };
 
 async function boot() {
   const api = createApi(async (wrong) => (await import("./token.js")).askForToken(wrong));

@@ -72,6 +72,7 @@ export class Past {
   }
 
   async flown(record) {
+    await this.context.meet(record.task);
     const flown = await this.context.api.post("replay", record);
     const track = new Track(flown, this.fleet.look(flown.opening.pilot));
     track.record = record;

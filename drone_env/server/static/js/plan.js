@@ -11,7 +11,7 @@ export function mountPlan(root, context, fleet, acts) {
   const heading = el("summary.plan-head");
   const tasks = el("fieldset.choice", el("legend", { text: "Task" }));
   const pilots = el("fieldset.choice", el("legend", { text: `Pilots, up to ${context.most}` }));
-  const { form, seed, typing } = mapForm(context, fleet, acts, () => update());
+  const { form, seed, edit, typing } = mapForm(context, fleet, acts, () => update());
   // Who flies on instead sees again what he flies.
   const change = () => acts.start({ profile: profile.value }).finally(update);
   const profile = el("select", { id: "profile", on: { change } });
@@ -26,13 +26,16 @@ export function mountPlan(root, context, fleet, acts) {
   });
   root.append(details);
 
-  for (const [family, members] of context.families) {
+  const note = el("p.note.task-note", { id: "task-note" });
+  tasks.append(note);
+  function list(family, members) {
     const name = title(family);
     const group = el("span.task-group", { text: name, "aria-hidden": "true" });
     const options = members.map((task) => taskOption(task, name));
-    tasks.append(el("div.task-row", { role: "group", "aria-label": name }, group, ...options));
+    note.before(el("div.task-row", { role: "group", "aria-label": name }, group, ...options));
   }
-  tasks.append(el("p.note.task-note", { id: "task-note" }));
+  for (const [family, members] of context.families) list(family, members);
+  context.on("task", (task) => list(task.family, [task]));
   for (const pilot of context.pilots) pilots.append(pilotRow(pilot));
 
   function taskOption(task, family) {
@@ -93,7 +96,8 @@ export function mountPlan(root, context, fleet, acts) {
     const map = (past ? stage.world.seed : setup.seed) ?? "";
     setText(heading, [task ? title(task.short_name) : setup.task, `map ${map}`, names.join(", ")].join(" · "));
     for (const input of tasks.querySelectorAll("input")) input.checked = input.value === task?.short_name;
-    setText(tasks.querySelector(".task-note"), task ? taskNote(task) : "");
+    setText(note, task ? taskNote(task) : "");
+    edit.href = task ? `?view=draw&task=${task.short_name}&seed=${map}` : "?view=draw";
     pilots.dataset.many = String(setup.pilots.length > 1);
     for (const row of pilots.querySelectorAll(".pilot")) {
       const [name, box, about] = row.children;
@@ -149,8 +153,9 @@ function mapForm({ router, stage }, fleet, acts, update) {
     text: "Copy link",
     press: () => router.copy(),
   });
+  const edit = el("a.button.small", { id: "edit-map", text: "Edit this map" });
   // Enter changes the number first, which opens the map.
   const submit = (event) => event.preventDefault();
   const label = el("label.eyebrow", { for: "seed", text: "Map" });
-  return { form: el("form.map-form", { on: { submit } }, label, seed, el("div.row", fresh, copy)), seed, typing: () => typed };
+  return { form: el("form.map-form", { on: { submit } }, label, seed, el("div.row", fresh, copy, edit)), seed, edit, typing: () => typed };
 }

@@ -3,7 +3,7 @@
 import { copyText, toast } from "./dom.js";
 import { Emitter } from "./emitter.js";
 
-const VIEWS = new Set(["fly", "compare", "learn", "api"]);
+const VIEWS = new Set(["fly", "compare", "learn", "api", "draw"]);
 /** What views were called in links of earlier versions. */
 const OLDER = { watch: "fly", race: "fly", replay: "fly", history: "compare", specs: "learn", logs: "api" };
 

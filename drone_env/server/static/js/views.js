@@ -1,7 +1,7 @@
 // Which view is shown: that of the address.
 import { toast } from "./dom.js";
 
-const TITLES = { fly: "Fly", compare: "Compare pilots", learn: "Learn", api: "API and logs" };
+const TITLES = { fly: "Fly", compare: "Compare pilots", learn: "Learn", api: "API and logs", draw: "Draw a map" };
 
 /** @param {import("./context.js").Context} context */
 export function mountViews(context) {

@@ -1,0 +1,187 @@
+"""The routes of the map editor: a map as a drawing, what a drawing is worth, and drawings that are kept as tasks."""
+
+from itertools import groupby
+from typing import Annotated, Literal
+
+import numpy as np
+from fastapi import APIRouter, Body, Path
+from pydantic import ConfigDict, Field
+from typing_extensions import Self
+
+from drone_env.city.city_file import TEXTS, City, city_text, parse_city
+from drone_env.city.city_task import task_of
+from drone_env.core.cells import CELL_KINDS, Cell
+from drone_env.core.episode import Episode
+from drone_env.core.tasks import get_task
+from drone_env.core.terrain import PLACED
+from drone_env.errors import InvalidTaskError, TooLargeError
+from drone_env.models import MAX_SEED, Count, Message, Position, Score
+from drone_env.planning.optimal import solve_episode
+from drone_env.server.drawn_maps import name_of
+from drone_env.server.problems import answers
+from drone_env.server.routes.catalogue import describe
+from drone_env.server.schemas import OneTask
+from drone_env.server.state import SharedParts
+
+router = APIRouter(prefix="/maps", tags=["maps"])
+REFUSALS = answers(400, 413, 415, 422, 503)
+Number = Literal["max_steps", "battery_capacity", "charge_rate"]
+Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
+"""A `Position` as a list: testers of APIs stumble over tuples that come and go."""
+KINDS = ", ".join(f"{kind:d} {CELL_KINDS[kind].name}" for kind in PLACED)
+
+
+class DrawnMap(Message):
+    """A map as it is drawn: the file of a city as JSON, with start and parcels."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [{"cells": [[0, 1, 0], [0, 3, 0], [0, 0, 8]], "start": [0, 0], "parcels": [[2, 0]]}]
+        }
+    )
+
+    cells: list[list[int]] = Field(description=f"[y][x], kinds of the cells: {KINDS}.")
+    start: Pair = Field(description="[x, y] where the drone starts, a road.")
+    parcels: list[Pair] = Field(min_length=1, description="[x, y] of each parcel, roads.")
+    numbers: dict[Number, int] = Field(
+        default_factory=dict[Number, int], description="Numbers of the task that are not to be those of its size."
+    )
+    attribution: str = Field(default="", description="Whose data its terrain is.")
+    licence: str = Field(default="", description="Under which licence that may be handed on.")
+    source: str = Field(default="", description="Name of the file that it was made from.")
+    cell: float | None = Field(default=None, description="Metres along the side of a cell.")
+    bbox: list[float] | None = Field(
+        default=None, min_length=4, max_length=4, description="West, south, east, north in degrees."
+    )
+
+    @classmethod
+    def of(cls, city: City) -> Self:
+        """A map of a city as a drawing: what the city leaves to the seed is as on its map 0.
+
+        Raises:
+            InvalidTaskError: if the city is no task.
+        """
+        drawn = cls.from_episode(Episode(task_of(city, "city"), seed=0))
+        numbers = {name: number for name, number in city.numbers.items() if name in drawn.numbers}
+        about = {name: getattr(city, name) for name in (*TEXTS, "cell")}
+        whole = np.shape(drawn.cells) == city.grid.shape
+        bbox = list(city.bbox) if city.bbox and whole else None
+        return drawn.model_copy(update={"numbers": numbers, "bbox": bbox, **about})
+
+    @classmethod
+    def from_episode(cls, episode: Episode) -> Self:
+        """The map of an episode at its start as a drawing, with the numbers of its task."""
+        task, (x, y) = episode.task, episode.position
+        cells = episode.grid()
+        cells[y, x] = episode.under
+        cells[cells == Cell.DELIVERY] = Cell.ROAD
+        return cls(
+            cells=cells.tolist(),
+            start=[x, y],
+            parcels=[[px, py] for px, py, _ in episode.parcels],
+            numbers=_numbers(episode),
+            attribution=task.terrain.attribution if task.terrain else "",
+        )
+
+    def city(self) -> City:
+        """It as a city.
+
+        Raises:
+            InvalidTaskError: if it is none; the message says why.
+        """
+        widths, kinds = {len(row) for row in self.cells}, {kind for row in self.cells for kind in row}
+        if len(widths) != 1:
+            raise InvalidTaskError("cells must be rows of equal width")
+        if not kinds <= set(PLACED):
+            raise InvalidTaskError(f"cells hold {KINDS}; got {min(kinds.difference(PLACED))}")
+        return City(
+            np.array(self.cells, np.uint8),
+            self.attribution,
+            self.licence,
+            self.source,
+            self.cell,
+            None if self.bbox is None else (self.bbox[0], self.bbox[1], self.bbox[2], self.bbox[3]),
+            (self.start[0], self.start[1]),
+            tuple((x, y) for x, y in self.parcels),
+            {str(name): number for name, number in self.numbers.items()},
+        )
+
+
+class BestFlight(Message):
+    """A best flight over a map."""
+
+    score: Score = Field(description="The highest score that any flight can reach.")
+    success: bool = Field(description="Whether it delivers all parcels; else battery or steps last for no more.")
+    deliveries: Count
+    steps: Count = Field(description="Steps to its end.")
+    path: list[Position] = Field(description="[x, y] of the drone from its start on; where it waits, once.")
+
+
+class MapWorth(Message):
+    """What a map is worth, and its file."""
+
+    name: str = Field(description="Name of the task that it is once it is kept.")
+    toml: str = Field(description="Its file: the city that every command flies.")
+    numbers: dict[Number, Count] = Field(description="The numbers that it is flown with.")
+    optimum: BestFlight | None = Field(description="A best flight; null where the map is too large to be solved.")
+    bounds: tuple[Score, Score] | None = Field(description="What the optimum lies between where it is null.")
+
+
+class CityFile(Message):
+    """What the file of a city holds."""
+
+    toml: str = Field(description="Its text.")
+
+
+@router.get("/{task_name}/{seed}", responses=answers(404, 422))
+def drawn_map(task_name: str, seed: Annotated[int, Path(ge=0, le=MAX_SEED)]) -> DrawnMap:
+    """A map as a drawing, to be changed. A drawing is flown by the rules of `skyline`, whatever it was made from."""
+    return DrawnMap.from_episode(Episode(get_task(task_name), seed=seed))
+
+
+@router.post("/file", responses=REFUSALS)
+def file_as_map(file: Annotated[CityFile, Body()]) -> DrawnMap:
+    """The file of a city as a drawing; what it leaves to the seed is as on its map 0."""
+    return DrawnMap.of(parse_city(file.toml.encode()))
+
+
+@router.post("/worth", responses=REFUSALS)
+async def worth(shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> MapWorth:
+    """What a drawing is worth: the best score that any flight over it can reach, and the text of its file."""
+    return await shared.study(lambda: _worth(drawn.city()))
+
+
+@router.post("", responses=REFUSALS)
+def keep_map(shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
+    """Keep a drawing as a task, whose name follows from what is drawn; its only map is number 0.
+
+    It is found by that name from then on, by all who know it; the lists of tasks do not name it.
+    """
+    return describe(shared.maps.keep(drawn.city()), shared)
+
+
+def _worth(city: City) -> MapWorth:
+    text = city_text(city)
+    episode = Episode(task_of(city, "map"), seed=0)
+    optimum = between = None
+    try:
+        best = solve_episode(episode)
+        steps = episode.copy().fly(best.actions).path
+        path = [position for position, _ in groupby([episode.position, *((step.x, step.y) for step in steps)])]
+        optimum = BestFlight(
+            score=best.score, success=best.success, deliveries=best.deliveries, steps=best.steps, path=path
+        )
+    except TooLargeError:
+        from drone_env.planning.bounds import bounds  # loads a compiler, which is rarely needed here
+
+        between = bounds(episode)
+    return MapWorth(name=name_of(text.encode()), toml=text, numbers=_numbers(episode), optimum=optimum, bounds=between)
+
+
+def _numbers(episode: Episode) -> dict[Number, int]:
+    task = episode.task
+    return {
+        "max_steps": task.max_steps,
+        "battery_capacity": task.battery_capacity,
+        "charge_rate": task.charge_rate,
+    }

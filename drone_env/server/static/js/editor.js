@@ -1,0 +1,464 @@
+// Draw: a map that is painted cell by cell; the server says at once what it is worth, keeps it as a task and writes its file.
+import { ApiError } from "./api.js";
+import { mountBoards } from "./boards.js";
+import { Camera } from "./camera.js";
+import { announce, copyText, download, el, icon, setText, toast } from "./dom.js";
+import { add } from "./drawn.js";
+import { Emitter } from "./emitter.js";
+import { cellName, points } from "./format.js";
+import { isJoined } from "./layer_city.js";
+import { drawSign } from "./legend.js";
+import { linkOf } from "./router.js";
+import { Stage } from "./stage.js";
+import { recall, remember } from "./storage.js";
+import { Track } from "./track.js";
+
+const SIDES = [2, 64];
+const EMPTY = 12;
+const UNDONE = 100;
+const SHOWN = new Set(["city", "best", "parcels", "drones"]);
+const PALETTE = ["move", "road", "building", "tree", "obstacle", "pad", "parcel", "start"];
+const NUMBERS = { battery_capacity: ["Battery", 1], max_steps: ["Steps", 1], charge_rate: ["Charge per wait", 0] };
+const ARROWS = { ArrowUp: [0, -1], ArrowDown: [0, 1], ArrowLeft: [-1, 0], ArrowRight: [1, 0] };
+const MOVE = "M12 3v18M3 12h18M9 6l3-3 3 3M9 18l3 3 3-3M6 9l-3 3 3 3M18 9l3 3-3 3";
+
+/** Drawings of this tab, by what they were made from: Back and Reload come to them as they were left. */
+const kept = new Map();
+const keyOf = ({ file, task, seed }) => `drone-env-drawing ${file ?? `${task ?? ""} ${seed ?? 0}`}`;
+const same = (a, b) => a[0] === b[0] && a[1] === b[1];
+
+function keep(key, map) {
+  kept.set(key, map);
+  remember(key, JSON.stringify(map), "sessionStorage");
+}
+
+/** Opens the file of a city. @throws {ApiError} Where it is none. @param {File} file @param {import("./context.js").Context} context */
+export async function openMap(file, { api, router }) {
+  const address = { view: "draw", file: file.name };
+  keep(keyOf(address), await api.post("maps/file", { toml: await file.text() }));
+  router.go(address);
+}
+
+/** @param {HTMLElement} root An empty section. @param {import("./context.js").Context} context */
+export function mount(root, context) {
+  const { api, router, kinds } = context;
+  const own = Object.assign(new Emitter(), context, {
+    listeners: new Map(),
+    stage: new Stage(),
+    camera: new Camera(),
+    shows: (id) => SHOWN.has(id),
+  });
+  for (const event of ["theme", "terrain"]) context.on(event, () => own.emit(event));
+  const { stage, camera } = own;
+  const kindOf = (name) => kinds.find((kind) => kind.name === name).id;
+  const road = kindOf("road");
+  let key = null;
+  /** What is drawn, as `POST /maps/worth` takes it; what it is worth; and what is wrong with it. */
+  let map = null;
+  let worth = null;
+  let tool = "move";
+  let past = [];
+  /** The stroke that is drawn: the map before it, the cell that it has come to, and that of what it moves. */
+  let stroke = null;
+  let cursor = null;
+  let blocks = null;
+
+  // What stands on the page.
+  const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
+  const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: undo });
+  const blank = el("a.button.small", { href: "?view=draw", text: "Empty map" });
+  const again = el("button.button.small", { text: "Start over", title: "As it was before you drew", press: startOver });
+  const fields = Object.entries(NUMBERS).map(([name, [text, min]]) => field(name, text, min, 32_000, () => setNumber(name)));
+  const sides = ["Columns", "Rows"].map((text) => field(text.toLowerCase(), text, ...SIDES, resize));
+  const numbers = el("div.draw-numbers", ...[...sides, ...fields].map(({ label }) => label));
+  const input = el("input.visually-hidden", { type: "file", id: "map-file", accept: ".toml", on: { change: choose } });
+  const opening = el("div.field", input, el("label.button.small", { for: "map-file", text: "Open a file…" }));
+  const score = el("strong.hero-number", { id: "map-optimum", text: "–" });
+  const note = el("span.hero-note", { id: "map-note" });
+  const problem = el("p.problem", { role: "alert", hidden: true });
+  const about = el("p.note", { text: "Flown by the rules of Skyline, whatever it was made from." });
+  const whose = el("p.note");
+  const act = (id, text, press, tag = "button.button") => el(tag, { id, text, press: () => trying(press) });
+  const acts = el(
+    "div.draw-acts",
+    act("fly-map", "Fly it", () => go([context.pilots.find(({ automatic }) => !automatic).id]), "button.button.primary"),
+    act("race-map", "Race", () => go(null)),
+    act("link-map", "Copy link", async () => copyText(linkOf({ task: (await keptTask()).id, seed: 0 }).href, "Link copied.")),
+    act("save-map", "Save file", save),
+  );
+  const middle = el("div.middle");
+  root.append(
+    el("aside.draw-tools", { "aria-label": "Tools" }, tools, el("div.row", undoing, again, blank)),
+    middle,
+    el(
+      "aside.draw-side",
+      { "aria-label": "The map" },
+      el("div.score-main", el("span.eyebrow", { text: "Optimum" }), score, note),
+      problem,
+      acts,
+      numbers,
+      opening,
+      about,
+      whose,
+    ),
+  );
+  root.classList.add("draw");
+  const boards = mountBoards(middle, own);
+  const grid = middle.querySelector(".boards");
+  grid.id = "drawing";
+  Object.assign(grid, { tabIndex: 0, ariaLabel: "Map: arrows move the cursor, Space or Enter paints", role: "application" });
+  const mark = el("i.draw-cursor", { hidden: true });
+  grid.append(mark);
+
+  function choice(name) {
+    const kind = kinds.find((one) => one.name === name);
+    const sign = name === "move" ? icon(MOVE) : drawSign(name === "start" ? "drone" : name);
+    const input = el("input", { type: "radio", name: "paint", value: name, on: { change: () => (tool = name) } });
+    input.checked = name === tool;
+    return el("label.paint", { title: kind?.effect }, input, sign, el("span", { text: cellName(name) }));
+  }
+
+  function field(id, text, min, max, change) {
+    const input = el("input.input", { id: `map-${id}`, type: "number", min, max, step: "1", on: { change } });
+    return { id, input, label: el("label", el("span", { text }), input) };
+  }
+
+  // What is changed.
+  const inside = ([x, y]) => map.cells[y]?.[x] !== undefined;
+  const at = ([x, y]) => map.cells[y][x];
+  const put = ([x, y], kind) => (map.cells[y][x] = kind);
+  const parcelAt = (cell) => map.parcels.findIndex((parcel) => same(parcel, cell));
+  const free = (cell) => inside(cell) && at(cell) === road && !same(map.start, cell) && parcelAt(cell) < 0;
+
+  /** Moves what stands at a cell to another, if there is room. @returns {boolean} */
+  function move(from, to) {
+    if (!free(to)) return false;
+    const parcel = parcelAt(from);
+    if (same(map.start, from)) map.start = to;
+    else if (parcel >= 0) map.parcels[parcel] = to;
+    else {
+      put(to, at(from));
+      put(from, road);
+    }
+    return true;
+  }
+
+  /** Paints a cell. The start gives way to nothing, the last parcel to none. */
+  function paint(cell) {
+    if (same(map.start, cell)) return;
+    const parcel = parcelAt(cell);
+    if (tool === "start") move(map.start, cell);
+    else if (tool !== "parcel") {
+      if (parcel >= 0 && map.parcels.length === 1) return;
+      if (parcel >= 0) map.parcels.splice(parcel, 1);
+      put(cell, kindOf(tool));
+    } else if (parcel < 0) {
+      put(cell, road);
+      map.parcels.push(cell);
+    }
+  }
+
+  function begin(cell) {
+    const taken = same(map.start, cell) || parcelAt(cell) >= 0 || at(cell) !== road;
+    const held = same(map.start, cell) || (tool === "move" && taken) ? cell : null;
+    if (tool === "move" && !held) return;
+    stroke = { before: JSON.stringify(map), cell, held };
+    // A parcel goes where it is painted again.
+    if (!held && tool === "parcel" && parcelAt(cell) >= 0 && map.parcels.length > 1) {
+      map.parcels.splice(parcelAt(cell), 1);
+      stroke.done = true;
+    } else if (!held) paint(cell);
+    changed();
+  }
+
+  /** Goes on to a cell, by all that lie between. */
+  function on(cell) {
+    const [dx, dy] = [cell[0] - stroke.cell[0], cell[1] - stroke.cell[1]];
+    const n = Math.max(Math.abs(dx), Math.abs(dy));
+    const from = stroke.cell;
+    for (let i = 1; i <= n && !stroke.done; i++) {
+      const to = [from[0] + Math.round((i * dx) / n), from[1] + Math.round((i * dy) / n)];
+      if (!stroke.held) paint(to);
+      else if (move(stroke.held, to)) stroke.held = to;
+    }
+    stroke.cell = cell;
+    if (n) changed();
+  }
+
+  function end() {
+    if (stroke && stroke.before !== JSON.stringify(map)) past = [...past, stroke.before].slice(-UNDONE);
+    stroke = null;
+    undoing.disabled = past.length === 0;
+  }
+
+  /** One change as a whole. */
+  function edit(change) {
+    stroke = { before: JSON.stringify(map) };
+    change();
+    end();
+    show();
+  }
+
+  function undo() {
+    if (!past.length) return;
+    map = JSON.parse(past.pop());
+    undoing.disabled = past.length === 0;
+    show();
+  }
+
+  const empty = (width, height) => Array.from({ length: height }, () => new Array(width).fill(road));
+
+  function setNumber(name) {
+    const { input } = fields.find(({ id }) => id === name);
+    if (!input.reportValidity()) return;
+    edit(() => {
+      if (input.value === "") delete map.numbers[name];
+      else map.numbers[name] = Number(input.value);
+    });
+  }
+
+  /** Another size: what still fits stays. */
+  function resize() {
+    if (!sides.every(({ input }) => input.value && input.reportValidity())) return;
+    const [width, height] = sides.map(({ input }) => Number(input.value));
+    edit(() => {
+      map.cells = empty(width, height).map((row, y) => row.map((kind, x) => map.cells[y]?.[x] ?? kind));
+      map.start = [Math.min(map.start[0], width - 1), Math.min(map.start[1], height - 1)];
+      map.parcels = map.parcels.filter((parcel) => inside(parcel) && !same(parcel, map.start));
+      const corner = same(map.start, [width - 1, height - 1]) ? [0, 0] : [width - 1, height - 1];
+      if (!map.parcels.length) map.parcels = [corner];
+      for (const stop of [map.start, ...map.parcels]) put(stop, road);
+      map.bbox = null;
+    });
+  }
+
+  // What is shown.
+  /** Large maps and real places are drawn by what most visits do not load. */
+  const join = () => (blocks ??= trying(async () => (await (await import("./around.js")).join(), own.emit("terrain"))));
+  /** The map has another size, or is another. */
+  function show() {
+    draw();
+    stage.show(stage.world, stage.tracks);
+    changed();
+  }
+
+  function draw() {
+    const [height, width] = [map.cells.length, map.cells[0].length];
+    const [x, y] = map.start;
+    const frames = [{ x, y, step: 0, done: false, delivered: [], target: null }];
+    const track = new Track({ opening: { pilot: "", by: "", forked_at: null }, frames }, { name: "", colour: "--accent" });
+    track.annotation = worth?.optimum ? { optimal_path: worth.optimum.path, moves: [] } : null;
+    const task = { short_name: "drawing", attribution: map.attribution };
+    stage.world = { task, seed: 0, width, height, cells: map.cells, parcels: map.parcels };
+    if (isJoined(stage.world)) join();
+    stage.tracks = [track];
+    for (const board of boards.boards) board.reload();
+    for (const [i, side] of [width, height].entries()) sides[i].input.value = String(side);
+    for (const { id, input } of fields) {
+      if (document.activeElement !== input) input.value = map.numbers[id] ?? "";
+      input.placeholder = worth?.numbers[id] ?? "";
+    }
+    setText(whose, map.attribution);
+  }
+
+  function changed() {
+    draw();
+    keep(key, map);
+    ask();
+  }
+
+  // One question at a time, and after it the newest: what was drawn in between is asked by nobody.
+  let asking = false;
+  let newest = null;
+  async function ask() {
+    newest = map;
+    score.classList.add("waiting");
+    if (asking) return;
+    asking = true;
+    while (newest) {
+      const asked = newest;
+      newest = null;
+      let wrong = null;
+      try {
+        worth = await api.post("maps/worth", asked);
+      } catch (error) {
+        if (!(error instanceof ApiError)) throw error;
+        worth = null;
+        wrong = error.message;
+      }
+      tell(wrong);
+    }
+    asking = false;
+    score.classList.remove("waiting");
+  }
+
+  function tell(wrong) {
+    const { optimum, bounds } = worth ?? {};
+    setText(score, optimum ? points(optimum.score) : "–");
+    setText(note, worth ? inWords(optimum, bounds, map.parcels.length) : "");
+    problem.hidden = wrong === null;
+    setText(problem, wrong ?? "");
+    for (const button of acts.children) button.disabled = wrong !== null;
+    draw();
+  }
+
+  // What is done with it.
+  async function trying(press) {
+    try {
+      await press();
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      toast(error.message);
+    }
+  }
+
+  async function keptTask() {
+    const answer = await api.post("maps", map);
+    add(context, answer);
+    return answer.task;
+  }
+
+  async function go(pilots) {
+    const { id } = await keptTask();
+    const able = context.pilots.filter(({ automatic, tasks }) => automatic && tasks.includes(id)).map((pilot) => pilot.id);
+    router.go({ task: id, seed: 0, pilots: pilots ?? able.slice(0, context.most) });
+  }
+
+  async function save() {
+    const { name, toml } = await api.post("maps/worth", map);
+    download(`${name}.toml`, new Blob([toml], { type: "application/toml" }));
+  }
+
+  async function choose() {
+    const [file] = input.files;
+    if (file) await trying(() => openMap(file, context));
+    input.value = "";
+  }
+
+  // Pointers and keys.
+  const layout = () => {
+    const { width, height } = grid.querySelector(".map").getBoundingClientRect();
+    const scale = window.devicePixelRatio || 1;
+    return camera.layout(stage.world, { width: width * scale, height: height * scale, scale }, map.start);
+  };
+  const cellBelow = ({ clientX, clientY }) => {
+    const box = grid.querySelector(".map").getBoundingClientRect();
+    const { cell, left, top, scale } = layout();
+    return [clientX - box.left, clientY - box.top].map((p, i) => Math.floor((p * scale - [left, top][i]) / cell));
+  };
+  const pointers = new Set();
+  grid.addEventListener("pointerdown", (event) => {
+    pointers.add(event.pointerId);
+    point(null);
+    if (pointers.size > 1 && stroke) {
+      // Two fingers move the map: what the first has drawn was not meant.
+      map = JSON.parse(stroke.before);
+      stroke = null;
+      changed();
+    } else if (pointers.size === 1 && event.button === 0 && map && inside(cellBelow(event))) begin(cellBelow(event));
+  });
+  grid.addEventListener(
+    "pointermove",
+    (event) => {
+      if (!stroke || pointers.size > 1) return;
+      event.stopPropagation();
+      const cell = cellBelow(event);
+      if (inside(cell) && !same(cell, stroke.cell)) on(cell);
+    },
+    { capture: true },
+  );
+  for (const type of ["pointerup", "pointercancel"])
+    window.addEventListener(type, ({ pointerId }) => pointers.delete(pointerId) && end());
+
+  /** Shows the cursor at a cell, for the keyboard. */
+  function point(cell) {
+    cursor = cell;
+    mark.hidden = cell === null;
+    if (!cell) return;
+    const { cell: side, left, top, scale } = layout();
+    const place = { left: left + cell[0] * side, top: top + cell[1] * side, width: side, height: side };
+    for (const [name, pixels] of Object.entries(place)) mark.style[name] = `${pixels / scale}px`;
+    mark.classList.toggle("holds", Boolean(stroke?.held));
+    const what = same(map.start, cell) ? "start" : parcelAt(cell) >= 0 ? "parcel" : kinds[at(cell)].name;
+    announce(`Column ${cell[0]}, row ${cell[1]}: ${cellName(what)}${stroke?.held ? ", held" : ""}`);
+  }
+  grid.addEventListener("keydown", (event) => {
+    const way = ARROWS[event.key];
+    if (event.ctrlKey || event.metaKey || event.altKey || !map) return;
+    if (way) {
+      const next = cursor ? [cursor[0] + way[0], cursor[1] + way[1]] : map.start;
+      if (stroke && inside(next)) on(next);
+      if (inside(next)) point(stroke?.held ?? next);
+      if (stroke) stroke.cell = cursor;
+    } else if ((event.key === " " || event.key === "Enter") && cursor) {
+      // What is taken up goes along until it is put down.
+      if (stroke) end();
+      else begin(cursor);
+      if (!stroke?.held) end();
+      point(cursor);
+    } else if (PALETTE[event.key - 1]) tools.querySelectorAll("input")[event.key - 1].click();
+    else return;
+    event.preventDefault();
+  });
+  grid.addEventListener("blur", () => {
+    end();
+    mark.hidden = true;
+  });
+  own.on("camera", () => cursor && point(cursor));
+  document.addEventListener("keydown", (event) => {
+    const wanted = (event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && !event.target.matches("input[type=number]");
+    if (!wanted || context.view !== "draw") return;
+    event.preventDefault();
+    undo();
+  });
+
+  // Which map it is, the address says.
+  async function look() {
+    if (router.address.view !== "draw" || (key === keyOf(router.address) && map === kept.get(key))) return;
+    const { address } = router;
+    const wanted = keyOf(address);
+    const left = kept.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage"));
+    await load(wanted, left ?? (() => origin(address)));
+  }
+
+  async function origin({ task, seed }) {
+    if (task) return api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
+    return { cells: empty(EMPTY, EMPTY), start: [0, 0], parcels: [[EMPTY - 1, EMPTY - 1]], numbers: {} };
+  }
+
+  async function load(wanted, from) {
+    try {
+      const found = typeof from === "function" ? await from() : from;
+      if (wanted !== keyOf(router.address)) return;
+      key = wanted;
+      map = found;
+      worth = null;
+      past = [];
+      undoing.disabled = true;
+      again.hidden = Boolean(router.address.file);
+      show();
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      problem.hidden = false;
+      setText(problem, error.message);
+    }
+  }
+
+  async function startOver() {
+    await trying(async () => {
+      const found = await origin(router.address);
+      edit(() => (map = found));
+    });
+  }
+
+  router.on("address", look);
+  context.live.on("state", ({ state }) => state === "open" && map && !problem.hidden && ask());
+  look();
+}
+
+/** The optimum in words. */
+function inWords(optimum, bounds, parcels) {
+  if (!optimum) return `Too large to be solved: between ${points(bounds[0])} and ${points(bounds[1])}`;
+  if (optimum.success) return `${parcels === 1 ? "The parcel" : `All ${parcels} parcels`} in ${optimum.steps} steps`;
+  return `${optimum.deliveries} of ${parcels} parcels at best: battery or steps last for no more`;
+}
