@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
     from drone_env.core.seeds import SPLITS, next_seed, split_seeds
     from drone_env.core.tasks import TASKS, TaskConfig, get_task
-    from drone_env.envs.registry import register_reward_profile, register_task
+    from drone_env.envs.registry import register_city, register_reward_profile, register_task
     from drone_env.evaluation.episodes import episodes_key, evaluate, run_episodes, summarise
     from drone_env.graders import GRADERS
     from drone_env.models import DroneAction, DroneObservation, DroneState
@@ -34,7 +34,7 @@ _HOMES = {
     "core.rewards": ("REWARD_PROFILES", "RewardProfile"),
     "core.seeds": ("SPLITS", "next_seed", "split_seeds"),
     "core.tasks": ("TASKS", "TaskConfig", "get_task"),
-    "envs.registry": ("register_reward_profile", "register_task"),
+    "envs.registry": ("register_city", "register_reward_profile", "register_task"),
     "evaluation.episodes": ("episodes_key", "evaluate", "run_episodes", "summarise"),
     "graders": ("GRADERS",),
     "models": ("DroneAction", "DroneObservation", "DroneState"),
@@ -70,6 +70,7 @@ __all__ = [
     "make_agent",
     "next_seed",
     "register_agent",
+    "register_city",
     "register_reward_profile",
     "register_task",
     "run_episodes",

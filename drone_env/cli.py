@@ -20,14 +20,15 @@ from drone_env.commands.evaluate import evaluate
 from drone_env.commands.fly import fly
 from drone_env.commands.infer import infer
 from drone_env.commands.leaderboard import leaderboard
+from drone_env.commands.named_files import told, with_names
 from drone_env.commands.play import play
 from drone_env.commands.replay import replay
 from drone_env.commands.serve import serve
 from drone_env.commands.solve import solve
 from drone_env.commands.sweep import sweep
 from drone_env.commands.train import train_commands
-from drone_env.envs.registry import load_plugins, register_city
-from drone_env.errors import DroneEnvError
+from drone_env.envs.registry import load_plugins
+from drone_env.errors import AgentError, DroneEnvError
 
 DESCRIPTION = (
     "A drone delivers parcels on a generated city grid. `drone-env COMMAND --help` is the manual of a command."
@@ -40,21 +41,6 @@ def _app(train: Callable[..., int]) -> SubcommandApp:
     for command in (fly, *measuring, train, sweep, infer, play, replay, dataset, city, serve, doctor):
         app.command(command)
     return app
-
-
-def _with_cities(arguments: Sequence[str]) -> list[str]:
-    """The arguments with the name of its task for each file of a city that --task names; the task is registered."""
-    named: list[str] = []
-    option = ""
-    for argument in arguments:
-        word, equals, value = argument.partition("=")
-        if argument.startswith("-"):
-            option = word
-        if option == "--task" and argument.endswith(".toml"):
-            file = value if equals and argument.startswith("-") else argument
-            argument = argument.removesuffix(file) + register_city(file).id
-        named.append(argument)
-    return named
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -72,12 +58,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if list(arguments[:1]) != ["doctor"]:  # which says what is wrong with them
             load_plugins()
-        arguments = _with_cities(arguments)
         status = 0
-        for train in train_commands(arguments):  # one, whatever the command, unless all tasks are to be trained
-            with own_profiles_forgotten():
+        with own_profiles_forgotten():
+            named = with_names(arguments)
+            for train in train_commands(named):  # one, whatever the command, unless all tasks are to be trained
                 status = status or _app(train).cli(
-                    prog="drone-env", description=DESCRIPTION, args=arguments, config=[tyro.conf.DisallowNone]
+                    prog="drone-env", description=DESCRIPTION, args=named, config=[tyro.conf.DisallowNone]
                 )
         sys.stdout.flush()
         return int(status or 0)
@@ -86,7 +72,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 2
     except (DroneEnvError, OSError) as error:
-        print(f"drone-env: {error}", file=sys.stderr)
+        if isinstance(error, AgentError):
+            print(error.trace, end="", file=sys.stderr)  # whoever wrote the agent has to debug it
+        print(f"drone-env: {told(error, arguments) if isinstance(error, OSError) else error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -6,6 +6,7 @@
     ├── InvalidValueError     (also a ValueError)   a seed, action or option outside what is allowed
     │   └── InvalidTaskError                        a TaskConfig or RewardProfile that contradicts itself
     ├── EpisodeError          (also a RuntimeError) a call that does not fit the episode's state
+    ├── AgentError            (also a RuntimeError) an agent of one's own whose code failed
     ├── UnsupportedTaskError  (also a ValueError)   a planner asked about a task whose mechanics it does not cover
     ├── TooLargeError         (also a ValueError)   an exact solution that would not fit into memory
     ├── MissingPackageError   (also an ImportError) a package of an extra that is not installed
@@ -45,14 +46,14 @@ def _again(kind: type[DroneEnvError], args: tuple[Any, ...], attributes: dict[st
 
 
 class UnknownNameError(DroneEnvError, LookupError):
-    """A name that is not in a registry; the message lists the names that are, unless none are given."""
+    """A name that is not in a registry; the message lists the names that are, unless none are given, then `more`."""
 
-    def __init__(self, kind: str, given: object, allowed: Iterable[str]) -> None:
+    def __init__(self, kind: str, given: object, allowed: Iterable[str], more: str = "") -> None:
         self.kind = kind
         self.given = given
         self.allowed = sorted(set(allowed))
         known = f"unknown {kind} {given!r}; allowed: {', '.join(self.allowed)}"
-        super().__init__(known if self.allowed else f"there is no {kind} {given!r}")
+        super().__init__((known if self.allowed else f"there is no {kind} {given!r}") + more)
 
 
 class WithdrawnError(UnknownNameError):
@@ -73,6 +74,18 @@ class InvalidTaskError(InvalidValueError):
 
 class EpisodeError(DroneEnvError, RuntimeError):
     """A call that does not fit the state of the episode, such as a step before the first reset."""
+
+
+class AgentError(DroneEnvError, RuntimeError):
+    """The code of an agent failed; the cause is what it raised.
+
+    Attributes:
+        trace: Its traceback as text, from the agent's own code on: it travels between processes, which causes do not.
+    """
+
+    def __init__(self, message: str, trace: str = "") -> None:
+        super().__init__(message)
+        self.trace = trace
 
 
 class TooLargeError(DroneEnvError, ValueError):

@@ -88,8 +88,8 @@ def make_agent(name: str, task: str | TaskConfig) -> Agent:
     trust it.
 
     Raises:
-        UnknownNameError: if there is no such agent or task; the message lists the valid names.
-        InvalidValueError: if there is no such module or wrapper, or what it names cannot fly.
+        UnknownNameError: if there is no such agent, task or wrapper; the message lists the valid names.
+        InvalidValueError: if there is no such module, or what it names cannot fly.
         UnsupportedTaskError: if the agent cannot fly that task.
         OSError: if the file cannot be read.
         CheckpointError: if it holds no network, or none for that task.

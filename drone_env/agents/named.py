@@ -10,10 +10,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
 
-from drone_env.agents.base import Agent
+from drone_env.agents.base import Agent, named_failures
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, UnknownNameError
 
 SB3_FILE = re.compile(r"(?P<file>.+\.zip)(:(?P<wrapper>[\w.]+(:(?!sampled$)\w+)?))??(?P<sampled>:sampled)?")
 MODULE = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
@@ -59,6 +59,7 @@ def agent_named(name: str, task: TaskConfig) -> Agent | None:
     as Python finds them, and in the working directory. None where a name is of none of these forms.
 
     Raises:
+        UnknownNameError: if there is no such wrapper.
         InvalidValueError: if there is no such module, or nothing of that name in it that flies.
         OSError: if the file cannot be read.
         CheckpointError: if it holds no policy, or none for the task.
@@ -82,8 +83,10 @@ def as_agent(policy: Any, task: TaskConfig, wrapper: Any = None, sampled: bool =
         sampled: Whether a model draws its actions; else it takes the likeliest.
 
     Raises:
+        UnknownNameError: if there is no such wrapper.
         InvalidValueError: if it is none of these or a class that takes no task, something is said that only a model
             takes, or the model sees what `VecNormalize` made of observations.
+        AgentError: if a class fails to make one.
         CheckpointError: if the model sees other observations than those of the task behind the wrapper.
     """
     if hasattr(policy, "predict") and hasattr(policy, "observation_space"):
@@ -121,7 +124,8 @@ def _made(kind: type, task: TaskConfig) -> Any:
             f"the class {kind.__qualname__} is made for a task, `{kind.__qualname__}(task)`, which it does not take: "
             f"{error}; write `def __init__(self, task)`"
         ) from None
-    return kind(task)
+    with named_failures(kind.__qualname__, task, lambda: "when made"):
+        return kind(task)
 
 
 def _must_take(function: Callable[..., Any], what: str) -> None:
@@ -149,8 +153,15 @@ def _identity(made: Any) -> dict[str, object]:
 
 def _wrapper(name: str) -> Any:
     """A wrapper of this package by its name, or of any module by `MODULE:NAME`."""
-    module, _, member = f"drone_env.envs.wrappers:{name}".rpartition(":") if ":" not in name else name.partition(":")
-    return _member(module, member, f"wrapper {name!r}")
+    if ":" in name:
+        module, _, member = name.partition(":")
+        return _member(module, member, f"wrapper {name!r}")
+    from drone_env.agents.sb3_policy import AT_ONCE
+
+    shipped = {wrapper.__name__: wrapper for wrapper in AT_ONCE if wrapper is not None}
+    if name not in shipped:
+        raise UnknownNameError("wrapper", name, [*shipped, "MODULE:NAME"])
+    return shipped[name]
 
 
 def _member(module: str, name: str, what: str) -> Any:

@@ -12,7 +12,7 @@ from drone_env.city.layers import Layer, layers
 from drone_env.city.movingai import read_movingai
 from drone_env.city.openstreetmap import ATTRIBUTION, LICENCE, Extract, Found, extent, read_extract
 from drone_env.city.raster import paint_area, paint_line, water_beside
-from drone_env.city.window import BBox, Window, window_of
+from drone_env.city.sheet import BBox, Sheet, sheet_of
 from drone_env.core.cells import Cell
 from drone_env.errors import InvalidValueError
 
@@ -70,20 +70,20 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
         return _cut(path, bbox, size)
     covered = extent(path)
     try:
-        window = window_of(bbox or covered, cell, size, middle=bbox is None)
+        sheet = sheet_of(bbox or covered, cell, size, middle=bbox is None)
     except InvalidValueError as error:
         raise InvalidValueError(f"{path}: {error}") from None
-    extract = read_extract(path, window)
+    extract = read_extract(path, sheet)
     if not any(found.things for found in extract.layers.values()):
         west, south, east, north = covered
         raise InvalidValueError(f"{path}: nothing of the layers lies there; it covers {west} {south} {east} {north}")
-    grid, owner = _terrain(extract, window)
+    grid, owner = _terrain(extract, sheet)
     rows = [
         (layer.name, layer.kind, extract.layers[layer.name].things, int((owner == i).sum()))
         for i, layer in enumerate(layers())
     ]
-    city = City(grid, ATTRIBUTION, LICENCE, path.name, cell, window.bbox)
-    whole = None if bbox else window_of(covered, cell, (1 << 30, 1 << 30))
+    city = City(grid, ATTRIBUTION, LICENCE, path.name, cell, sheet.bbox)
+    whole = None if bbox else sheet_of(covered, cell, (1 << 30, 1 << 30))
     of = whole and (whole.columns, whole.rows)
     return Imported(city, of, rows, extract.outside, extract.broken, extract.unknown)
 
@@ -108,27 +108,27 @@ def _cut(path: Path, box: BBox | None, size: tuple[int, int]) -> Imported:
     return Imported(City(np.ascontiguousarray(piece), source=path.name), whole)
 
 
-def _terrain(extract: Extract, window: Window) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+def _terrain(extract: Extract, sheet: Sheet) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
     """The kind of each cell, and the number of the layer that it belongs to; -1 for none."""
-    grid = np.full((window.rows, window.columns), Cell.ROAD, np.uint8)
+    grid = np.full((sheet.rows, sheet.columns), Cell.ROAD, np.uint8)
     owner = np.full(grid.shape, -1)
     for number, layer in enumerate(layers()):
-        claimed = _claims(layer, extract.layers[layer.name], window) & (owner < 0)
+        claimed = _claims(layer, extract.layers[layer.name], sheet) & (owner < 0)
         owner[claimed] = number
         grid[claimed] = layer.kind
     return grid, owner
 
 
-def _claims(layer: Layer, found: Found, window: Window) -> npt.NDArray[np.bool_]:
+def _claims(layer: Layer, found: Found, sheet: Sheet) -> npt.NDArray[np.bool_]:
     """bool[rows, columns]: the cells that a layer claims."""
-    claimed = np.zeros((window.rows, window.columns), np.bool_)
+    claimed = np.zeros((sheet.rows, sheet.columns), np.bool_)
     if found.areas or found.lines:
-        covered = np.zeros((window.rows * FINE, window.columns * FINE), np.bool_)
+        covered = np.zeros((sheet.rows * FINE, sheet.columns * FINE), np.bool_)
         for rings in found.areas:
             paint_area(covered, [ring * FINE for ring in rings])
         for line, width in found.lines:
-            paint_line(covered, line * FINE, width / window.cell * FINE)
-        samples = np.reshape(covered, (window.rows, FINE, window.columns, FINE)).sum(axis=(1, 3))
+            paint_line(covered, line * FINE, width / sheet.cell * FINE)
+        samples = np.reshape(covered, (sheet.rows, FINE, sheet.columns, FINE)).sum(axis=(1, 3))
         claimed |= samples >= layer.share * FINE**2
     if found.coasts:
         claimed |= water_beside(found.coasts, claimed.shape)

@@ -1,7 +1,7 @@
-"""What an extract of OpenStreetMap holds inside a window, layer by layer. Needs the extra `city`.
+"""What an extract of OpenStreetMap holds inside a sheet, layer by layer. Needs the extra `city`.
 
 A file is read as a stream, by osmium. It keeps the coordinates of all nodes, and of what they make up only what reaches
-into the window is kept here.
+into the sheet is kept here.
 """
 
 from collections import Counter
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.city.layers import Layer, keys, layers
-from drone_env.city.window import BBox, Window
+from drone_env.city.sheet import BBox, Sheet
 from drone_env.errors import InvalidValueError, needs
 
 ATTRIBUTION = "© OpenStreetMap contributors"
@@ -30,7 +30,7 @@ Place = tuple[float, float]
 
 @dataclass
 class Found:
-    """What belongs to a layer and reaches into the window; coordinates are (x, y) in cells."""
+    """What belongs to a layer and reaches into the sheet; coordinates are (x, y) in cells."""
 
     points: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     areas: list[list[Points]] = field(default_factory=list[list[Points]])
@@ -48,7 +48,7 @@ class Extract:
 
     layers: dict[str, Found]
     outside: int = 0
-    """Things with a key that layers ask for, which do not reach into the window."""
+    """Things with a key that layers ask for, which do not reach into the sheet."""
     broken: int = 0
     """Areas whose rings do not close or lack nodes, and ways of which no two nodes that follow each other are there."""
     unknown: Counter[str] = field(default_factory=Counter[str])
@@ -76,8 +76,8 @@ def extent(path: Path) -> BBox:
         return west, south, east, north
 
 
-def read_extract(path: Path, window: Window) -> Extract:
-    """What of an extract lies in a window.
+def read_extract(path: Path, sheet: Sheet) -> Extract:
+    """What of an extract lies in a sheet.
 
     Raises:
         InvalidValueError: if it cannot be read, or nothing in it can be used; the message says why.
@@ -89,7 +89,7 @@ def read_extract(path: Path, window: Window) -> Extract:
     with _reading(path) as (osmium, file):
         wanted = osmium.filter.KeyFilter(*keys())
         for thing in osmium.FileProcessor(file).with_areas(wanted).with_filter(wanted):
-            _sort_in(thing, extract, window, unclosed)
+            _sort_in(thing, extract, sheet, unclosed)
     extract.broken += len(unclosed)
     found = sum(of_layer.things for of_layer in extract.layers.values())
     if not found and extract.broken > extract.outside:
@@ -98,30 +98,30 @@ def read_extract(path: Path, window: Window) -> Extract:
     return extract
 
 
-def _sort_in(thing: Any, extract: Extract, window: Window, unclosed: set[tuple[str, int]]) -> None:
+def _sort_in(thing: Any, extract: Extract, sheet: Sheet, unclosed: set[tuple[str, int]]) -> None:
     """Keep a thing, or count why it is dropped. A way and a relation come before the area that they make up."""
     if thing.is_area():
         origin = "way" if thing.from_way() else "relation", thing.orig_id()
         if origin in unclosed and (rings := list(_rings(thing))):
             unclosed.discard(origin)
-            if _outside([place for ring in rings for place in ring], window):
+            if _outside([place for ring in rings for place in ring], sheet):
                 extract.outside += 1
             else:
-                _keep_area(rings, _tags(thing), extract, window)
+                _keep_area(rings, _tags(thing), extract, sheet)
         return
     places = _places([thing] if thing.is_node() else thing.nodes if thing.is_way() else ())
     known = [place for place in places if place is not None]
     # Most of a large extract ends here, so that this is asked first.
-    if known and _outside(known, window):
+    if known and _outside(known, sheet):
         extract.outside += 1
         return
     tags = _tags(thing)
     if not thing.is_node() and _can_be_area(thing, tags):
         unclosed.add(("way" if thing.is_way() else "relation", thing.id))
     elif thing.is_way():
-        _keep_way(places, tags, extract, window)
+        _keep_way(places, tags, extract, sheet)
     elif thing.is_node() and (layer := _first("points", tags)):
-        _keep_point(known, layer, extract, window)
+        _keep_point(known, layer, extract, sheet)
     elif thing.is_node() or tags.get("type") in ("multipolygon", "boundary"):
         extract.unknown.update(_described(tags))
 
@@ -135,20 +135,20 @@ def _can_be_area(thing: Any, tags: Mapping[str, str]) -> bool:
     return tags.get("type") in ("multipolygon", "boundary")
 
 
-def _keep_area(rings: list[list[Place]], tags: Mapping[str, str], extract: Extract, window: Window) -> None:
+def _keep_area(rings: list[list[Place]], tags: Mapping[str, str], extract: Extract, sheet: Sheet) -> None:
     layer, point = _first("areas", tags), _first("points", tags)
     if layer is not None:
-        extract.layers[layer.name].areas.append([window.to_cells(np.array(ring)) for ring in rings])
+        extract.layers[layer.name].areas.append([sheet.to_cells(np.array(ring)) for ring in rings])
         extract.layers[layer.name].things += 1
     elif point is not None:
         (west, east), (south, north) = ((min(side), max(side)) for side in zip(*rings[0], strict=True))
-        _keep_point([((west + east) / 2, (south + north) / 2)], point, extract, window)
+        _keep_point([((west + east) / 2, (south + north) / 2)], point, extract, sheet)
 
 
-def _keep_way(places: list[Place | None], tags: Mapping[str, str], extract: Extract, window: Window) -> None:
+def _keep_way(places: list[Place | None], tags: Mapping[str, str], extract: Extract, sheet: Sheet) -> None:
     wide = next(((layer, width) for layer in layers() if (width := layer.width(tags)) is not None), None)
     coast = _first("coasts", tags)
-    parts = [window.to_cells(np.array(part)) for part in _parts(places)]
+    parts = [sheet.to_cells(np.array(part)) for part in _parts(places)]
     if wide is None and coast is None:
         extract.unknown.update(_described(tags))
     elif not parts:
@@ -162,10 +162,10 @@ def _keep_way(places: list[Place | None], tags: Mapping[str, str], extract: Extr
         extract.layers[coast.name].things += 1
 
 
-def _keep_point(places: list[Place], layer: Layer, extract: Extract, window: Window) -> None:
+def _keep_point(places: list[Place], layer: Layer, extract: Extract, sheet: Sheet) -> None:
     """Keep a point, the one place of a list, if it lies in a cell."""
-    for x, y in window.to_cells(np.array(places)).tolist() if places else ():
-        if 0 <= x < window.columns and 0 <= y < window.rows:
+    for x, y in sheet.to_cells(np.array(places)).tolist() if places else ():
+        if 0 <= x < sheet.columns and 0 <= y < sheet.rows:
             extract.layers[layer.name].points.append((x, y))
             extract.layers[layer.name].things += 1
         else:
@@ -183,9 +183,9 @@ def _parts(places: list[Place | None]) -> list[list[Place]]:
     return [part for part in parts if len(part) > 1]
 
 
-def _outside(places: list[Place], window: Window) -> bool:
-    """Whether the box around places does not meet the window."""
-    west, south, east, north = window.bbox
+def _outside(places: list[Place], sheet: Sheet) -> bool:
+    """Whether the box around places does not meet the sheet."""
+    west, south, east, north = sheet.bbox
     lons, lats = [lon for lon, _ in places], [lat for _, lat in places]
     return max(lons) <= west or min(lons) >= east or max(lats) <= south or min(lats) >= north
 

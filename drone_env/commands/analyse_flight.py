@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 from drone_env.agents import make_agent
+from drone_env.agents.base import begin
 from drone_env.commands.arguments import ChosenAgent, ChosenTask, Seed, say_trusted
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import rollout
@@ -63,8 +64,9 @@ def analyse_flight(
         name = "greedy" if agent is None else agent
         say_trusted([name])
         start, pilot = Episode(task), make_agent(name, task)
-        pilot.reset(start.reset(seed))
-        analysed = analysis.analyse_actions(start, rollout(start.copy(), pilot.act).actions, name)
+        start.reset(seed)
+        flown = start.copy()
+        analysed = analysis.analyse_actions(start, rollout(flown, begin(pilot, name, flown)).actions, name)
     else:
         given = "neither" if file is None else "both"
         raise InvalidValueError(

@@ -12,7 +12,6 @@ from drone_env.agents.named import sb3_file
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.seeds import N_SEEDS, SPLITS, split_seeds
 from drone_env.core.tasks import TASKS
-from drone_env.envs.registry import register_reward_file
 from drone_env.errors import InvalidValueError
 
 SHORT_NAMES = [task.short_name for task in TASKS.values()]
@@ -28,17 +27,10 @@ Split = Annotated[str, tyro.conf.arg(metavar="|".join(SPLITS))]
 ClusterAddress = Annotated[str | None, tyro.conf.arg(metavar="local|auto|HOST:PORT")]
 SplitName = Annotated[str | None, tyro.conf.arg(metavar="|".join(SPLITS))]
 SeedRange = Annotated[str | None, tyro.conf.arg(metavar="A:B")]
+PROFILE = "|".join((*REWARD_PROFILES, "FILE.toml"))
+ProfileName = Annotated[str, tyro.conf.arg(metavar=PROFILE)]
+ChosenProfile = Annotated[str | None, tyro.conf.arg(metavar=PROFILE)]
 Seed = Annotated[int | None, tyro.conf.arg(metavar="N")]
-
-
-def known_profile(name: str) -> str:
-    """The id of the reward profile that an argument names; that of a TOML file (.toml) is registered first.
-
-    Raises:
-        OSError: if the file cannot be read.
-        InvalidTaskError: if it is no reward profile, or its id is that of another one.
-    """
-    return register_reward_file(name).id if name.endswith(".toml") else name
 
 
 @contextmanager
@@ -50,19 +42,6 @@ def own_profiles_forgotten() -> Generator[None, None, None]:
     finally:
         REWARD_PROFILES.clear()
         REWARD_PROFILES.update(before)
-
-
-ProfileName = Annotated[
-    str,
-    tyro.constructors.PrimitiveConstructorSpec[str](
-        nargs=1,
-        metavar="|".join((*REWARD_PROFILES, "FILE.toml")),
-        instance_from_str=lambda given: known_profile(given[0]),
-        is_instance=lambda value: isinstance(value, str),
-        str_from_instance=lambda name: [name],
-    ),
-]
-"""A reward profile by its name or its file; a command gets its id."""
 
 
 def say_trusted(agents: Iterable[str]) -> None:

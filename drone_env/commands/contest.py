@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from drone_env import __version__
 from drone_env.agents import file_of
 from drone_env.commands.arguments import TASK, say_trusted
 from drone_env.commands.printing import print_json, progress_bar
@@ -78,22 +79,27 @@ def fly_cells(
     Raises:
         InvalidValueError, OSError: from the folder, and for an address without a cluster.
         ClusterError: from the cluster.
+        AgentError, InvalidValueError: if an agent fails.
     """
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
     keys = [key for row in cells.values() for cell in row.values() if isinstance(cell, tuple) for key in cell]
     folder = None if out is None else ResultsFolder(out, keys)
-    with progress_bar("maps", sum(key.seeds[1] - key.seeds[0] for key in keys)) as advance:
+    flights, kept = sum(key.seeds[1] - key.seeds[0] for key in keys), 0
+    with progress_bar("maps", flights) as advance:
 
         def arrived(piece: EpisodeResults) -> None:
+            nonlocal kept
+            kept += len(piece.seeds)
             advance(len(piece.seeds), f"{get_task(piece.key.task).short_name} {piece.key.agent}")
 
         try:
             with _engine(engine, address) as chosen:
                 results = evaluate_keys(keys, chosen, folder, arrived)
-        except KeyboardInterrupt:
-            if out is not None:
-                print(f"interrupted; to go on, give the same options with --out {out}", file=sys.stderr)
+        except BaseException:
+            if folder is not None and folder.package == __version__:
+                told = f"stopped: {kept:,} of {flights:,} flights are kept in {out}; the same command goes on there"
+                print(f"{told}, with agents as they are (one that is mended needs a new folder)", file=sys.stderr)
             raise
     return {
         task: {

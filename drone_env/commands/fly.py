@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 from drone_env.agents import make_agent
+from drone_env.agents.base import begin
 from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName, say_trusted
 from drone_env.commands.flights import film, log_flight, prepare_file, prepare_film
 from drone_env.core.episode import Episode
@@ -50,8 +51,8 @@ def fly(
     prepare_film(video)
     if record is not None:
         prepare_file("--record", record)
-    pilot.reset(episode.reset(seed))
-    log_flight(episode, agent, choices(episode, pilot.act), render)
+    episode.reset(seed)
+    log_flight(episode, agent, choices(episode, begin(pilot, agent, episode)), render)
     if picture is not None:
         from drone_env.envs.rendering import save_picture  # loads Pillow
 

@@ -13,6 +13,7 @@ import tyro
 from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName, SeedRange, SplitName, chosen_maps
 from drone_env.core.rewards import ORIGINAL_PROFILE, own_profile
 from drone_env.core.tasks import get_task
+from drone_env.envs.registry import register_city
 from drone_env.errors import InvalidValueError, StoreError, needs, text_of
 from drone_env.files import RUNS
 from drone_env.llm.options import Number, Options, Whole
@@ -124,7 +125,8 @@ def infer(
     if prompt is not None and prompts:
         raise InvalidValueError("--prompts names all prompts: give it without --prompt")
     settings = load_settings(base_url)
-    config_task = get_task(settings.drone_task if task is None else task)
+    named = settings.drone_task if task is None else task
+    config_task = register_city(named) if named.endswith(".toml") else get_task(named)
     if resume and out and not prompts and prompt is None and (out / run_folder.CONFIG).exists():
         chosen = [run_folder.load_config(out).load_prompt()]
     else:

@@ -14,6 +14,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.envs.ansi import draw_text
+from drone_env.envs.registry import task_argument
 from drone_env.planning.optimal import best_of
 
 if sys.platform != "win32":  # where keys come with Enter
@@ -76,7 +77,7 @@ def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName
         console.print("You flew the optimum!")
     else:
         regret = (optimum.score - score) * 100
-        see = f"drone-env solve --task {episode.task.short_name} --seed {episode.seed}"
+        see = f"drone-env solve --task {task_argument(episode.task)} --seed {episode.seed}"
         console.print(f"Regret: {regret:.1f}. See the best flight: {see}")
 
 

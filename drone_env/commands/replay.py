@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from drone_env.commands.arguments import ProfileName
+from drone_env.commands.arguments import ChosenProfile
 from drone_env.commands.flights import film, log_flight, prepare_film
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile, get_reward_profile
@@ -25,7 +25,7 @@ def replay(
     verify: bool = False,
     render: bool = False,
     video: Path | None = None,
-    reward: ProfileName | None = None,
+    reward: ChosenProfile = None,
 ) -> int:
     """Fly recorded flights again, check that they come to what the records say, and print their log lines.
 

@@ -407,7 +407,8 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
         return name
     named = [t for t in (*TASKS.values(), *PAST_TASKS) if name in (t.id, t.short_name, t.grader)]
     if not named:
-        raise UnknownNameError("task", name, [n for task in TASKS.values() for n in (task.id, task.short_name)])
+        names = [n for task in TASKS.values() for n in (task.id, task.short_name)]
+        raise UnknownNameError("task", name, names, "; a city where --task or DRONE_ENV_PLUGINS names its file")
     for task in named:
         if version in (None, task.version):
             return task

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents import make_agent
+from drone_env.agents.base import begin
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import choices
@@ -85,6 +86,7 @@ def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
 
     Raises:
         TooLargeError: if the exact values of the map would take too much memory.
+        AgentError, InvalidValueError: if an agent fails, or names an action that there is not.
     """
     start = Episode(config.task, config.reward_profile, seed)
     solver = solver_of(start)
@@ -107,10 +109,9 @@ def chance(agent: str, seed: int) -> Iterator[tuple[float, int]]:
 
 
 def _fly(number: int, episode: Episode, solver: Solver, name: str, epsilon: float) -> Trajectory:
-    agent = make_agent(name, episode.task)
-    agent.reset(episode.seed)
+    act = begin(make_agent(name, episode.task), name, episode)
     states, values, chosen = [_state(episode)], list[npt.NDArray[np.float64]](), list[int]()
-    for wish, (share, action) in zip(choices(episode, agent.act), chance(name, episode.seed), strict=False):
+    for wish, (share, action) in zip(choices(episode, act), chance(name, episode.seed), strict=False):
         values.append(solver.q_values(episode))
         chosen.append(int(wish))
         episode.step(action if share < epsilon else wish)

@@ -91,6 +91,15 @@ def _register_city(path: str | Path) -> TaskConfig:
     return register_task(city_task(path))
 
 
+def task_argument(task: TaskConfig) -> str:
+    """What names a task on the command line: its short name; of a city its file, where that is known."""
+    files = [Path(name.strip()) for name in plugin_names().split(",") if name.strip().endswith(".toml")]
+    named = [file for file in files if file.stem == task.id] if task.terrain is not None else []
+    if not named:
+        return task.short_name
+    return str(named[0].relative_to(Path.cwd()) if named[0].is_relative_to(Path.cwd()) else named[0])
+
+
 def register_reward_profile(profile: RewardProfile) -> RewardProfile:
     """Make a reward profile known by its name everywhere; the profile is handed back.
 

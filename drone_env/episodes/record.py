@@ -1,6 +1,7 @@
 """A flight as a small file: which map, which actions, and the result.
 
-The dynamics are deterministic, so task, seed and actions say it all; the results stand beside them to be checked.
+The dynamics are deterministic, so task, seed and actions say it all; the results stand beside them to be checked, and
+so does a digest of the terrain where the task brings its own, whose name says nothing of it.
 
 Version 1 of the format has no rewards; it is read forever.
 """
@@ -15,7 +16,7 @@ from typing_extensions import Self
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.files import write_text
 from drone_env.models import DIRECTIONS, Count, Direction, Message, Score
@@ -38,6 +39,9 @@ class EpisodeRecord(Message):
     format_version: Literal[1, 2] = FORMAT_VERSION
     task: str = Field(description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
+    terrain: str | None = Field(
+        default=None, pattern=r"^[0-9a-f]{16}$", description="Digest of the city that was flown; null for other tasks."
+    )
     seed: Count = Field(description="Number of the map.")
     agent: AgentLabel
     reward_profile: str = Field(description="What the steps paid.")
@@ -79,6 +83,7 @@ def record_of(episode: Episode, agent: str) -> EpisodeRecord:
     return EpisodeRecord(
         task=episode.task.id,
         task_version=episode.task.version,
+        terrain=terrain_digest(episode.task),
         seed=episode.seed,
         agent=agent,
         reward_profile=episode.reward_profile.id,
@@ -91,6 +96,11 @@ def record_of(episode: Episode, agent: str) -> EpisodeRecord:
     )
 
 
+def terrain_digest(task: TaskConfig) -> str | None:
+    """What tells the terrain of a task from any other, 16 hex digits; None where the seed draws it."""
+    return None if task.terrain is None else task.terrain.digest()[:16]
+
+
 def replay(record: EpisodeRecord, reward_profile: str | RewardProfile | None = None) -> Episode:
     """Fly a record again, and hold the result against what it says, every reward and the score to the last bit.
 
@@ -101,8 +111,8 @@ def replay(record: EpisodeRecord, reward_profile: str | RewardProfile | None = N
 
     Raises:
         UnknownNameError: if there is no such task, version or reward profile.
-        InvalidValueError: if the seed is not in [0, 2^53), there are actions after the end, or the flight comes to
-            something else than the record says.
+        InvalidValueError: if the seed is not in [0, 2^53), the city of this name is another one than was flown, there
+            are actions after the end, or the flight comes to something else than the record says.
     """
     *_, episode = replay_steps(record, reward_profile)
     return episode
@@ -116,6 +126,11 @@ def replay_steps(record: EpisodeRecord, reward_profile: str | RewardProfile | No
         InvalidValueError: as `replay`; what was given out before belongs to a record that is wrong.
     """
     task = get_task(record.task, record.task_version)
+    if record.terrain not in (None, now := terrain_digest(task)):  # before cities were told apart, records had none
+        raise InvalidValueError(
+            f"the record is of another city than {record.task!r} is now (terrain {record.terrain}, now {now}): fly it "
+            "with the file as it was; a city that is changed takes another name"
+        )
     episode = Episode(task, record.reward_profile if reward_profile is None else reward_profile, record.seed)
     yield episode
     yield from fly_directions(episode, record.actions)

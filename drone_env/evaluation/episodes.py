@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.agents import Agent, BatchAgent, make_agent
+from drone_env.agents.base import begin, named_failures
 from drone_env.agents.named import as_agent
 from drone_env.core.actions import integer
 from drone_env.core.episode import Episode
@@ -135,6 +136,7 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
         UnknownNameError: if the key names a task, version or agent that does not exist.
         InvalidValueError: if the key was made under another configuration than the one that would fly now, or holds
             no seeds.
+        AgentError, InvalidValueError: if the agent fails, as `evaluate`.
     """
     task = get_task(key.task, key.version)
     if key.seeds[0] >= key.seeds[1]:
@@ -151,7 +153,8 @@ def run_episodes(key: EpisodesKey) -> EpisodeResults:
 def _beside_the_optimum(task: TaskConfig, key: EpisodesKey, agent: Agent) -> EpisodeResults:
     seeds = np.arange(*key.seeds, dtype=np.int64)
     optimal = _fly_optimally(task, *key.seeds)
-    flights = deepcopy(optimal) if optimal and key.agent == "optimal" else _fly(task, agent, seeds, key.repeat)
+    is_optimal = key.agent == "optimal"
+    flights = deepcopy(optimal) if optimal and is_optimal else _fly(task, key.agent, agent, seeds, key.repeat)
     optimal = deepcopy(optimal)  # what is kept stays as it is, whatever the caller does with the results
     return EpisodeResults(
         key=key,
@@ -193,7 +196,9 @@ def evaluate(
 
     Raises:
         UnknownNameError: if there is no such task, split, version or agent.
-        InvalidValueError: if the maps or the policy are not as said above.
+        InvalidValueError: if the maps or the policy are not as said above, or the policy names an action that there is
+            not.
+        AgentError: if the code of the policy fails; the message says on which map, at which step.
         UnsupportedTaskError, CheckpointError, OSError: from the agent.
     """
     task = get_task(task)
@@ -277,22 +282,29 @@ def summarise(results: EpisodeResults, *again: EpisodeResults) -> dict[str, Any]
 def _fly_optimally(task: TaskConfig, start: int, stop: int) -> "Ends | None":
     """The optimum of each map, None where one is too large; kept, since every agent is compared with it."""
     try:
-        return _fly(task, make_agent("optimal", task), np.arange(start, stop, dtype=np.int64))
+        return _fly(task, "optimal", make_agent("optimal", task), np.arange(start, stop, dtype=np.int64))
     except TooLargeError:
         return None
 
 
-def _fly(task: TaskConfig, agent: Agent, seeds: npt.NDArray[np.int64], repeat: int = 0) -> "Ends":
+def _fly(task: TaskConfig, name: str, agent: Agent, seeds: npt.NDArray[np.int64], repeat: int = 0) -> "Ends":
     from drone_env.agents.together import Ends, fly_together  # compiles, which only who evaluates should wait for
 
-    lots = _lots(seeds, repeat)
+    lots, asked = _lots(seeds, repeat), 0
     if isinstance(agent, BatchAgent):
-        agent.reset_batch(lots)
-        return fly_together(task, seeds, agent.act_batch, getattr(agent, "stateless", False))
+
+        def act_batch(grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+            nonlocal asked
+            asked += 1
+            return agent.act_batch(grids, telemetry)
+
+        with named_failures(name, task, lambda: f"maps {seeds[0]} to {seeds[-1]}, step {asked}"):
+            agent.reset_batch(lots)
+            return fly_together(task, seeds, act_batch, getattr(agent, "stateless", False))
     ends: list[tuple[float, int, int]] = []
     for seed, lot in zip(seeds.tolist(), lots.tolist(), strict=True):
-        agent.reset(lot)
-        episode = rollout(Episode(task, seed=seed), agent.act)
+        episode = Episode(task, seed=seed)
+        rollout(episode, begin(agent, name, episode, lot))
         ends.append((episode.score, episode.steps, episode.deliveries_done))
     scores, steps, deliveries_done = zip(*ends, strict=True)
     return Ends(np.array(scores), np.array(steps, np.int32), np.array(deliveries_done, np.int32))

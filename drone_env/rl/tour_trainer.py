@@ -28,6 +28,7 @@ from drone_env.agents.tour_viewer import Viewer
 from drone_env.agents.tournet import choose
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import TaskConfig
+from drone_env.envs.registry import task_argument
 from drone_env.errors import InvalidValueError
 from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
 from drone_env.rl.lessons import Lessons, Teacher
@@ -296,7 +297,7 @@ class TourTrainer(Learner):
     @property
     def judged_by(self) -> str:
         """What `drone-env evaluate` takes to judge it."""
-        names = " ".join(task.short_name for task in self.config.tasks())
+        names = " ".join(map(task_argument, self.config.tasks()))
         return f"--task {'all' if self.config.task == ALL else names} --agents greedy tournet"
 
     def figures(self, line: TourProgress) -> str:

@@ -23,6 +23,7 @@ from drone_env.core.batch import Batch
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import get_task, withdrawal
+from drone_env.envs.registry import task_argument
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
@@ -349,7 +350,7 @@ class Trainer(Learner):
     @property
     def judged_by(self) -> str:
         """What `drone-env evaluate` takes to judge it."""
-        return f"--task {self.name} --agents greedy pathqnet"
+        return f"--task {task_argument(get_task(self.config.task))} --agents greedy pathqnet"
 
     @property
     def how_to_go_on(self) -> str:

@@ -15,6 +15,8 @@ from drone_env.cluster.sweep.halving import decide, remaining, rungs
 from drone_env.cluster.sweep.report import sweep_report, write_report
 from drone_env.cluster.sweep.settings import settings_of
 from drone_env.cluster.sweep.trial import train_trial
+from drone_env.commands.arguments import own_profiles_forgotten
+from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.evaluation.statistics import bootstrap
 from drone_env.rl.config import TrainConfig
@@ -62,6 +64,26 @@ def test_a_grid_has_every_combination_with_the_types_of_training() -> None:
 def test_what_cannot_be_set_is_refused(sets: list[str], message: str) -> None:
     with pytest.raises((UnknownNameError, InvalidValueError), match=message):
         settings_of(sets)
+
+
+def test_rewards_of_ones_own_are_kept_and_known_to_whoever_trains(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('id = "mine"\nshaping = 0.1\n[events]\ndelivery = 7\n')
+    config = sweep_of(f"reward_profile=aligned,{file}")
+    folder = SweepFolder(tmp_path / "sweep")
+    folder.begin(config)
+    before = dict(REWARD_PROFILES)
+    with own_profiles_forgotten():
+        REWARD_PROFILES.pop("mine", None)  # as on a worker
+        assert folder.config().training(Trial(1, 0)).reward_profile == "mine"
+        assert REWARD_PROFILES["mine"].terms()["events"] == "delivery 7"
+    assert before.keys() == REWARD_PROFILES.keys()
+    assert f"--reward-profile {file} " in config.command(Trial(1, 0))
+    file.write_text('id = "mine"')
+    with own_profiles_forgotten():
+        REWARD_PROFILES.pop("mine", None)
+        with pytest.raises(InvalidValueError, match=f"rewards of {file}"):
+            folder.begin(sweep_of(f"reward_profile=aligned,{file}"))
 
 
 def test_a_seed_to_draw_by_is_not_negative() -> None:

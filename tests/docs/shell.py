@@ -16,7 +16,8 @@ import pytest
 from tyro.extras import SubcommandApp
 
 from drone_env import cli, get_task
-from drone_env.commands import arguments as arguments_of_commands
+from drone_env.commands import named_files
+from drone_env.core.rewards import get_reward_profile
 from tests.docs.pages import ROOT, Block
 
 # What is made by running something, or large.
@@ -187,8 +188,9 @@ class _Parser(SubcommandApp):
 def _check_options(arguments: list[str], where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(cli, "SubcommandApp", _Parser)
-        patch.setattr(cli, "register_city", lambda file: get_task("easy"))  # the file is made when the page is run
-        patch.setattr(arguments_of_commands, "known_profile", lambda name: "aligned")  # the page's files are not here
+        for option in named_files.REGISTERED:  # the files are made when the page is run
+            known = get_task("easy") if option == "--task" else get_reward_profile("aligned")
+            patch.setitem(named_files.REGISTERED, option, lambda file, known=known: known)
         try:
             status = cli.main(arguments)
         except SystemExit as error:

@@ -106,12 +106,18 @@ class Interpreted:
 
 
 class Compiled:
-    """The same maps and flights by the compiled batch, all seeds together."""
+    """The same maps and flights by the compiled batch, many seeds together."""
 
     def __init__(self, task: TaskConfig) -> None:
         self.task = task
 
     def __call__(self, seeds: list[int]) -> Iterator[tuple[bytes, bytes]]:
+        # All that is seen is held in memory.
+        most = max(1, 400_000 // (self.task.width * self.task.height))
+        for first in range(0, len(seeds), most):
+            yield from self.flown(seeds[first : first + most])
+
+    def flown(self, seeds: list[int]) -> Iterator[tuple[bytes, bytes]]:
         from drone_env.core.batch import Batch
 
         n, tables = len(seeds), interpreted(self.task)
@@ -130,10 +136,11 @@ class Compiled:
                         logs, (batched["grids"], batched["telemetry"], masks, graded, batched["states"]), strict=True
                     ):
                         log.append(array)
-                if chosen is not None:
-                    batch.step(chosen)
-                    paid.append(batch.rewards.copy())
-                    ends[batch.terminated & (ends == 0)] = step + 1
+                if chosen is None or ends.all():
+                    break
+                batch.step(chosen)
+                paid.append(batch.rewards.copy())
+                ends[batch.terminated & (ends == 0)] = step + 1
             logs.append(paid)
         *seen, states = (np.array(log) for log in logs[:5])
         payments = [np.array(log) for log in logs[5:]]

@@ -15,7 +15,7 @@ from drone_env.city.city_file import City, write_city
 from drone_env.city.city_task import city_task, task_of
 from drone_env.cli import main
 from drone_env.core.tasks import TASKS
-from drone_env.envs.registry import PLUGINS, load_plugins, register_city
+from drone_env.envs.registry import PLUGINS, load_plugins, register_city, task_argument
 from drone_env.errors import InvalidTaskError
 from drone_env.graders import GRADERS
 
@@ -85,12 +85,15 @@ def test_commands_take_the_file_in_place_of_a_task(yard: Path, capsys: pytest.Ca
     assert shown.count("yard v1") >= 1
     assert "easy v1" in shown
     assert main(["fly", "--task", str(yard.with_name("none.toml"))]) == 2
-    assert "none.toml" in capsys.readouterr().err
+    said = (
+        "drone-env: --task takes a task or the file of a city, as `drone-env city` writes it; No such file or directory"
+    )
+    assert capsys.readouterr().err == f"{said}: {yard.with_name('none.toml')}\n"
     # Other options name files of their own.
     other = yard.with_name("other.toml")
     other.write_bytes(yard.read_bytes())
-    with pytest.raises(SystemExit):
-        main(["audit", "--task", "easy", "--reward", str(other), "--maps", "1"])
+    assert main(["audit", "--task", "easy", "--reward", str(other), "--maps", "1"]) == 2
+    assert "reward profile" in capsys.readouterr().err
     assert "other" not in TASKS
 
 
@@ -113,6 +116,28 @@ def test_plugins_may_be_cities(yard: Path, monkeypatch: pytest.MonkeyPatch) -> N
     env = gymnasium.make("DroneDelivery-Yard-v1")
     assert env.reset(seed=3)[0]["grid"].shape == (4, 4)
     assert gymnasium.make_vec("DroneDelivery-Yard-v1", num_envs=2).reset(seed=3)[0]["grid"].shape == (2, 4, 4)
+
+
+def test_a_record_is_of_one_city_alone(yard: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = yard.with_name("flight.json")
+    assert main(["fly", "--task", str(yard), "--agent", "optimal", "--seed", "3", "--record", str(file)]) == 0
+    assert main(["replay", str(file), "--verify"]) == 0
+    kept = json.loads(file.read_text())
+    assert kept["terrain"] == TASKS["yard"].terrain.digest()[:16]  # type: ignore[union-attr]
+    # One that was written before records had it.
+    old = yard.with_name("old.json")
+    old.write_text(json.dumps({name: value for name, value in kept.items() if name != "terrain"}))
+    assert main(["replay", str(old), "--verify"]) == 0
+    del TASKS["yard"]
+    write_city(City(np.roll(GRID, 1, axis=0), numbers={"deliveries": 3}), yard)
+    register_city(yard)
+    capsys.readouterr()
+    for command in ("replay", "analyse-flight"):
+        assert main([command, str(file)]) == 2
+        told = capsys.readouterr()
+        assert "the record is of another city than 'yard' is now" in told.err
+        assert told.out == ""
+    assert task_argument(TASKS["yard"]) == str(yard)
 
 
 def test_the_name_of_another_task_cannot_be_taken(yard: Path) -> None:

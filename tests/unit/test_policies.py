@@ -1,5 +1,6 @@
 """Whatever can fly, by name and as an object: functions and classes of one's own, and how often they fly a map."""
 
+import pickle
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ from drone_env import evaluate, make_agent, summarise
 from drone_env.agents import GreedyAgent, elsewhere, file_of
 from drone_env.cli import main
 from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError
+from drone_env.errors import AgentError, InvalidValueError, UnknownNameError
 from drone_env.evaluation.episodes import episodes_key, repeats_of, run_episodes
 
 MODULE = """
@@ -65,6 +66,26 @@ def two(observation, more):
 
 
 ready = Chaser(None)
+class Faulty(Chaser):
+    def act(self, observation):
+        return [0, 1][self.step(observation)]
+
+    def step(self, observation):
+        return 2 if observation["telemetry"][2] < 0.99 else 0
+
+
+class FaultyTogether(Faulty):
+    def reset_batch(self, seeds):
+        pass
+
+    def act_batch(self, grids, telemetry):
+        return [self.act({"telemetry": row}) for row in telemetry]
+
+
+def seven(observation):
+    return 7
+
+
 number = 7
 """
 
@@ -146,6 +167,7 @@ def test_repeats_are_kept_beside_each_other(tmp_path: Path, capsys: pytest.Captu
 @pytest.mark.parametrize(
     ("name", "told"),
     [
+        ("gone.zip:Flat", "unknown wrapper 'Flat'; allowed: FlatObservation, MODULE:NAME, OneHotPlanes"),
         ("my_policies:missing", "my_policies.py has no 'missing'"),
         ("nowhere_at_all:chase", "Python finds no module 'nowhere_at_all'"),
         ("my_policies.py:chase", "without .py it would be 'my_policies'"),
@@ -167,10 +189,39 @@ def test_names_of_nothing_that_flies_are_refused(
         ("lacking", "import nowhere_at_all"),
     ):
         Path(f"{module}_policies.py").write_text(text)
-    with pytest.raises(InvalidValueError, match=told):
+    with pytest.raises((InvalidValueError, UnknownNameError), match=told):
         make_agent(name, "easy")
     assert main(["fly", "--agent", name]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_an_agent_that_fails_is_told_with_task_map_step_and_its_own_traceback(
+    mine: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    failed = (
+        "drone-env: agent 'my_policies:Faulty' on 'easy_delivery', map 3, step 2: IndexError: list index out of range"
+    )
+    maps = ["--task", "easy", "--seeds", "3:5"]
+    for command in (
+        ["fly", "--seed", "3", "--agent", "my_policies:Faulty"],
+        ["dataset", "--offset", "3", "--out", "rows", "--formats", "parquet", "--agents", "my_policies:Faulty"],
+        ["evaluate", *maps, "--out", "kept", "--agents", "greedy", "my_policies:Faulty"],
+    ):
+        assert main(command) == 2
+        told = capsys.readouterr().err
+        assert told.endswith(failed + "\n")
+        first = next(line for line in told.splitlines() if line.startswith("  File "))
+        assert str(tmp_path / "my_policies.py") in first
+    assert "stopped: 2 of 4 flights are kept in kept; the same command goes on there" in told
+    with pytest.raises(AgentError, match=r"maps 3 to 4, step 2: IndexError") as raised:
+        run_episodes(episodes_key("easy", "my_policies:FaultyTogether", range(3, 5)))
+    assert isinstance(raised.value.__cause__, IndexError)
+    assert (again := pickle.loads(pickle.dumps(raised.value))).trace == raised.value.trace
+    assert "return [0, 1]" in again.trace
+    with pytest.raises(
+        InvalidValueError, match=r"'my_policies:seven' on 'easy_delivery', map 0, step 1: action must be"
+    ):
+        run_episodes(episodes_key("easy", "my_policies:seven", range(1)))
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,13 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
+from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import get_task
+from drone_env.envs.registry import register_reward_profile, task_argument
 from drone_env.errors import InvalidValueError
 from drone_env.files import differences
 from drone_env.models import Message
+from drone_env.reward_file import load_reward_profile
 from drone_env.rl.config import TrainConfig, preset
 
 ELSEWHERE = {
@@ -49,6 +52,7 @@ class SweepConfig(Message):
     preset: str
     fixed: Setting = Field(description="Every value of the training that has no other place, as the preset has it.")
     settings: tuple[Setting, ...] = Field(strict=False, min_length=1, description="What each setting changes of it.")
+    rewards: dict[str, RewardProfile] = Field(default={}, description="Reward profiles from files, by the file.")
     seeds: int = Field(ge=1, le=1000, description="Each setting is trained with the seeds from 0 up to this.")
     cpus_per_trial: int = Field(ge=1, description="Threads of a trial: other numbers differ in the last bits.")
     early_stopping: bool
@@ -62,9 +66,11 @@ class SweepConfig(Message):
         """How a trial is trained.
 
         Raises:
-            InvalidValueError: if a value is out of range.
+            InvalidValueError: if a value is out of range, or the id of a profile from a file is that of another one.
         """
         values: dict[str, Any] = {**self.fixed, **self.settings[trial.setting]}
+        if values["reward_profile"] in self.rewards:  # whoever trains, on whatever machine, has to know it
+            values["reward_profile"] = register_reward_profile(self.rewards[values["reward_profile"]]).id
         return TrainConfig(
             **values,
             task=get_task(self.task, self.task_version).short_name,
@@ -90,8 +96,10 @@ class SweepConfig(Message):
         # As the command finds them: those that are not said follow from the number of episodes, which is.
         usual = preset(self.preset, training.task).episodes
         defaults = replace(preset(self.preset, training.task, training.episodes), episodes=usual)
-        words = ["python", "train.py", "--task", training.task, "--preset", self.preset, "--seed", str(trial.seed)]
-        for name, value in asdict(training).items():
+        named = task_argument(get_task(training.task))
+        words = ["python", "train.py", "--task", named, "--preset", self.preset, "--seed", str(trial.seed)]
+        given = asdict(training) | {"reward_profile": {**self.fixed, **self.settings[trial.setting]}["reward_profile"]}
+        for name, value in given.items():
             if name in ("task", "seed", "checkpoint_seconds") or value == getattr(defaults, name):
                 continue
             flag = name.replace("_", "-")
@@ -106,6 +114,7 @@ class SweepConfig(Message):
         before, now = self.model_dump(mode="json"), other.model_dump(mode="json")
         for values in (before, now):
             values.update({f"{name} of the preset": value for name, value in values.pop("fixed").items()})
+            values.update({f"rewards of {name}": value for name, value in values.pop("rewards").items()})
         return differences(before, now)
 
 
@@ -121,8 +130,10 @@ def make_config(
     """The configuration of a sweep, every trial of it checked.
 
     Raises:
-        UnknownNameError: if there is no such task.
-        InvalidValueError: if a value is out of range, a setting is there twice, or settings cannot be compared early.
+        UnknownNameError: if there is no such task or reward profile.
+        OSError: if the file of a reward profile cannot be read.
+        InvalidValueError: if a value is out of range or no reward profile, a setting is there twice, or settings cannot
+            be compared early.
     """
     counts = (("seeds", seeds, 1000), ("cpus-per-trial", cpus_per_trial, 4096), ("test-maps", test_maps, 1_000_000))
     for name, value, most in counts:
@@ -132,6 +143,7 @@ def make_config(
     if twice:
         raise InvalidValueError(f"a setting is there twice: {json.dumps(twice[0])}")
     known = get_task(task)
+    paid = [str(setting.get("reward_profile", "")) for setting in settings]
     defaults = asdict(preset(preset_name, task))
     config = SweepConfig(
         task=known.id,
@@ -139,6 +151,7 @@ def make_config(
         preset=preset_name,
         fixed={field.name: defaults[field.name] for field in fields(TrainConfig) if field.name not in ELSEWHERE},
         settings=tuple(settings),
+        rewards={name: load_reward_profile(name) for name in paid if name.endswith(".toml")},
         seeds=seeds,
         cpus_per_trial=cpus_per_trial,
         early_stopping=early_stopping,

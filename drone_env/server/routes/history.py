@@ -65,7 +65,7 @@ def episodes(
     return EpisodePage(episodes=page, next=page[-1].number if len(found) > limit else None)
 
 
-@router.get("/episodes/{episode_id}", responses=answers(404, 422, 503))
+@router.get("/episodes/{episode_id}", responses=answers(404, 422, 503), response_model_exclude_none=True)
 def episode(shared: SharedParts, episode_id: str) -> EpisodeRecord:
     """The record of a finished episode: a file for `drone-env replay`."""
     return shared.store.episode(episode_id).record

@@ -16,7 +16,7 @@ BBox = tuple[float, float, float, float]
 """West, south, east, north in degrees."""
 
 
-class Window(NamedTuple):
+class Sheet(NamedTuple):
     """A grid of cells over the world, north up."""
 
     bbox: BBox
@@ -44,7 +44,7 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
     return math.radians(across * math.cos(phi)), math.radians(meridian)
 
 
-def window_of(bbox: BBox, cell: float, size: tuple[int, int], middle: bool = False) -> Window:
+def sheet_of(bbox: BBox, cell: float, size: tuple[int, int], middle: bool = False) -> Sheet:
     """The cells that a box of the world holds, as many as come nearest to it.
 
     Degrees become metres by the equidistant cylindrical projection, with the latitude of the middle as its standard
@@ -80,4 +80,4 @@ def window_of(bbox: BBox, cell: float, size: tuple[int, int], middle: bool = Fal
     # OpenStreetMap keeps seven decimals.
     box = at[0] - half[0], at[1] - half[1], at[0] + half[0], at[1] + half[1]
     rounded = tuple(round(side, 7) for side in box)
-    return Window((rounded[0], rounded[1], rounded[2], rounded[3]), columns, rows, cell)
+    return Sheet((rounded[0], rounded[1], rounded[2], rounded[3]), columns, rows, cell)
