@@ -1,4 +1,4 @@
-"""What the planners take for a map: make bench-planners, or this file.
+"""What the planners take for a map: make bench-planners, or this file; `--city FILE.toml` for the maps of a city.
 
 The values of all decisions by legs and by the exact solver, which are equal to the last bit (tests/unit/test_legs.py).
 CPU time, Python included; everything is compiled before.
@@ -8,12 +8,20 @@ import argparse
 import platform
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from statistics import median
 
+from drone_env.city.city_file import read_city
+from drone_env.city.city_task import task_of
 from drone_env.core import compiled
+from drone_env.core.cells import Cell
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS
+from drone_env.errors import TooLargeError
+from drone_env.planning.bounds import bounds
+from drone_env.planning.elsewhere import places_of
 from drone_env.planning.exact import ExactSolver
 from drone_env.planning.legs import Legs, LegSolver, begin_row, mark_delivered, raise_by_ways, row_of
 from drone_env.planning.optimal import solve_episode
@@ -83,14 +91,73 @@ COLUMNS = (
 )
 
 
+CITY_COLUMNS = (
+    "parcels",
+    "pads",
+    "legs: all values, s",
+    "at most, s",
+    "MB",
+    "Q* of a state, ms",
+    "Q* of every cell, s",
+    "bounds, s",
+    "apart by",
+)
+
+
+def row_of_city(file: str, parcels: int, pads: int, battery: int | None, maps: int, few: int) -> list[str]:
+    """The figures of a city with so many parcels and pads, drawn anew: its own pads become roads."""
+    city = read_city(file)
+    grid = city.grid.copy()
+    grid[grid == Cell.PAD] = Cell.ROAD
+    numbers = {**city.numbers, "deliveries": parcels, "pads": pads}
+    if battery is not None:
+        numbers["battery_capacity"] = battery
+    task = task_of(replace(city, grid=grid, parcels=(), numbers=numbers), f"city{parcels}_{pads}")
+    episodes = [Episode(task, seed=seed) for seed in split_seeds("test", maps)]
+    between = bounds(episodes[0])
+    bounding = milliseconds(bounds, episodes[:1]) / 1e3
+    bounded = [f"{bounding:.1f}", f"{between.upper - between.lower:.4f}"]
+    try:
+        solver = LegSolver(episodes[0])  # compiles
+    except TooLargeError as error:
+        print(f"{parcels} parcels, {pads} pads: {error}")
+        return [str(parcels), str(pads), *"-----", *bounded]
+    places = places_of(episodes[0])
+    one = milliseconds(solver.q_values, episodes[:1] * 20)
+    whole = cpu_seconds(solver.q_values_of, places.grids, places.states)
+    size = solver.nbytes / 1e6
+    solver = None  # another one may take as much
+    taken = [cpu_seconds(LegSolver, episode) for episode in episodes[: few if size > 300 else maps]]
+    figures = (f"{median(taken):.2f}", f"{max(taken):.2f}", f"{size:.0f}", f"{one:.1f}", f"{whole:.1f}")
+    return [str(parcels), str(pads), *figures, *bounded]
+
+
+def cpu_seconds(run: Callable[..., object], *arguments: object) -> float:
+    """CPU time of one call."""
+    began = time.process_time()
+    run(*arguments)
+    return time.process_time() - began
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", nargs="+", default=list(TASKS))
     parser.add_argument("--maps", type=int, default=300)
     parser.add_argument("--few", type=int, default=5, help="maps for the columns that take long")
+    parser.add_argument("--city", metavar="FILE.toml", help="measure the maps of a city instead")
+    parser.add_argument("--parcels", nargs="+", type=int, default=[5, 8, 10, 12, 16], help="of the city")
+    parser.add_argument("--pads", nargs="+", type=int, default=[0, 4, 10], help="of the city")
+    parser.add_argument("--battery", type=int, help="of the city; as the file says if left out")
     options = parser.parse_args(arguments)
     print(f"{options.maps} test maps, {platform.platform()}, Python {platform.python_version()}")
+    if options.city:
+        print(f"| {' | '.join(CITY_COLUMNS)} |\n|{'---|' * len(CITY_COLUMNS)}")
+        for n in options.parcels:
+            for pads in options.pads:
+                row = row_of_city(options.city, n, pads, options.battery, options.maps, options.few)
+                print(f"| {' | '.join(row)} |", flush=True)
+        return
     print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     for task in options.task:
         print(f"| {' | '.join(row_of_task(task, options.maps, options.few))} |", flush=True)

@@ -138,7 +138,8 @@ def _print(report: dict[str, Any]) -> None:
         for agent, figures in of["others"].items()
     ]
     head = ("task", "who", "difference (95 %)", "better (95 %)", "detectable", "narrower")
-    print_table(Table("Map by map", head, two), width=120, names=2, sections=True)
+    if two:
+        print_table(Table("Map by map", head, two), width=120, names=2, sections=True)
 
 
 def _told(interval: dict[str, float], form: str = ".4f") -> str:

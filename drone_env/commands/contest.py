@@ -17,6 +17,7 @@ from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, 
 from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, repeats_of
 from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
 from drone_env.files import write_json
+from drone_env.planning.optimal import require_solvable
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{TASK}")]
 EngineName = Literal["local", "ray"]
@@ -56,6 +57,8 @@ def cells_of(tasks: Sequence[str], agents: Sequence[str], maps: range, split: st
 
 def _cell(task: TaskConfig, agent: str, maps: range, split: str, repeats: int) -> Cell:
     try:
+        if agent == "optimal":
+            require_solvable(task)
         return repeats_of(episodes_key(task, agent, maps, split), repeats)
     except (TooLargeError, UnsupportedTaskError) as error:
         return error

@@ -11,6 +11,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -92,10 +93,15 @@ def _system() -> Iterator[Finding]:
     yield Finding("system", DISTRIBUTION, "attention" if differs else "ok", detail, {"version": __version__})
 
 
+# The extras name each other and ask for much the same, and reading what is installed takes its time.
+_version = cache(metadata.version)
+_requirement = cache(Requirement)
+
+
 def _unmet(requirement: Requirement) -> str | None:
     """Why a requirement is not met, None where it is."""
     try:
-        version = metadata.version(requirement.name)
+        version = _version(requirement.name)
     except metadata.PackageNotFoundError:
         return requirement.name
     if requirement.specifier.contains(version, prereleases=True):
@@ -107,7 +113,7 @@ def _missing(extra: str = "") -> dict[str, str]:
     """By name: why what the package asks for with this extra, and with those that it names, is not met."""
     installed = _installed()
     missing: dict[str, str] = {}
-    for requirement in map(Requirement, (installed and installed.requires) or []):
+    for requirement in map(_requirement, (installed and installed.requires) or []):
         if requirement.marker is not None and not requirement.marker.evaluate({"extra": extra}):
             continue
         if requirement.name == DISTRIBUTION:

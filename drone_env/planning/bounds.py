@@ -1,21 +1,30 @@
 """Proven bounds of the optimum, for maps that are too large to be solved exactly."""
 
-from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from heapq import heappop, heappush
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from drone_env.core.actions import N_ACTIONS, Action, Event
+from drone_env.core.cells import N_CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.obstacles import collision
 from drone_env.core.rollout import rollout
 from drone_env.core.score import score_of
-from drone_env.core.tables import Buffer, Tables, interpreted, view
+from drone_env.core.standing import standing_episode
+from drone_env.core.tables import N_MOVES, Tables, interpreted, view
+from drone_env.errors import TooLargeError
 from drone_env.planning.greedy import greedy_action
-from drone_env.planning.held_karp import UNREACHED, held_karp
-from drone_env.planning.map_graph import drain_range
+from drone_env.planning.held_karp import UNREACHED
+from drone_env.planning.legs import LegSolver, covers
+from drone_env.planning.map_graph import drain_range, state_arrays
+from drone_env.planning.tours import shortest_over
 
-MAX_TOURED = 10
-"""Parcels up to which the shortest tour over them is worked out; above it, only how far the farthest is."""
+AHEAD = 4
+"""Of so many parcels, the nearest, is the best flight planned, time and again."""
 
 
 class Bounds(NamedTuple):
@@ -30,54 +39,124 @@ class Bounds(NamedTuple):
 def bounds(episode: Episode) -> Bounds:
     """Bounds of the optimum from where an episode stands; the episode is left as it is.
 
-    Below: the nearest-target flight, flown to its end. Above: the score if the battery lasted forever and ended full
-    (or, where nothing charges, had lost only the cheapest steps), with all the parcels that the steps left allow on
-    the shortest tour.
+    Below: the better of two flights, flown to their ends: to the nearest target, and by best flights over the `AHEAD`
+    nearest parcels, planned anew at each delivery. Above: the score with all the parcels that the steps left allow on
+    the shortest tour, and with what the cheapest tour leaves of the battery, for which to charge takes its steps.
     """
-    flight = rollout(episode.copy(), partial(greedy_action, episode.task))
-    return Bounds(flight.score, max(_upper(episode), flight.score))
+    flown = rollout(episode.copy(), partial(greedy_action, episode.task)).score
+    if not episode.ended and covers(episode.task):
+        flown = max(flown, _by_parts(episode).score)
+    return Bounds(flown, max(_upper(episode), flown))
+
+
+def _by_parts(episode: Episode) -> Episode:
+    """Fly a copy by best flights over its nearest parcels; it ends early where there is no room to plan even one."""
+    flight = episode.copy()
+    while not flight.ended:
+        before = flight.deliveries_done
+        for action in _plan_part(flight):
+            flight.step(action)
+            if flight.ended or flight.deliveries_done > before:
+                break
+        if flight.deliveries_done == before:
+            break
+    return flight.waited_out()
+
+
+def _plan_part(flight: Episode) -> list[Action]:
+    ground, state, entries = state_arrays(flight)
+    tables = interpreted(flight.task)
+    steps = _costs_from(tables, ground, [flight.cell], [1] * N_CELL_KINDS)
+    waiting = sorted((cell for cell in state[entries].tolist() if steps[cell] < UNREACHED), key=steps.__getitem__)
+    ground[state[entries]] = Cell.DELIVERED
+    for n in range(min(AHEAD, len(waiting)), 0, -1):
+        near = waiting[:n]
+        # One of its own: no map of it is drawn.
+        bare = {"terrain": None, "buildings": 0, "trees": 0, "obstacles": 0, "street_spacing": 0}
+        task = replace(flight.task, deliveries=n, **bare)
+        ground[near] = Cell.DELIVERY
+        parcels = [(cell, False) for cell in near]
+        part = standing_episode(task, ground, flight.cell, flight.battery_units, flight.steps, parcels)
+        try:
+            return LegSolver(part).best_actions()
+        except TooLargeError:
+            ground[near] = Cell.DELIVERED
+    return []
 
 
 def _upper(episode: Episode) -> float:
-    task, tables = episode.task, interpreted(episode.task)
     if episode.ended:
         return episode.score
-    waiting = [y * task.width + x for x, y, delivered in episode.parcels if not delivered]
-    steps_left = task.max_steps - episode.steps
-    grid = view(episode.grid().ravel())
-    first = _steps_to(tables, grid, episode.cell)
-    near = [cell for cell in waiting if first[cell] <= steps_left]
-    reached, steps = len(near), max((first[cell] for cell in near), default=0)
-    if 0 < len(near) <= MAX_TOURED:
-        legs = [[from_here[b] for b in near] for from_here in (_steps_to(tables, grid, a) for a in near)]
-        n = len(near)
-        lengths, order = [[UNREACHED] * n for _ in range(1 << n)], [0] * n
-        reached = held_karp([first[cell] for cell in near], legs, n, steps_left, lengths, order)
-        steps = min(lengths[(1 << n) - 1]) if reached == n else steps_left
-    charges = bool(task.pads and task.charge_rate)
+    task, tables = episode.task, interpreted(episode.task)
+    ground, state, entries = state_arrays(episode)
+    steps_left, done = task.max_steps - episode.steps, episode.deliveries_done
+    pads = np.flatnonzero(ground == Cell.PAD).tolist() if task.charge_rate else []
     least_drain, _ = drain_range(task)
 
-    def score(deliveries: int, after: int) -> float:
-        battery = tables.capacity if charges else max(episode.battery_units - least_drain * after, 0)
-        return score_of(tables, deliveries, battery, episode.steps + after)
+    def score(deliveries: int, battery: int, after: int) -> float:
+        return score_of(tables, deliveries, min(max(battery, 0), tables.capacity), episode.steps + after)
 
-    done = episode.deliveries_done
-    if done + reached == task.deliveries:
-        # Ending earlier with a parcel less can only pay where efficiency counts without it.
-        return max(score(task.deliveries, steps), score(task.deliveries - 1, 1))
-    return score(done + reached, 1)
+    ones = [1] * N_CELL_KINDS
+    first = _costs_from(tables, ground, [episode.cell], ones)
+    near: list[int] = [cell for cell in state[entries].tolist() if first[cell] <= steps_left]
+    reached, steps = _tour(tables, ground, episode.cell, near, ones, steps_left) if near else (0, 0)
+    after_one = tables.capacity if pads else episode.battery_units - least_drain
+    if done + reached < task.deliveries:
+        return score(done + reached, after_one, 1)
+    drains = _least_drains(tables)
+    _, drained = _tour(tables, ground, episode.cell, near, drains, UNREACHED - 1)
+    from_pad = _costs_from(tables, ground, pads, drains)
+    most = [tables.capacity] + [tables.capacity - min(from_pad[cell] for cell in near)] * (steps_left - steps)
+    # The step to the last parcel may ask for more than is left.
+    spare = max(drains[Cell.DELIVERY] - 1, 0)
+    ends = [score(task.deliveries - 1, after_one, 1)]  # can only pay where efficiency counts without all
+    for waits in range(len(most) if pads else 1):
+        left = episode.battery_units - drained + task.charge_rate * waits
+        if left + spare >= 0:
+            ends.append(score(task.deliveries, min(left, most[waits]), steps + waits))
+    return max(ends)
 
 
-def _steps_to(tables: Tables, grid: Buffer, start: int) -> list[int]:
-    """The fewest steps from a cell to each other, `UNREACHED` where nothing leads."""
-    steps = [UNREACHED] * tables.cells
-    steps[start] = 0
-    queue = deque([start])
+def _least_drains(tables: Tables) -> list[int]:
+    """The least that a move onto each kind of cell drains; a parcel's cell is also flown over once it is delivered."""
+    onto = np.reshape(tables.drain, (N_CELL_KINDS, N_ACTIONS))[:, :N_MOVES]
+    drains: list[int] = onto.min(axis=1).tolist()
+    drains[Cell.DELIVERY] = min(drains[Cell.DELIVERY], drains[Cell.DELIVERED])
+    return drains
+
+
+def _tour(
+    tables: Tables, ground: Any, start: int, parcels: Sequence[int], costs: Sequence[int], budget: int
+) -> tuple[int, int]:
+    """How many of the parcels a budget allows to visit, and what the cheapest tour over them all costs."""
+    first = _costs_from(tables, ground, [start], costs)
+    legs = [_costs_from(tables, ground, [parcel], costs) for parcel in parcels]
+    return shortest_over([first[cell] for cell in parcels], [[leg[cell] for cell in parcels] for leg in legs], budget)
+
+
+def _costs_from(tables: Tables, ground: Any, starts: Sequence[int], costs: Sequence[int]) -> list[int]:
+    """What the cheapest way to each cell costs, `UNREACHED` where nothing leads.
+
+    Dijkstra, "A note on two problems in connexion with graphs", 1959.
+
+    Args:
+        tables: The task's tables.
+        ground: uint8[cells], without the drone.
+        starts: Where ways may begin.
+        costs: What a move onto each kind of cell costs.
+    """
+    grid = view(ground)
+    found = [UNREACHED] * tables.cells
+    queue = [(0, cell) for cell in starts]
+    for cell in starts:
+        found[cell] = 0
     while queue:
-        cell = queue.popleft()
-        for action in range(Action.WAIT):
-            to = tables.moves[cell * N_ACTIONS + action]
-            if collision(tables, grid, to) == Event.NONE and steps[to] == UNREACHED:
-                steps[to] = steps[cell] + 1
-                queue.append(to)
-    return steps
+        cost, cell = heappop(queue)
+        if cost > found[cell]:
+            continue
+        for action in range(N_MOVES):
+            to = int(tables.moves[cell * N_ACTIONS + action])
+            if collision(tables, grid, to) == Event.NONE and cost + costs[grid[to]] < found[to]:
+                found[to] = cost + costs[grid[to]]
+                heappush(queue, (found[to], to))
+    return found

@@ -26,12 +26,14 @@ from drone_env.core.rewards import Rewards, tabulate_rewards
 from drone_env.core.rules import step
 from drone_env.core.tables import BATTERY, CELL, OUTCOME, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
-from drone_env.errors import UnsupportedTaskError
+from drone_env.errors import TooLargeError, UnsupportedTaskError
 from drone_env.planning.map_graph import UNPAID, delivered_set, require_memory, state_arrays
 from drone_env.planning.solver import Solver, ranked_scores
 from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways, most_ways
 
 WAIT = int(Action.WAIT)
+MAX_BETWEEN_PADS = 32 << 30
+"""What a map may take: sets delivered, times pads, stops, battery units and steps. A billion take a second or less."""
 CHUNK = 64
 """States that are looked at at a time: between two chunks other threads go on."""
 
@@ -59,9 +61,9 @@ class Legs(NamedTuple):
     """The most units that count."""
     ranks: Any
     """[rows, steps + 1], the rank of the highest score that can still be reached, by steps left: a row for each number
-    of parcels delivered since then and units, where the flight ends for good (`end_row`), then one for each set
-    delivered, stop and units (`row_of`). The rows of parcels that wait in the set, of the whole set and of 0 units
-    hold nothing."""
+    of parcels delivered since then and units, where the flight ends for good (`end_row`), then one for each parcel,
+    set delivered with it in it and units, and one for each set delivered, pad and units (`row_of`). The rows of the
+    whole set and of 0 units hold nothing."""
 
 
 def end_row(legs: Legs, done: int, units: int) -> int:
@@ -70,8 +72,14 @@ def end_row(legs: Legs, done: int, units: int) -> int:
 
 
 def row_of(legs: Legs, delivered: int, stop: int, units: int) -> int:
-    """The row of a drone that stands at a stop."""
-    return (legs.parcels + 1 + delivered * len(legs.stops) + stop) * (legs.most + 1) + units
+    """The row of a drone that stands at a pad, or at a parcel of the set delivered."""
+    n = legs.parcels
+    if stop < n:
+        others = delivered >> (stop + 1) << stop | delivered & (1 << stop) - 1
+        place = (stop << n - 1) + others
+    else:
+        place = (n << n - 1) + delivered * (len(legs.stops) - n) + stop - n
+    return (n + 1 + place) * (legs.most + 1) + units
 
 
 def mark_delivered(legs: Legs, delivered: int) -> int:
@@ -286,6 +294,26 @@ def clock(task: TaskConfig, battery: Any, left: Any) -> tuple[Any, Any]:
     return (battery, left) if counts_units(task) else (1, np.minimum(battery, left))
 
 
+def require_room(task: TaskConfig, parcels: int, pads: int, units: int, steps: int) -> int:
+    """How many rows of ranks a map takes.
+
+    Raises:
+        TooLargeError: if they would take more memory than `map_graph.MAX_BYTES`, or the ways between many pads more
+            comparisons than `MAX_BETWEEN_PADS`. Both are counted before the work begins.
+    """
+    rows = (parcels + 1 + (parcels << parcels - 1) + (pads << parcels)) * (units + 1)
+    require_memory("the exact values", task, 2 * rows * (steps + 1))
+    between_pads = pads * (parcels + pads) * units * steps << parcels
+    if between_pads > MAX_BETWEEN_PADS:
+        raise TooLargeError(
+            f"the exact values of a map of {task.id!r} with {pads} pads would take {between_pads / 1e9:.0f} billion "
+            f"comparisons; {MAX_BETWEEN_PADS / 1e9:.0f} billion are allowed"
+        )
+    _, ranked = ranked_scores(task)
+    require_memory("the exact values", task, ranked.itemsize * rows * (steps + 1))
+    return rows
+
+
 def make_legs(
     task: TaskConfig, ground: npt.NDArray[np.uint8], parcels: Sequence[int], done: int, battery: int, left: int
 ) -> Legs:
@@ -301,7 +329,7 @@ def make_legs(
 
     Raises:
         UnsupportedTaskError: if `covers` says no.
-        TooLargeError: if the ranks would take more memory than `map_graph.MAX_BYTES`.
+        TooLargeError: as `require_room`.
     """
     if not covers(task):
         raise UnsupportedTaskError(
@@ -311,10 +339,8 @@ def make_legs(
     pads = np.flatnonzero(ground == PAD_CELL) if counts and task.charge_rate else np.zeros(0, np.int64)
     stops = np.concatenate([np.array(parcels, np.int64), pads])
     units, steps = (task.battery_capacity, left) if counts else clock(task, battery, left)
-    rows = (n + 1 + (len(stops) << n)) * (units + 1)
-    require_memory("the exact values", task, 2 * rows * (steps + 1))
+    rows = require_room(task, n, len(pads), units, steps)
     _, ranked = ranked_scores(task)
-    require_memory("the exact values", task, ranked.itemsize * rows * (steps + 1))
     ranks = np.zeros((rows, steps + 1), ranked.dtype)
     ends = np.reshape(ranks[: (n + 1) * (units + 1)], (n + 1, units + 1, steps + 1))
     later = np.arange(steps + 1)
@@ -358,7 +384,7 @@ class LegSolver(Solver):
     Raises:
         EpisodeError: if the episode has not begun, or has ended.
         UnsupportedTaskError: if `covers` says no.
-        TooLargeError: if that would take more memory than `map_graph.MAX_BYTES`.
+        TooLargeError: as `make_legs`, and if the ways would not fit.
     """
 
     def __init__(self, episode: Episode) -> None:

@@ -63,6 +63,18 @@ def best_of(task: TaskConfig, seed: int) -> Solution | None:
         return None
 
 
+def require_solvable(task: TaskConfig) -> None:
+    """See that maps of a task are not too large to be solved, before any is.
+
+    Raises:
+        TooLargeError: if they are.
+    """
+    if not task.uniform and task.efficiency_needs_all:
+        from drone_env.planning.legs import require_room  # it compiles
+
+        require_room(task, task.deliveries, task.pads if task.charge_rate else 0, task.battery_capacity, task.max_steps)
+
+
 def solve_episode(episode: Episode, solver: "Solver | None" = None) -> Solution:
     """The optimum from where an episode stands; the episode is left as it is.
 

@@ -1,5 +1,6 @@
 """The shortest tours of many maps at once, compiled."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -53,3 +54,26 @@ def plan_tours(
     plans = np.full((len(starts), budgets.max()), Action.WAIT, np.int64)
     plan_kernel(starts, parcels, budgets, plans)
     return plans
+
+
+@compiled_once(nogil=True)
+def tour_kernel(first: Any, legs: Any, budget: int, lengths: Any, order: Any) -> int:
+    """`held_karp`, compiled."""
+    return held_karp(first, legs, len(first), budget, lengths, order)
+
+
+def shortest_over(first: Sequence[int], legs: Sequence[Sequence[int]], budget: int) -> tuple[int, int]:
+    """How many of n places a budget allows to visit, and the length of the shortest path over them all.
+
+    Args:
+        first: The way from the start to each place, [n].
+        legs: The way from place to place, [n][n].
+        budget: What may be spent, below `UNREACHED`.
+
+    Returns:
+        The length is `UNREACHED` where the budget does not allow all.
+    """
+    n = len(first)
+    lengths, order = np.zeros((1 << n, n), np.int64), np.zeros(n, np.int64)
+    visited = tour_kernel(np.array(first, np.int64), np.array(legs, np.int64), budget, lengths, order)
+    return int(visited), int(lengths[-1].min())

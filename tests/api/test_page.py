@@ -108,7 +108,7 @@ class TestPreview:
         ("query", "status", "says"),
         [
             ("task=hard", 422, "task=hard&seed=7"),
-            ("task=nowhere&seed=7", 404, "unknown task 'nowhere'; allowed: easy"),
+            ("task=nowhere&seed=7", 404, "unknown task 'nowhere'; allowed: "),
             ("task=hard&seed=7&pilot=nobody", 404, "unknown pilot 'nobody'"),
             ("task=hard&seed=7&profile=none", 404, "unknown reward profile 'none'"),
             ("task=hard&seed=x", 422, "the number of a map is a whole number from 0 to"),

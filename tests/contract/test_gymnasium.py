@@ -40,7 +40,16 @@ def fly_optimally(env: gymnasium.Env, task: str, seed: int, **reset: Any) -> tup
 
 
 def test_the_ids_are_the_promised_ones() -> None:
-    levels = ("Easy-v1", "Medium-v1", "Hard-v1", "Skyline-Easy-v2", "Skyline-Medium-v2", "Skyline-Hard-v2")
+    levels = (
+        "Easy-v1",
+        "Medium-v1",
+        "Hard-v1",
+        "Skyline-Easy-v2",
+        "Skyline-Medium-v2",
+        "Skyline-Hard-v2",
+        "City-Small-v1",
+        "City-v1",
+    )
     assert IDS == [f"drone_env:DroneDelivery-{level}" for level in levels]
 
 
@@ -94,7 +103,7 @@ def test_spaces_are_the_promised_ones(env_id: str, task: Any) -> None:
     observation, _ = env.reset(seed=1)
     assert env.observation_space.contains(observation)
     assert (observation["grid"].shape, observation["grid"].dtype) == ((task.height, task.width), np.uint8)
-    size = 13 if task.id.startswith("skyline_") else 5
+    size = 5 if task.family == "standard" else 13
     assert (observation["telemetry"].shape, observation["telemetry"].dtype) == ((size,), np.float32)
 
 

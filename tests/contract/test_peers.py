@@ -56,10 +56,10 @@ def test_a_finished_run_is_read_and_not_repeated(
     task = get_task("skyline_easy")
 
     def run() -> dict[str, Any]:
-        return peers.run(task, algorithm, recipe, 3, 1.0, False, tmp_path)
+        return peers.run(task, algorithm, recipe, 3, 0.5, False, tmp_path)
 
     result = run()
-    assert result["curve"]["cpu_seconds"][-1] == result["cpu_seconds"] >= 1
+    assert result["curve"]["cpu_seconds"][-1] == result["cpu_seconds"] >= 0.5
     assert result["steps"] % 256 == 0
     assert result["best_validation"] == max(result["curve"]["share"])
     assert 0 < result["test"]["score_ratio"] < 1

@@ -139,7 +139,9 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         make_agent(f"{file}", "easy")
     with pytest.raises(CheckpointError, match="'skyline_easy' behind the wrapper FlatObservation is"):
         make_agent(f"{file}:FlatObservation", "skyline_easy")
-    with pytest.raises(InvalidValueError, match="has no 'Flattened'"):
+    with pytest.raises(
+        InvalidValueError, match="unknown wrapper 'Flattened'; allowed: FlatObservation, MODULE:NAME, OneHotPlanes"
+    ):
         make_agent(f"{file}:Flattened", "easy")
     model_of(DQN, "flat").save(file)
     with pytest.raises(InvalidValueError, match="DQNPolicy has no probabilities of actions"):

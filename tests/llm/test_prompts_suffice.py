@@ -103,7 +103,7 @@ def flown_by_reading(prompt: Prompt, task: str, seed: int) -> float:
 @pytest.mark.parametrize("task", [task.short_name for task in SMALL.values()])
 @pytest.mark.parametrize("prompt", TEXTS, ids=lambda prompt: prompt.id)
 def test_who_sees_nothing_but_the_text_flies_the_optimum(prompt: Prompt, task: str) -> None:
-    for seed in split_seeds("test", 2):
+    for seed in split_seeds("test", 1):
         assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
 
 
@@ -112,10 +112,12 @@ def test_the_map_can_be_rebuilt_from_its_picture(task: str) -> None:
     seed = split_seeds("test", 1)[0]
     prompt, episode, actions = get_prompt("vision"), Episode(task, seed=seed), solve(task, seed).actions
     assert untold(prompt, episode.task) == []
-    assert rules_of(told_by(prompt, episode).task, True) == rules_of(episode.task, True)
     for step, action in enumerate(actions):
-        if step % 8 == 0 or step == len(actions) - 1:
-            assert told_by(prompt, episode).episode.grid().tolist() == episode.grid().tolist()
+        if step in (0, len(actions) // 2, len(actions) - 1):
+            told = told_by(prompt, episode)
+            if step == 0:  # later the drone hides what it flies over
+                assert rules_of(told.task, True) == rules_of(episode.task, True)
+            assert told.episode.grid().tolist() == episode.grid().tolist()
         episode.step(action)
     assert episode.success
 

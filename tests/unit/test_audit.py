@@ -82,20 +82,24 @@ def test_the_maximiser_is_the_best_of_all_flights(profile: str, seed: int) -> No
     assert (earned, episode.score) == (pytest.approx(highest, abs=1e-9), audited.score)
 
 
-@pytest.mark.parametrize("gamma", [1.0, 0.99])
+# An audit of the hard task takes a second: one of the two discounts has to do there.
+DISCOUNTED = [(task, gamma) for task in STANDARD for gamma in (1.0, 0.99) if (task, gamma) != ("hard", 0.99)]
+
+
+@pytest.mark.parametrize(("task", "gamma"), DISCOUNTED)
 @pytest.mark.parametrize("profile", ["tiered", "composite"])
-@pytest.mark.parametrize("task", STANDARD)
 def test_rewards_that_pay_for_time_are_exploitable(task: str, profile: str, gamma: float) -> None:
     for seed in split_seeds("test", 1 if task == "hard" else 3):
         audited = audit_map(task, seed, profile, gamma)
         assert not audited.aligned
         assert audited.score < 0.81
         assert audited.maximum > audited.returns["honest"]
+        if (profile, gamma) == ("tiered", 1.0):  # waiting pays more than delivering
+            assert audited.returns["stall"] > audited.returns["honest"]
 
 
-@pytest.mark.parametrize("gamma", [1.0, 0.99])
+@pytest.mark.parametrize(("task", "gamma"), DISCOUNTED)
 @pytest.mark.parametrize("profile", ["aligned", "score"])
-@pytest.mark.parametrize("task", STANDARD)
 def test_rewards_that_pay_the_score_are_aligned(task: str, profile: str, gamma: float) -> None:
     for seed in split_seeds("test", {"easy": 20, "medium": 4, "hard": 1}[task]):
         audited = audit_map(task, seed, audited_profile(profile, gamma), gamma)
@@ -106,13 +110,6 @@ def test_rewards_that_pay_the_score_are_aligned(task: str, profile: str, gamma: 
 def test_shaping_for_another_discount_is_found_out() -> None:
     profile = audited_profile("aligned", 1.0, shaping_gamma=0.99)
     assert not all(audit_map("medium", seed, profile, 1.0).aligned for seed in split_seeds("test", 30))
-
-
-def test_waiting_pays_more_than_delivering_under_tiered() -> None:
-    for task in STANDARD:
-        for seed in split_seeds("test", {"easy": 10, "medium": 3, "hard": 1}[task]):
-            returns = audit_map(task, seed, "tiered", 1.0).returns
-            assert returns["stall"] > returns["honest"]
 
 
 def test_hacks_of_one_easy_map_by_hand() -> None:

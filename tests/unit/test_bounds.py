@@ -42,35 +42,37 @@ def greedy_score(episode: Episode) -> float:
 @pytest.mark.parametrize(
     ("drawing", "changes", "lower", "upper"),
     [
-        (LINE, {"max_steps": 20}, 0.8 + 0.2 * 6 / 20, 0.8 + 0.2 * 7 / 20),
+        (LINE, {"max_steps": 20}, 0.8 + 0.2 * 7 / 20, 0.8 + 0.2 * 7 / 20),
+        # Where no legs are planned, the nearest target is chased.
+        (LINE, {"max_steps": 20, "drain": ((Cell.BUILDING, 3),)}, 0.8 + 0.2 * 6 / 20, 0.8 + 0.2 * 7 / 20),
         # Two parcels fit into nine steps; above, they are delivered and the flight is over after a single step.
         (LINE, {"max_steps": 9}, 1.6 / 3, 1.6 / 3 + 0.2 * 8 / 9),
         (LINE, {"max_steps": 9, "efficiency_needs_all": True}, 1.6 / 3, 1.6 / 3),
         # Nine parcels and an early end would score more than ten.
         (["@012345678..9", "............."], {"max_steps": 20}, 0.8 + 0.2 * 8 / 20, 0.72 + 0.2 * 19 / 20),
         # The parcel that the last step reaches is reached, one step farther it is not.
-        (["0@.12", "....."], {"max_steps": 3}, 0.8 / 3, 1.6 / 3 + 0.2 * 2 / 3),
+        (["0@.12", "....."], {"max_steps": 3}, 1.6 / 3, 1.6 / 3 + 0.2 * 2 / 3),
         (["@..0", "...."], {"max_steps": 2}, 0.01, 0.2 * 1 / 2),
-        # What charges may end full; the nearest target is chased without charging.
+        # From the pad to the parcel four of five units are spent, after one step to charge; the chase does not charge.
         (
             ["@.P...0", "......."],
             {"max_steps": 20, "battery_capacity": 5, "charge_rate": 9},
             0.1 * 15 / 20,
-            0.8 + 0.1 + 0.1 * 14 / 20,
+            0.8 + 0.1 * 1 / 5 + 0.1 * 13 / 20,
         ),
-        # Roads drain nothing, and for the bound above neither does the parcel's cell.
+        # Roads drain nothing, the parcel's cell one.
         (
             ["@..0", "...."],
             {"max_steps": 20, "drain": ((Cell.ROAD, 0),)},
             0.8 + 0.1 * 19 / 20 + 0.1 * 17 / 20,
-            0.8 + 0.1 + 0.1 * 17 / 20,
+            0.8 + 0.1 * 19 / 20 + 0.1 * 17 / 20,
         ),
-        # The building costs three units, which only the flight below pays.
+        # The building costs three units: as much as the way round it.
         (
             ["@.B...0", "......."],
             {"max_steps": 20, "drain": ((Cell.BUILDING, 3),)},
             0.8 + 0.1 * 12 / 20 + 0.1 * 14 / 20,
-            0.8 + 0.2 * 14 / 20,
+            0.8 + 0.1 * 12 / 20 + 0.1 * 14 / 20,
         ),
         # What nothing leads to is not counted; what is left counts where efficiency does not need all.
         (WALLED, {"max_steps": 6, "efficiency_needs_all": True, **BLOCKED}, 0.4, 0.4),
@@ -96,10 +98,10 @@ def test_from_the_middle_of_a_flight_and_after_its_end() -> None:
 
 @pytest.mark.parametrize("task", SMALL)
 def test_the_optimum_lies_between_its_bounds(task: str) -> None:
-    for seed in split_seeds("test", 5):
+    for seed in split_seeds("test", 5 if get_task(task).width < 64 else 1):
         episode = started(task, seed)
         lower, upper = bounds(episode)
-        assert greedy_score(episode) == lower <= solve(task, seed).score <= upper
+        assert greedy_score(episode) <= lower <= solve(task, seed).score <= upper
         if get_task(task).uniform:
             assert upper == solve(task, seed).score
 
@@ -111,21 +113,17 @@ def test_the_optimum_of_tiny_maps_lies_between_its_bounds(seed: int) -> None:
     assert lower <= solve(task, seed).score <= upper
 
 
-def test_above_ten_parcels_the_farthest_bounds_the_steps() -> None:
+def test_of_many_parcels_the_shortest_tour_bounds_the_steps() -> None:
     task = replace(get_task("hard"), id="many", deliveries=11)
-    episode = started(task, 1)
-    (x, y), far = episode.position, 0
-    for px, py, _ in episode.parcels:
-        far = max(far, abs(px - x) + abs(py - y))
-    assert bounds(episode).upper == pytest.approx(0.8 + 0.2 * (1 - far / task.max_steps))
+    lower, upper = bounds(started(task, 1))
+    assert lower <= solve(task, 1).score == upper
 
 
 def test_a_map_too_large_to_solve_still_has_bounds() -> None:
-    vast = {"width": 64, "height": 64, "deliveries": 14, "max_steps": 600, "battery_capacity": 90}
+    vast = {"width": 64, "height": 64, "deliveries": 12, "max_steps": 400, "battery_capacity": 90}
     task = replace(get_task("skyline_hard"), id="vast_skyline", **vast)
     episode = started(task, 1)
     with pytest.raises(TooLargeError, match="GB are allowed"):
         solve(task, 1)
     lower, upper = bounds(episode)
-    assert lower == greedy_score(episode)
-    assert 0.8 < upper < 0.99
+    assert greedy_score(episode) < 0.8 < lower < upper < 0.99

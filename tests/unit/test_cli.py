@@ -191,6 +191,29 @@ def test_a_task_that_is_too_large_for_an_agent_leaves_its_row_empty(
     assert hard["agents"]["heavy"]["unsupported"] == "hard_delivery is too large"
 
 
+def test_maps_that_are_too_large_to_be_solved_are_flown_and_have_bounds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = "".join(f"{row!r},".replace("'", '"') for row in ["· " * 6] * 4 + ["🔋" + "· " * 5])
+    numbers = "deliveries = 16\nmax_steps = 200\nbattery_capacity = 30"
+    (tmp_path / "full.toml").write_text(f"format = 1\n[task]\n{numbers}\n[terrain]\nrows = [{rows}]", "utf-8")
+    task = ["--task", str(tmp_path / "full.toml")]
+    assert main(["solve", *task, "--seed", "7"]) == 2
+    told = capsys.readouterr().err
+    assert "GB are allowed" in told
+    low, high = map(float, re.findall(r"0\.\d{4}", told))
+    assert 0.8 < low < high < 0.99
+    assert main(["evaluate", *task, "--agents", "greedy", "optimal", "--episodes", "2", "--json", "-"]) == 0
+    (figures,) = json.loads(capsys.readouterr().out)["tasks"].values()
+    greedy, optimal = figures["agents"]["greedy"], figures["agents"]["optimal"]
+    assert greedy["mean_score"] > 0
+    assert greedy["mean_optimal_score"] is greedy["mean_regret"] is None
+    assert optimal["mean_score"] is None
+    assert "GB are allowed" in optimal["unsupported"]
+    assert main(["compare", "greedy", "optimal", *task, "--episodes", "2"]) == 0
+    assert "full, optimal: the exact values" in capsys.readouterr().out
+
+
 def test_where_nobody_flies_anything_the_reason_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
     tasks = ["skyline_easy", "skyline_medium"]
     assert main(["evaluate", "--task", *tasks, "--agents", "pathqnet", "--episodes", "2"]) == 2

@@ -26,13 +26,13 @@ WORDS = st.sampled_from(
 )
 
 
-@settings(max_examples=500, deadline=None, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(CREDITS)
 def test_what_is_said_is_read_again(credit: Credit) -> None:
     assert Credit.parse(str(credit)) == credit
 
 
-@settings(max_examples=500, deadline=None, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(st.lists(WORDS, max_size=12).map("".join) | st.text())
 def test_whatever_a_record_names_stays_as_it_is(agent: str) -> None:
     assert str(Credit.parse(agent)) == agent

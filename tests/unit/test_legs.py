@@ -28,9 +28,9 @@ from tests import most_battery
 from tests.toy import toy_episode
 
 THOROUGH = int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000
-COMPARED = {"easy": (20, 200), "medium": (5, 50), "hard": (1, 5)}
+COMPARED = {"easy": (10, 200), "medium": (3, 50), "hard": (1, 5)}
 """Maps of which every state is compared, of each size: in any run, and in a thorough one."""
-PLANNED = {"easy": (100, 20_000), "medium": (100, 20_000), "hard": (40, 10_000)}
+PLANNED = {"easy": (40, 20_000), "medium": (40, 20_000), "hard": (15, 10_000)}
 """Maps whose optimum is compared, of the standard task and of the Skyline one; 100,000 in a thorough run."""
 
 

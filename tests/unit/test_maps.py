@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from drone_env.core.batch import Batch
@@ -248,45 +249,40 @@ class TestGenerators:
             generate_city_map("expert", 1)
 
 
+def drawn(
+    task: TaskConfig, seeds: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Terrain, start and parcels of many maps, as the batch draws them; that one alone is equal, other tests show."""
+    batch = Batch(task, len(seeds))
+    batch.reset(seeds)
+    grids, states = (batch.get_state()[name] for name in ("grids", "states"))
+    return grids, states[:, CELL].astype(int), states[:, PARCELS:].astype(int)
+
+
 class TestFairness:
     """The bounds lie some six standard deviations from the mean of a fair generator; the seeds are fixed."""
 
     def test_start_and_delivery_are_uniform(self) -> None:
-        starts, deliveries = np.zeros((10, 10)), np.zeros((10, 10))
-        for seed in range(20_000):
-            city = generate_city_map(EASY, seed)
-            starts[city.start] += 1
-            deliveries[city.deliveries[0]] += 1
+        _, starts, parcels = drawn(EASY, np.arange(20_000))
         # 99 degrees of freedom: mean 99, standard deviation 14
-        assert 30 < chi_square(starts) < 185
-        assert 30 < chi_square(deliveries) < 185
+        assert 30 < chi_square(np.bincount(starts, minlength=100)) < 185
+        assert 30 < chi_square(np.bincount(parcels[:, 0], minlength=100)) < 185
 
     def test_terrain_is_uniform(self) -> None:
-        cells = {kind: np.zeros((10, 10)) for kind in (Cell.BUILDING, Cell.TREE, Cell.OBSTACLE)}
-        for seed in split_seeds("test", 5_000):
-            city = generate_city_map(EASY, seed)
-            for kind, counts in cells.items():
-                counts += city.grid == kind
-        for counts in cells.values():
-            assert 30 < chi_square(counts) < 185
+        grids, _, _ = drawn(EASY, np.array(split_seeds("test", 5_000)))
+        for kind in (Cell.BUILDING, Cell.TREE, Cell.OBSTACLE):
+            assert 30 < chi_square(np.sum(grids == kind, axis=0)) < 185
 
     def test_start_and_delivery_of_one_map_are_independent(self) -> None:
         task = replace(EASY, width=3, height=3, buildings=0, trees=0, obstacles=0)
-        pairs = np.zeros((9, 9))
-        for seed in range(10_000):
-            city = generate_city_map(task, seed)
-            (x, y), (tx, ty) = city.start, city.deliveries[0]
-            pairs[y * 3 + x, ty * 3 + tx] += 1
+        _, starts, parcels = drawn(task, np.arange(10_000))
+        pairs = np.bincount(starts * 9 + parcels[:, 0], minlength=81).reshape(9, 9)
         # 72 pairs of distinct cells, 71 degrees of freedom: mean 71, standard deviation 12
         assert 15 < chi_square(pairs[~np.eye(9, dtype=bool)]) < 145
         assert pairs.trace() == 0
 
     def test_what_stands_in_a_city_is_uniform_over_the_cells_where_it_may(self) -> None:
-        task, n = TASKS["skyline_easy"], 100_000
-        batch = Batch(task, n)
-        batch.reset(np.arange(n))
-        grids, rows = (batch.get_state()[name] for name in ("grids", "states"))
-        starts, parcels = rows[:, CELL].astype(int), rows[:, PARCELS:].astype(int)
+        grids, starts, parcels = drawn(TASKS["skyline_easy"], np.arange(100_000))
         # 63 degrees of freedom: mean 63, standard deviation 11
         assert 15 < chi_square(np.bincount(starts, minlength=64)) < 130
         cells = np.arange(64)
@@ -311,7 +307,7 @@ class TestFairness:
 
     def test_maps_of_neighbouring_seeds_are_independent(self) -> None:
         task = replace(EASY, width=3, height=3, buildings=0, trees=0, obstacles=0)
-        starts = [y * 3 + x for x, y in (generate_city_map(task, seed).start for seed in range(10_001))]
+        _, starts, _ = drawn(task, np.arange(10_001))
         pairs = np.zeros((9, 9))
         np.add.at(pairs, (starts[:-1], starts[1:]), 1)
         # 80 degrees of freedom: mean 80, standard deviation 13

@@ -102,10 +102,11 @@ def test_a_resumed_run_is_the_uninterrupted_one_bit_for_bit(tmp_path: Path) -> N
         untimed = {name: value for name, value in state.items() if name not in ("cpu_seconds", "history", "losses")}
         return untimed | {"history": lines, "losses": [(choice, last) for choice, _, last in state["losses"]]}
 
-    stopped = RewardTrainer(SMALL)
+    config = replace(SMALL, updates=8)
+    stopped = RewardTrainer(config)
     list(islice(stopped.train(), 5))
     save_checkpoint(tmp_path / "run.pth", stopped.get_state())
-    resumed = RewardTrainer(replace(SMALL, seed=9))
-    resumed.config = SMALL
+    resumed = RewardTrainer(replace(config, seed=9))
+    resumed.config = config
     resumed.set_state(load_checkpoint(tmp_path / "run.pth"))
-    assert_same(state_of(finished(RewardTrainer(SMALL))), state_of(finished(resumed)))
+    assert_same(state_of(finished(RewardTrainer(config))), state_of(finished(resumed)))

@@ -46,7 +46,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[int]]]:
 
 
 def test_lessons_are_drawn_on_train_maps_of_the_tasks_by_their_shares(asked: list[tuple[str, list[int]]]) -> None:
-    config = replace(EVERYTHING, updates=12, maps_per_chunk=2)
+    config = replace(EVERYTHING, updates=12, maps_per_chunk=2, validation_every=12)
     trainer = finished(TourTrainer(config))
     seeds = [seed for _, maps in asked for seed in maps]
     assert len(set(seeds)) == 2 * len(asked) >= 24

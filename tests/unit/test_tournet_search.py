@@ -22,7 +22,7 @@ from drone_env.errors import InvalidValueError
 from tests.toy import toy_episode
 from tests.unit.tour_views import EVERY_TASK, HARD, view_of
 
-SEEDS = np.array([0, 7, 2**52, 2**53 - 1], np.int64)
+SEEDS = np.array([0, 2**53 - 1, 7, 2**52], np.int64)
 
 
 def flown(agent: TournetSearchAgent, seed: int) -> Episode:
@@ -62,9 +62,9 @@ def test_the_only_plan_of_one_is_to_fly_the_preferred_ways(name: str, network: P
 def test_the_plan_is_the_best_of_those_that_were_tried(name: str, network: Path) -> None:
     """More plans are never worse: the first are the same."""
     task = EVERY_TASK[name]
+    seeds = SEEDS[: 1 if task.deliveries == 16 else 4].tolist()
     scores = [
-        [flown(TournetSearchAgent(task, network, plans=plans), seed).score for seed in SEEDS.tolist()]
-        for plans in (1, 4, 32)
+        [flown(TournetSearchAgent(task, network, plans=plans), seed).score for seed in seeds] for plans in (1, 4, 32)
     ]
     for fewer, more in pairwise(scores):
         assert all(np.array(more) >= np.array(fewer))
@@ -74,17 +74,17 @@ def test_the_plan_is_the_best_of_those_that_were_tried(name: str, network: Path)
 
 @pytest.mark.parametrize("name", EVERY_TASK)
 def test_together_and_alone_it_flies_the_same_plans(name: str, network: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drone_env.agents.tour_plans.FLIGHTS", 15)
-    task = EVERY_TASK[name]
+    monkeypatch.setattr("drone_env.agents.tour_plans.FLIGHTS", 10)  # two maps at a time, and then one
+    task, seeds = EVERY_TASK[name], SEEDS[:3]
     agent = TournetSearchAgent(task, network, plans=5)
-    batch = Batch(task, len(SEEDS))
-    batch.reset(SEEDS)
-    agent.reset_batch(SEEDS)
+    batch = Batch(task, len(seeds))
+    batch.reset(seeds)
+    agent.reset_batch(seeds)
     together: list[npt.NDArray[np.int64]] = []
     for _ in range(task.max_steps):
         together.append(agent.act_batch(batch.grids, batch.telemetry))
         batch.step(together[-1])
-    alone = [flown(TournetSearchAgent(task, network, plans=5), seed).actions for seed in SEEDS.tolist()]
+    alone = [flown(TournetSearchAgent(task, network, plans=5), seed).actions for seed in seeds.tolist()]
     assert [np.stack(together)[: len(actions), i].tolist() for i, actions in enumerate(alone)] == alone
     assert alone[0] != flown(TournetSearchAgent(task, network, plans=5), 1).actions
 
