@@ -2,9 +2,9 @@
 
     python benchmarks/dashboard.py [--seconds 10] [--speed 6] [--visits 10] [--json FILE]
 
-Frames are those of four pilots over hard map 7, on one board and on one each, and of eight flights over two cities of
-64 x 64 cells, one whose cells are drawn at random and the centre of Helsinki, each whole and from nearby while the map
-follows the drone. The server flies at most four on a map: there the other four are these again, mirrored.
+Frames are those of four pilots over hard map 7, on one board and on one each, and of eight flights over the task
+`city`, Helsinki on 64 x 64 cells, whole and from nearby while the map follows the drone. The server flies at most four
+on a map: there the other four are these again, mirrored.
 
 The server and the machine's own chromium, without a window, run here. Frames come from the browser's own trace: the
 time between two animation frames, and the script part of each, which is the CPU time that its main thread spent in
@@ -32,7 +32,7 @@ from tests.api.serving import serving  # noqa: E402
 from tests.browser.tabs import WIDE, find_chromium, launched  # noqa: E402
 
 FOUR = "/?task=hard&seed=7&pilots=pathqnet,greedy,optimal,random"
-EIGHT = "/?task={task}&seed=7&pilots=optimal,greedy,random,random"
+EIGHT = "/?task=city&seed=7&pilots=optimal,greedy,random,random"
 SCRIPT = {
     "FireAnimationFrame",
     "FunctionCall",
@@ -128,28 +128,18 @@ def apart(page: Page) -> None:
     page.get_by_role("checkbox", name="A board each").check()
 
 
-def eight(page: Page, task: str = "large_city") -> None:
-    """Eight flights over a large city, all of it."""
+def eight(page: Page) -> None:
+    """Eight flights over a real city, all of it."""
     page.route_web_socket("**/live", double)
-    page.goto(EIGHT.format(task=task))
+    page.goto(EIGHT)
 
 
-def nearby(page: Page, task: str = "large_city") -> None:
-    """The same twice as large: the map moves with the drone."""
-    eight(page, task)
+def nearby(page: Page) -> None:
+    """The same twice as large, a small map beside it: the map moves with the drone."""
+    eight(page)
     expect(page.locator("#start")).to_be_enabled()
     for _ in range(2):
         page.get_by_role("button", name="Nearer").click()
-
-
-def city(page: Page) -> None:
-    """Eight flights over a real city, all of it."""
-    eight(page, "city")
-
-
-def city_nearby(page: Page) -> None:
-    """The same twice as large, with its small map beside it."""
-    nearby(page, "city")
 
 
 def flying(
@@ -202,11 +192,11 @@ def main() -> None:
         raise SystemExit("chromium is not installed: apt-get install chromium")
     with (
         tempfile.TemporaryDirectory() as folder,
-        serving(Path(folder) / "data", PLUGINS="benchmarks.large_city") as server,
+        serving(Path(folder) / "data") as server,
         launched(chromium) as browser,
     ):
         frames: dict[str, dict[str, Any]] = {}
-        for opened in (four, apart, city, city_nearby, eight, nearby):
+        for opened in (four, apart, eight, nearby):
             intervals, scripts = flying(browser, server.url, opened, given.seconds, given.speed)
             costs = {"frame_ms": percentiles(intervals), "script_ms": percentiles(scripts)}
             frames[opened.__name__] = {"frames": len(intervals), **costs}

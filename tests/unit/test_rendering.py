@@ -329,3 +329,17 @@ class TestText:
         assert len(set(texts)) == len(texts)
         assert episode.event == Event.DELIVERY
         assert "Mission accomplished" in texts[-1]
+
+
+def test_whose_data_a_city_is_stands_below_it() -> None:
+    task = get_task("city_small")
+    assert task.terrain
+    said = draw_picture(fresh(task, 7), 360)
+    rendering._city.cache_clear()  # which takes tasks that differ in this alone for one
+    unsaid = draw_picture(fresh(replace(task, terrain=replace(task.terrain, attribution="")), 7), 360)
+    rendering._city.cache_clear()
+    layout = rendering._layout(task, 360)
+    rows, columns, _ = np.nonzero(said != unsaid)
+    assert rows.min() >= layout.top + task.height * layout.cell
+    assert rows.max() > rows.min() + 3
+    assert columns.max() < layout.city

@@ -1,7 +1,6 @@
 // What can be shown on a map, from the ground up. A layer is added here, and nowhere else.
 import { drawCity } from "./layer_city.js";
 import { drawBest, drawDrones, drawParcels, drawThoughts, drawTrails } from "./layer_flights.js";
-import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
 
 /**
  * @typedef {Object} Layer
@@ -14,6 +13,13 @@ import { drawNetwork, drawRange, drawValues } from "./layer_values.js";
  * @property {(ctx: CanvasRenderingContext2D, view: Object) => void} draw
  */
 
+/** What `layer_values.js` draws; it is loaded with the first answer that it shows. */
+export const ofValues = {};
+const later =
+  (name) =>
+  (...view) =>
+    ofValues[name]?.(...view);
+
 /** @type {Layer[]} */
 export const LAYERS = [
   { id: "city", place: "ground", draw: drawCity },
@@ -24,7 +30,7 @@ export const LAYERS = [
     hint: "What is best from each cell, with the battery, parcels and steps of this moment; the greener, the more is still possible",
     key: "v",
     asks: true,
-    draw: drawValues,
+    draw: later("drawValues"),
   },
   {
     id: "network",
@@ -33,7 +39,7 @@ export const LAYERS = [
     hint: "The network's move at each cell where it gives something away",
     key: "e",
     asks: true,
-    draw: drawNetwork,
+    draw: later("drawNetwork"),
   },
   {
     id: "range",
@@ -43,7 +49,7 @@ export const LAYERS = [
     key: "b",
     asks: true,
     when: ({ world }) => Boolean(world?.task.pads),
-    draw: drawRange,
+    draw: later("drawRange"),
   },
   { id: "trails", place: "air", draw: drawTrails },
   {

@@ -1,7 +1,7 @@
 // Asks the server what can still be reached from the moment that is shown, where a layer shows it or a flight is a fork.
 import { ApiError } from "./api.js";
 import { toast } from "./dom.js";
-import { LAYERS } from "./layers.js";
+import { LAYERS, ofValues } from "./layers.js";
 
 const KEPT = 60;
 /** Milliseconds that a moment is looked at before it is asked about. */
@@ -40,7 +40,9 @@ export function mountMapValues(context) {
     asked.add(key);
     let answer = null;
     try {
-      answer = await api.post("values", flight);
+      const [told, drawing] = await Promise.all([api.post("values", flight), import("./layer_values.js")]);
+      answer = told;
+      Object.assign(ofValues, drawing);
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
       toast(error.message);
