@@ -4,8 +4,14 @@ import os
 from collections.abc import Generator
 from typing import TypeVar
 
+import gymnasium
 import pytest
 
+from drone_env.agents import AGENTS
+from drone_env.core.rewards import REWARD_PROFILES
+from drone_env.core.tasks import TASKS
+from drone_env.envs.registry import PLUGINS
+from drone_env.graders import GRADERS
 from tests.feature_table import FEATURES, FeatureTable
 from tests.tools import install_command, missing_in, missing_package
 
@@ -18,6 +24,21 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 def sb3_log(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Where Stable-Baselines3 keeps its log, here and in what is started from here; else a folder of /tmp for each."""
     os.environ["SB3_LOGDIR"] = str(tmp_path_factory.getbasetemp() / "sb3")
+
+
+@pytest.fixture(autouse=True)
+def registered() -> Generator[None, None, None]:
+    """Forget after each test what it has registered, in this process and for those that are started."""
+    known = [TASKS, GRADERS, REWARD_PROFILES, AGENTS, gymnasium.registry]
+    before = [dict(names) for names in known]
+    plugins = os.environ.get(PLUGINS)
+    yield
+    for names, kept in zip(known, before, strict=True):
+        if names != kept:
+            names.clear()
+            names.update(kept)
+    if os.environ.get(PLUGINS) != plugins:
+        os.environ.pop(PLUGINS) if plugins is None else os.environ.update({PLUGINS: plugins})
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

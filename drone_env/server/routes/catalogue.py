@@ -40,7 +40,7 @@ async def tasks() -> TaskList:
     )
 
 
-@router.get("/tasks/{task_name}", responses=answers(404))
+@router.get("/tasks/{task_name}", responses=answers(404, 422))
 def one_task(shared: SharedParts, task_name: str) -> OneTask:
     """One task with all its numbers, and who can fly it. A drawn map that is kept is found by its name alone."""
     return describe(get_task(task_name), shared)
