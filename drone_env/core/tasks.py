@@ -13,7 +13,8 @@ from drone_env.core.cells import Cell
 from drone_env.core.terrain import PLACED, Terrain, Window, shipped_terrain
 from drone_env.errors import InvalidTaskError, UnknownNameError, WithdrawnError
 
-MAX_SIDE = 64
+MAX_SIDE = 128
+"""Cells along a side of a map: the number of a cell, with its flag, has to fit the 16-bit state."""
 MAX_DELIVERIES = 16
 MAX_SPACING = 16
 """Upper bound of the distance between streets: the tables that maps are drawn from grow with its square."""
@@ -34,7 +35,7 @@ class TaskConfig:
         short_name: What people type, such as `easy`.
         grader: `module:function` of the task's grader.
         version: Raised by any change that alters a map, a reward or a score.
-        width, height: Grid size in cells, at most 64 each.
+        width, height: Grid size in cells, at most 128 each.
         deliveries: Parcels to deliver, 1 to 16.
         buildings, trees, obstacles, pads: How many cells of each kind a map holds.
         max_steps: Steps after which the episode ends.

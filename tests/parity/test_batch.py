@@ -18,7 +18,7 @@ from drone_env.core.score import score
 from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.tables import DELIVERIES_DONE, OUTCOME, interpreted, state_size
 from drone_env.core.tables import STEPS as STEPS_TAKEN
-from drone_env.core.tasks import MAX_UNITS, TASKS, TaskConfig
+from drone_env.core.tasks import MAX_SIDE, MAX_UNITS, TASKS, TaskConfig
 from drone_env.core.terrain import Terrain
 
 STEPS = int(os.environ.get("DRONE_ENV_PARITY_STEPS", "250000"))
@@ -59,8 +59,8 @@ CUSTOM |= {
 }
 LARGEST = replace(
     HARD,
-    width=64,
-    height=64,
+    width=MAX_SIDE,
+    height=MAX_SIDE,
     deliveries=16,
     buildings=900,
     pads=900,

@@ -202,10 +202,10 @@ class TestInvalidTasks:
     @pytest.mark.parametrize(
         ("changes", "message"),
         [
-            ({"width": 1}, "width and height must be 2 to 64"),
-            ({"width": 65}, "width and height must be 2 to 64"),
-            ({"height": 1}, "width and height must be 2 to 64"),
-            ({"height": 65}, "width and height must be 2 to 64"),
+            ({"width": 1}, "width and height must be 2 to 128"),
+            ({"width": 129}, "width and height must be 2 to 128"),
+            ({"height": 1}, "width and height must be 2 to 128"),
+            ({"height": 129}, "width and height must be 2 to 128"),
             ({"deliveries": 0}, "deliveries must be 1 to 16"),
             ({"deliveries": 17}, "deliveries must be 1 to 16"),
             ({"buildings": -1}, "must not be negative"),

@@ -13,7 +13,7 @@ import { Stage } from "./stage.js";
 import { recall, remember } from "./storage.js";
 import { Track } from "./track.js";
 
-const SIDES = [2, 64];
+const SIDES = [2, 128];
 const EMPTY = 12;
 const UNDONE = 100;
 const SHOWN = new Set(["city", "best", "parcels", "drones"]);
