@@ -51,9 +51,10 @@ serve: $(VENV)/.server
 test: $(VENV)/.dev
 	$(PYTEST) -n auto --dist worksteal
 
-# What is marked long. One Ray cluster serves all tests that need one, one after another in one of the processes.
+# What is marked long. One Ray cluster serves all tests that need one, so that they run one after another.
 test-long: $(VENV)/.dev
-	$(PYTEST) -m long -n auto --dist loadgroup
+	$(PYTEST) -m long -n auto --dist worksteal --ignore tests/cluster
+	$(PYTEST) -m long tests/cluster
 
 # What was promised, feature by feature, and whether its tests pass.
 features: $(VENV)/.dev

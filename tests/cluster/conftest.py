@@ -28,14 +28,6 @@ STARTING = {
 ENDING_SECONDS = 60.0
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Have one process of pytest-xdist run all tests of this folder: one cluster serves them all."""
-    if config.pluginmanager.hasplugin("xdist"):
-        for item in items:
-            if Path(__file__).parent in item.path.parents:
-                item.add_marker(pytest.mark.xdist_group("cluster"))
-
-
 @pytest.fixture(scope="session")
 def cluster() -> Generator[Any, None, None]:
     """A head without CPUs and two nodes with one each; a test that kills one puts another in its place."""
