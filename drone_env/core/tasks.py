@@ -216,6 +216,11 @@ class TaskConfig:
         rest = 1 + self.deliveries + self.obstacles + self.pads
         require(rest <= on_streets, f"{rest} things do not fit on {on_streets} cells of street")
 
+    @property
+    def attribution(self) -> str:
+        """Whose data the terrain is, which whoever shows a map has to say; empty for nobody's."""
+        return "" if self.terrain is None else self.terrain.attribution
+
     @cached_property
     def uniform(self) -> bool:
         """Whether every step costs one battery unit, nothing blocks the way and nothing charges.

@@ -44,7 +44,7 @@ OBSERVED: dict[str, Callable[[DroneObservation], object]] = {
     "obstacles": lambda seen: _places(seen, "obstacle"),
     "pads": lambda seen: _places(seen, "pad"),
 }
-VALUES = {*OBSERVED, "grid", "legend", "history", "task", "drains", "impassable", "terrain"}
+VALUES = {*OBSERVED, "grid", "legend", "history", "task", "drains", "impassable", "terrain", "joined"}
 """What a template may name."""
 FIRST_VALUES = {*OBSERVED, "grid", "history", "rules"}
 """What one of the first form may name."""
@@ -61,6 +61,8 @@ def values_of(
         last_steps: The last steps, each in a line.
         symbols: The letters of the grid.
     """
+    from drone_env.envs.blocks import is_joined  # loads Pillow
+
     history = "\n".join(["", "Last steps:", *last_steps]) if last_steps else ""
     of_task = set(deciding(task))
     return {name: of(observation) for name, of in OBSERVED.items()} | {
@@ -74,6 +76,7 @@ def values_of(
         "terrain": [
             (title, _places(observation, CELL_KINDS[kind].name), kind in of_task) for kind, title in TITLES.items()
         ],
+        "joined": is_joined(task),
     }
 
 
