@@ -358,7 +358,7 @@ def test_cells_that_share_a_side_are_drawn_as_one_shape() -> None:
     assert roof in blocks.ROOFS
     assert looks(1.0, 0.5 - blocks.HEIGHT) == looks(0.5, 1.0 - blocks.HEIGHT) == roof
     # Those that meet at a corner alone are two.
-    assert looks(2.0, 1.0) not in (blocks.WALL, *blocks.ROOFS)
+    assert looks(2.0, 1.0) == blocks.SHADE
     assert looks(1.5, 1.5) == blocks.STREET
     assert {looks(4.5, 1.0), looks(4.0, 1.5)} <= {blocks.WOOD, blocks.CROWN}
     assert {looks(4.0, 2.5), looks(3.5, 2.5)} <= {blocks.CLOSED, blocks.HATCH}
