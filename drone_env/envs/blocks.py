@@ -82,9 +82,9 @@ def draw_blocks(grid: npt.NDArray[np.uint8], unit: int, rim: int, fine: int, str
         lay(colour, soft((block > 0) & (tones == tone)), down=-HEIGHT)
     lay(EDGE, building, down=-HEIGHT, most=LEVEL + rise)
     if unit >= FINE_CELL * fine:
-        across, down = (np.arange(side) % unit < fine for side in (columns * unit + 1, rows * unit + 1))
-        lines = (down[:, None] | across).astype(np.uint8) * GRID
-        drawn.paste(EDGE, (rim, rim), Image.fromarray(lines))
+        down, across = np.ogrid[: rows * unit + 1, : columns * unit + 1]
+        lines = np.where((down % unit < fine) | (across % unit < fine), GRID, 0)
+        drawn.paste(EDGE, (rim, rim), Image.fromarray(lines.astype(np.uint8)))
     return drawn
 
 
