@@ -22,6 +22,8 @@ ROUND, LEVEL = 0.18, 166
 """How round outlines are, in cells, and the level that lets shapes which meet at a corner alone stay apart."""
 FINE_CELL = 8
 """Pixels: smaller cells show neither their trees nor their grid."""
+INNER = 232
+"""The level that the middle of a single cell exceeds."""
 GRID = 24
 """How strong the lines of the grid are, of 255."""
 
@@ -56,7 +58,8 @@ def draw_blocks(grid: npt.NDArray[np.uint8], unit: int, rim: int, fine: int, str
         return blurred.crop((edge, edge, edge + drawn.width, edge + drawn.height))
 
     # Across an outline the levels rise by so much from one pixel of the shown picture to the next.
-    rise = round(255 * fine / (ROUND * unit * math.sqrt(2 * math.pi)))
+    rise = 255 * fine / (ROUND * unit * math.sqrt(2 * math.pi))
+    edge = min(LEVEL + round(rise), INNER)
 
     def lay(colour: str, levels: Image.Image, right: float = 0, down: float = 0, most: int = 255) -> None:
         mask = levels.point([255 * (LEVEL <= level <= most) for level in range(256)])
@@ -65,13 +68,13 @@ def draw_blocks(grid: npt.NDArray[np.uint8], unit: int, rim: int, fine: int, str
     closed, wood, building = (soft(grid == kind) for kind in (Cell.OBSTACLE, Cell.TREE, Cell.BUILDING))
     lay(CLOSED, closed)
     lay(HATCH, ImageChops.multiply(closed, _hatching(drawn, unit, fine)))
-    lay(HATCH, closed, most=LEVEL + rise)
+    lay(HATCH, closed, most=edge)
     lay(WOOD, wood)
     if unit >= FINE_CELL * fine:
         pen = ImageDraw.Draw(drawn)
         for y, x in np.argwhere(grid == Cell.TREE).tolist():
             _draw_crowns(pen, x, y, unit, rim)
-    lay(CROWN, wood, most=LEVEL + rise)
+    lay(CROWN, wood, most=edge)
     lay(SHADE, building, SHADOW, SHADOW)
     lay(WALL, building)
     block = pieces(grid != Cell.BUILDING)
@@ -80,7 +83,7 @@ def draw_blocks(grid: npt.NDArray[np.uint8], unit: int, rim: int, fine: int, str
     tones = np.array([_some(at % columns, at // columns) % len(ROOFS) for at in first.tolist()])[of.reshape(grid.shape)]
     for tone, colour in enumerate(ROOFS):
         lay(colour, soft((block > 0) & (tones == tone)), down=-HEIGHT)
-    lay(EDGE, building, down=-HEIGHT, most=LEVEL + rise)
+    lay(EDGE, building, down=-HEIGHT, most=edge)
     if unit >= FINE_CELL * fine:
         down, across = np.ogrid[: rows * unit + 1, : columns * unit + 1]
         lines = np.where((down % unit < fine) | (across % unit < fine), GRID, 0)
