@@ -3,10 +3,11 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from drone_env.city.city_file import City, read_city, write_city
+from drone_env.city.city_file import City, city_text, read_city, write_city
 from drone_env.city.city_task import city_task
 from drone_env.core.tasks import get_task
 from drone_env.errors import UnknownNameError
@@ -55,6 +56,10 @@ def test_any_map_can_be_drawn_on(client: TestClient) -> None:
     half = 'format = 1\nlicence = "CC0-1.0"\n[task]\ndeliveries = 2\n[terrain]\nrows = ["· · 🏢", "· 🚧🔋", "· · · "]'
     drawn = answer(client, "/maps/file", {"toml": half})
     assert (len(drawn["parcels"]), drawn["licence"], drawn["numbers"]) == (2, "CC0-1.0", {})
+    largest = np.ones((128, 128), np.uint8)
+    largest[0, :2] = 0
+    drawn = answer(client, "/maps/file", {"toml": city_text(City(largest, start=(0, 0), parcels=((1, 0),)))})
+    assert drawn["cells"] == largest.tolist()
 
 
 @pytest.mark.parametrize(

@@ -65,10 +65,10 @@ class TestBodies:
         assert client.post("/reset", content=b'{"seed": 1}', headers=headers).status_code == 200
 
     def test_a_large_body_is_refused_whether_it_says_so_or_not(self, client: TestClient) -> None:
-        body = b'{"agent": "' + b"a" * 65_536 + b'"}'
+        body = b'{"agent": "' + b"a" * 131_072 + b'"}'
         assert client.post("/reset", content=body, headers=JSON).status_code == 413
-        assert client.post("/reset", content=iter([body[:40_000], body[40_000:]]), headers=JSON).status_code == 413
-        largest = b'{"seed": 1}'.ljust(65_536)
+        assert client.post("/reset", content=iter([body[:80_000], body[80_000:]]), headers=JSON).status_code == 413
+        largest = b'{"seed": 1}'.ljust(131_072)
         assert client.post("/reset", content=largest, headers=JSON).status_code == 200
 
     def test_a_body_that_comes_in_pieces_is_counted_whole(self) -> None:
