@@ -18,7 +18,7 @@ from tests.docs.pages import ROOT, blocks
 from tests.docs.shell import commands
 
 CONTRIBUTORS = "© OpenStreetMap contributors"
-GROUND = ".map-ground"
+GROUND = "#boards .map-ground"
 JOINED = ("--block-street", "--block-roof-1", "--block-wood", "--block-closed")
 
 

@@ -70,7 +70,7 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
             page.wait_for_timeout(20)
         expect(page.locator("#q-values tr.best")).to_have_count(0)
         # Until the answer is there, what lies on the map is of the moment before.
-        cells = page.locator(".map-cells")
+        cells = page.locator("#boards .map-cells")
         expect(cells).to_have_css("opacity", "0.2")
         with page.expect_response("**/values") as answer:
             held[0].continue_()
@@ -89,10 +89,27 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
         expect(page.locator("#q-values tr.best").first).to_be_visible()
         assert changed(page, there) == []
         assert asked == [0, 1]
+        # One question at a time, and after it the newest; each answer is drawn, though the flight has gone on.
+        held.clear()
+        page.route("**/values", lambda route, _: held.append(route))
+        step(page)
+        while not held:
+            page.wait_for_timeout(20)
+        for _ in range(2):
+            step(page)
+        before = pictures(page)
+        held[0].continue_()
+        while len(held) < 2:
+            page.wait_for_timeout(20)
+        assert CELLS in changed(page, before)
+        held[1].continue_()
+        page.unroute("**/values")
+        expect(cells).to_have_css("opacity", "1")
+        assert asked == [0, 1, 2, 4]
         page.keyboard.press("v")
         page.keyboard.press("End")
         expect(page.locator("#q-values td.num").nth(1)).to_have_text("–")
-        assert asked == [0, 1]
+        assert asked == [0, 1, 2, 4]
     finally:
         page.remove_listener("request", note)
         for name in ("Best from everywhere", "Where the network errs", "Range of the battery"):
@@ -184,7 +201,7 @@ def test_the_map_is_seen_from_nearer_follows_the_drone_and_is_moved(page: Page) 
     def at() -> list[float]:
         """By how much the city has been moved, in pixels."""
         pictures(page)  # drawn
-        moved = page.locator(".map-ground").evaluate("canvas => canvas.style.transform")
+        moved = page.locator("#boards .map-ground").evaluate("canvas => canvas.style.transform")
         return [float(number) for number in re.findall(r"-?[0-9.]+", moved)]
 
     show(page, "/?task=hard&seed=7&pilot=pathqnet&step=30")

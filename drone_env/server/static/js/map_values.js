@@ -4,7 +4,7 @@ import { toast } from "./dom.js";
 import { LAYERS, ofValues } from "./layers.js";
 
 const KEPT = 60;
-/** Milliseconds that a moment is looked at before it is asked about. */
+/** Milliseconds until it is asked about the moment that is looked at then. */
 const LOOK = 120;
 
 /** @param {import("./context.js").Context} context */
@@ -12,7 +12,7 @@ export function mountMapValues(context) {
   const { stage, api } = context;
   const kept = new Map();
   let timer = 0;
-  const asked = new Set();
+  let asking = false;
 
   function wanted() {
     const { track } = stage;
@@ -25,19 +25,22 @@ export function mountMapValues(context) {
       if (stage.values) show(null);
       return;
     }
-    const { world, track, clock } = stage;
-    const actions = track.actionsTo(clock.cursor);
     const key = stage.moment;
-    if (key === stage.values?.key || asked.has(key)) return;
+    if (key === stage.values?.key) return;
     if (kept.has(key)) show({ key, answer: kept.get(key) });
-    else {
-      clearTimeout(timer);
-      timer = setTimeout(() => ask(key, { task: world.task.id, seed: world.seed, actions }), LOOK);
-    }
+    else if (!asking) timer ||= setTimeout(ask, LOOK);
   }
 
-  async function ask(key, flight) {
-    asked.add(key);
+  // One question at a time, and after it the newest: on large maps a flight would leave all answers behind.
+  async function ask() {
+    timer = 0;
+    if (!wanted() || kept.has(stage.moment)) {
+      look();
+      return;
+    }
+    const { world, track, clock, moment: key } = stage;
+    const flight = { task: world.task.id, seed: world.seed, actions: track.actionsTo(clock.cursor) };
+    asking = true;
     let answer = null;
     try {
       const [told, drawing] = await Promise.all([api.post("values", flight), import("./layer_values.js")]);
@@ -47,16 +50,18 @@ export function mountMapValues(context) {
       if (!(error instanceof ApiError)) throw error;
       toast(error.message);
     } finally {
-      asked.delete(key);
+      asking = false;
     }
     // What was refused is not asked again.
     if (kept.size === KEPT) kept.delete(kept.keys().next().value);
     kept.set(key, answer);
+    if (answer && wanted() && stage.track === track && !stage.answer) show({ key, answer });
     look();
   }
 
   function show(values) {
     clearTimeout(timer);
+    timer = 0;
     stage.values = values;
     stage.tell("frames");
   }
