@@ -20,7 +20,8 @@ const shapes = new WeakMap();
 export function drawBlocks(ctx, { world, layout, names }, smallest = SMALLEST_SIGN) {
   const { cell, left, top, scale } = layout;
   if (!shapes.has(world)) shapes.set(world, shapesOf(world, names));
-  const { buildings, trees, crowns, obstacles, hatching, signs } = shapes.get(world);
+  const found = shapes.get(world);
+  const { buildings, trees, obstacles, hatching, signs } = found;
   const line = (pixels) => Math.max(scale * pixels, 1) / cell;
   const fine = cell >= FINE * scale;
   const place = (dx = 0, dy = 0) => ctx.setTransform(cell, 0, 0, cell, left + dx * cell, top + dy * cell);
@@ -46,7 +47,7 @@ export function drawBlocks(ctx, { world, layout, names }, smallest = SMALLEST_SI
   ctx.restore();
   outline(obstacles, "--block-hatch");
   paint(trees, "--block-wood");
-  if (fine) paint(crowns, "--block-crown");
+  if (fine) paint((found.crowns ??= crownsOf(world, names)), "--block-crown");
   outline(trees, "--block-crown");
   place(SHADOW, SHADOW);
   for (const tone of buildings) paint(tone, "--map-shade");
@@ -65,22 +66,20 @@ export function drawBlocks(ctx, { world, layout, names }, smallest = SMALLEST_SI
   if (layout.labels) drawLabels(ctx, world, layout);
 }
 
-function shapesOf({ cells, width, height }, names) {
-  const kindAt = (x, y) => names[cells[y]?.[x]];
-  const tones = toneOfBlocks(cells, width, height, names);
-  const of = (kind, round) => joined(width, height, (x, y) => kindAt(x, y) === kind, round, [new Path2D()])[0];
+function shapesOf(world, names) {
+  const { cells, width, height } = world;
+  const tones = toneOfBlocks(world, names.indexOf("building"));
+  const of = (kind, round) => joined(world, names.indexOf(kind), round, [new Path2D()])[0];
   const found = {
     buildings: joined(
-      width,
-      height,
-      (x, y) => kindAt(x, y) === "building",
+      world,
+      names.indexOf("building"),
       0.16,
       Array.from({ length: TONES }, () => new Path2D()),
-      (x, y) => tones[y * width + x],
+      (cell) => tones[cell],
     ),
     trees: of("tree", 0.42),
     obstacles: of("obstacle", 0.2),
-    crowns: new Path2D(),
     hatching: new Path2D(),
     signs: [],
   };
@@ -88,14 +87,14 @@ function shapesOf({ cells, width, height }, names) {
     found.hatching.moveTo(at, 0);
     found.hatching.lineTo(at + height, height);
   }
-  cells.forEach((row, y) =>
-    row.forEach((_, x) => {
-      const kind = kindAt(x, y);
-      if (kind === "tree") addCrowns(found.crowns, x, y);
-      else if (kind === "pad") found.signs.push([kind, x, y]);
-    }),
-  );
+  cells.forEach((row, y) => row.forEach((id, x) => names[id] === "pad" && found.signs.push(["pad", x, y])));
   return found;
+}
+
+function crownsOf({ cells }, names) {
+  const path = new Path2D();
+  cells.forEach((row, y) => row.forEach((id, x) => names[id] === "tree" && addCrowns(path, x, y)));
+  return path;
 }
 
 /** Three trees in a cell, not two cells alike. */
@@ -111,15 +110,17 @@ function addCrowns(path, x, y) {
 }
 
 /** Of each cell with a building the tone of its block: cells that share a side have one. */
-function toneOfBlocks(cells, width, height, names) {
+function toneOfBlocks({ cells, width, height }, building) {
   const tones = new Int8Array(width * height).fill(-1);
+  const isOne = (at) => tones[at] < 0 && cells[Math.floor(at / width)][at % width] === building;
   for (let start = 0; start < tones.length; start++) {
-    const pending = [start];
+    const pending = isOne(start) ? [start] : [];
     const tone = variety(start % width, Math.floor(start / width)) % TONES;
     while (pending.length) {
       const at = pending.pop();
-      const [x, y] = [at % width, Math.floor(at / width)];
-      if (tones[at] >= 0 || names[cells[y][x]] !== "building") continue;
+      if (!isOne(at)) continue;
+      const x = at % width;
+      const y = Math.floor(at / width);
       tones[at] = tone;
       if (x) pending.push(at - 1);
       if (x + 1 < width) pending.push(at + 1);
@@ -137,42 +138,52 @@ const WAYS = [
   [-1, 0],
   [0, -1],
 ];
+const TURNS = [1, 0, 3];
 
 /**
  * Outlines of the shapes that cells make which share a side, with what they enclose on their right.
  *
- * @param {(x: number, y: number) => boolean} inside @param {number} round Radius of the corners.
- * @param {Path2D[]} paths Get the outlines. @param {(x: number, y: number) => number} [which] Into which path that of a cell goes.
+ * @param {number} kind Of the cells. @param {number} round Radius of the corners. @param {Path2D[]} paths Get the outlines.
+ * @param {(cell: number) => number} [which] Into which path that of a cell goes, whose number grows along the rows.
  */
-function joined(width, height, inside, round, paths, which = () => 0) {
+function joined({ cells, width, height }, kind, round, paths, which = () => 0) {
   const corner = (x, y) => y * (width + 1) + x;
-  /** By the corner where it begins, and way: the cell on its right. */
-  const sides = new Map();
-  const add = (x, y, way, cell) => sides.set(corner(x, y) * 4 + way, cell);
+  /** By the corner where it begins, and way: the number of the cell on its right, from 1. An editor draws anew with every cell. */
+  const sides = new Int32Array(4 * (width + 1) * (height + 1));
+  const starts = [];
+  const add = (x, y, way, cell) => {
+    sides[corner(x, y) * 4 + way] = cell;
+    starts.push(corner(x, y) * 4 + way);
+  };
   for (let y = 0; y < height; y++) {
+    const row = cells[y];
     for (let x = 0; x < width; x++) {
-      if (!inside(x, y)) continue;
-      if (!inside(x, y - 1)) add(x, y, 0, [x, y]);
-      if (!inside(x + 1, y)) add(x + 1, y, 1, [x, y]);
-      if (!inside(x, y + 1)) add(x + 1, y + 1, 2, [x, y]);
-      if (!inside(x - 1, y)) add(x, y + 1, 3, [x, y]);
+      if (row[x] !== kind) continue;
+      const cell = y * width + x + 1;
+      if (!y || cells[y - 1][x] !== kind) add(x, y, 0, cell);
+      if (row[x + 1] !== kind) add(x + 1, y, 1, cell);
+      if (y + 1 === height || cells[y + 1][x] !== kind) add(x + 1, y + 1, 2, cell);
+      if (!x || row[x - 1] !== kind) add(x, y + 1, 3, cell);
     }
   }
-  for (const [start, cell] of sides) {
+  for (const start of starts) {
+    if (!sides[start]) continue;
+    const cell = sides[start] - 1;
     let way = start % 4;
     let x = Math.floor(start / 4) % (width + 1);
     let y = Math.floor(start / 4 / (width + 1));
     const corners = [];
-    while (sides.delete(corner(x, y) * 4 + way)) {
+    while (sides[corner(x, y) * 4 + way]) {
+      sides[corner(x, y) * 4 + way] = 0;
       x += WAYS[way][0];
       y += WAYS[way][1];
       // Where two shapes meet at a corner, a turn to the right stays with the own one.
-      const next = [1, 0, 3].map((turn) => (way + turn) % 4).find((to) => sides.has(corner(x, y) * 4 + to));
-      const to = next ?? start % 4;
+      const turn = TURNS.find((turn) => sides[corner(x, y) * 4 + ((way + turn) % 4)]);
+      const to = turn === undefined ? start % 4 : (way + turn) % 4;
       if (to !== way) corners.push(within(x, y, way, to));
       way = to;
     }
-    outlineOf(paths[which(...cell)], corners, round);
+    outlineOf(paths[which(cell)], corners, round);
   }
   return paths;
 }
@@ -190,6 +201,10 @@ function within(x, y, way, next) {
 function outlineOf(path, corners, round) {
   const last = corners.at(-1);
   path.moveTo((last[0] + corners[0][0]) / 2, (last[1] + corners[0][1]) / 2);
-  corners.forEach(([x, y], i) => path.arcTo(x, y, ...corners[(i + 1) % corners.length], round));
+  for (let i = 0; i < corners.length; i++) {
+    const [x, y] = corners[i];
+    const [nextX, nextY] = corners[(i + 1) % corners.length];
+    path.arcTo(x, y, nextX, nextY, round);
+  }
   path.closePath();
 }
