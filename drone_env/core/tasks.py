@@ -426,7 +426,8 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
     named = named or [task for find in FINDERS if (task := find(name)) is not None]
     if not named:
         names = [n for task in TASKS.values() for n in (task.id, task.short_name)]
-        raise UnknownNameError("task", name, names, "; a city where --task or DRONE_ENV_PLUGINS names its file")
+        more = "; a city where --task or DRONE_ENV_PLUGINS names its file, a drawn map on the server that keeps it"
+        raise UnknownNameError("task", name, names, more)
     for task in named:
         if version in (None, task.version):
             return task

@@ -1,10 +1,11 @@
 """Draw: a map is painted, its optimum follows, and its file is worth the same everywhere else."""
 
+import json
 from pathlib import Path
 
 import gymnasium
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from drone_env.city.city_task import city_task
 from drone_env.cli import main
@@ -30,6 +31,11 @@ def drag(page: Page, *cells: tuple[int, int]) -> None:
     page.mouse.up()
 
 
+def drawn(page: Page, path: str) -> list[list[int]]:
+    """The cells that the drawing of an address has, as the tab keeps them."""
+    return json.loads(page.evaluate("key => sessionStorage[key]", f"drone-env-drawing {path}"))["cells"]
+
+
 def test_a_map_is_drawn_and_its_file_is_worth_the_same(
     page: Page,
     shared: Tabs,
@@ -49,7 +55,9 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(
     expect(note).to_have_text("The parcel in 13 steps")
     page.get_by_role("button", name="Undo").click()
     expect(note).to_have_text("The parcel in 5 steps")
-    drag(page, (2, 0), (2, 3))
+    page.keyboard.press("Control+Shift+Z")
+    page.locator("#drawing").focus()
+    expect(note).to_have_text("The parcel in 13 steps")
     # By the keyboard: a parcel below the wall, and a building in its way.
     page.keyboard.press("7")
     for key in ("ArrowDown", "ArrowDown", "ArrowRight", "Space"):
@@ -88,3 +96,52 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(
     expect(score).to_have_text(shown)
     view(page, "Fly")
     expect(page.locator("#step-counter")).to_have_text("Step 0 of 120")
+    # Where there is no such map, none stands there: neither the one before nor an empty one.
+    problem = page.locator("#view-draw .problem")
+    for path, why in (("?view=draw&task=atlantis", "atlantis"), ("?view=draw&file=gone.toml", "open it again")):
+        shared.expect("404")
+        show(page, path)
+        expect(problem).to_contain_text(why)
+        expect(page.get_by_role("button", name="Fly it")).to_be_disabled()
+        expect(score).to_have_text("–")
+
+
+def test_what_is_typed_stays_while_the_server_answers_and_a_drag_outside_draws_nothing_inside(page: Page) -> None:
+    late: list[Route] = []
+    page.route("**/maps/worth", lambda route: late.append(route))
+    with page.expect_request("**/maps/worth"):
+        show(page, "/?view=draw&task=easy&seed=3")
+    columns = page.get_by_role("spinbutton", name="Columns")
+    expect(columns).to_have_value("10")
+    columns.press("Control+A")
+    columns.press("1")
+    for route in late:
+        route.continue_()
+    page.unroute("**/maps/worth")
+    expect(page.locator("#map-optimum.waiting")).to_have_count(0)
+    columns.press("4")
+    columns.press("Enter")
+    cells = drawn(page, "easy 3")
+    assert [len(row) for row in cells] == [14] * 10
+    columns.fill("129")
+    columns.press("Enter")
+    columns.blur()
+    expect(columns).to_have_value("14")
+    # From the last row down, to the right, and up again: nothing is drawn on the way between.
+    grid = page.locator("#drawing")
+    grid.focus()
+    page.keyboard.press("6")
+    page.keyboard.press("ArrowUp")
+    for _ in range(10):
+        page.keyboard.press("ArrowDown")
+    for _ in range(14):
+        page.keyboard.press("ArrowLeft")
+    corner = page.locator(".draw-cursor").bounding_box()
+    assert corner is not None
+    side, left, top = corner["width"], corner["x"], corner["y"]
+    for i, (x, y) in enumerate([(0, 0), (0, 2), (13, 2), (13, 0)]):
+        page.mouse.move(left + (x + 0.5) * side, top + (y + 0.5) * side)
+        if i == 0:
+            page.mouse.down()
+    page.mouse.up()
+    assert drawn(page, "easy 3") == [*cells[:9], [8, *cells[9][1:13], 8]]

@@ -103,7 +103,7 @@ function listenToDrags(grid, context) {
   for (const type of ["pointerup", "pointercancel", "pointerleave"]) grid.addEventListener(type, gone);
   grid.addEventListener("pointermove", (event) => {
     const before = pointers.get(event.pointerId);
-    if (!before) return;
+    if (!before || !context.stage.world) return;
     pointers.set(event.pointerId, event);
     // One finger flies where the visitor does.
     if (pointers.size === 1 && event.pointerType !== "mouse" && document.body.classList.contains("human-flies")) return;
@@ -120,6 +120,7 @@ function listenToDrags(grid, context) {
     (event) => {
       if (!event.ctrlKey) return;
       event.preventDefault();
+      if (!context.stage.world) return;
       if (camera.nearer(event.deltaY < 0 ? 1 : -1, cellBelow(event, context).at)) context.emit("camera");
     },
     { passive: false },

@@ -58,6 +58,7 @@ export function mount(root, context) {
   let worth = null;
   let tool = "move";
   let past = [];
+  let undone = [];
   /** The stroke that is drawn: the map before it, the cell that it has come to, and that of what it moves. */
   let stroke = null;
   let cursor = null;
@@ -66,6 +67,7 @@ export function mount(root, context) {
   // What stands on the page.
   const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
   const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: undo });
+  const redoing = el("button.button.small", { text: "Redo", title: "Redo (Ctrl Shift Z)", press: redo });
   const blank = el("a.button.small", { href: "?view=draw", text: "Empty map" });
   const again = el("button.button.small", { text: "Start over", title: "As it was before you drew", press: startOver });
   const fields = Object.entries(NUMBERS).map(([name, [text, min]]) => field(name, text, min, 32_000, () => setNumber(name)));
@@ -88,12 +90,12 @@ export function mount(root, context) {
   );
   const middle = el("div.middle");
   root.append(
-    el("aside.draw-tools", { "aria-label": "Tools" }, tools, el("div.row", undoing, again, blank)),
+    el("aside.draw-tools", { "aria-label": "Tools" }, tools, el("div.row", undoing, redoing, again, blank)),
     middle,
     el(
       "aside.draw-side",
       { "aria-label": "The map" },
-      el("div.score-main", el("span.eyebrow", { text: "Optimum" }), score, note),
+      el("div.score-main", { role: "status" }, el("span.eyebrow", { text: "Optimum" }), score, note),
       problem,
       acts,
       numbers,
@@ -119,7 +121,7 @@ export function mount(root, context) {
   }
 
   function field(id, text, min, max, change) {
-    const input = el("input.input", { id: `map-${id}`, type: "number", min, max, step: "1", on: { change } });
+    const input = el("input.input", { id: `map-${id}`, type: "number", min, max, step: "1", on: { change, blur: fill } });
     return { id, input, label: el("label", el("span", { text }), input) };
   }
 
@@ -145,7 +147,7 @@ export function mount(root, context) {
 
   /** Paints a cell. The start gives way to nothing, the last parcel to none. */
   function paint(cell) {
-    if (same(map.start, cell)) return;
+    if (!inside(cell) || same(map.start, cell)) return;
     const parcel = parcelAt(cell);
     if (tool === "start") move(map.start, cell);
     else if (tool !== "parcel") {
@@ -167,7 +169,10 @@ export function mount(root, context) {
     if (!held && tool === "parcel" && parcelAt(cell) >= 0 && map.parcels.length > 1) {
       map.parcels.splice(parcelAt(cell), 1);
       stroke.done = true;
-    } else if (!held) paint(cell);
+    } else if (!held) {
+      if (tool === "start" && parcelAt(cell) < 0) put(cell, road);
+      paint(cell);
+    }
     changed();
   }
 
@@ -176,19 +181,30 @@ export function mount(root, context) {
     const [dx, dy] = [cell[0] - stroke.cell[0], cell[1] - stroke.cell[1]];
     const n = Math.max(Math.abs(dx), Math.abs(dy));
     const from = stroke.cell;
+    let seen = false;
     for (let i = 1; i <= n && !stroke.done; i++) {
       const to = [from[0] + Math.round((i * dx) / n), from[1] + Math.round((i * dy) / n)];
+      seen ||= inside(to);
       if (!stroke.held) paint(to);
       else if (move(stroke.held, to)) stroke.held = to;
     }
     stroke.cell = cell;
-    if (n) changed();
+    if (seen) changed();
   }
 
   function end() {
-    if (stroke && stroke.before !== JSON.stringify(map)) past = [...past, stroke.before].slice(-UNDONE);
+    if (stroke && stroke.before !== JSON.stringify(map)) {
+      past = [...past, stroke.before].slice(-UNDONE);
+      undone = [];
+      keep(key, map);
+    }
     stroke = null;
+    turns();
+  }
+
+  function turns() {
     undoing.disabled = past.length === 0;
+    redoing.disabled = undone.length === 0;
   }
 
   /** One change as a whole. */
@@ -200,10 +216,23 @@ export function mount(root, context) {
   }
 
   function undo() {
-    if (!past.length) return;
-    map = JSON.parse(past.pop());
-    undoing.disabled = past.length === 0;
+    end();
+    turn(past, undone);
+  }
+
+  function redo() {
+    end();
+    turn(undone, past);
+  }
+
+  /** Shows the map that one of the two was left with last; the other gets this one. */
+  function turn(from, to) {
+    if (!from.length) return;
+    to.push(JSON.stringify(map));
+    map = JSON.parse(from.pop());
+    turns();
     show();
+    if (cursor) point(inside(cursor) ? cursor : null);
   }
 
   const empty = (width, height) => Array.from({ length: height }, () => new Array(width).fill(road));
@@ -247,23 +276,36 @@ export function mount(root, context) {
     const [x, y] = map.start;
     const frames = [{ x, y, step: 0, done: false, delivered: [], target: null }];
     const track = new Track({ opening: { pilot: "", by: "", forked_at: null }, frames }, { name: "", colour: "--accent" });
-    track.annotation = worth?.optimum ? { optimal_path: worth.optimum.path, moves: [] } : null;
     const task = { short_name: "drawing", attribution: map.attribution };
     stage.world = { task, seed: 0, width, height, cells: map.cells, parcels: map.parcels };
     if (isJoined(stage.world)) join();
     stage.tracks = [track];
     for (const board of boards.boards) board.reload();
-    for (const [i, side] of [width, height].entries()) sides[i].input.value = String(side);
-    for (const { id, input } of fields) {
-      if (document.activeElement !== input) input.value = map.numbers[id] ?? "";
+    setText(whose, map.attribution);
+    drawBest();
+  }
+
+  /** What the server says of the map; the map itself is drawn already. */
+  function drawBest() {
+    stage.track.annotation = worth?.optimum ? { optimal_path: worth.optimum.path, moves: [] } : null;
+    for (const board of boards.boards) board.refresh();
+    fill();
+  }
+
+  /** What was typed and not taken gives way once its field is left. */
+  function fill() {
+    const numbers = map && { columns: map.cells[0].length, rows: map.cells.length, ...map.numbers };
+    for (const { id, input } of [...sides, ...fields]) {
+      input.disabled = map === null;
+      if (document.activeElement !== input) input.value = numbers?.[id] ?? "";
       input.placeholder = worth?.numbers[id] ?? "";
     }
-    setText(whose, map.attribution);
   }
 
   function changed() {
     draw();
-    keep(key, map);
+    // A stroke is kept as a whole: storage is slower than fingers.
+    if (!stroke) keep(key, map);
     ask();
   }
 
@@ -278,15 +320,19 @@ export function mount(root, context) {
     while (newest) {
       const asked = newest;
       newest = null;
+      let answer = null;
       let wrong = null;
       try {
-        worth = await api.post("maps/worth", asked);
+        answer = await api.post("maps/worth", asked);
       } catch (error) {
         if (!(error instanceof ApiError)) throw error;
-        worth = null;
         wrong = error.message;
       }
+      // Another map may stand here by now.
+      if (asked !== map) continue;
+      worth = answer;
       tell(wrong);
+      drawBest();
     }
     asking = false;
     score.classList.remove("waiting");
@@ -299,7 +345,6 @@ export function mount(root, context) {
     problem.hidden = wrong === null;
     setText(problem, wrong ?? "");
     for (const button of acts.children) button.disabled = wrong !== null;
-    draw();
   }
 
   // What is done with it.
@@ -355,20 +400,38 @@ export function mount(root, context) {
       map = JSON.parse(stroke.before);
       stroke = null;
       changed();
-    } else if (pointers.size === 1 && event.button === 0 && map && inside(cellBelow(event))) begin(cellBelow(event));
+    } else if (pointers.size === 1 && event.button === 0 && map && inside(cellBelow(event))) {
+      begin(cellBelow(event));
+      // What is drawn goes on where the pointer has left the map and come back elsewhere.
+      if (stroke) grid.setPointerCapture(event.pointerId);
+    }
   });
   grid.addEventListener(
     "pointermove",
     (event) => {
       if (!stroke || pointers.size > 1) return;
-      event.stopPropagation();
+      event.stopImmediatePropagation();
       const cell = cellBelow(event);
-      if (inside(cell) && !same(cell, stroke.cell)) on(cell);
+      if (!same(cell, stroke.cell)) on(cell);
     },
     { capture: true },
   );
   for (const type of ["pointerup", "pointercancel"])
     window.addEventListener(type, ({ pointerId }) => pointers.delete(pointerId) && end());
+
+  /** Moves the map as far as it takes to see a cell. */
+  function follow(cell) {
+    if (camera.zoom === 1) return;
+    const { cell: side, left, top, scale } = layout();
+    const { width, height } = grid.querySelector(".map").getBoundingClientRect();
+    const beyond = [left, top].map((from, axis) => {
+      const before = from / side + cell[axis];
+      return Math.min(0, before) + Math.max(0, before + 1 - ([width, height][axis] * scale) / side);
+    });
+    if (!beyond.some(Boolean)) return;
+    camera.pan(-beyond[0], -beyond[1]);
+    own.emit("camera");
+  }
 
   /** Shows the cursor at a cell, for the keyboard. */
   function point(cell) {
@@ -388,7 +451,10 @@ export function mount(root, context) {
     if (way) {
       const next = cursor ? [cursor[0] + way[0], cursor[1] + way[1]] : map.start;
       if (stroke && inside(next)) on(next);
-      if (inside(next)) point(stroke?.held ?? next);
+      if (inside(next)) {
+        follow(stroke?.held ?? next);
+        point(stroke?.held ?? next);
+      }
       if (stroke) stroke.cell = cursor;
     } else if ((event.key === " " || event.key === "Enter") && cursor) {
       // What is taken up goes along until it is put down.
@@ -396,6 +462,8 @@ export function mount(root, context) {
       else begin(cursor);
       if (!stroke?.held) end();
       point(cursor);
+    } else if ("+=-".includes(event.key)) {
+      if (camera.nearer(event.key === "-" ? -1 : 1, cursor)) own.emit("camera");
     } else if (PALETTE[event.key - 1]) tools.querySelectorAll("input")[event.key - 1].click();
     else return;
     event.preventDefault();
@@ -406,10 +474,11 @@ export function mount(root, context) {
   });
   own.on("camera", () => cursor && point(cursor));
   document.addEventListener("keydown", (event) => {
-    const wanted = (event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && !event.target.matches("input[type=number]");
-    if (!wanted || context.view !== "draw") return;
+    const key = (event.ctrlKey || event.metaKey) && event.key.toLowerCase();
+    if (!"zy".includes(key) || context.view !== "draw" || event.target.matches("input[type=number]")) return;
     event.preventDefault();
-    undo();
+    if (key === "y" || event.shiftKey) redo();
+    else undo();
   });
 
   // Which map it is, the address says.
@@ -421,7 +490,8 @@ export function mount(root, context) {
     await load(wanted, left ?? (() => origin(address)));
   }
 
-  async function origin({ task, seed }) {
+  async function origin({ task, seed, file }) {
+    if (file) throw new ApiError(0, "gone", `The file ${file} is on this page no more: open it again.`);
     if (task) return api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
     return { cells: empty(EMPTY, EMPTY), start: [0, 0], parcels: [[EMPTY - 1, EMPTY - 1]], numbers: {} };
   }
@@ -430,35 +500,52 @@ export function mount(root, context) {
     try {
       const found = typeof from === "function" ? await from() : from;
       if (wanted !== keyOf(router.address)) return;
-      key = wanted;
-      map = found;
-      worth = null;
-      past = [];
-      undoing.disabled = true;
-      again.hidden = Boolean(router.address.file);
+      become(wanted, found);
       show();
     } catch (error) {
       if (!(error instanceof ApiError)) throw error;
-      problem.hidden = false;
-      setText(problem, error.message);
+      if (wanted !== keyOf(router.address)) return;
+      become(wanted, null);
+      stage.show(null, []);
+      tell(error.message);
+      fill();
     }
   }
 
+  /** Another map stands here, or none. */
+  function become(wanted, found) {
+    key = wanted;
+    map = found;
+    worth = null;
+    past = [];
+    undone = [];
+    stroke = null;
+    point(null);
+    turns();
+    again.hidden = Boolean(router.address.file);
+  }
+
   async function startOver() {
+    const wanted = key;
     await trying(async () => {
       const found = await origin(router.address);
-      edit(() => (map = found));
+      if (map && key === wanted) edit(() => (map = found));
+      else look();
     });
   }
 
   router.on("address", look);
-  context.live.on("state", ({ state }) => state === "open" && map && !problem.hidden && ask());
+  context.live.on("state", ({ state }) => state === "open" && !problem.hidden && (map ? ask() : look()));
   look();
 }
 
 /** The optimum in words. */
 function inWords(optimum, bounds, parcels) {
-  if (!optimum) return `Too large to be solved: between ${points(bounds[0])} and ${points(bounds[1])}`;
-  if (optimum.success) return `${parcels === 1 ? "The parcel" : `All ${parcels} parcels`} in ${optimum.steps} steps`;
+  if (!optimum) {
+    const [least, most] = bounds.map((bound) => points(bound));
+    return `Too large to be solved: ${least === most ? `about ${least}` : `between ${least} and ${most}`}`;
+  }
+  const steps = optimum.steps === 1 ? "step" : "steps";
+  if (optimum.success) return `${parcels === 1 ? "The parcel" : `All ${parcels} parcels`} in ${optimum.steps} ${steps}`;
   return `${optimum.deliveries} of ${parcels} parcels at best: battery or steps last for no more`;
 }

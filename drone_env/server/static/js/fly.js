@@ -63,7 +63,7 @@ export function mountFly(root, context) {
   document.getElementById("help-button").addEventListener("click", help);
   mountMapValues(context);
   listenToDrops((file) => {
-    if (!file.name.endsWith(".toml")) openFile(() => past.openFile(file));
+    if (!/\.toml$/i.test(file.name)) openFile(() => past.openFile(file));
     else import("./editor.js").then(({ openMap }) => openMap(file, context)).catch(({ message }) => toast(message));
   });
 
