@@ -1,6 +1,7 @@
 """Draw: a map is painted, its optimum follows, and its file is worth the same everywhere else."""
 
 import json
+import re
 from pathlib import Path
 
 import gymnasium
@@ -106,7 +107,9 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(
         expect(score).to_have_text("–")
 
 
-def test_what_is_typed_stays_while_the_server_answers_and_a_drag_outside_draws_nothing_inside(page: Page) -> None:
+def test_what_is_typed_stays_while_the_server_answers_and_a_drag_outside_draws_nothing_inside(
+    page: Page, shared: Tabs
+) -> None:
     late: list[Route] = []
     page.route("**/maps/worth", lambda route: late.append(route))
     with page.expect_request("**/maps/worth"):
@@ -115,10 +118,12 @@ def test_what_is_typed_stays_while_the_server_answers_and_a_drag_outside_draws_n
     expect(columns).to_have_value("10")
     columns.press("Control+A")
     columns.press("1")
+    shared.expect("503")
     for route in late:
-        route.continue_()
+        route.fulfill(status=503, json={"code": "busy", "detail": "try again later"})
     page.unroute("**/maps/worth")
-    expect(page.locator("#map-optimum.waiting")).to_have_count(0)
+    expect(page.locator("#view-draw .problem")).to_have_text("try again later")
+    expect(page.locator("#map-note")).to_have_text(re.compile("The parcel in"))
     columns.press("4")
     columns.press("Enter")
     cells = drawn(page, "easy 3")

@@ -16,6 +16,8 @@ import { Track } from "./track.js";
 const SIDES = [2, 128];
 const EMPTY = 12;
 const UNDONE = 100;
+/** Milliseconds until a server that is busy is asked again. */
+const AGAIN = 2000;
 const SHOWN = new Set(["city", "best", "parcels", "drones"]);
 const PALETTE = ["move", "road", "building", "tree", "obstacle", "pad", "parcel", "start"];
 const NUMBERS = { battery_capacity: ["Battery", 1], max_steps: ["Steps", 1], charge_rate: ["Charge per wait", 0] };
@@ -327,6 +329,7 @@ export function mount(root, context) {
       } catch (error) {
         if (!(error instanceof ApiError)) throw error;
         wrong = error.message;
+        if (error.status === 503) setTimeout(() => asked === map && ask(), AGAIN);
       }
       // Another map may stand here by now.
       if (asked !== map) continue;
