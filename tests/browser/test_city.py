@@ -41,7 +41,7 @@ def test_a_city_is_joined_to_blocks_is_seen_from_nearby_and_says_whose_data_it_s
         nearer.click()
     expect(small).to_be_visible()
     page.evaluate(Axe().axe_script)
-    assert findings(page, ".boards-field") == []
+    assert findings(page, ".boards-panel") == []
     # A click on the small map shows that place, and the keys move on from there.
     box = small.bounding_box()
     assert box
