@@ -1,8 +1,9 @@
-// Draw: a map that is painted cell by cell; the server says at once what it is worth, keeps it as a task and writes its file.
+// Draw: a map that people paint; the server says at once what it is worth, keeps it as a task and writes its file.
 import { ApiError } from "./api.js";
 import { mountBoards } from "./boards.js";
 import { Camera } from "./camera.js";
 import { announce, copyText, download, el, icon, setText, toast } from "./dom.js";
+import { Drawing } from "./drawing.js";
 import { add } from "./drawn.js";
 import { Emitter } from "./emitter.js";
 import { cellName, points } from "./format.js";
@@ -15,7 +16,6 @@ import { Track } from "./track.js";
 
 const SIDES = [2, 128];
 const EMPTY = 12;
-const UNDONE = 100;
 /** Milliseconds until a server that is busy is asked again. */
 const AGAIN = 2000;
 const SHOWN = new Set(["city", "best", "parcels", "drones"]);
@@ -27,7 +27,6 @@ const MOVE = "M12 3v18M3 12h18M9 6l3-3 3 3M9 18l3 3 3-3M6 9l-3 3 3 3M18 9l3 3-3 
 /** Drawings of this tab, by what they were made from: Back and Reload come to them as they were left. */
 const kept = new Map();
 const keyOf = ({ file, task, seed }) => `drone-env-drawing ${file ?? `${task ?? ""} ${seed ?? 0}`}`;
-const same = (a, b) => a[0] === b[0] && a[1] === b[1];
 
 function keep(key, map) {
   kept.set(key, map);
@@ -52,24 +51,17 @@ export function mount(root, context) {
   });
   for (const event of ["theme", "terrain"]) context.on(event, () => own.emit(event));
   const { stage, camera } = own;
-  const kindOf = (name) => kinds.find((kind) => kind.name === name).id;
-  const road = kindOf("road");
+  const drawing = new Drawing(kinds);
   let key = null;
-  /** What is drawn, as `POST /maps/worth` takes it; what it is worth; and what is wrong with it. */
-  let map = null;
+  /** What the map is worth, as the server says. */
   let worth = null;
-  let tool = "move";
-  let past = [];
-  let undone = [];
-  /** The stroke that is drawn: the map before it, the cell that it has come to, and that of what it moves. */
-  let stroke = null;
   let cursor = null;
   let blocks = null;
 
   // What stands on the page.
   const tools = el("fieldset.choice.palette", el("legend", { text: "Paint" }), ...PALETTE.map(choice));
-  const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: undo });
-  const redoing = el("button.button.small", { text: "Redo", title: "Redo (Ctrl Shift Z)", press: redo });
+  const undoing = el("button.button.small", { text: "Undo", title: "Undo (Ctrl Z)", press: () => drawing.undo() });
+  const redoing = el("button.button.small", { text: "Redo", title: "Redo (Ctrl Shift Z)", press: () => drawing.redo() });
   const blank = el("a.button.small", { href: "?view=draw", text: "Empty map" });
   const again = el("button.button.small", { text: "Start over", title: "As it was before you drew", press: startOver });
   const fields = Object.entries(NUMBERS).map(([name, [text, min]]) => field(name, text, min, 32_000, () => setNumber(name)));
@@ -117,8 +109,8 @@ export function mount(root, context) {
   function choice(name) {
     const kind = kinds.find((one) => one.name === name);
     const sign = name === "move" ? icon(MOVE) : drawSign(name === "start" ? "drone" : name);
-    const input = el("input", { type: "radio", name: "paint", value: name, on: { change: () => (tool = name) } });
-    input.checked = name === tool;
+    const input = el("input", { type: "radio", name: "paint", value: name, on: { change: () => (drawing.tool = name) } });
+    input.checked = name === drawing.tool;
     return el("label.paint", { title: kind?.effect }, input, sign, el("span", { text: cellName(name) }));
   }
 
@@ -128,139 +120,26 @@ export function mount(root, context) {
   }
 
   // What is changed.
-  const inside = ([x, y]) => map.cells[y]?.[x] !== undefined;
-  const at = ([x, y]) => map.cells[y][x];
-  const put = ([x, y], kind) => (map.cells[y][x] = kind);
-  const parcelAt = (cell) => map.parcels.findIndex((parcel) => same(parcel, cell));
-  const free = (cell) => inside(cell) && at(cell) === road && !same(map.start, cell) && parcelAt(cell) < 0;
-
-  /** Moves what stands at a cell to another, if there is room. @returns {boolean} */
-  function move(from, to) {
-    if (!free(to)) return false;
-    const parcel = parcelAt(from);
-    if (same(map.start, from)) map.start = to;
-    else if (parcel >= 0) map.parcels[parcel] = to;
-    else {
-      put(to, at(from));
-      put(from, road);
-    }
-    return true;
-  }
-
-  /** Paints a cell. The start gives way to nothing, the last parcel to none. */
-  function paint(cell) {
-    if (!inside(cell) || same(map.start, cell)) return;
-    const parcel = parcelAt(cell);
-    if (tool === "start") move(map.start, cell);
-    else if (tool !== "parcel") {
-      if (parcel >= 0 && map.parcels.length === 1) return;
-      if (parcel >= 0) map.parcels.splice(parcel, 1);
-      put(cell, kindOf(tool));
-    } else if (parcel < 0) {
-      put(cell, road);
-      map.parcels.push(cell);
-    }
-  }
-
-  function begin(cell) {
-    const taken = same(map.start, cell) || parcelAt(cell) >= 0 || at(cell) !== road;
-    const held = same(map.start, cell) || (tool === "move" && taken) ? cell : null;
-    if (tool === "move" && !held) return;
-    stroke = { before: JSON.stringify(map), cell, held };
-    // A parcel goes where it is painted again.
-    if (!held && tool === "parcel" && parcelAt(cell) >= 0 && map.parcels.length > 1) {
-      map.parcels.splice(parcelAt(cell), 1);
-      stroke.done = true;
-    } else if (!held) {
-      if (tool === "start" && parcelAt(cell) < 0) put(cell, road);
-      paint(cell);
-    }
-    changed();
-  }
-
-  /** Goes on to a cell, by all that lie between. */
-  function on(cell) {
-    const [dx, dy] = [cell[0] - stroke.cell[0], cell[1] - stroke.cell[1]];
-    const n = Math.max(Math.abs(dx), Math.abs(dy));
-    const from = stroke.cell;
-    let seen = false;
-    for (let i = 1; i <= n && !stroke.done; i++) {
-      const to = [from[0] + Math.round((i * dx) / n), from[1] + Math.round((i * dy) / n)];
-      seen ||= inside(to);
-      if (!stroke.held) paint(to);
-      else if (move(stroke.held, to)) stroke.held = to;
-    }
-    stroke.cell = cell;
-    if (seen) changed();
-  }
-
-  function end() {
-    if (stroke && stroke.before !== JSON.stringify(map)) {
-      past = [...past, stroke.before].slice(-UNDONE);
-      undone = [];
-      keep(key, map);
-    }
-    stroke = null;
+  drawing.on("stroke", changed);
+  drawing.on("map", show);
+  drawing.on("end", () => {
+    keep(key, drawing.map);
     turns();
-  }
+  });
 
   function turns() {
-    undoing.disabled = past.length === 0;
-    redoing.disabled = undone.length === 0;
+    undoing.disabled = !drawing.past.length;
+    redoing.disabled = !drawing.undone.length;
   }
-
-  /** One change as a whole. */
-  function edit(change) {
-    stroke = { before: JSON.stringify(map) };
-    change();
-    end();
-    show();
-  }
-
-  function undo() {
-    end();
-    turn(past, undone);
-  }
-
-  function redo() {
-    end();
-    turn(undone, past);
-  }
-
-  /** Shows the map that one of the two was left with last; the other gets this one. */
-  function turn(from, to) {
-    if (!from.length) return;
-    to.push(JSON.stringify(map));
-    map = JSON.parse(from.pop());
-    turns();
-    show();
-    if (cursor) point(inside(cursor) ? cursor : null);
-  }
-
-  const empty = (width, height) => Array.from({ length: height }, () => new Array(width).fill(road));
 
   function setNumber(name) {
     const { input } = fields.find(({ id }) => id === name);
-    if (!input.reportValidity()) return;
-    edit(() => {
-      if (input.value === "") delete map.numbers[name];
-      else map.numbers[name] = Number(input.value);
-    });
+    if (input.reportValidity()) drawing.setNumber(name, input.value === "" ? null : Number(input.value));
   }
 
-  /** Another size: what still fits stays. */
   function resize() {
     if (!sides.every(({ input }) => input.value && input.reportValidity())) return;
-    const [width, height] = sides.map(({ input }) => Number(input.value));
-    edit(() => {
-      map.cells = empty(width, height).map((row, y) => row.map((kind, x) => map.cells[y]?.[x] ?? kind));
-      map.start = [Math.min(map.start[0], width - 1), Math.min(map.start[1], height - 1)];
-      map.parcels = map.parcels.filter((parcel) => inside(parcel) && !same(parcel, map.start));
-      const corner = same(map.start, [width - 1, height - 1]) ? [0, 0] : [width - 1, height - 1];
-      if (!map.parcels.length) map.parcels = [corner];
-      for (const stop of [map.start, ...map.parcels]) put(stop, road);
-      map.bbox = null;
-    });
+    drawing.resize(...sides.map(({ input }) => Number(input.value)));
   }
 
   // What is shown.
@@ -268,12 +147,15 @@ export function mount(root, context) {
   const join = () => (blocks ??= trying(async () => (await (await import("./around.js")).join(), own.emit("terrain"))));
   /** The map has another size, or is another. */
   function show() {
+    turns();
     draw();
     stage.show(stage.world, stage.tracks);
     changed();
+    if (cursor) point(drawing.inside(cursor) ? cursor : null);
   }
 
   function draw() {
+    const { map } = drawing;
     const [height, width] = [map.cells.length, map.cells[0].length];
     const [x, y] = map.start;
     const frames = [{ x, y, step: 0, done: false, delivered: [], target: null }];
@@ -296,6 +178,7 @@ export function mount(root, context) {
 
   /** What was typed and not taken gives way once its field is left. */
   function fill() {
+    const { map } = drawing;
     const numbers = map && { columns: map.cells[0].length, rows: map.cells.length, ...map.numbers };
     for (const { id, input } of [...sides, ...fields]) {
       input.disabled = map === null;
@@ -307,7 +190,7 @@ export function mount(root, context) {
   function changed() {
     draw();
     // A stroke is kept as a whole: storage is slower than fingers.
-    if (!stroke) keep(key, map);
+    if (!drawing.stroke) keep(key, drawing.map);
     ask();
   }
 
@@ -315,7 +198,7 @@ export function mount(root, context) {
   let asking = false;
   let newest = null;
   async function ask() {
-    newest = map;
+    newest = drawing.map;
     score.classList.add("waiting");
     if (asking) return;
     asking = true;
@@ -329,10 +212,10 @@ export function mount(root, context) {
       } catch (error) {
         if (!(error instanceof ApiError)) throw error;
         wrong = error.message;
-        if (error.status === 503) setTimeout(() => asked === map && ask(), AGAIN);
+        if (error.status === 503) setTimeout(() => asked === drawing.map && ask(), AGAIN);
       }
       // Another map may stand here by now.
-      if (asked !== map) continue;
+      if (asked !== drawing.map) continue;
       worth = answer;
       tell(wrong);
       drawBest();
@@ -344,7 +227,7 @@ export function mount(root, context) {
   function tell(wrong) {
     const { optimum, bounds } = worth ?? {};
     setText(score, optimum ? points(optimum.score) : "–");
-    setText(note, worth ? inWords(optimum, bounds, map.parcels.length) : "");
+    setText(note, worth ? inWords(optimum, bounds, drawing.map.parcels.length) : "");
     problem.hidden = wrong === null;
     setText(problem, wrong ?? "");
     for (const button of acts.children) button.disabled = wrong !== null;
@@ -361,7 +244,7 @@ export function mount(root, context) {
   }
 
   async function keptTask() {
-    const answer = await api.post("maps", map);
+    const answer = await api.post("maps", drawing.map);
     add(context, answer);
     return answer.task;
   }
@@ -373,7 +256,7 @@ export function mount(root, context) {
   }
 
   async function save() {
-    const { name, toml } = await api.post("maps/worth", map);
+    const { name, toml } = await api.post("maps/worth", drawing.map);
     download(`${name}.toml`, new Blob([toml], { type: "application/toml" }));
   }
 
@@ -387,7 +270,7 @@ export function mount(root, context) {
   const layout = () => {
     const { width, height } = grid.querySelector(".map").getBoundingClientRect();
     const scale = window.devicePixelRatio || 1;
-    return camera.layout(stage.world, { width: width * scale, height: height * scale, scale }, map.start);
+    return camera.layout(stage.world, { width: width * scale, height: height * scale, scale }, drawing.map.start);
   };
   const cellBelow = ({ clientX, clientY }) => {
     const box = grid.querySelector(".map").getBoundingClientRect();
@@ -398,29 +281,26 @@ export function mount(root, context) {
   grid.addEventListener("pointerdown", (event) => {
     pointers.add(event.pointerId);
     point(null);
-    if (pointers.size > 1 && stroke) {
+    if (pointers.size > 1)
       // Two fingers move the map: what the first has drawn was not meant.
-      map = JSON.parse(stroke.before);
-      stroke = null;
-      changed();
-    } else if (pointers.size === 1 && event.button === 0 && map && inside(cellBelow(event))) {
-      begin(cellBelow(event));
+      drawing.drop();
+    else if (event.button === 0 && drawing.map && drawing.inside(cellBelow(event))) {
+      drawing.begin(cellBelow(event));
       // What is drawn goes on where the pointer has left the map and come back elsewhere.
-      if (stroke) grid.setPointerCapture(event.pointerId);
+      if (drawing.stroke) grid.setPointerCapture(event.pointerId);
     }
   });
   grid.addEventListener(
     "pointermove",
     (event) => {
-      if (!stroke || pointers.size > 1) return;
+      if (!drawing.stroke || pointers.size > 1) return;
       event.stopImmediatePropagation();
-      const cell = cellBelow(event);
-      if (!same(cell, stroke.cell)) on(cell);
+      drawing.goOn(cellBelow(event));
     },
     { capture: true },
   );
   for (const type of ["pointerup", "pointercancel"])
-    window.addEventListener(type, ({ pointerId }) => pointers.delete(pointerId) && end());
+    window.addEventListener(type, ({ pointerId }) => pointers.delete(pointerId) && drawing.end());
 
   /** Moves the map as far as it takes to see a cell. */
   function follow(cell) {
@@ -444,26 +324,27 @@ export function mount(root, context) {
     const { cell: side, left, top, scale } = layout();
     const place = { left: left + cell[0] * side, top: top + cell[1] * side, width: side, height: side };
     for (const [name, pixels] of Object.entries(place)) mark.style[name] = `${pixels / scale}px`;
-    mark.classList.toggle("holds", Boolean(stroke?.held));
-    const what = same(map.start, cell) ? "start" : parcelAt(cell) >= 0 ? "parcel" : kinds[at(cell)].name;
-    announce(`Column ${cell[0]}, row ${cell[1]}: ${cellName(what)}${stroke?.held ? ", held" : ""}`);
+    const held = Boolean(drawing.stroke?.held);
+    mark.classList.toggle("holds", held);
+    announce(`Column ${cell[0]}, row ${cell[1]}: ${cellName(drawing.nameAt(cell))}${held ? ", held" : ""}`);
   }
   grid.addEventListener("keydown", (event) => {
     const way = ARROWS[event.key];
-    if (event.ctrlKey || event.metaKey || event.altKey || !map) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || !drawing.map) return;
     if (way) {
-      const next = cursor ? [cursor[0] + way[0], cursor[1] + way[1]] : map.start;
-      if (stroke && inside(next)) on(next);
-      if (inside(next)) {
-        follow(stroke?.held ?? next);
-        point(stroke?.held ?? next);
+      const next = cursor ? [cursor[0] + way[0], cursor[1] + way[1]] : drawing.map.start;
+      if (drawing.inside(next)) {
+        drawing.goOn(next);
+        const to = drawing.stroke?.held ?? next;
+        follow(to);
+        point(to);
+        drawing.comeTo(to);
       }
-      if (stroke) stroke.cell = cursor;
     } else if ((event.key === " " || event.key === "Enter") && cursor) {
       // What is taken up goes along until it is put down.
-      if (stroke) end();
-      else begin(cursor);
-      if (!stroke?.held) end();
+      if (drawing.stroke) drawing.end();
+      else drawing.begin(cursor);
+      if (!drawing.stroke?.held) drawing.end();
       point(cursor);
     } else if ("+=-".includes(event.key)) {
       if (camera.nearer(event.key === "-" ? -1 : 1, cursor)) own.emit("camera");
@@ -472,7 +353,7 @@ export function mount(root, context) {
     event.preventDefault();
   });
   grid.addEventListener("blur", () => {
-    end();
+    drawing.end();
     mark.hidden = true;
   });
   own.on("camera", () => cursor && point(cursor));
@@ -480,13 +361,13 @@ export function mount(root, context) {
     const key = (event.ctrlKey || event.metaKey) && event.key.toLowerCase();
     if (!"zy".includes(key) || context.view !== "draw" || event.target.matches("input[type=number]")) return;
     event.preventDefault();
-    if (key === "y" || event.shiftKey) redo();
-    else undo();
+    if (key === "y" || event.shiftKey) drawing.redo();
+    else drawing.undo();
   });
 
   // Which map it is, the address says.
   async function look() {
-    if (router.address.view !== "draw" || (key === keyOf(router.address) && map === kept.get(key))) return;
+    if (router.address.view !== "draw" || (key === keyOf(router.address) && drawing.map === kept.get(key))) return;
     const { address } = router;
     const wanted = keyOf(address);
     const left = kept.get(wanted) ?? JSON.parse(recall(wanted, "sessionStorage"));
@@ -496,7 +377,7 @@ export function mount(root, context) {
   async function origin({ task, seed, file }) {
     if (file) throw new ApiError(0, "gone", `The file ${file} is on this page no more: open it again.`);
     if (task) return api.get(`maps/${encodeURIComponent(task)}/${seed ?? 0}`);
-    return { cells: empty(EMPTY, EMPTY), start: [0, 0], parcels: [[EMPTY - 1, EMPTY - 1]], numbers: {} };
+    return { cells: drawing.empty(EMPTY, EMPTY), start: [0, 0], parcels: [[EMPTY - 1, EMPTY - 1]], numbers: {} };
   }
 
   async function load(wanted, from) {
@@ -518,11 +399,8 @@ export function mount(root, context) {
   /** Another map stands here, or none. */
   function become(wanted, found) {
     key = wanted;
-    map = found;
     worth = null;
-    past = [];
-    undone = [];
-    stroke = null;
+    drawing.become(found);
     point(null);
     turns();
     again.hidden = Boolean(router.address.file);
@@ -532,13 +410,13 @@ export function mount(root, context) {
     const wanted = key;
     await trying(async () => {
       const found = await origin(router.address);
-      if (map && key === wanted) edit(() => (map = found));
+      if (drawing.map && key === wanted) drawing.edit(() => (drawing.map = found));
       else look();
     });
   }
 
   router.on("address", look);
-  context.live.on("state", ({ state }) => state === "open" && !problem.hidden && (map ? ask() : look()));
+  context.live.on("state", ({ state }) => state === "open" && !problem.hidden && (drawing.map ? ask() : look()));
   look();
 }
 

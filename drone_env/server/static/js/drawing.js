@@ -1,0 +1,197 @@
+// What is drawn: a map, the stroke that paints it cell by cell, and the way back.
+import { Emitter } from "./emitter.js";
+
+const UNDONE = 100;
+const same = (a, b) => a[0] === b[0] && a[1] === b[1];
+
+/**
+ * Emits `stroke` where a stroke has changed the map, `end` where one has ended that did, and `map` where the map is
+ * another as a whole.
+ * A cell is [x, y].
+ */
+export class Drawing extends Emitter {
+  /** @param {{id: number, name: string}[]} kinds */
+  constructor(kinds) {
+    super();
+    this.kinds = kinds;
+    this.road = this.idOf("road");
+    /** What paints: a kind of cell, `parcel`, `start`, or `move`. */
+    this.tool = "move";
+    this.become(null);
+  }
+
+  /** Another map, as `POST /maps/worth` takes it, or none. */
+  become(map) {
+    this.map = map;
+    this.past = [];
+    this.undone = [];
+    /** The stroke that is drawn: the map before it, the cell that it has come to, and that of what it moves. */
+    this.stroke = null;
+  }
+
+  idOf(name) {
+    return this.kinds.find((kind) => kind.name === name).id;
+  }
+
+  inside([x, y]) {
+    return this.map.cells[y]?.[x] !== undefined;
+  }
+
+  nameAt(cell) {
+    if (same(this.map.start, cell)) return "start";
+    return this.parcelAt(cell) >= 0 ? "parcel" : this.kinds[this.at(cell)].name;
+  }
+
+  at([x, y]) {
+    return this.map.cells[y][x];
+  }
+
+  put([x, y], kind) {
+    this.map.cells[y][x] = kind;
+  }
+
+  parcelAt(cell) {
+    return this.map.parcels.findIndex((parcel) => same(parcel, cell));
+  }
+
+  /** Rows of road. */
+  empty(width, height) {
+    return Array.from({ length: height }, () => new Array(width).fill(this.road));
+  }
+
+  /** Moves what stands at a cell to another, if there is room. @returns {boolean} */
+  move(from, to) {
+    const { map } = this;
+    if (!this.inside(to) || this.nameAt(to) !== "road") return false;
+    const parcel = this.parcelAt(from);
+    if (same(map.start, from)) map.start = to;
+    else if (parcel >= 0) map.parcels[parcel] = to;
+    else {
+      this.put(to, this.at(from));
+      this.put(from, this.road);
+    }
+    return true;
+  }
+
+  /** Paints a cell. The start gives way to nothing, the last parcel to none. */
+  paint(cell) {
+    const { map, tool } = this;
+    if (!this.inside(cell) || same(map.start, cell)) return;
+    const parcel = this.parcelAt(cell);
+    if (tool === "start") this.move(map.start, cell);
+    else if (tool !== "parcel") {
+      if (parcel >= 0 && map.parcels.length === 1) return;
+      if (parcel >= 0) map.parcels.splice(parcel, 1);
+      this.put(cell, this.idOf(tool));
+    } else if (parcel < 0) {
+      this.put(cell, this.road);
+      map.parcels.push(cell);
+    }
+  }
+
+  /** Begins a stroke at a cell; there is none if it holds nothing to be moved. */
+  begin(cell) {
+    const { map, tool } = this;
+    const name = this.nameAt(cell);
+    const held = name === "start" || (tool === "move" && name !== "road") ? cell : null;
+    if (tool === "move" && !held) return;
+    this.stroke = { before: JSON.stringify(map), cell, held };
+    // A parcel goes where it is painted again.
+    if (!held && tool === "parcel" && name === "parcel" && map.parcels.length > 1) {
+      map.parcels.splice(this.parcelAt(cell), 1);
+      this.stroke.done = true;
+    } else if (!held) {
+      if (tool === "start" && name !== "parcel") this.put(cell, this.road);
+      this.paint(cell);
+    }
+    this.emit("stroke");
+  }
+
+  /** Draws on to a cell, by all that lie between; without a stroke, nothing. */
+  goOn(cell) {
+    const { stroke } = this;
+    if (!stroke || same(cell, stroke.cell)) return;
+    const from = stroke.cell;
+    const [dx, dy] = [cell[0] - from[0], cell[1] - from[1]];
+    const n = Math.max(Math.abs(dx), Math.abs(dy));
+    let seen = false;
+    for (let i = 1; i <= n && !stroke.done; i++) {
+      const to = [from[0] + Math.round((i * dx) / n), from[1] + Math.round((i * dy) / n)];
+      seen ||= this.inside(to);
+      if (!stroke.held) this.paint(to);
+      else if (this.move(stroke.held, to)) stroke.held = to;
+    }
+    stroke.cell = cell;
+    if (seen) this.emit("stroke");
+  }
+
+  /** The stroke, if there is one, is at this cell: where the way was barred, what it moves has stayed behind. */
+  comeTo(cell) {
+    if (this.stroke) this.stroke.cell = cell;
+  }
+
+  end() {
+    if (this.stroke && this.stroke.before !== JSON.stringify(this.map)) {
+      this.past = [...this.past, this.stroke.before].slice(-UNDONE);
+      this.undone = [];
+      this.emit("end");
+    }
+    this.stroke = null;
+  }
+
+  /** Takes the stroke back. */
+  drop() {
+    if (!this.stroke) return;
+    this.map = JSON.parse(this.stroke.before);
+    this.stroke = null;
+    this.emit("stroke");
+  }
+
+  /** One change as a whole. */
+  edit(change) {
+    this.stroke = { before: JSON.stringify(this.map) };
+    change();
+    this.end();
+    this.emit("map");
+  }
+
+  undo() {
+    this.end();
+    this.turn(this.past, this.undone);
+  }
+
+  redo() {
+    this.end();
+    this.turn(this.undone, this.past);
+  }
+
+  /** Shows the map that one of the two was left with last; the other gets this one. */
+  turn(from, to) {
+    if (!from.length) return;
+    to.push(JSON.stringify(this.map));
+    this.map = JSON.parse(from.pop());
+    this.emit("map");
+  }
+
+  /** @param {number | null} value What the size gives, if null. */
+  setNumber(name, value) {
+    this.edit(() => {
+      if (value === null) delete this.map.numbers[name];
+      else this.map.numbers[name] = value;
+    });
+  }
+
+  /** Another size: what still fits stays. */
+  resize(width, height) {
+    this.edit(() => {
+      const { map } = this;
+      map.cells = this.empty(width, height).map((row, y) => row.map((kind, x) => map.cells[y]?.[x] ?? kind));
+      map.start = [Math.min(map.start[0], width - 1), Math.min(map.start[1], height - 1)];
+      map.parcels = map.parcels.filter((parcel) => this.inside(parcel) && !same(parcel, map.start));
+      const corner = same(map.start, [width - 1, height - 1]) ? [0, 0] : [width - 1, height - 1];
+      if (!map.parcels.length) map.parcels = [corner];
+      for (const stop of [map.start, ...map.parcels]) this.put(stop, this.road);
+      map.bbox = null;
+    });
+  }
+}
