@@ -316,9 +316,7 @@ class Trainer(Learner):
         withdrawn = withdrawal(state["config"].get("task"), state["config"].get("task_version"))
         if withdrawn is not None:
             raise CheckpointError(f"the checkpoint is of a run on what there is no more: {withdrawn}")
-        ours, theirs = self.config.identity(), state["config"]
-        # Older checkpoints do not tell what their reward profile holds.
-        require_same({name: ours[name] for name in ours if name in theirs or not name.startswith("reward ")}, theirs)
+        require_same(self.config.identity(), state["config"])
         for name in LEARNED:
             getattr(self, name).load_state_dict(state[name])
         for name in PLAIN:

@@ -6,18 +6,28 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from drone_env.city.city_file import City, write_city
 from drone_env.city.city_task import city_task, task_of
 from drone_env.cli import main
+from drone_env.cluster.sweep.config import SweepConfig, make_config
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS, load_plugins, register_city, task_argument
-from drone_env.errors import InvalidTaskError
+from drone_env.episodes.store import Store
+from drone_env.errors import CheckpointError, InvalidTaskError, StoreError
 from drone_env.graders import GRADERS
+from drone_env.llm.config import RunConfig
+from drone_env.rl.config import TrainConfig
+from drone_env.rl.learner import require_same
+from drone_env.rl.tour_config import TourConfig
+from tests.llm.kept_run import run_config
 
 GRID = np.array([[0, 0, 1, 0], [0, 2, 3, 0], [0, 0, 0, 8], [0, 0, 0, 0]], np.uint8)
 
@@ -138,6 +148,47 @@ def test_a_record_is_of_one_city_alone(yard: Path, capsys: pytest.CaptureFixture
         assert "the record is of another city than 'yard' is now" in told.err
         assert told.out == ""
     assert task_argument(TASKS["yard"]) == str(yard)
+
+
+def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
+    def kept() -> tuple[dict[str, Any], dict[str, Any], SweepConfig, RunConfig]:
+        run = run_config("minimal", "yard", range(2))
+        sweep = make_config("yard", "fast", [{}], 1, 1, False, 1)
+        return TrainConfig(task="yard").identity(), TourConfig(task="yard").identity(), sweep, run
+
+    register_city(yard)
+    training, tour, sweep, run = kept()
+    with Store(yard.parent) as store:
+        session = store.open_session("yard", 1, 7, "tiered", "someone", 9)
+    Store(yard.parent).close()
+    del TASKS["yard"]
+    write_city(City(GRID, numbers={"deliveries": 3, "max_steps": 39}), yard)
+    register_city(yard)
+    now = kept()
+    for before, after in ((training, now[0]), (tour, now[1])):
+        with pytest.raises(CheckpointError, match="rules of yard '"):
+            require_same(after, before)
+        require_same(after, after)
+        # As checkpoints from before tell them.
+        require_same(after, {name: value for name, value in before.items() if name != "rules of yard"})
+    (told,) = sweep.differences(now[2])
+    assert told.startswith("rules of yard: '")
+    assert sweep.model_copy(update={"rules": {}}).differences(now[2]) == now[2].differences(now[2]) == []
+    with pytest.raises(ValidationError, match="the run flew another task of the name 'yard'"):
+        RunConfig.model_validate(dict(run))
+    assert RunConfig.model_validate(dict(run) | {"rules": {}}).differences(now[3]) == []
+    with pytest.raises(StoreError, match="keeps flights of another task 'yard'"):
+        Store(yard.parent)
+    del TASKS["yard"]
+    with Store(yard.parent) as store:
+        register_city(yard)
+        with pytest.raises(StoreError, match="another task"), store.session(session) as row:
+            row.reset("yard", 1, 8, "tiered")
+        with pytest.raises(StoreError, match="another task"):
+            store.open_session("yard", 1, 7, "tiered", "someone", 9)
+        with pytest.raises(StoreError, match="another task"):
+            store.add_episode(Episode("yard", seed=7).fly([0] * 39), "someone")
+    assert "rules of easy_delivery" not in TrainConfig().identity()
 
 
 def test_the_name_of_another_task_cannot_be_taken(yard: Path) -> None:
