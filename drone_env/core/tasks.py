@@ -240,7 +240,7 @@ class TaskConfig:
     @cached_property
     def digest(self) -> str:
         """What tells its rules from those of any other task, 16 hex digits; a field of a later version changes none."""
-        usual = {one.name: one.default for one in fields(self)} | {"impassable": []}
+        usual: dict[str, Any] = {one.name: one.default for one in fields(self)} | {"impassable": []}
         own = {name: value for name, value in self.rules().items() if value != usual.get(name, MISSING)}
         return sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
 
