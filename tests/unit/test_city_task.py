@@ -21,7 +21,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS, load_plugins, register_city, task_argument
 from drone_env.episodes.store import Store
-from drone_env.errors import CheckpointError, InvalidTaskError, StoreError
+from drone_env.errors import CheckpointError, InvalidTaskError, InvalidValueError, StoreError
 from drone_env.graders import GRADERS
 from drone_env.llm.config import RunConfig
 from drone_env.rl.config import TrainConfig
@@ -65,7 +65,7 @@ def test_a_city_is_a_task_of_its_counts_and_numbers(yard: Path) -> None:
     [
         (City(GRID, numbers={"pads": 0}), "pads must be at least the 1 of the terrain, got 0"),
         (City(GRID, numbers={"deliveries": 12}), "13 things do not fit on 12 roads"),
-        (City(np.zeros((129, 2), np.uint8)), "width and height must be 2 to 128, got (2, 129)"),
+        (City(np.zeros((129, 2), np.uint8)), "got 2 x 129; width and height in [task] make each map a window"),
         (City(GRID, numbers={"max_steps": 0}), "max_steps must be 1 to 32000, got 0"),
     ],
 )
@@ -123,6 +123,8 @@ print(get_task("yard").rules()["terrain"])
 
 def test_plugins_may_be_cities(yard: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [module.__name__ for module in load_plugins(f"json, {yard}")] == ["json"]
+    with pytest.raises(InvalidValueError, match=r"modules and files that end in .toml, got '\./towns'"):
+        load_plugins("./towns")
     env = gymnasium.make("DroneDelivery-Yard-v1")
     assert env.reset(seed=3)[0]["grid"].shape == (4, 4)
     assert gymnasium.make_vec("DroneDelivery-Yard-v1", num_envs=2).reset(seed=3)[0]["grid"].shape == (2, 4, 4)
