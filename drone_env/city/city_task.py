@@ -43,8 +43,10 @@ def task_of(city: City, name: str) -> TaskConfig:
         "pads": pads,
     }
     if max(width, height) > MAX_SIDE:
-        many = f"a map has at most {MAX_SIDE} x {MAX_SIDE} cells, got {width} x {height}"
-        raise InvalidTaskError(f"task {name!r}: {many}; width and height in [task] make each map a window of the city")
+        sides = f"width and height must be 2 to {MAX_SIDE}, got {(width, height)}"
+        raise InvalidTaskError(
+            f"task {name!r}: {sides}; a city may name less in [task], for maps that are windows of it"
+        )
     task = task_on(terrain, name, **numbers)
     _ = task.windows  # what does not fit is refused here
     return task

@@ -65,7 +65,7 @@ def test_a_city_is_a_task_of_its_counts_and_numbers(yard: Path) -> None:
     [
         (City(GRID, numbers={"pads": 0}), "pads must be at least the 1 of the terrain, got 0"),
         (City(GRID, numbers={"deliveries": 12}), "13 things do not fit on 12 roads"),
-        (City(np.zeros((129, 2), np.uint8)), "got 2 x 129; width and height in [task] make each map a window"),
+        (City(np.zeros((129, 2), np.uint8)), "must be 2 to 128, got (2, 129); a city may name less in [task]"),
         (City(GRID, numbers={"max_steps": 0}), "max_steps must be 1 to 32000, got 0"),
     ],
 )
