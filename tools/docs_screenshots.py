@@ -6,6 +6,7 @@
     docs/images/dashboard-fork.png       a person who tries from its worst move
     docs/images/dashboard-layers.png     what is best from each cell of a skyline city, and the battery's range
     docs/images/dashboard-several.png    four pilots on one map, their flights annotated
+    docs/images/dashboard-city.png       the same over a real city
     docs/images/dashboard-compare.png    who flies best, and two pilots map by map
     docs/images/dashboard-draw.png       the map editor
     docs/images/dashboard-learn.png      the tutorial, and the levels side by side
@@ -94,6 +95,14 @@ def several(tabs: Tabs) -> None:
     save(page, "several")
 
 
+def city(tabs: Tabs) -> None:
+    """Four pilots over Helsinki."""
+    page = tabs.open("/?task=city&seed=7&pilots=tournet,greedy,optimal,random", viewport=WIDE)
+    fly_to_the_end(page)
+    page.locator("#timeline").fill("140")
+    save(page, "city")
+
+
 def pages(tabs: Tabs) -> None:
     """Compare and Learn."""
     page = tabs.open("/?view=compare&task=skyline_medium&pilots=tournet,greedy", viewport=WIDE)
@@ -124,7 +133,7 @@ def main() -> None:
         fill(data, [flown("skyline_medium", seed, agent) for seed in range(FLIGHTS // len(agents)) for agent in agents])
         with serving(data) as server, launched(chromium) as browser:
             tabs = Tabs(browser, server.url)
-            for take in (alone, fork, layers, several, drawing, pages):
+            for take in (alone, fork, layers, several, city, drawing, pages):
                 take(tabs)
             tabs.close()
             if tabs.complaints:

@@ -205,14 +205,14 @@ def _city_tables(task: TaskConfig) -> dict[str, Any]:
     one covers all at first, and the others are drawn: the fewest draws that do.
     """
     counts, spacing, cells = task.cell_counts(), task.street_spacing, task.width * task.height
+    if task.terrain is not None:
+        return _terrain_tables(task, task.terrain)
     no_terrain = {
         "windows": np.zeros(0, np.int64),
         "window_cells": np.zeros(0, np.int64),
         "window_pads": np.zeros(0, np.int64),
         "fixed": np.zeros(0, np.uint16),
     }
-    if task.terrain is not None:
-        return _terrain_tables(task, task.terrain)
     if spacing == 0:
         kinds = [kind for kind, count in counts.items() for _ in range(count)]
         return {

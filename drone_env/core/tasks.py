@@ -218,6 +218,11 @@ class TaskConfig:
         rest = 1 + self.deliveries + self.obstacles + self.pads
         require(rest <= on_streets, f"{rest} things do not fit on {on_streets} cells of street")
 
+    @property
+    def attribution(self) -> str:
+        """Whose data the terrain is, which whoever shows a map has to say; empty for nobody's."""
+        return "" if self.terrain is None else self.terrain.attribution
+
     @cached_property
     def uniform(self) -> bool:
         """Whether every step costs one battery unit, nothing blocks the way and nothing charges.
@@ -270,6 +275,19 @@ class TaskConfig:
         }
 
 
+OVER_CITIES: dict[str, Any] = {
+    "drain": ((Cell.BUILDING, 3), (Cell.TREE, 2)),
+    "impassable": frozenset({Cell.OBSTACLE}),
+    "efficiency_needs_all": True,
+}
+"""What flying costs over a city, drawn or real, and what its score asks for."""
+
+
+def _rewards(r_delivery: float, r_other: float) -> dict[str, Any]:
+    others = {f"r_{event.name.lower()}": r_other for event in Event if event is not Event.NONE}
+    return others | {"r_delivery": r_delivery}
+
+
 def _standard(
     short_name: str,
     side: int,
@@ -280,8 +298,6 @@ def _standard(
     r_other: float,
 ) -> TaskConfig:
     buildings, trees, obstacles = terrain
-    rewards: dict[str, Any] = {f"r_{event.name.lower()}": r_other for event in Event if event is not Event.NONE}
-    rewards["r_delivery"] = r_delivery
     return TaskConfig(
         id=f"{short_name}_delivery",
         short_name=short_name,
@@ -294,7 +310,7 @@ def _standard(
         obstacles=obstacles,
         max_steps=steps,
         battery_capacity=steps,
-        **rewards,
+        **_rewards(r_delivery, r_other),
         family="standard",
     )
 
@@ -319,12 +335,10 @@ def _skyline(
         battery_capacity=battery,
         pads=pads,
         charge_rate=charge,
-        drain=((Cell.BUILDING, 3), (Cell.TREE, 2)),
-        impassable=frozenset({Cell.OBSTACLE}),
         street_spacing=4,
-        efficiency_needs_all=True,
         version=2,
         family="skyline",
+        **OVER_CITIES,
     )
 
 
@@ -339,18 +353,17 @@ def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
     Raises:
         InvalidTaskError: if they do not fit.
     """
-    return replace(
-        _skyline("city", 4, (0, 0, 0), 0, 1, battery=1, steps=1, charge=0, r_delivery=0.85, r_other=0.25),
+    return TaskConfig(
         id=name,
         short_name=name,
         grader=f"drone_env.graders:grade_{name}",
-        version=1,
         family="city",
-        street_spacing=0,
         buildings=terrain.count(Cell.BUILDING),
         trees=terrain.count(Cell.TREE),
         obstacles=terrain.count(Cell.OBSTACLE),
         terrain=terrain,
+        **_rewards(r_delivery=0.85, r_other=0.25),
+        **OVER_CITIES,
         **numbers,
     )
 

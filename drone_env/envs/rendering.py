@@ -19,6 +19,7 @@ from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.grid_generator import generate_city_map
 from drone_env.core.tasks import TaskConfig
+from drone_env.envs.blocks import draw_blocks, is_joined
 from drone_env.envs.figures import Point, around, draw_figure, stroke
 from drone_env.errors import InvalidValueError
 
@@ -34,6 +35,8 @@ STATUS = {
     Outcome.BATTERY_DEAD: ("Battery empty", "low"),
     Outcome.OUT_OF_STEPS: ("Out of steps", "fair"),
 }
+BLOCKS = {"building5": Cell.BUILDING, "tree1": Cell.TREE, "obstacle": Cell.OBSTACLE}
+"""What stands for each in the legend, where maps are drawn by blocks, is one cell of it."""
 MIN_SIZE, MAX_SIZE, MAX_TRAIL = 64, 4096, 400  # pixels, pixels, and steps: more would make for slow pictures
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
 FPS = 8  # pictures of a flight per second
@@ -135,8 +138,7 @@ def draw_terrain(grid: npt.NDArray[np.uint8], size: int = 1080, attribution: str
     rows, columns = grid.shape
     layout = _layout_of(columns, rows, _checked(size))
     picture = Image.new("RGB", (layout.city, size), PALETTE["backdrop"])
-    _lay_ground(picture, layout, grid)
-    _lay_terrain(picture, layout, grid, ())
+    _lay_map(picture, layout, grid, (), joined=True)
     _lay_attribution(picture, layout, rows, attribution)
     file = io.BytesIO()
     picture.save(file, "PNG")
@@ -146,7 +148,7 @@ def draw_terrain(grid: npt.NDArray[np.uint8], size: int = 1080, attribution: str
 def _picture(episode: Episode, size: int) -> Image.Image:
     _checked(size)
     layout = _layout(episode.task, size)
-    picture = _city(episode.task, episode.seed, size).copy()
+    picture = _city(episode.task, episode.task.attribution, episode.seed, size).copy()
     _draw_lines(picture, layout, episode)
     for x, y, delivered in episode.parcels:
         _stamp(picture, "delivered" if delivered else "parcel", layout.draw_figure(), layout.centre(x, y))
@@ -174,17 +176,15 @@ def _layout_of(columns: int, rows: int, size: int) -> Layout:
 
 
 @lru_cache(maxsize=16)  # as many as fly side by side in a film
-def _city(task: TaskConfig, seed: int, size: int) -> Image.Image:
-    """The picture of a map, all but what moves. Shared: draw on a copy."""
+def _city(task: TaskConfig, attribution: str, seed: int, size: int) -> Image.Image:
+    """The picture of a map, all but what moves. Shared: draw on a copy. Equal tasks may name other attributions."""
     city, layout = generate_city_map(task, seed), _layout(task, size)
     width = layout.city + round(size * PANEL / 100)
     picture = Image.new("RGB", (width + width % 2, size), PALETTE["backdrop"])
-    _lay_ground(picture, layout, city.grid)
+    _lay_map(picture, layout, city.grid, task.impassable, is_joined(task))
     _stamp(picture, "start", layout.draw_figure(), layout.centre(*city.start))
-    _lay_terrain(picture, layout, city.grid, task.impassable)
     _lay_panel(picture, layout, task, seed)
-    if task.terrain:
-        _lay_attribution(picture, layout, task.height, task.terrain.attribution)
+    _lay_attribution(picture, layout, task.height, attribution)
     return picture
 
 
@@ -196,21 +196,37 @@ def _lay_attribution(picture: Image.Image, layout: Layout, rows: int, words: str
         _write(ImageDraw.Draw(picture), (left, bottom), words, height, "muted", "la", layout.city - 2 * left)
 
 
-def _lay_terrain(picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8], closed: Collection[Cell]) -> None:
-    for (y, x), kind in np.ndenumerate(grid):
-        variety, at = crc32(bytes((x % 256, y % 256))) >> 8, layout.centre(x, y)
-        number = {Cell.BUILDING: variety % 8, Cell.TREE: variety % 4}.get(Cell(kind), "")
-        if kind not in (Cell.ROAD, Cell.DELIVERY):
-            _stamp(picture, f"{CELL_KINDS[Cell(kind)].name}{number}", layout.cell, at)
-        if kind in closed:
-            _stamp(picture, "no_entry", layout.cell, at)
-
-
-def _lay_ground(picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8]) -> None:
-    """Lawns, streets that join all cells on which neither a building nor a tree stands, and numbers at the edges."""
-    rows, columns = grid.shape
+def _lay_map(
+    picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8], closed: Collection[Cell], joined: bool
+) -> None:
+    """The ground, what stands on it, and numbers at the edges."""
     fine = 3 if layout.size <= 1000 else 2
     unit, base = layout.cell * fine, layout.rim * fine
+    ground = draw_blocks(grid, unit, base, fine) if joined else _draw_streets(grid, unit, base)
+    ground = ground.reduce(fine)
+    at, radius = (layout.left - layout.rim, layout.top - layout.rim), 2.2 * layout.rim
+    _lay(picture, (*at, at[0] + ground.width, at[1] + ground.height), ground, radius, lifted=True)
+    rows, columns = grid.shape
+    pen, height = ImageDraw.Draw(picture), layout.size / 60
+    every = next(step for step in (1, 2, 4, 8, 16, 32) if step == 32 or layout.cell * step >= 2.1 * height)
+    for x in range(0, columns, every):
+        _write(pen, (layout.centre(x, 0)[0], at[1] - height / 2), str(x), height, "muted", "ms")
+    for y in range(0, rows, every):
+        _write(pen, (at[0] - height / 2, layout.centre(0, y)[1]), str(y), height, "muted", "rm")
+    size = max(layout.cell, layout.size // 45) if joined else layout.cell
+    for (y, x), kind in np.ndenumerate(grid):
+        if kind in (Cell.ROAD, Cell.DELIVERY) or (joined and kind != Cell.PAD):
+            continue
+        variety, middle = crc32(bytes((x % 256, y % 256))) >> 8, layout.centre(x, y)
+        number = {Cell.BUILDING: variety % 8, Cell.TREE: variety % 4}.get(Cell(kind), "")
+        _stamp(picture, f"{CELL_KINDS[Cell(kind)].name}{number}", size, middle)
+        if kind in closed:
+            _stamp(picture, "no_entry", size, middle)
+
+
+def _draw_streets(grid: npt.NDArray[np.uint8], unit: int, base: int) -> Image.Image:
+    """Lawns, and streets that join all cells on which neither a building nor a tree stands."""
+    rows, columns = grid.shape
     wide, high = columns * unit + 2 * base, rows * unit + 2 * base
     ground = Image.new("RGB", (wide, high), PALETTE["lawn"])
     streets, marks = Image.new("L", (wide, high)), Image.new("L", (wide, high))
@@ -234,14 +250,7 @@ def _lay_ground(picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8
     ground.paste(PALETTE["kerb"], mask=soft.point([255 * (level > 70) for level in range(256)]))
     ground.paste(PALETTE["street"], mask=soft.point([255 * (level > 120) for level in range(256)]))
     ground.paste(PALETTE["marking"], mask=marks)
-    at, radius = (layout.left - layout.rim, layout.top - layout.rim), 2.2 * layout.rim
-    _lay(picture, (*at, at[0] + wide // fine, at[1] + high // fine), ground.reduce(fine), radius, lifted=True)
-    pen, height = ImageDraw.Draw(picture), layout.size / 60
-    every = next(step for step in (1, 2, 4, 8, 16, 32) if step == 32 or layout.cell * step >= 2.1 * height)
-    for x in range(0, columns, every):
-        _write(pen, (layout.centre(x, 0)[0], at[1] - height / 2), str(x), height, "muted", "ms")
-    for y in range(0, rows, every):
-        _write(pen, (at[0] - height / 2, layout.centre(0, y)[1]), str(y), height, "muted", "rm")
+    return ground
 
 
 def _lay_panel(picture: Image.Image, layout: Layout, task: TaskConfig, seed: int) -> None:
@@ -254,11 +263,18 @@ def _lay_panel(picture: Image.Image, layout: Layout, task: TaskConfig, seed: int
     _write(pen, layout.panel(0, 15.2), f"map {seed}", 2.4 * u, "muted", width=TEXT * u)
     for y, name in ((22.8, "Score x 100"), (37.5, "Battery"), (47.5, "Steps"), (56.5, "Delivered")):
         _write(pen, layout.panel(0, y), name, 2.5 * u, "muted")
+    joined = is_joined(task)
     figures = ["building5", "tree1", "obstacle", "parcel", "delivered", "target"]
-    figures += ["pad"] * (task.pads > 0) + ["no_entry"] * bool(task.impassable)
+    figures += ["pad"] * (task.pads > 0) + ["no_entry"] * (bool(task.impassable) and not joined)
     for i, figure in enumerate(figures):
         x, y = i % 3 * 13.1, 92.3 - 4.5 * ((len(figures) - 1) // 3 - i // 3)
-        _stamp(picture, figure, round((2.2 if figure == "target" else 3.2) * u), layout.panel(x + 1.6, y))
+        side, middle = round((2.2 if figure == "target" else 3.2) * u), layout.panel(x + 1.6, y)
+        if joined and figure in BLOCKS:
+            one = np.array([[BLOCKS[figure]]], np.uint8)
+            block = draw_blocks(one, 3 * round(0.8 * side), round(0.4 * side), 3, PALETTE["card"]).reduce(3)
+            picture.paste(block, (round(middle[0] - block.width / 2), round(middle[1] - block.height / 2)))
+        else:
+            _stamp(picture, figure, side, middle)
         _write(pen, layout.panel(x + 3.9, y), figure.rstrip("15").replace("_", " "), 1.95 * u, "muted", "lm", 8.6 * u)
 
 

@@ -44,7 +44,7 @@ OBSERVED: dict[str, Callable[[DroneObservation], object]] = {
 }
 PLACES = {"parcels": "delivery", "buildings": "building", "trees": "tree", "obstacles": "obstacle", "pads": "pad"}
 """What prompts call the places of the cells of a kind."""
-VALUES = {*OBSERVED, *PLACES, "grid", "legend", "history", "task", "drains", "impassable", "terrain"}
+VALUES = {*OBSERVED, *PLACES, "grid", "legend", "history", "task", "drains", "impassable", "terrain", "joined"}
 """What a template may name."""
 FIRST_VALUES = {*OBSERVED, *PLACES, "grid", "history", "rules"}
 """What one of the first form may name."""
@@ -61,23 +61,23 @@ def values_of(
         last_steps: The last steps, each in a line.
         symbols: The letters of the grid.
     """
+    from drone_env.envs.blocks import is_joined  # loads Pillow
+
     history = "\n".join(["", "Last steps:", *last_steps]) if last_steps else ""
     of_task, places = set(deciding(task)), _places(observation)
     seen = {name: of(observation) for name, of in OBSERVED.items()}
-    return (
-        seen
-        | {name: places[kind] for name, kind in PLACES.items()}
-        | {
-            "grid": "\n".join(" ".join(symbols.letters[name] for name in line) for line in observation.cell_types),
-            "legend": symbols.legend,
-            "rules": _rules(task),
-            "history": history,
-            "task": task,
-            "drains": [(_name(kind), units) for kind, units in task.drain if units != 1],
-            "impassable": sorted(map(_name, task.impassable)),
-            "terrain": [(title, places[CELL_KINDS[kind].name], kind in of_task) for kind, title in TITLES.items()],
-        }
-    )
+    seen |= {name: places[kind] for name, kind in PLACES.items()}
+    return seen | {
+        "grid": "\n".join(" ".join(symbols.letters[name] for name in line) for line in observation.cell_types),
+        "legend": symbols.legend,
+        "rules": _rules(task),
+        "history": history,
+        "task": task,
+        "drains": [(_name(kind), units) for kind, units in task.drain if units != 1],
+        "impassable": sorted(map(_name, task.impassable)),
+        "terrain": [(title, places[CELL_KINDS[kind].name], kind in of_task) for kind, title in TITLES.items()],
+        "joined": is_joined(task),
+    }
 
 
 def _name(kind: Cell) -> str:

@@ -190,7 +190,7 @@ class TaskInfo(create_model("TaskNumbers", __base__=Message, **_PLAIN)):
             impassable=sorted(CELL_KINDS[cell].name for cell in task.impassable),
             rewards={profile.id: _event_rewards(task, profile) for profile in REWARD_PROFILES.values()},
             published=published,
-            attribution=task.terrain.attribution if task.terrain else "",
+            attribution=task.attribution,
         )
 
 

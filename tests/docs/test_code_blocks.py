@@ -6,6 +6,7 @@ endpoint of a language model stand in for those that the pages name.
 """
 
 import contextlib
+import gc
 import io
 import json
 import sys
@@ -156,3 +157,5 @@ def test_its_code_blocks_run(
     run = Page(folder, request, monkeypatch)
     for block in found:
         run.run(block)
+    del run
+    gc.collect()  # so that what the page leaves open fails this test and no later one

@@ -8,7 +8,7 @@ from PIL import Image
 
 from drone_env.core.cells import Cell
 
-LAWN = 0xCFDEBB
+LAWN, STREET = 0xCFDEBB, 0xFBFAF5
 LOOKS = {
     Cell.DELIVERY: [0xF0A020],  # an orange box
     Cell.DELIVERED: [0x237A45],  # a green tick
@@ -18,6 +18,12 @@ LOOKS = {
     Cell.TREE: [0x97C093, 0xA0C496],  # round green crowns
 }
 """By what colours a kind of cell is told, the first that is there: what lies on top is looked for before the rest."""
+JOINED = {
+    Cell.OBSTACLE: [0xE6E3DF, 0xD8ACA6],  # grey with red hatching
+    Cell.BUILDING: [0xE3DAC7, 0xDDD2BB, 0xE9E2D3],  # a beige roof
+    Cell.TREE: [0xD3E5C3, 0xA3C791],  # pale green with darker crowns
+}
+"""The same where cells that touch each other are one shape."""
 ENOUGH = 0.006
 """The share of a cell that a colour takes at least, where it belongs to what stands there."""
 
@@ -30,8 +36,9 @@ def read_picture(png: bytes, width: int, height: int) -> npt.NDArray[np.uint8]:
         width, height: Of the grid, in cells.
     """
     picture = np.array(Image.open(io.BytesIO(png)).convert("RGB")) @ np.array([1 << 16, 1 << 8, 1])
-    lawn = np.argwhere(picture == LAWN)
-    # The city lies on a lawn that reaches beyond its outermost cells by a ninetieth of the picture's height.
+    joined = not (picture == LAWN).any()
+    lawn = np.argwhere(picture == (STREET if joined else LAWN))
+    # Its lawn, or its squares, reach beyond the outermost cells by a ninetieth of the picture's height.
     (top, left), (bottom, right) = lawn.min(0) + len(picture) // 90, lawn.max(0) + 1 - len(picture) // 90
     rows, columns = np.linspace(top, bottom, height + 1).round(), np.linspace(left, right, width + 1).round()
     kinds = np.zeros((height, width), np.uint8)
@@ -39,4 +46,8 @@ def read_picture(png: bytes, width: int, height: int) -> npt.NDArray[np.uint8]:
         cell = picture[int(rows[y]) : int(rows[y + 1]), int(columns[x]) : int(columns[x + 1])]
         shares = {kind: max((cell == colour).mean() for colour in colours) for kind, colours in LOOKS.items()}
         kinds[y, x] = next((kind for kind, share in shares.items() if share > ENOUGH), Cell.ROAD)
+        if joined and kinds[y, x] == Cell.ROAD:
+            # Roofs stand a sixth of a cell higher.
+            middle = cell[len(cell) // 6 : len(cell) * 2 // 3, len(cell) // 6 : -len(cell) // 6]
+            kinds[y, x] = next((kind for kind, colours in JOINED.items() if np.isin(middle, colours).mean() > 0.2), 0)
     return kinds

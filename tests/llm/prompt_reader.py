@@ -39,6 +39,9 @@ LOOKS = {
     "a grey roof is a building": "building",
     "round green crowns are a tree": "tree",
     "a red and white barrier is an obstacle": "obstacle",
+    "a beige roof is buildings": "building",
+    "pale green with darker crowns is trees": "tree",
+    "grey with red hatching is obstacles": "obstacle",
     "a blue square with a flash is a charging pad": "charging pad",
 }
 MOVES = [("UP", "y", "-"), ("DOWN", "y", "+"), ("LEFT", "x", "-"), ("RIGHT", "x", "+")]

@@ -107,7 +107,7 @@ def test_who_sees_nothing_but_the_text_flies_the_optimum(prompt: Prompt, task: s
         assert flown_by_reading(prompt, task, seed) == solve(task, seed).score
 
 
-@pytest.mark.parametrize("task", [task.short_name for task in DRAWN.values()])
+@pytest.mark.parametrize("task", [task.short_name for task in SMALL.values()])
 def test_the_map_can_be_rebuilt_from_its_picture(task: str) -> None:
     seed = split_seeds("test", 1)[0]
     prompt, episode, actions = get_prompt("vision"), Episode(task, seed=seed), solve(task, seed).actions
@@ -115,7 +115,8 @@ def test_the_map_can_be_rebuilt_from_its_picture(task: str) -> None:
     for step, action in enumerate(actions):
         if step in (0, len(actions) // 2, len(actions) - 1):
             told = told_by(prompt, episode)
-            if step == 0:  # later the drone hides what it flies over
+            # Later the drone hides what it flies over; a window shows a part of what there is in all.
+            if step == 0 and episode.task.terrain is None:
                 assert rules_of(told.task, True) == rules_of(episode.task, True)
             assert told.episode.grid().tolist() == episode.grid().tolist()
         episode.step(action)

@@ -90,6 +90,13 @@ def test_every_state_has_the_value_that_the_exact_solver_gives_it(prefix: str, s
         assert_equal_everywhere(Episode(prefix + size, seed=seed), states=1000)
 
 
+@pytest.mark.parametrize("task", ["city_small", "city"])
+def test_the_optimum_of_a_city_is_that_of_a_planner_that_shares_nothing_with_legs(task: str) -> None:
+    for seed in split_seeds("test", 30 if THOROUGH else 2):
+        flight = Episode(task, seed=seed).fly(most_battery.best_actions(Episode(task, seed=seed)))
+        assert solve(task, seed).score == flight.counted_score()
+
+
 @pytest.mark.parametrize("size", PLANNED)
 def test_the_optimum_is_that_of_planners_that_share_nothing_with_legs(size: str) -> None:
     for seed in split_seeds("test", PLANNED[size][THOROUGH]):

@@ -14,7 +14,7 @@ from drone_env.core.actions import Action, Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.envs import figures, rendering
+from drone_env.envs import blocks, figures, rendering
 from drone_env.envs.ansi import ROAD, TARGET, WAY, draw_text, draw_tour
 from drone_env.envs.rendering import PANEL, TEXT, draw_picture, save_picture
 from drone_env.errors import EpisodeError, InvalidValueError
@@ -332,14 +332,33 @@ class TestText:
 
 
 def test_whose_data_a_city_is_stands_below_it() -> None:
-    task = get_task("city_small")
+    task = get_task("city")
     assert task.terrain
-    said = draw_picture(fresh(task, 7), 360)
-    rendering._city.cache_clear()  # which takes tasks that differ in this alone for one
-    unsaid = draw_picture(fresh(replace(task, terrain=replace(task.terrain, attribution="")), 7), 360)
-    rendering._city.cache_clear()
+    said = draw_picture(fresh(task), 360)
+    unsaid = draw_picture(fresh(replace(task, terrain=replace(task.terrain, attribution=""))), 360)
     layout = rendering._layout(task, 360)
     rows, columns, _ = np.nonzero(said != unsaid)
     assert rows.min() >= layout.top + task.height * layout.cell
     assert rows.max() > rows.min() + 3
     assert columns.max() < layout.city
+
+
+def test_cells_that_share_a_side_are_drawn_as_one_shape() -> None:
+    rows = ["BB..T", "B.BTT", "...XX"]
+    grid = np.array([[".BTX".index(letter) for letter in row] for row in rows], np.uint8)
+    grid = np.array([Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE], np.uint8)[grid]
+    drawn = np.array(blocks.draw_blocks(grid, 30, 3, 4))
+    assert drawn.shape == (3 * 30 + 6, 5 * 30 + 6, 3)
+
+    def looks(x: float, y: float) -> str:
+        """At a point given in cells, as high above it as roofs are."""
+        return "#{:02X}{:02X}{:02X}".format(*drawn[round(3 + 30 * y), round(3 + 30 * x)])
+
+    roof = looks(0.5, 0.5 - blocks.HEIGHT)
+    assert roof in blocks.ROOFS
+    assert looks(1.0, 0.5 - blocks.HEIGHT) == looks(0.5, 1.0 - blocks.HEIGHT) == roof
+    # Those that meet at a corner alone are two.
+    assert looks(2.0, 1.0) == blocks.SHADE
+    assert looks(1.5, 1.5) == blocks.STREET
+    assert {looks(4.5, 1.0), looks(4.0, 1.5)} <= {blocks.WOOD, blocks.CROWN}
+    assert {looks(4.0, 2.5), looks(3.5, 2.5)} <= {blocks.CLOSED, blocks.HATCH}

@@ -80,7 +80,7 @@ class DrawnMap(Message):
             start=[x, y],
             parcels=[[px, py] for px, py, _ in episode.parcels],
             numbers=_numbers(episode),
-            attribution=task.terrain.attribution if task.terrain else "",
+            attribution=task.attribution,
         )
 
     def city(self) -> City:
