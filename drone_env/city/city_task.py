@@ -4,7 +4,7 @@ from pathlib import Path
 
 from drone_env.city.city_file import City, read_city
 from drone_env.core.cells import Cell
-from drone_env.core.tasks import TaskConfig, task_on
+from drone_env.core.tasks import MAX_SIDE, TaskConfig, task_on
 from drone_env.core.terrain import Terrain
 from drone_env.errors import InvalidTaskError
 
@@ -42,6 +42,11 @@ def task_of(city: City, name: str) -> TaskConfig:
         "height": height,
         "pads": pads,
     }
+    if max(width, height) > MAX_SIDE:
+        sides = f"width and height must be 2 to {MAX_SIDE}, got {(width, height)}"
+        raise InvalidTaskError(
+            f"task {name!r}: {sides}; a city may name less in [task], for maps that are windows of it"
+        )
     task = task_on(terrain, name, **numbers)
     _ = task.windows  # what does not fit is refused here
     return task

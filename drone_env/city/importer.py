@@ -12,14 +12,12 @@ from drone_env.city.layers import Layer, layers
 from drone_env.city.movingai import read_movingai
 from drone_env.city.openstreetmap import ATTRIBUTION, LICENCE, Extract, Found, extent, read_extract
 from drone_env.city.raster import paint_area, paint_line, water_beside
-from drone_env.city.sheet import BBox, Sheet, sheet_of
+from drone_env.city.sheet import MAX_CELL, MIN_CELL, BBox, Sheet, sheet_of
 from drone_env.core.cells import Cell
 from drone_env.errors import InvalidValueError
 
 FINE = 16
 """Samples along the side of a cell: one a metre, where nothing else is said."""
-MIN_CELL, MAX_CELL = 1.0, 100.0
-"""Metres along the side of a cell."""
 
 
 @dataclass

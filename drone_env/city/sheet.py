@@ -6,12 +6,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.city.city_file import MIN_SIDE, check_bbox
+from drone_env.city.city_file import MAX_SIDE, MIN_SIDE, check_bbox
 from drone_env.errors import InvalidValueError
 
 EQUATOR = 6_378_137.0
 """The semi-major axis of the ellipsoid of WGS 84, in metres."""
 FLATTENING = 1 / 298.257223563
+MIN_CELL, MAX_CELL = 1.0, 100.0
+"""Metres along the side of a cell."""
 BBox = tuple[float, float, float, float]
 """West, south, east, north in degrees."""
 
@@ -74,8 +76,10 @@ def sheet_of(bbox: BBox, cell: float, size: tuple[int, int], middle: bool = Fals
     columns, rows = min(wanted[0], size[0]), min(wanted[1], size[1])
     if not middle and (columns, rows) != wanted:
         fits = max((east - west) * degree[0] / (size[0] + 0.49), (north - south) * degree[1] / (size[1] + 0.49))
-        allowed = f"{size[0]} x {size[1]}: take a smaller --bbox, a larger --size, or --cell {math.ceil(fits)}"
-        raise InvalidValueError(f"--bbox: {holds}; --size allows {allowed}")
+        ways = ["take a smaller --bbox"]
+        ways += ["a larger --size"] if max(wanted) <= MAX_SIDE else []
+        ways += [f"--cell {math.ceil(fits)}"] if math.ceil(fits) <= MAX_CELL else []
+        raise InvalidValueError(f"--bbox: {holds}; --size allows {size[0]} x {size[1]}: {', or '.join(ways)}")
     half = columns * cell / 2 / degree[0], rows * cell / 2 / degree[1]
     # OpenStreetMap keeps seven decimals.
     box = at[0] - half[0], at[1] - half[1], at[0] + half[0], at[1] + half[1]

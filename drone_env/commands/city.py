@@ -9,11 +9,13 @@ import numpy as np
 import tyro
 
 from drone_env.city.city_file import MAX_SIDE, write_city
+from drone_env.city.city_task import task_of
 from drone_env.city.importer import Imported, import_city
 from drone_env.commands.flights import prepare_file
 from drone_env.core.cells import Cell
 from drone_env.core.terrain import pieces
-from drone_env.errors import InvalidValueError
+from drone_env.envs.registry import check_names
+from drone_env.errors import InvalidTaskError, InvalidValueError
 from drone_env.files import replacing
 from drone_env.reports.tables import Table, percent, print_table
 
@@ -84,6 +86,10 @@ def _print(imported: Imported, out: Path) -> None:
     print_table(Table("", ("cell", "cells", "share"), kinds), width=80, names=1)
     largest = np.bincount(pieces(grid == Cell.OBSTACLE).ravel())[1:].max(initial=0)
     print(f"The largest piece that can be flown without entering an obstacle has {largest} cells.")
+    try:
+        check_names(task_of(city, out.stem))
+    except InvalidTaskError as error:
+        print(f"It cannot be flown as it is: {error}")
     if imported.layers:
         dropped = f"{imported.outside} things outside, {imported.broken} broken"
         print(f"Dropped: {dropped}, {sum(imported.unknown.values())} that no layer takes{_named(imported.unknown)}.")

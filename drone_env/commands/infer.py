@@ -12,7 +12,7 @@ import tyro
 
 from drone_env.commands.arguments import ChosenTask, ClusterAddress, ProfileName, SeedRange, SplitName, chosen_maps
 from drone_env.core.rewards import ORIGINAL_PROFILE, own_profile
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import get_task, own_rules
 from drone_env.envs.registry import register_city
 from drone_env.errors import InvalidValueError, StoreError, needs, text_of
 from drone_env.files import RUNS
@@ -148,6 +148,7 @@ def infer(
                 base_url=check_url(settings.api_base_url),
                 task=config_task.id,
                 task_version=config_task.version,
+                rules=own_rules(config_task),
                 split=chosen_split,
                 seeds=(maps.start, maps.stop),
                 repeats=repeats,

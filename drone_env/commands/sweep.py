@@ -11,6 +11,7 @@ from rich.console import Console
 from drone_env.commands.arguments import TaskName
 from drone_env.errors import InvalidValueError, MissingPackageError
 from drone_env.files import data_folder
+from drone_env.reports.tables import number
 
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
 Values = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(name="set", metavar="NAME=VALUE,VALUE...")]
@@ -92,7 +93,8 @@ def sweep(
         if "failed" in report:
             message = f"failed: {report['failed']}"
         else:
-            message = f"{report['episodes']} episodes, validation {report['validation']:.4f} of {report['optimum']:.4f}"
+            best = number(report["optimum"])
+            message = f"{report['episodes']} episodes, validation {report['validation']:.4f} of {best}"
         print(f"{trial.name} ({config.label(trial.setting)}): {message}", file=sys.stderr, flush=True)
 
     with folder.driving():

@@ -1,10 +1,12 @@
 """The tasks: all their numbers, in one place. A new task is one more entry in `TASKS`."""
 
+import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from functools import cached_property
+from hashlib import sha256
 from itertools import chain
 from typing import Any
 
@@ -240,6 +242,13 @@ class TaskConfig:
         fixed = {} if self.terrain is None else {"terrain": self.terrain.digest()}
         return numbers | {"impassable": sorted(self.impassable)} | fixed
 
+    @cached_property
+    def digest(self) -> str:
+        """What tells its rules from those of any other task, 16 hex digits; a field of a later version changes none."""
+        usual: dict[str, Any] = {one.name: one.default for one in fields(self)} | {"impassable": []}
+        own = {name: value for name, value in self.rules().items() if value != usual.get(name, MISSING)}
+        return sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
+
     @property
     def telemetry_size(self) -> int:
         """5; 6 where the battery does not tell the time and the share of steps left is appended; 13 with pads.
@@ -399,6 +408,9 @@ TASKS: dict[str, TaskConfig] = {
 """Every task in its current version, by its id."""
 
 
+PACKAGE_TASKS = frozenset(TASKS)
+"""Those of the package itself: their names and versions say all."""
+
 PAST_TASKS: tuple[TaskConfig, ...] = ()
 """Earlier versions of tasks: they keep working forever."""
 
@@ -407,6 +419,11 @@ FINDERS: list[Callable[[str], TaskConfig | None]] = []
 
 WITHDRAWN = tuple((f"skyline_{level}", 1) for level in ("easy", "medium", "hard"))
 """(id, version) of tasks that were never published on a package index, and that no code draws maps of any more."""
+
+
+def own_rules(*tasks: TaskConfig) -> dict[str, str]:
+    """The digests of those tasks that are none of the package's: what has to be kept, as their names tell no more."""
+    return {f"rules of {task.id}": task.digest for task in tasks if task.id not in PACKAGE_TASKS}
 
 
 def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:

@@ -59,15 +59,24 @@ def register_task(task: TaskConfig) -> TaskConfig:
     """
     from drone_env.graders import GRADERS, make_grader  # loads Pydantic, which the package's face does without
 
+    check_names(task)
+    TASKS[task.id] = task
+    GRADERS.setdefault(task.id, make_grader(task.id))
+    register_envs()
+    return task
+
+
+def check_names(task: TaskConfig) -> None:
+    """See that no other task has one of the names of a task.
+
+    Raises:
+        InvalidTaskError: if one has.
+    """
     names = {task.id, task.short_name, task.grader}
     for other in (*TASKS.values(), *PAST_TASKS):
         taken = sorted(names & {other.id, other.short_name, other.grader})
         if taken and other != task:
             raise InvalidTaskError(f"task {task.id!r}: {', '.join(taken)} already names the task {other.id!r}")
-    TASKS[task.id] = task
-    GRADERS.setdefault(task.id, make_grader(task.id))
-    register_envs()
-    return task
 
 
 def register_city(path: str | Path) -> TaskConfig:
@@ -142,7 +151,11 @@ def load_plugins(names: str | None = None) -> list[ModuleType]:
     parts = [part.strip() for part in (plugin_names() if names is None else names).split(",")]
     for city in (part for part in parts if part.endswith(".toml")):
         _register_city(city)
+    modules = [part for part in parts if part and not part.endswith(".toml")]
+    for name in modules:
+        if name.startswith("."):  # which Python would take for a part of a package
+            raise InvalidValueError(f"{PLUGINS} takes modules and files that end in .toml, got {name!r}")
     try:
-        return [import_module(name) for name in parts if name and not name.endswith(".toml")]
+        return [import_module(name) for name in modules]
     except ModuleNotFoundError as error:
         raise InvalidValueError(f"{PLUGINS} takes modules that Python finds, comma-separated: {error}") from None

@@ -8,6 +8,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from drone_env.core.tasks import PACKAGE_TASKS, TaskConfig
 from drone_env.errors import StoreError
 
 BUSY_SECONDS = 30.0
@@ -75,6 +76,15 @@ MIGRATIONS: tuple[str, ...] = (
     """
     ALTER TABLE sessions ADD COLUMN address TEXT;
     CREATE UNIQUE INDEX unnamed_sessions ON sessions (address) WHERE address IS NOT NULL;
+    """,
+    # 4. Which task the rows above mean, where it is none of the package's: another may be registered by its name later.
+    """
+    CREATE TABLE own_tasks (
+        task TEXT NOT NULL,
+        task_version INTEGER NOT NULL,
+        rules TEXT NOT NULL,
+        PRIMARY KEY (task, task_version)
+    ) WITHOUT ROWID;
     """,
 )
 
@@ -162,6 +172,29 @@ class Database:
                 raise
             finally:
                 self._writing_thread = None
+
+    def check_task(self, connection: sqlite3.Connection, task: TaskConfig, claim: bool = False) -> None:
+        """See that what is kept under the name of a task is of this task.
+
+        Args:
+            connection: This file's.
+            task: The task.
+            claim: Whether something of it is to be kept: its name then means this task alone from now on.
+
+        Raises:
+            StoreError: if it is of another.
+        """
+        if task.id in PACKAGE_TASKS:
+            return
+        name = (task.id, task.version)
+        kept = connection.execute("SELECT rules FROM own_tasks WHERE task = ? AND task_version = ?", name).fetchone()
+        if kept is None and claim:
+            connection.execute("INSERT INTO own_tasks VALUES (?, ?, ?)", (*name, task.digest))
+        elif kept not in (None, (task.digest,)):
+            raise StoreError(
+                f"store {self.path} keeps flights of another task {task.id!r} (rules {kept[0]}, now {task.digest}): a "
+                "city or task that is changed takes another name, or another data folder"
+            )
 
     def _connect(self, busy_seconds: float) -> sqlite3.Connection:
         connection = sqlite3.connect(self.path, busy_seconds, isolation_level=None, check_same_thread=False)

@@ -85,10 +85,11 @@ class Optima:
             best = best_of(task, seed)
             solved.append((task.id, task.version, seed, None if best is None else best.score))
             if time.monotonic() - kept_at > KEEP_SECONDS:
-                self._keep(solved)
+                self._keep(task, solved)
                 solved, kept_at = [], time.monotonic()
-        self._keep(solved)
+        self._keep(task, solved)
 
-    def _keep(self, solved: Sequence[tuple[str, int, int, float | None]]) -> None:
+    def _keep(self, task: TaskConfig, solved: Sequence[tuple[str, int, int, float | None]]) -> None:
         with self._database.writing() as connection:
+            self._database.check_task(connection, task, claim=True)
             connection.executemany("INSERT OR IGNORE INTO optima VALUES (?, ?, ?, ?)", solved)

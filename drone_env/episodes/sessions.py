@@ -14,7 +14,7 @@ from drone_env.core.actions import check_action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile
 from drone_env.core.seeds import check_seed
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.episodes.finished import StoredEpisode, check_agent
 from drone_env.errors import EpisodeError, InvalidValueError, NoSessionError, SessionGoneError, WithdrawnError
 
@@ -141,7 +141,7 @@ class SessionRow:
             UnknownNameError: if there is no such task, version or profile.
             InvalidValueError: if the seed is not in [0, 2^53), or the agent's name is not one printable line.
         """
-        task = known_task(task, task_version, seed, reward_profile)
+        task = known_task(task, task_version, seed, reward_profile).id
         if agent is not None:
             self.agent = check_agent(agent)
         self.task, self.task_version, self.seed, self.reward_profile = task, task_version, int(seed), reward_profile
@@ -176,8 +176,8 @@ def flight_of(episode: Episode) -> tuple[str, int, int, str]:
     return episode.task.id, episode.task.version, episode.seed, episode.reward_profile.id
 
 
-def known_task(task: str, task_version: int, seed: int, reward_profile: str) -> str:
-    """The id of a task, if this flight can be flown.
+def known_task(task: str, task_version: int, seed: int, reward_profile: str) -> TaskConfig:
+    """The task, if this flight can be flown.
 
     Raises:
         UnknownNameError: if there is no such task, version or profile.
@@ -185,7 +185,7 @@ def known_task(task: str, task_version: int, seed: int, reward_profile: str) -> 
     """
     get_reward_profile(reward_profile)
     check_seed(seed)
-    return get_task(task, task_version).id
+    return get_task(task, task_version)
 
 
 def new_episode_id() -> str:

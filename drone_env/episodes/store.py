@@ -14,7 +14,7 @@ from typing import Any
 from typing_extensions import Self
 
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.episodes.by_map import SELECT_BY_MAP, FlownMap, flown_map
 from drone_env.episodes.database import BUSY_SECONDS, Database
 from drone_env.episodes.finished import (
@@ -67,7 +67,8 @@ class Store:
 
     Raises:
         OSError: if the folder or the file cannot be made.
-        StoreError: if the file in it is no store, was written by a newer version of this package, or cannot be opened.
+        StoreError: if the file in it is no store, was written by a newer version of this package, cannot be opened, or
+            keeps flights of another task under the name of one that is registered.
     """
 
     def __init__(
@@ -77,6 +78,9 @@ class Store:
         self.folder.mkdir(parents=True, exist_ok=True)
         self._database = Database(self.folder / FILE_NAME, busy_seconds)
         try:
+            with self._database.reading() as connection:
+                for task in list(TASKS.values()):
+                    self._database.check_task(connection, task)
             self._clock = self._continued(clock or steady_clock())
             self._view = MemoryView(self.folder / VIEW_NAME, self._newer)
         except BaseException:
@@ -130,6 +134,7 @@ class Store:
             raise InvalidValueError(f"the id of an episode is 16 hex digits, got {episode_id!r}")
         stored = StoredEpisode.of(episode_id or new_episode_id(), episode, str(agent))
         with self._database.writing() as connection:
+            self._database.check_task(connection, episode.task, claim=True)
             insert_episode(connection, stored)
         self._view.refresh()
         return stored.id
@@ -263,10 +268,11 @@ class Store:
             StoreError: if it could not be written.
         """
         session_id = secrets.token_urlsafe(24)
-        task = known_task(task, task_version, seed, reward_profile)
-        now = self._clock()
-        row = (session_id, task, task_version, seed, reward_profile, check_agent(agent), "", None, now, now, address)
+        known = known_task(task, task_version, seed, reward_profile)
+        now, agent = self._clock(), check_agent(agent)
+        row = (session_id, known.id, task_version, seed, reward_profile, agent, "", None, now, now, address)
         with self._database.writing() as connection:
+            self._database.check_task(connection, known, claim=True)
             (taken,) = connection.execute(COUNT).fetchone()
             if taken >= capacity and not end_finished(connection, now):
                 raise CapacityError(f"all {capacity} sessions are taken: try again later")
@@ -301,7 +307,10 @@ class Store:
                 row.address = None
             elif row.address != address:
                 raise NoSessionError("somebody has named this session meanwhile")
+            flight = row.flight
             yield row
+            if row.flight != flight or row.finished:
+                self._database.check_task(connection, get_task(row.task, row.task_version), claim=True)
             for stored in row.finished:
                 insert_episode(connection, stored)
             update_session(connection, row, self._clock())

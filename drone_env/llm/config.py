@@ -9,7 +9,7 @@ from typing_extensions import Self
 
 from drone_env.core.rewards import RewardProfile, get_reward_profile
 from drone_env.core.seeds import N_SEEDS
-from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.tasks import TaskConfig, get_task, own_rules
 from drone_env.files import differences
 from drone_env.llm.prompt import Prompt, get_prompt, parse_prompt
 from drone_env.llm.settings import check_url
@@ -47,6 +47,7 @@ class RunConfig(Message):
     base_url: str
     task: str
     task_version: int = Field(ge=1)
+    rules: dict[str, str] = Field(default={}, description="Digest of the task's rules, where it is not the package's.")
     split: str
     seeds: tuple[Count, Count] = Field(strict=False, description="The maps, [start, stop).")
     repeats: int = Field(ge=1, le=100, description="Flights over each map.")
@@ -75,7 +76,11 @@ class RunConfig(Message):
 
     @model_validator(mode="after")
     def _known(self) -> Self:
-        get_task(self.task, self.task_version)
+        if self.rules not in ({}, own_rules(self.task_config)):
+            raise ValueError(
+                f"the run flew another task of the name {self.task!r} than there is now: name the file as it was; "
+                "a city that is changed takes another name"
+            )
         if self.profile.id != self.reward_profile:
             raise ValueError(f"rewards are those of {self.profile.id!r}, not of {self.reward_profile!r}")
         if self.history and not self._prompt().tells_history:
@@ -123,8 +128,8 @@ class RunConfig(Message):
         return parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
 
     def differences(self, other: "RunConfig") -> list[str]:
-        """What differs, one line for each field."""
-        return differences(dict(self), dict(other))
+        """What differs, one line for each field. Runs from before tell no rules, and others have those of the task."""
+        return differences(dict(self), dict(other) | {"rules": self.rules})
 
 
 def digest(value: object) -> str:

@@ -3,9 +3,11 @@
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from functools import lru_cache
 from statistics import fmean
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, TooLargeError, UnsupportedTaskError
 from drone_env.evaluation.analysis import analyse_flight
 from drone_env.evaluation.episodes import episodes_key, run_episodes
@@ -15,6 +17,9 @@ from drone_env.llm.options import Prices
 from drone_env.llm.run_folder import PilotedRecord
 from drone_env.llm.runner import mean_over_maps, verdict_of
 from drone_env.llm.verify import VerifiedRun
+
+if TYPE_CHECKING:
+    from drone_env.planning.solver import Solver
 
 BASELINES = ("random", "greedy", "pathqnet", "tournet", "optimal")
 
@@ -124,13 +129,21 @@ def _pass_hat_k(maps: Sequence[Sequence[PilotedRecord]]) -> dict[str, float]:
 
 def _moves(run: VerifiedRun) -> dict[str, Any] | None:
     """How many moves have which label; None where the maps are too large for exact values."""
+    from drone_env.planning.solvers import solver_of  # loads Numba
+
     counts: dict[str, int] = defaultdict(int)
     best = decisive = 0
-    for result, record in zip(run.results, run.records, strict=True):
+
+    @lru_cache(maxsize=1)
+    def solver(seed: int) -> "Solver":
+        return solver_of(Episode(run.config.task_config, seed=seed))
+
+    # All flights over a map, one after another: what takes time is its solver.
+    for result, record in sorted(zip(run.results, run.records, strict=True), key=lambda pair: pair[1].seed):
         if result.status == "errored":
             continue
         try:
-            analysis = analyse_flight(record)
+            analysis = analyse_flight(record, lambda start: solver(start.seed))
         except TooLargeError:
             return None
         for label, count in analysis.counts.items():

@@ -12,11 +12,14 @@ OWN = {Cell.DELIVERY: "parcel to deliver", Cell.DELIVERED: "delivered parcel", C
 TITLES = {Cell.BUILDING: "Buildings", Cell.TREE: "Trees", Cell.OBSTACLE: "Obstacles", Cell.PAD: "Charging pads"}
 
 
-def _places(observation: DroneObservation, kind: str) -> str:
-    found = [
-        f"({x}, {y})" for y, line in enumerate(observation.cell_types) for x, name in enumerate(line) if name == kind
-    ]
-    return " ".join(found) or "none"
+def _places(observation: DroneObservation) -> dict[str, str]:
+    """Where the cells of each kind are, roads left out, by its name; in one pass, since a city has thousands."""
+    found: dict[str, list[str]] = {kind.name: [] for kind in CELL_KINDS.values()}
+    for y, line in enumerate(observation.cell_types):
+        for x, name in enumerate(line):
+            if name != "road":
+                found[name].append(f"({x}, {y})")
+    return {name: " ".join(places) or "none" for name, places in found.items()}
 
 
 def _target(observation: DroneObservation) -> str:
@@ -38,15 +41,12 @@ OBSERVED: dict[str, Callable[[DroneObservation], object]] = {
     "max_steps": lambda seen: seen.max_steps,
     "width": lambda seen: seen.grid_width,
     "height": lambda seen: seen.grid_height,
-    "parcels": lambda seen: _places(seen, "delivery"),
-    "buildings": lambda seen: _places(seen, "building"),
-    "trees": lambda seen: _places(seen, "tree"),
-    "obstacles": lambda seen: _places(seen, "obstacle"),
-    "pads": lambda seen: _places(seen, "pad"),
 }
-VALUES = {*OBSERVED, "grid", "legend", "history", "task", "drains", "impassable", "terrain", "joined"}
+PLACES = {"parcels": "delivery", "buildings": "building", "trees": "tree", "obstacles": "obstacle", "pads": "pad"}
+"""What prompts call the places of the cells of a kind."""
+VALUES = {*OBSERVED, *PLACES, "grid", "legend", "history", "task", "drains", "impassable", "terrain", "joined"}
 """What a template may name."""
-FIRST_VALUES = {*OBSERVED, "grid", "history", "rules"}
+FIRST_VALUES = {*OBSERVED, *PLACES, "grid", "history", "rules"}
 """What one of the first form may name."""
 
 
@@ -64,8 +64,10 @@ def values_of(
     from drone_env.envs.blocks import is_joined  # loads Pillow
 
     history = "\n".join(["", "Last steps:", *last_steps]) if last_steps else ""
-    of_task = set(deciding(task))
-    return {name: of(observation) for name, of in OBSERVED.items()} | {
+    of_task, places = set(deciding(task)), _places(observation)
+    seen = {name: of(observation) for name, of in OBSERVED.items()}
+    seen |= {name: places[kind] for name, kind in PLACES.items()}
+    return seen | {
         "grid": "\n".join(" ".join(symbols.letters[name] for name in line) for line in observation.cell_types),
         "legend": symbols.legend,
         "rules": _rules(task),
@@ -73,9 +75,7 @@ def values_of(
         "task": task,
         "drains": [(_name(kind), units) for kind, units in task.drain if units != 1],
         "impassable": sorted(map(_name, task.impassable)),
-        "terrain": [
-            (title, _places(observation, CELL_KINDS[kind].name), kind in of_task) for kind, title in TITLES.items()
-        ],
+        "terrain": [(title, places[CELL_KINDS[kind].name], kind in of_task) for kind, title in TITLES.items()],
         "joined": is_joined(task),
     }
 

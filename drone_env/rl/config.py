@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, own_profile
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import get_task, own_rules
 from drone_env.errors import InvalidValueError
 
 
@@ -110,7 +110,7 @@ class TrainConfig:
     def identity(self) -> dict[str, Any]:
         """What a resumed run must share with the one that it goes on from: all but how long and how often.
 
-        Of a reward profile that is none of the package's, all that it holds.
+        Of a reward profile that is none of the package's, all that it holds; of such a task, the digest of its rules.
         """
         own = own_profile(self.reward_profile)
         rewards = {} if own is None else {f"reward {name}": term for name, term in own.terms().items()}
@@ -118,6 +118,7 @@ class TrainConfig:
         return {name: value for name, value in asdict(self).items() if name not in free} | {
             "task": get_task(self.task).id,
             "task_version": get_task(self.task).version,
+            **own_rules(get_task(self.task)),
             **rewards,
         }
 

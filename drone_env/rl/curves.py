@@ -1,5 +1,6 @@
 """The curves of training runs as pictures."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -36,7 +37,8 @@ def draw_curves(runs: Mapping[str, Sequence[Any]], title: str, curves: Mapping[s
                 axes.plot(at, [figures[part] for figures in parts], label=part)
         if name in ("validation", "shares"):
             optimum = next(iter(runs.values()))[-1].validation_optimum
-            axes.axhline(optimum, color="black", linestyle="--", label="exact optimum")
+            if not math.isnan(optimum):
+                axes.axhline(optimum, color="black", linestyle="--", label="exact optimum")
             axes.set_ylim(0, 1)
         axes.set(xlabel=f"{counted}s", ylabel=label, title=title)
         axes.grid(alpha=0.3)

@@ -4,7 +4,7 @@ import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.core.tasks import TASKS, TaskConfig, get_task, own_rules
 from drone_env.errors import InvalidValueError
 
 ALL = "all"
@@ -140,6 +140,7 @@ class TourConfig:
         return {name: value for name, value in asdict(self).items() if name != "checkpoint_seconds"} | {
             "task": ALL if self.task == ALL else get_task(self.task).id,
             "tasks": {task.id: task.version for task in self.tasks()},
+            **own_rules(*self.tasks()),
         }
 
 

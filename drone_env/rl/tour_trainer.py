@@ -292,7 +292,7 @@ class TourTrainer(Learner):
     @property
     def result(self) -> str:
         """The share of the optimum that the network reaches on each task."""
-        return ", ".join(f"{name} {share:.4f}" for name, share in self.shares.items()) + " of the optimum"
+        return ", ".join(f"{name} {figure(share, 4)}" for name, share in self.shares.items()) + " of the optimum"
 
     @property
     def judged_by(self) -> str:
@@ -314,7 +314,7 @@ class TourTrainer(Learner):
             "updates": self.updates,
             "states": self.states,
             "cpu_seconds": round(self.cpu_seconds, 1),
-            "validation_shares": self.shares,
+            "validation_shares": {name: None if math.isnan(share) else share for name, share in self.shares.items()},
         }
 
 

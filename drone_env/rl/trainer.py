@@ -8,6 +8,7 @@ into the replay, and after every `steps_per_update` steps the network is fitted 
 Every end is part of the task, so nothing is bootstrapped over an end, and nothing truncates an episode before it.
 """
 
+import math
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
@@ -63,7 +64,7 @@ class Progress:
         success: Share of episodes that delivered everything.
         length: Mean steps of an episode.
         validation: Mean score of the network alone on the validation maps, of the last validation; NaN before it.
-        validation_optimum: The exact optimum of the same maps.
+        validation_optimum: The exact optimum of the same maps; NaN where it is not known.
     """
 
     episode: int
@@ -87,7 +88,6 @@ class Trainer(Learner):
 
     Raises:
         InvalidValueError: if a GPU is asked for and there is none.
-        TooLargeError: if the optimum of the validation maps cannot be worked out.
     """
 
     config: TrainConfig
@@ -316,9 +316,7 @@ class Trainer(Learner):
         withdrawn = withdrawal(state["config"].get("task"), state["config"].get("task_version"))
         if withdrawn is not None:
             raise CheckpointError(f"the checkpoint is of a run on what there is no more: {withdrawn}")
-        ours, theirs = self.config.identity(), state["config"]
-        # Older checkpoints do not tell what their reward profile holds.
-        require_same({name: ours[name] for name in ours if name in theirs or not name.startswith("reward ")}, theirs)
+        require_same(self.config.identity(), state["config"])
         for name in LEARNED:
             getattr(self, name).load_state_dict(state[name])
         for name in PLAIN:
@@ -345,7 +343,7 @@ class Trainer(Learner):
     @property
     def result(self) -> str:
         """The score of the best network, beside the optimum."""
-        return f"{self.best_score:.4f} of {self.validator.optimum:.4f}"
+        return f"{self.best_score:.4f} of {figure(self.validator.optimum, 4)}"
 
     @property
     def judged_by(self) -> str:
@@ -361,7 +359,7 @@ class Trainer(Learner):
         """A line of the log in few words, for who watches."""
         return (
             f"epsilon {line.epsilon:.2f}  loss {figure(line.loss, 5)}  "
-            f"validation {figure(line.validation, 4)} of {line.validation_optimum:.4f}"
+            f"validation {figure(line.validation, 4)} of {figure(line.validation_optimum, 4)}"
         )
 
     def metadata(self) -> dict[str, Any]:
@@ -375,7 +373,7 @@ class Trainer(Learner):
             "steps": self.steps,
             "updates": self.updates,
             "validation_score": self.best_score,
-            "validation_optimum": self.validator.optimum,
+            "validation_optimum": None if math.isnan(self.validator.optimum) else self.validator.optimum,
         }
 
     def best_network(self) -> PathQNet:

@@ -7,7 +7,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 from drone_env.core.rewards import ORIGINAL_PROFILE
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import get_task, own_rules
 from drone_env.episodes.store import Store
 from drone_env.files import RUNS
 from drone_env.llm.answers import Answer, Reading, read_answer
@@ -19,6 +19,26 @@ from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
 from drone_env.llm.transcript import Call, CallKey, Transcript
 from tests.llm.scripted_server import reply
+
+
+def run_config(prompt: str, task: str, seeds: range, model: str = "scripted", repeats: int = 1) -> RunConfig:
+    return RunConfig(
+        model=model,
+        base_url="http://localhost:1/v1",
+        task=get_task(task).id,
+        task_version=get_task(task).version,
+        rules=own_rules(get_task(task)),
+        split="custom",
+        seeds=(seeds.start, seeds.stop),
+        repeats=repeats,
+        reward_profile=ORIGINAL_PROFILE,
+        prompt=get_prompt(prompt).id,
+        prompt_digest=get_prompt(prompt).digest,
+        history=0,
+        answers="text",
+        stream=False,
+        sampling=Sampling(),
+    )
 
 
 def put_run(
@@ -36,22 +56,7 @@ def put_run(
         repeats: Flights over each map.
     """
     prompt = get_prompt("minimal")
-    config = RunConfig(
-        model=model,
-        base_url="http://localhost:1/v1",
-        task=get_task(task).id,
-        task_version=get_task(task).version,
-        split="custom",
-        seeds=(seeds.start, seeds.stop),
-        repeats=repeats,
-        reward_profile=ORIGINAL_PROFILE,
-        prompt=prompt.id,
-        prompt_digest=prompt.digest,
-        history=0,
-        answers="text",
-        stream=False,
-        sampling=Sampling(),
-    )
+    config = run_config(prompt.id, task, seeds, model, repeats)
     folder = RunFolder(data / RUNS / name, config, resume=False)
     # In a thread of its own, since a browser's test has an event loop in its own already.
     with ExitStack() as opened, ThreadPoolExecutor(1) as thread:

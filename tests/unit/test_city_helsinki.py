@@ -162,7 +162,12 @@ def test_a_map_needs_no_extra(
     monkeypatch.setitem(sys.modules, "osmium", None)
     (tmp_path / "arena.map").write_text("type octile\nheight 2\nwidth 3\nmap\n.@.\n...\n")
     made(tmp_path / "arena.map", tmp_path / "arena.toml", "--picture", str(tmp_path / "arena.png"))
-    assert "arena.toml: 3 x 2 cells\n" in capfd.readouterr().out
+    told = capfd.readouterr().out
+    assert "arena.toml: 3 x 2 cells\n" in told
+    assert "It cannot be flown as it is: task 'arena': 6 things do not fit on 5 roads" in told
+    (tmp_path / "arena.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n...\n")
+    made(tmp_path / "arena.map", tmp_path / "city.toml")
+    assert "It cannot be flown as it is: task 'city': city, " in capfd.readouterr().out
 
 
 WRONG: dict[str, tuple[str, bytes | None, tuple[str, ...], str]] = {

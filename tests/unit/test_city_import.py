@@ -170,9 +170,11 @@ def test_the_length_of_a_degree(latitude: float, longitude_km: float, latitude_k
 
 
 def test_a_box_of_too_many_cells_is_refused_with_what_is_allowed() -> None:
-    allowed = r"6 x 4 cells of 16 metres; --size allows 4 x 4: take a smaller --bbox, a larger --size, or --cell 22"
+    allowed = "6 x 4 cells of 16 metres; --size allows 4 x 4: take a smaller --bbox, or a larger --size, or --cell 22"
     with pytest.raises(InvalidValueError, match=allowed):
         sheet_of(BOX, 16.0, (4, 4))
+    with pytest.raises(InvalidValueError, match=r"take a smaller --bbox$"):
+        sheet_of((0, 0, 1, 1), 16.0, (4, 4))
     assert sheet_of(BOX, 22.0, (4, 4))[1:3] == (4, 3)
     assert sheet_of(BOX, 16.0, (4, 4), middle=True)[1:3] == (4, 4)
 

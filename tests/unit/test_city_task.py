@@ -6,18 +6,28 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from drone_env.city.city_file import City, write_city
 from drone_env.city.city_task import city_task, task_of
 from drone_env.cli import main
+from drone_env.cluster.sweep.config import SweepConfig, make_config
+from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS, load_plugins, register_city, task_argument
-from drone_env.errors import InvalidTaskError
+from drone_env.episodes.store import Store
+from drone_env.errors import CheckpointError, InvalidTaskError, InvalidValueError, StoreError
 from drone_env.graders import GRADERS
+from drone_env.llm.config import RunConfig
+from drone_env.rl.config import TrainConfig
+from drone_env.rl.learner import require_same
+from drone_env.rl.tour_config import TourConfig
+from tests.llm.kept_run import run_config
 
 GRID = np.array([[0, 0, 1, 0], [0, 2, 3, 0], [0, 0, 0, 8], [0, 0, 0, 0]], np.uint8)
 
@@ -55,7 +65,7 @@ def test_a_city_is_a_task_of_its_counts_and_numbers(yard: Path) -> None:
     [
         (City(GRID, numbers={"pads": 0}), "pads must be at least the 1 of the terrain, got 0"),
         (City(GRID, numbers={"deliveries": 12}), "13 things do not fit on 12 roads"),
-        (City(np.zeros((129, 2), np.uint8)), "width and height must be 2 to 128, got (2, 129)"),
+        (City(np.zeros((129, 2), np.uint8)), "must be 2 to 128, got (2, 129); a city may name less in [task]"),
         (City(GRID, numbers={"max_steps": 0}), "max_steps must be 1 to 32000, got 0"),
     ],
 )
@@ -113,6 +123,8 @@ print(get_task("yard").rules()["terrain"])
 
 def test_plugins_may_be_cities(yard: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [module.__name__ for module in load_plugins(f"json, {yard}")] == ["json"]
+    with pytest.raises(InvalidValueError, match=r"modules and files that end in .toml, got '\./towns'"):
+        load_plugins("./towns")
     env = gymnasium.make("DroneDelivery-Yard-v1")
     assert env.reset(seed=3)[0]["grid"].shape == (4, 4)
     assert gymnasium.make_vec("DroneDelivery-Yard-v1", num_envs=2).reset(seed=3)[0]["grid"].shape == (2, 4, 4)
@@ -138,6 +150,47 @@ def test_a_record_is_of_one_city_alone(yard: Path, capsys: pytest.CaptureFixture
         assert "the record is of another city than 'yard' is now" in told.err
         assert told.out == ""
     assert task_argument(TASKS["yard"]) == str(yard)
+
+
+def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
+    def kept() -> tuple[dict[str, Any], dict[str, Any], SweepConfig, RunConfig]:
+        run = run_config("minimal", "yard", range(2))
+        sweep = make_config("yard", "fast", [{}], 1, 1, False, 1)
+        return TrainConfig(task="yard").identity(), TourConfig(task="yard").identity(), sweep, run
+
+    register_city(yard)
+    training, tour, sweep, run = kept()
+    with Store(yard.parent) as store:
+        session = store.open_session("yard", 1, 7, "tiered", "someone", 9)
+    Store(yard.parent).close()
+    del TASKS["yard"]
+    write_city(City(GRID, numbers={"deliveries": 3, "max_steps": 39}), yard)
+    register_city(yard)
+    now = kept()
+    for before, after in ((training, now[0]), (tour, now[1])):
+        with pytest.raises(CheckpointError, match="rules of yard '"):
+            require_same(after, before)
+        require_same(after, after)
+        # As checkpoints from before tell them.
+        require_same(after, {name: value for name, value in before.items() if name != "rules of yard"})
+    (told,) = sweep.differences(now[2])
+    assert told.startswith("rules of yard: '")
+    assert sweep.model_copy(update={"rules": {}}).differences(now[2]) == now[2].differences(now[2]) == []
+    with pytest.raises(ValidationError, match="the run flew another task of the name 'yard'"):
+        RunConfig.model_validate(dict(run))
+    assert RunConfig.model_validate(dict(run) | {"rules": {}}).differences(now[3]) == []
+    with pytest.raises(StoreError, match="keeps flights of another task 'yard'"):
+        Store(yard.parent)
+    del TASKS["yard"]
+    with Store(yard.parent) as store:
+        register_city(yard)
+        with pytest.raises(StoreError, match="another task"), store.session(session) as row:
+            row.reset("yard", 1, 8, "tiered")
+        with pytest.raises(StoreError, match="another task"):
+            store.open_session("yard", 1, 7, "tiered", "someone", 9)
+        with pytest.raises(StoreError, match="another task"):
+            store.add_episode(Episode("yard", seed=7).fly([0] * 39), "someone")
+    assert "rules of easy_delivery" not in TrainConfig().identity()
 
 
 def test_the_name_of_another_task_cannot_be_taken(yard: Path) -> None:

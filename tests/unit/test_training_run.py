@@ -20,7 +20,9 @@ from fastapi.testclient import TestClient
 
 from drone_env.agents.network import load_network
 from drone_env.cli import main
+from drone_env.core.seeds import split_seeds
 from drone_env.errors import CheckpointError, InvalidValueError
+from drone_env.rl import validation
 from drone_env.rl.checkpoint import load_checkpoint
 from drone_env.rl.config import ORIGINAL, TrainConfig, preset
 from drone_env.rl.run import DIGITS, TrainingRun, log_line
@@ -373,6 +375,22 @@ def test_two_cannot_train_the_same_in_one_folder(tmp_path: Path) -> None:
 
 @pytest.mark.feature("L6")
 @pytest.mark.usefixtures("no_curves")
+def test_maps_whose_optimum_is_not_known_are_trained_on_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = validation.best_of
+    seeds = split_seeds("validation", SMALL.validation_maps)
+    monkeypatch.setattr(validation, "best_of", lambda task, seed: None if seed == seeds[1] else known(task, seed))
+    run = run_in(tmp_path, episodes=10)
+    (*_, last) = run.train()
+    assert log_line(last).endswith(" optimum=-")
+    assert run.trainer.figures(last).endswith(f"validation {last.validation:.4f} of -")
+    assert run.trainer.result.endswith(" of -")
+    assert TrainLog(tmp_path).curve()["optimum"][-1] is None
+    assert load_network(run.network).metadata["validation_optimum"] is None
+    assert run_in(tmp_path, episodes=10).trainer.episodes == run.trainer.episodes
+
+
 def test_the_log_grows_and_begins_anew_with_what_the_checkpoint_holds(tmp_path: Path) -> None:
     run = run_in(tmp_path, episodes=10)
     lengths = [(tmp_path / "train.log").read_text().count("\n") for _ in run.train()]

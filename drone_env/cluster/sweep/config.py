@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field
 
 from drone_env.core.rewards import RewardProfile
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import get_task, own_rules
 from drone_env.envs.registry import register_reward_profile, task_argument
 from drone_env.errors import InvalidValueError
 from drone_env.files import differences
@@ -49,6 +49,7 @@ class SweepConfig(Message):
     format_version: Literal[1] = 1
     task: str
     task_version: int = Field(ge=1)
+    rules: dict[str, str] = Field(default={}, description="Digest of the task's rules, where it is not the package's.")
     preset: str
     fixed: Setting = Field(description="Every value of the training that has no other place, as the preset has it.")
     settings: tuple[Setting, ...] = Field(strict=False, min_length=1, description="What each setting changes of it.")
@@ -112,7 +113,10 @@ class SweepConfig(Message):
     def differences(self, other: "SweepConfig") -> list[str]:
         """What differs, one line for each field."""
         before, now = self.model_dump(mode="json"), other.model_dump(mode="json")
+        if not self.rules:  # sweeps from before tell none
+            now["rules"] = {}
         for values in (before, now):
+            values.update(values.pop("rules"))
             values.update({f"{name} of the preset": value for name, value in values.pop("fixed").items()})
             values.update({f"rewards of {name}": value for name, value in values.pop("rewards").items()})
         return differences(before, now)
@@ -148,6 +152,7 @@ def make_config(
     config = SweepConfig(
         task=known.id,
         task_version=known.version,
+        rules=own_rules(known),
         preset=preset_name,
         fixed={field.name: defaults[field.name] for field in fields(TrainConfig) if field.name not in ELSEWHERE},
         settings=tuple(settings),

@@ -86,7 +86,8 @@ def _train(run: TrainingRun[Trainer], until: int) -> Iterator[dict[str, Any]]:
             continue  # a line of the same step as the last that is wanted
         if line.episode // every > reported // every or line.episode >= until:
             reported = line.episode
-            yield {"episodes": line.episode, "validation": line.validation, "optimum": line.validation_optimum}
+            optimum = run.trainer.metadata()["validation_optimum"]
+            yield {"episodes": line.episode, "validation": line.validation, "optimum": optimum}
         run.stopped = line.episode >= until
 
 
@@ -106,7 +107,7 @@ def _state(run: TrainingRun[Trainer], before: TrialState, until: int) -> TrialSt
         seconds=round(run.seconds, 1),
         curve=curve,
         validation_score=trainer.best_score,
-        validation_optimum=trainer.validator.optimum,
+        validation_optimum=trainer.metadata()["validation_optimum"],
     )
 
 
