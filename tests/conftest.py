@@ -41,6 +41,12 @@ def registered() -> Generator[None, None, None]:
         os.environ.pop(PLUGINS) if plugins is None else os.environ.update({PLUGINS: plugins})
 
 
+@pytest.fixture
+def no_curves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing the curves of a training takes longer than the trainings of most tests."""
+    monkeypatch.setattr("drone_env.rl.run.draw_curves", lambda *_: None)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--features", action="store_true", help="run what speaks for a feature, and print the table")
 

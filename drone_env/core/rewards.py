@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from fractions import Fraction
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -198,17 +197,23 @@ def tabulate_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
                 value = min(max(value, profile.clamp[0]), profile.clamp[1])
             events[event * 3 + closer + 1] = float(value)
 
-    total = task.deliveries
-    gamma = Fraction(profile.shaping_gamma or 0)
-    phi = [
-        Fraction(2, 10) + Fraction(8, 10) / total * (done + 1 - Fraction(far, task.width + task.height))
-        for done in range(total + 1)
-        for far in range(STRIDE)
-    ]
+    potential = discounted = np.zeros((task.deliveries + 1) * STRIDE)
+    if profile.shaping_gamma is not None:
+        # phi over a common denominator: Python divides integers of any size as a fraction is rounded, much sooner.
+        across = task.width + task.height
+        whole = 10 * task.deliveries * across
+        phi = [
+            2 * task.deliveries * across + 8 * ((done + 1) * across - far)
+            for done in range(task.deliveries + 1)
+            for far in range(STRIDE)
+        ]
+        times, part = profile.shaping_gamma.as_integer_ratio()
+        potential = np.array([value / whole for value in phi])
+        discounted = np.array([times * value / (part * whole) for value in phi])
     tables: dict[str, Any] = {
         "events": events,
-        "potential": np.array([float(value) for value in phi]) * (profile.shaping_gamma is not None),
-        "discounted": np.array([float(gamma * value) for value in phi]),
+        "potential": potential,
+        "discounted": discounted,
         "pays_score": int(profile.pays_score),
     }
     return read_only(Rewards(**tables))

@@ -5,9 +5,11 @@ import contextlib
 import itertools
 import json
 import re
+import ssl
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
+from functools import lru_cache
 from time import time
 from typing import Any
 from urllib.parse import urlsplit
@@ -83,6 +85,14 @@ class TryFailedError(DroneEnvError):
         return f"{self.status or 'no answer'}: {self.reason}"
 
 
+@lru_cache(maxsize=1)
+def trusted() -> ssl.SSLContext:
+    """The machine's own certificates beside those that httpx brings, read once for all endpoints of a process."""
+    certificates = httpx.create_ssl_context()
+    certificates.load_default_certs()
+    return certificates
+
+
 class Endpoint:
     """Sends requests. To be closed.
 
@@ -99,9 +109,6 @@ class Endpoint:
         self._stream = config.stream
         self._picture = config.load_prompt().picture
         self.body = request_body(config)
-        # The machine's own certificates beside those that httpx brings.
-        certificates = httpx.create_ssl_context()
-        certificates.load_default_certs()
         headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
         if token is not None:
             headers["authorization"] = f"Bearer {token}"
@@ -111,7 +118,7 @@ class Endpoint:
             httpx.AsyncClient(
                 headers=headers,
                 trust_env=urlsplit(config.base_url).hostname not in LOOPBACK,
-                verify=certificates,
+                verify=trusted(),
                 follow_redirects=False,
                 timeout=None,
                 limits=httpx.Limits(max_connections=None, max_keepalive_connections=None),

@@ -165,6 +165,7 @@ def test_the_interval_covers_seeds_and_maps() -> None:
     assert ratio == pytest.approx((0.5, 0.5, 0.5))
 
 
+@pytest.mark.usefixtures("no_curves")
 def test_a_trial_that_fails_is_reported_with_its_error_and_counts_in_nothing(tmp_path: Path) -> None:
     config = sweep_of("episodes=20", seeds=2)
     folder = SweepFolder(tmp_path / "sweep")

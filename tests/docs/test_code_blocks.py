@@ -33,7 +33,7 @@ else:
 
 SHELL = ("bash", "sh", "console")
 # They start no server and take a few seconds at most.
-SHORT = ("docs/gymnasium.md", "docs/newcomer.md", "docs/quickstart.md", "docs/vector.md")
+SHORT = ("docs/gymnasium.md", "docs/quickstart.md", "docs/vector.md")
 DATA = {"json": json.loads, "toml": tomllib.loads, "yaml": yaml.safe_load}
 
 

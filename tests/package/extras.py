@@ -4,7 +4,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
+from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires
 from pathlib import Path
 from typing import NamedTuple
@@ -35,7 +35,7 @@ class Import(NamedTuple):
     """Whether importing the module imports it, and nothing catches that it is missing."""
 
 
-@lru_cache
+@cache
 def brought(*extras: str) -> frozenset[str]:
     """The top-level names that the package with extras makes importable, from the metadata of what is here."""
     wanted = [Requirement(line) for line in PROJECT["dependencies"]]
@@ -60,11 +60,12 @@ def brought(*extras: str) -> frozenset[str]:
     return frozenset(found)
 
 
-@lru_cache
+@cache
 def _distributions() -> Mapping[str, list[str]]:
     return packages_distributions()
 
 
+@cache
 def _requires(name: str) -> list[Requirement]:
     try:
         return [Requirement(line) for line in requires(name) or ()]
@@ -73,7 +74,7 @@ def _requires(name: str) -> list[Requirement]:
         return [Requirement(needed["name"]) for needed in _locked().get(name, [])]
 
 
-@lru_cache
+@cache
 def _locked() -> dict[str, list[dict[str, str]]]:
     packages = tomllib.loads((ROOT / "uv.lock").read_text(encoding="utf-8"))["package"]
     return {package["name"]: package.get("dependencies", []) for package in packages}
@@ -90,14 +91,14 @@ def modules() -> Iterator[str]:
         yield ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
-@lru_cache
+@cache
 def file_of(module: str) -> Path | None:
     """The file of a module of the package; None where the name is none."""
     path = ROOT.joinpath(*module.split("."))
     return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
 
 
-@lru_cache
+@cache
 def imports(file: Path) -> tuple[Import, ...]:
     """All imports of a file, but those for type checkers."""
     return tuple(_imports(ast.parse(file.read_text(encoding="utf-8")).body, at_once=True))
@@ -126,7 +127,7 @@ def _imports(body: list[ast.stmt], at_once: bool) -> Iterator[Import]:
                     yield from _imports(statements, at_once and not later)
 
 
-@lru_cache
+@cache
 def stated(module: str) -> tuple[str, ...]:
     """The names of a package that importing a module states, and of those that stand above it."""
     parts = module.split(".")
@@ -134,7 +135,7 @@ def stated(module: str) -> tuple[str, ...]:
     return tuple(found.name for file in files for found in imports(file) if found.at_once)
 
 
-@lru_cache
+@cache
 def loaded_by(module: str) -> frozenset[str]:
     """The foreign top-level names that importing a module of the package imports, through the package's others too."""
     seen: set[str] = set()
@@ -158,7 +159,7 @@ def imported_later(module: str) -> Iterator[str]:
     yield from (found.name for found in imports(file) if not found.at_once)
 
 
-@lru_cache
+@cache
 def extras_named(module: str) -> frozenset[str]:
     """The extras that strings of a module name: alone, as `extra` or as [extra]; its errors say what to install."""
     file = file_of(module)

@@ -43,10 +43,6 @@ SMALL_TOUR = TourConfig(
 AnyTrainer = TypeVar("AnyTrainer", Trainer, TourTrainer)
 
 
-def do_nothing(*_: object) -> None:
-    """A callback."""
-
-
 def run_in(folder: Path, fresh: bool = False, **changes: Any) -> TrainingRun[Trainer]:
     """Such a run with its files in a folder."""
     return TrainingRun(Trainer(replace(SMALL, **changes)), folder, folder / "results", fresh)

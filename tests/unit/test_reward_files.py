@@ -75,6 +75,7 @@ def test_a_data_set_pays_by_the_file_and_keeps_it() -> None:
     assert (kept["id"], len(kept["events"])) == ("mine", 3)
 
 
+@pytest.mark.usefixtures("no_curves")
 def test_a_training_goes_on_by_the_same_rewards_only(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(*TRAIN, "--reward-profile", "mine.toml") == 0
     kept = load_checkpoint(Path("data/easy.pth"))["config"]

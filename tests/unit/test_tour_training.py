@@ -22,14 +22,7 @@ from drone_env.rl.lessons import Teacher
 from drone_env.rl.run import TrainingRun
 from drone_env.rl.tour_config import TourConfig
 from drone_env.rl.tour_trainer import TourTrainer
-from tests.unit.small_training import SMALL_TOUR, assert_same, do_nothing, finished
-
-
-@pytest.fixture
-def no_curves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing them takes longer than these runs."""
-    monkeypatch.setattr("drone_env.rl.run.draw_curves", do_nothing)
-
+from tests.unit.small_training import SMALL_TOUR, assert_same, finished
 
 # That it goes on
 

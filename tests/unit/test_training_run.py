@@ -30,16 +30,10 @@ from drone_env.rl.trainer import Progress, Trainer
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from drone_env.server.train_log import TrainLog
-from tests.unit.small_training import SMALL, assert_same, do_nothing, run_in
+from tests.unit.small_training import SMALL, assert_same, run_in
 
 ROOT = Path(__file__).parents[2]
 KILLS = 20 if int(os.environ.get("DRONE_ENV_EXAMPLES", "0")) >= 10_000 else 1
-
-
-@pytest.fixture
-def no_curves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing them takes longer than the runs of most of these tests."""
-    monkeypatch.setattr("drone_env.rl.run.draw_curves", do_nothing)
 
 
 # Checkpoints
@@ -113,7 +107,10 @@ TRAIN = [
 
 
 def test_the_command_trains_and_leaves_what_it_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    request: pytest.FixtureRequest,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(TRAIN) == 0
@@ -135,6 +132,7 @@ def test_the_command_trains_and_leaves_what_it_says(
     ]
     for name in ("reward", "length", "loss", "epsilon", "validation"):
         assert (tmp_path / f"results/easy/{name}.png").read_bytes().startswith(b"\x89PNG")
+    request.getfixturevalue("no_curves")
     (events,) = (tmp_path / "results/easy/tensorboard").glob("events.*")
     assert [field.name for field in fields(Progress)[1:] if field.name.encode() not in events.read_bytes()] == []
     # The network that stands beside it is the best one, and says where it is from.
