@@ -114,9 +114,8 @@ def test_values_equal_brute_force_along_random_flights_and_in_any_state(number: 
         assert [solver.value(episode) for solver in solvers] == [episode.score] * len(solvers)
     for _ in range(10):
         episode.set_state(reference.state(draw.randrange(reference.size)))
-        expected = reference.q_values(episode).tolist()
-        # What else a solver answers follows from these, as the flights have shown.
-        assert [solver.q_values(episode).tolist() for solver in solvers] == [expected] * len(solvers)
+        for solver in solvers:
+            assert_equal_values(solver, reference, episode)
 
 
 @thorough
