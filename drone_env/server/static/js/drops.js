@@ -31,7 +31,7 @@ export function mountFiles(root, past, open) {
 
 /** @param {(file: File) => void} open */
 export function listenToDrops(open) {
-  const hint = el("div.drop-hint", { hidden: true }, el("p", { text: "Drop the file to see its flights" }));
+  const hint = el("div.drop-hint", { hidden: true }, el("p", { text: "Drop the file to see its flights, or its map" }));
   document.body.append(hint);
   const hasFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
   document.addEventListener("dragover", (event) => {
