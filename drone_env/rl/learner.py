@@ -103,8 +103,8 @@ class Learner(ABC):
 AnyLearner = TypeVar("AnyLearner", bound=Learner)
 
 
-LATER = "rules of "
-"""How that begins which older checkpoints do not tell: which task has the name."""
+LATER = ("reward ", "rules of ")
+"""How that begins which older checkpoints do not tell: what a reward profile holds, and which task has the name."""
 
 
 def require_same(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> None:

@@ -119,7 +119,7 @@ def test_an_oversized_frame_ends_its_connection_alone(server: Server) -> None:
         websockets_client.connect(url, compression=None) as other,
         websockets_client.connect(url, compression=None) as socket,
     ):
-        socket.send(" " * 100_000)
+        socket.send(" " * 200_000)
         with pytest.raises(websockets.exceptions.ConnectionClosedError) as closed:
             socket.recv(timeout=60)
         assert closed.value.rcvd is not None

@@ -41,7 +41,7 @@ def test_callers_see_a_server(running: Cluster) -> None:
         assert "X-Session-Shared" not in client.post("/reset").headers
         client.cookies.clear()
         assert client.post("/step", json={"direction": "WAIT"}).json()["code"] == "no_session"
-        too_large = client.post("/reset", content=b" " * 100_000, headers={"Content-Type": "application/json"})
+        too_large = client.post("/reset", content=b" " * 200_000, headers={"Content-Type": "application/json"})
         assert (too_large.status_code, too_large.json()["code"]) == (413, "too_large")
         assert client.get("/health", headers={"Host": "drone.example"}).status_code == 200
         assert client.get("/health", headers={"Host": "elsewhere.example"}).json()["code"] == "host"
