@@ -158,7 +158,8 @@ def test_the_key_of_openai_alone_asks_openai(clone: Clone) -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_the_first_training(clone: Clone) -> None:
+@pytest.mark.feature("L4")
+def test_the_first_training_reads_as_one_that_learns(clone: Clone) -> None:
     pytest.importorskip("torch")
     log = clone.folder / "train.out"
     with ended(clone.start(TRAIN, log)) as process:
@@ -167,6 +168,15 @@ def test_the_first_training(clone: Clone) -> None:
         assert process.wait(timeout=600) == 0, log.read_text()
     logged = (clone.folder / "data" / "train.log").read_text()
     assert "nan" not in logged + log.read_text()
+    lines = [dict(part.split("=") for part in line.split()) for line in logged.splitlines()]
+    assert [int(line["episode"]) for line in lines] == list(range(20, 501, 20))
+    for figure in ("score", "success", "reward"):
+        first, last = (sum(float(line[figure]) for line in part) / 8 for part in (lines[:8], lines[-8:]))
+        assert last > first + 0.15
+    assert all(float(line["success"]) > 0.9 for line in lines[-8:])
+    validated = [float(line["validation"]) for line in lines if line["validation"] != "-"]
+    assert validated[0] < 0.8
+    assert validated[-1] > 0.9
     status, said = clone.type(TRAIN)
     assert (status, "Traceback" in said) == (0, False), said
     assert "500" in said

@@ -288,26 +288,6 @@ def test_killed_it_goes_on_and_comes_to_the_same_end(
     assert (tmp_path / "whole/data/train.log").read_bytes() == log.read_bytes()
 
 
-@pytest.mark.long
-@pytest.mark.feature("L4")
-def test_the_first_training_of_the_manual_reads_as_one_that_learns(tmp_path: Path) -> None:
-    command = [sys.executable, str(ROOT / "train.py"), "--task", "easy_delivery", "--episodes", "500"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=900)
-    assert done.returncode == 0, done.stderr
-    log = (tmp_path / "data/train.log").read_text()
-    assert "nan" not in log + done.stderr
-    lines = [dict(part.split("=") for part in line.split()) for line in log.splitlines()]
-    assert [int(line["episode"]) for line in lines] == list(range(20, 501, 20))
-    for figure in ("score", "success", "reward"):
-        first, last = (sum(float(line[figure]) for line in part) / 8 for part in (lines[:8], lines[-8:]))
-        assert last > first + 0.15
-    assert all(float(line["success"]) > 0.9 for line in lines[-8:])
-    validated = [float(line["validation"]) for line in lines if line["validation"] != "-"]
-    assert validated[0] < 0.8
-    assert validated[-1] > 0.9
-
-
 @pytest.mark.usefixtures("no_curves")
 def test_interrupted_the_run_saves_and_ends_cleanly(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
