@@ -1,7 +1,6 @@
 """The ground of a large map or of a real place: cells of one kind that touch each other are one block, wood or area."""
 
 import math
-from zlib import crc32
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +9,7 @@ from PIL import Image, ImageChops, ImageDraw, ImageFilter
 from drone_env.core.cells import Cell
 from drone_env.core.tasks import TaskConfig
 from drone_env.core.terrain import pieces
-from drone_env.envs.figures import around
+from drone_env.envs.figures import around, variety
 
 MOST_SIGNS = 400
 """Cells of a map: on larger ones, a sign for each says less than what they make together."""
@@ -80,7 +79,8 @@ def draw_blocks(grid: npt.NDArray[np.uint8], unit: int, rim: int, fine: int, str
     block = pieces(grid != Cell.BUILDING)
     # The first cell of a block says the tone of its roof.
     _, first, of = np.unique(block, return_index=True, return_inverse=True)
-    tones = np.array([_some(at % columns, at // columns) % len(ROOFS) for at in first.tolist()])[of.reshape(grid.shape)]
+    tone_of = np.array([variety(at % columns, at // columns) % len(ROOFS) for at in first.tolist()])
+    tones = tone_of[of.reshape(grid.shape)]
     for tone, colour in enumerate(ROOFS):
         lay(colour, soft((block > 0) & (tones == tone)), down=-HEIGHT)
     lay(EDGE, building, down=-HEIGHT, most=edge)
@@ -100,12 +100,8 @@ def _hatching(on: Image.Image, unit: int, fine: int) -> Image.Image:
 
 def _draw_crowns(pen: ImageDraw.ImageDraw, x: int, y: int, unit: int, rim: int) -> None:
     """Three trees in a cell, not two cells alike."""
-    some = _some(x, y)
+    some = variety(x, y)
     for i in range(3):
         angle, radius = some % 63 / 10 + 2.1 * i, (0.12 + 0.02 * ((some >> 3 * i) % 4)) * unit
         middle = x + 0.5 + 0.21 * math.cos(angle), y + 0.5 + 0.21 * math.sin(angle)
         pen.ellipse(around((rim + middle[0] * unit, rim + middle[1] * unit), radius), fill=CROWN)
-
-
-def _some(x: int, y: int) -> int:
-    return crc32(bytes((x % 256, y % 256))) >> 8

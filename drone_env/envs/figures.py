@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from xml.etree import ElementTree
+from zlib import crc32
 
 from PIL import Image, ImageChops, ImageDraw, ImageFilter
 
@@ -19,6 +20,11 @@ _FILTERS = {f"url(#{made.attrib['id']})": made for made in _ROOT.iterfind(f"{_SV
 def around(at: Point, across: float, down: float = 0.0) -> tuple[float, float, float, float]:
     """The box around a point: left, top, right, bottom in pixels."""
     return at[0] - across, at[1] - (down or across), at[0] + across, at[1] + (down or across)
+
+
+def variety(x: int, y: int) -> int:
+    """A number that differs from cell to cell, by which things of one kind look different."""
+    return crc32(bytes((x % 256, y % 256))) >> 8
 
 
 def stroke(pen: ImageDraw.ImageDraw, points: Sequence[Point], width: float, colour: str | int) -> None:

@@ -20,7 +20,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.grid_generator import generate_city_map
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs.blocks import draw_blocks, is_joined
-from drone_env.envs.figures import Point, around, draw_figure, stroke
+from drone_env.envs.figures import Point, around, draw_figure, stroke, variety
 from drone_env.errors import InvalidValueError
 
 _COLOURS = """
@@ -217,8 +217,8 @@ def _lay_map(
     for (y, x), kind in np.ndenumerate(grid):
         if kind in (Cell.ROAD, Cell.DELIVERY) or (joined and kind != Cell.PAD):
             continue
-        variety, middle = crc32(bytes((x % 256, y % 256))) >> 8, layout.centre(x, y)
-        number = {Cell.BUILDING: variety % 8, Cell.TREE: variety % 4}.get(Cell(kind), "")
+        some, middle = variety(x, y), layout.centre(x, y)
+        number = {Cell.BUILDING: some % 8, Cell.TREE: some % 4}.get(Cell(kind), "")
         _stamp(picture, f"{CELL_KINDS[Cell(kind)].name}{number}", size, middle)
         if kind in closed:
             _stamp(picture, "no_entry", size, middle)
@@ -232,9 +232,9 @@ def _draw_streets(grid: npt.NDArray[np.uint8], unit: int, base: int) -> Image.Im
     streets, marks = Image.new("L", (wide, high)), Image.new("L", (wide, high))
     pen, street_pen, mark_pen = ImageDraw.Draw(ground), ImageDraw.Draw(streets), ImageDraw.Draw(marks)
     for x, y in np.ndindex(columns - 1, rows - 1):
-        variety, corner = crc32(bytes((y % 256, x % 256))), (base + (x + 1) * unit, base + (y + 1) * unit)
-        for i in range(variety // 8 % 4):
-            angle = variety % 628 / 100 + 2.4 * i
+        some, corner = crc32(bytes((y % 256, x % 256))), (base + (x + 1) * unit, base + (y + 1) * unit)
+        for i in range(some // 8 % 4):
+            angle = some % 628 / 100 + 2.4 * i
             at = corner[0] + 0.13 * unit * math.cos(angle), corner[1] + 0.13 * unit * math.sin(angle)
             pen.ellipse(around(at, unit * (0.04 + 0.015 * i)), fill=PALETTE["shrub"])
     paved = np.pad(~np.isin(grid, (Cell.BUILDING, Cell.TREE)), (0, 1))
