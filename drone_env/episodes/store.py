@@ -28,7 +28,7 @@ from drone_env.episodes.finished import (
     stored_episode,
 )
 from drone_env.episodes.memory_view import MemoryView
-from drone_env.episodes.optima import Optima
+from drone_env.episodes.optima import Optima, Solve, solve_maps
 from drone_env.episodes.record import EpisodeRecord, replay
 from drone_env.episodes.sessions import (
     EPISODE_ID,
@@ -64,6 +64,7 @@ class Store:
             machine's time and runs on evenly, whatever that is set to. It never tells less than the newest use of a
             session.
         busy_seconds: For how long to wait while others write.
+        solve: Finds the optima of maps, called in threads of the store's.
 
     Raises:
         OSError: if the folder or the file cannot be made.
@@ -72,7 +73,11 @@ class Store:
     """
 
     def __init__(
-        self, folder: str | Path, clock: Callable[[], float] | None = None, busy_seconds: float = BUSY_SECONDS
+        self,
+        folder: str | Path,
+        clock: Callable[[], float] | None = None,
+        busy_seconds: float = BUSY_SECONDS,
+        solve: Solve = solve_maps,
     ) -> None:
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -86,7 +91,7 @@ class Store:
         except BaseException:
             self._database.close()
             raise
-        self._optima = Optima(self._database)
+        self._optima = Optima(self._database, solve)
 
     def close(self) -> None:
         """Close the file; a second call does nothing. Waits for `memory.json`, and the map that is being solved."""

@@ -32,7 +32,6 @@ from drone_env.server.live.socket import LiveSocket
 from drone_env.server.openenv import routes as openenv
 from drone_env.server.openenv.socket import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
-from drone_env.server.preview import Previews
 from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, run
 from drone_env.server.request_log import LogRequests
@@ -103,7 +102,6 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     app.state.shared = shared
     app.state.socket = socket
     app.state.live = live
-    app.state.previews = Previews(shared)
     install(app)
     # The first is the innermost.
     protect(app, settings)

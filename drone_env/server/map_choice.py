@@ -38,6 +38,11 @@ def start_episode(options: ResetOptions, last_seed: int | None, task: str = DEFA
     return Episode(options.task_name or task, profile, seed)
 
 
+def is_registered(task: str) -> bool:
+    """Whether a name is that of one of the server's own tasks, not of a map that a visitor drew."""
+    return any(task in (known.id, known.short_name, known.grader) for known in TASKS.values())
+
+
 def split_names() -> list[str]:
     """The names of all splits."""
     return [f"{task}/{split}" for task in TASKS for split in SPLITS]

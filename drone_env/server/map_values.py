@@ -1,8 +1,6 @@
 """What can still be reached from a moment of a flight: by each action, from every cell, and with the battery."""
 
 from collections.abc import Iterable
-from dataclasses import replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -10,22 +8,18 @@ import numpy.typing as npt
 from pydantic import Field
 
 from drone_env.agents.base import BatchAgent
-from drone_env.core.episode import Episode, EpisodeState
-from drone_env.core.rewards import get_reward_profile
+from drone_env.core.episode import Episode
 from drone_env.core.score import score
-from drone_env.core.tables import EVENT, interpreted, view
+from drone_env.core.tables import interpreted, view
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError
 from drone_env.models import DIRECTIONS, Count, Direction, Message, Position, Score
-from drone_env.server.exact_values import ExactValues
-from drone_env.server.predict import Asked, Networks
+from drone_env.server.jobs import bench
 
 if TYPE_CHECKING:
     from drone_env.planning.elsewhere import Places
     from drone_env.planning.solver import Solver
 
-KEPT = 64
-"""Answers that are kept: of 2 kB to 300 kB each, by the size of the map."""
 Floats, Bools, Integers = npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.int64]
 Item = TypeVar("Item")
 Rows = list[list[Item | None]]
@@ -100,95 +94,68 @@ class ValuesAnswer(Message):
     )
 
 
-class MapValues:
-    """Answers what can still be reached, and keeps the last answers. Safe to share between threads, which may wait.
+def values_json(episode: Episode) -> str:
+    """A `ValuesAnswer` for an episode as it stands, as JSON: a job of a worker process.
 
-    Args:
-        values: The solvers of maps.
-        networks: The networks of the server.
+    Raises:
+        CheckpointError: if the file of the network holds none.
     """
+    solver = unsolved = optimum = value = None
+    try:
+        solver = bench().solver_of(episode.task, episode.seed)
+    except TooLargeError as error:
+        unsolved = str(error)
+    if solver is not None:
+        optimum, value = solver.value(Episode(episode.task, seed=episode.seed)), solver.value(episode)
+    answer = ValuesAnswer(
+        task=episode.task.id,
+        task_version=episode.task.version,
+        seed=episode.seed,
+        step_count=episode.steps,
+        position=episode.position,
+        battery_units=episode.battery_units,
+        deliveries_done=episode.deliveries_done,
+        done=episode.ended,
+        unsolved=unsolved,
+        optimum=optimum,
+        value=value,
+        regret=None if optimum is None or value is None else optimum - value,
+        **({} if episode.ended else _in_flight(episode, solver)),
+    )
+    return answer.model_dump_json()
 
-    def __init__(self, values: ExactValues, networks: Networks) -> None:
-        self._values, self._networks = values, networks
-        self._answer = lru_cache(maxsize=KEPT)(self._work_out)
 
-    def json(self, episode: Episode) -> str:
-        """A `ValuesAnswer` for an episode as it stands, as JSON.
+def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
+    # Loads Numba, which the process that serves does without.
+    from drone_env.planning.elsewhere import battery_range, charging_pads, places_of
 
-        Raises:
-            RequestError: if its map could not be solved, which has been logged.
-            CheckpointError: if the file of the network holds none.
-        """
-        # No more than the answer depends on: by which way it came here does not matter.
-        stands = episode.get_state()
-        numbers = np.frombuffer(stands.numbers, np.uint16).copy()
-        numbers[EVENT] = 0
-        state = replace(
-            stands,
-            reward_profile=get_reward_profile("score"),
-            numbers=numbers.tobytes(),
-            reward_total=0.0,
-            path=(),
-        )
-        return self._answer(state, None if episode.ended else self._networks.asked(episode.task))
-
-    def _work_out(self, state: EpisodeState, asked: Asked | None) -> str:
-        episode = Episode(state.task, state.reward_profile)
-        episode.set_state(state)
-        solver = unsolved = optimum = value = None
-        try:
-            solver = self._values.solver_of(state.task, state.seed)
-        except TooLargeError as error:
-            unsolved = str(error)
-        if solver is not None:
-            optimum, value = solver.value(Episode(state.task, seed=state.seed)), solver.value(episode)
-        answer = ValuesAnswer(
-            task=state.task.id,
-            task_version=state.task.version,
-            seed=state.seed,
-            step_count=episode.steps,
-            position=episode.position,
-            battery_units=episode.battery_units,
-            deliveries_done=episode.deliveries_done,
-            done=episode.ended,
-            unsolved=unsolved,
-            optimum=optimum,
-            value=value,
-            regret=None if optimum is None or value is None else optimum - value,
-            **({} if episode.ended else self._in_flight(episode, solver, asked)),
-        )
-        return answer.model_dump_json()
-
-    def _in_flight(self, episode: Episode, solver: "Solver | None", asked: Asked | None) -> dict[str, Any]:
-        # Loads Numba, which no server needs that only flies.
-        from drone_env.planning.elsewhere import battery_range, charging_pads, places_of
-
-        task, places = episode.task, places_of(episode)
-        here = int(np.flatnonzero(places.cells[places.flying] == episode.cell)[0])
-        q_values = best = network = actions = None
-        if solver is not None:
-            q_values = solver.q_values_of(places.grids[places.flying], places.states[places.flying])
-            best = q_values == q_values.max(axis=1, keepdims=True)
-        if asked is not None:
-            agent = self._networks.agent(asked.pilot, task)
-            assert isinstance(agent, BatchAgent)
-            network = AskedNetwork(pilot=asked.pilot, file=asked.file, digest=str(agent.config["network"]))
-            grids = places.grids[places.flying].reshape(-1, task.height, task.width)
-            actions = agent.act_batch(grids, places.telemetry[places.flying])
-        return {
-            "q_values": None if q_values is None else dict(zip(DIRECTIONS, q_values[here].tolist(), strict=True)),
-            "best_actions": None if best is None else _directions(best[here]),
-            "network": network,
-            "cells": _cell_values(task, places, q_values, best, actions),
-            "range": _units(task, battery_range(episode, episode.cell, episode.battery_units)),
-            "pads": [
-                PadRange(
-                    position=(pad % task.width, pad // task.width),
-                    units=_units(task, battery_range(episode, pad, task.battery_capacity)),
-                )
-                for pad in charging_pads(episode)
-            ],
-        }
+    task, places, networks = episode.task, places_of(episode), bench().networks
+    asked = networks.asked(task)
+    here = int(np.flatnonzero(places.cells[places.flying] == episode.cell)[0])
+    q_values = best = network = actions = None
+    if solver is not None:
+        q_values = solver.q_values_of(places.grids[places.flying], places.states[places.flying])
+        best = q_values == q_values.max(axis=1, keepdims=True)
+    if asked is not None:
+        agent = networks.agent(asked.pilot, task)
+        assert isinstance(agent, BatchAgent)
+        network = AskedNetwork(pilot=asked.pilot, file=asked.file, digest=str(agent.config["network"]))
+        grids = places.grids[places.flying].reshape(-1, task.height, task.width)
+        actions = agent.act_batch(grids, places.telemetry[places.flying])
+    return {
+        "q_values": None if q_values is None else dict(zip(DIRECTIONS, q_values[here].tolist(), strict=True)),
+        "best_actions": None if best is None else _directions(best[here]),
+        "network": network,
+        "cells": _cell_values(task, places, q_values, best, actions),
+        "range": _units(task, battery_range(episode, episode.cell, episode.battery_units)),
+        "pads": [
+            PadRange(
+                position=(pad % task.width, pad // task.width),
+                units=_units(task, battery_range(episode, pad, task.battery_capacity)),
+            )
+            for pad in charging_pads(episode)
+        ],
+    }
 
 
 def _cell_values(

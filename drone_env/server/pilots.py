@@ -164,6 +164,22 @@ def _flies(make: Callable[[TaskConfig], Agent], task: TaskConfig) -> bool:
     return True
 
 
+def require_pilot(pilot: str, task: TaskConfig, networks: Networks) -> None:
+    """See that a pilot flies a task, as far as that shows without working on a map.
+
+    Raises:
+        UnknownNameError: if there is no such pilot.
+        UnsupportedTaskError: if there is no network for the task.
+        CheckpointError: if its file holds none that fits.
+    """
+    if pilot not in PILOTS:
+        raise UnknownNameError("pilot", pilot, PILOTS)
+    if pilot in SOURCES:
+        networks.require(pilot, task)
+    elif pilot not in OURS:
+        make_agent(pilot, task)
+
+
 def agent_of(pilot: str, task: TaskConfig, networks: Networks) -> Agent | None:
     """A new agent that flies as a pilot does, None for a person.
 

@@ -119,14 +119,12 @@ class Networks:
         found = self._at(source, task)
         return found is not None and not isinstance(found, CheckpointError)
 
-    def agent(self, source: str, task: TaskConfig) -> Agent:
-        """What flies by the network of a task. PathQNet keeps nothing of a flight, so all share it; others are new.
+    def require(self, source: str, task: TaskConfig) -> PathQNetAgent | Path:
+        """What flies a task by a network: PathQNet, or the file of a tour network.
 
         Raises:
             UnsupportedTaskError: if there is none; the message names the tasks that have one.
             CheckpointError: if its file holds none that fits; the message names it, but not where it lies.
-            TooLargeError: if what there is to see on a map of the task would take too much memory.
-            OSError: if the file can no longer be read.
         """
         found, file = self._at(source, task), self._file(source, task)
         if found is None:
@@ -135,20 +133,23 @@ class Networks:
                 f"there is no network for {task.id!r}: {source!r} has no {file.name}; "
                 f"it flies {', '.join(flown) or 'nothing here'}"
             )
+        if isinstance(found, CheckpointError):
+            raise CheckpointError(str(found).replace(str(file), file.name))
+        return found
+
+    def agent(self, source: str, task: TaskConfig) -> Agent:
+        """What flies by the network of a task. PathQNet keeps nothing of a flight, so all share it; others are new.
+
+        Raises:
+            UnsupportedTaskError, CheckpointError: as `require`.
+            TooLargeError: if what there is to see on a map of the task would take too much memory.
+            OSError: if the file can no longer be read.
+        """
+        found, file = self.require(source, task), self._file(source, task)
         try:
-            if isinstance(found, CheckpointError):
-                raise found
             return NETWORK_AGENTS[SOURCES[source].agent].make(task, found) if isinstance(found, Path) else found
         except CheckpointError as error:
             raise CheckpointError(str(error).replace(str(file), file.name)) from None
-
-    def stamp_of(self, source: str, task: TaskConfig) -> object:
-        """What changes with the file that a source flies a task by; None where there is no file.
-
-        Raises:
-            OSError: if the system does not tell.
-        """
-        return stamp(self._file(source, task))
 
     def described(self) -> list[str]:
         """Lines for the start of the server: which network flies which tasks, which files are refused."""

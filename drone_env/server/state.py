@@ -1,31 +1,26 @@
 """What the routes share: one `Shared` per application, found at `app.state.shared`."""
 
-import os
-import threading
+import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import Annotated, NamedTuple, TypeVar
 
-import anyio.to_thread
 from fastapi import Depends, Header, Request, Response
+from starlette.requests import HTTPConnection
 from typing_extensions import Self
 
-from drone_env.core.tasks import FINDERS, TaskConfig
+from drone_env.core.tasks import FINDERS
 from drone_env.episodes.store import Store
-from drone_env.files import EVALUATIONS, MAPS, RUNS
-from drone_env.planning.optimal import best_of
+from drone_env.files import MAPS, RUNS
 from drone_env.server.drawn_maps import DrawnMaps
-from drone_env.server.evaluations import Evaluations
-from drone_env.server.exact_values import ExactValues
 from drone_env.server.local import local_address
-from drone_env.server.map_values import MapValues
 from drone_env.server.model_runs import ModelRuns
 from drone_env.server.predict import Networks
 from drone_env.server.problems import WHAT_TO_DO, RequestError, answers
 from drone_env.server.request_log import RequestLog
 from drone_env.server.sessions import Sessions
 from drone_env.server.settings import Settings
+from drone_env.server.workers import Workers
 
 COOKIE = "drone_env_session"
 HEADER = "X-Session-Id"
@@ -34,11 +29,7 @@ NEW = "new"
 """Named as a session it stands for none: a caller that sends it with a reset shares with nobody."""
 LONGEST_ID = 200
 SESSION_ERRORS = answers(409, 410, 422, 503)
-STUDIES = max(1, (os.cpu_count() or 1) // 2)
-"""Studies at once: the other cores are for those who fly."""
-WAITING_STUDIES = 16
-"""Studies that may wait, each of which may take a second."""
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 
 class Shared:
@@ -54,33 +45,50 @@ class Shared:
         self._clock = clock
         self.requests = RequestLog()
         self.networks = Networks(settings.weights, settings.data)
-        self.values = ExactValues()
-        self.map_values = MapValues(self.values, self.networks)
         self.runs = ModelRuns(settings.data / RUNS)
-        self.evaluations = Evaluations(settings.data / EVALUATIONS)
         self.maps = DrawnMaps(settings.data / MAPS, settings.maps)
         self._sessions: Sessions | None = None
         self.steps: ThreadPoolExecutor | None = None
         """Flies the steps of HTTP sessions while the server runs. One thread: the store has one writer anyway."""
-        self._studies: anyio.CapacityLimiter | None = None
-        self._studying = 0
+        self._workers: Workers | None = None
 
-    async def study(self, work: Callable[[], Found]) -> Found:
-        """Do what takes long in a thread that no other request needs, a few at a time.
+    async def work(
+        self, request: Request, function: Callable[..., Result], *arguments: object, quick: bool = False
+    ) -> Result:
+        """Have a worker process call a function of a module, as long as the caller of a request waits for it.
+
+        Args:
+            request: The request. Callers take turns by address.
+            function: What to call.
+            arguments: Its arguments, which are pickled.
+            quick: Whether it is bounded by a task of the server's own (`is_registered`), not by what a visitor sent.
 
         Raises:
-            RequestError: if too many wait already.
+            RequestError: if too many requests are waiting, or the caller has left.
+            TooLargeError: if it takes too much time or memory.
+            DroneEnvError: what the function raises.
         """
-        if self._studies is None:  # made here, in the event loop that it belongs to
-            self._studies = anyio.CapacityLimiter(STUDIES)
-        # Counted here: a newcomer does not wait at the limiter yet.
-        if self._studying >= STUDIES + WAITING_STUDIES:
-            raise RequestError(503, "busy", f"{WAITING_STUDIES} flights are waiting to be looked at: try again later")
-        self._studying += 1
+        job = asyncio.ensure_future(self.workers.run(function, *arguments, caller=caller_address(request), quick=quick))
+        left = asyncio.create_task(_left(request))
         try:
-            return await anyio.to_thread.run_sync(work, limiter=self._studies)
+            await asyncio.wait((job, left), return_when=asyncio.FIRST_COMPLETED)
+            if not job.done():
+                raise RequestError(503, "dropped", "the caller has left")
+            return await job
         finally:
-            self._studying -= 1
+            left.cancel()
+            job.cancel()
+
+    @property
+    def workers(self) -> Workers:
+        """The worker processes.
+
+        Raises:
+            RequestError: if the server has not started, or has ended.
+        """
+        _ = self.sessions
+        assert self._workers is not None
+        return self._workers
 
     @property
     def sessions(self) -> Sessions:
@@ -109,14 +117,16 @@ class Shared:
         Raises:
             OSError: if it cannot be opened.
         """
-        store = Store(self.settings.data, self._clock)
+        self._workers = Workers(self.settings)
+        store = Store(self.settings.data, self._clock, solve=self._workers.solve)
         self.steps = ThreadPoolExecutor(1, "drone_env-steps")
         self._sessions = Sessions(store, self.settings.capacity, self.settings.idle_seconds)
         FINDERS.append(self.maps.find)
 
     def close(self) -> None:
-        """Close it; waits for the map that is being solved just now."""
-        self.values.close()
+        """Close it, and drop all long work."""
+        if self._workers is not None:
+            self._workers.close()
         if self.steps is not None:
             self.steps.shutdown()
             self.steps = None
@@ -124,17 +134,16 @@ class Shared:
             FINDERS.remove(self.maps.find)
             self._sessions.store.close()
             self._sessions = None
-        self._studies = None
 
 
-@cache
-def warm_up(task: TaskConfig) -> None:
-    """Have what solves a task compiled in the background, once: nobody should wait for that at the end.
+def caller_address(connection: HTTPConnection) -> str:
+    """The address of a caller, as `Workers` counts them; empty where the server does not tell it."""
+    return "" if connection.client is None else connection.client.host
 
-    Only tasks where terrain costs or blocks need that.
-    """
-    if not task.uniform:
-        threading.Thread(target=best_of, args=(task, 0), name="drone_env-warm-up", daemon=True).start()
+
+async def _left(request: Request) -> None:
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
 
 
 async def shared_of(request: Request) -> Shared:

@@ -1,26 +1,29 @@
-"""One episode that a page flies: a session, its pilot, and how far the page has seen it."""
+"""One episode that a page flies: a session, its pilot, and what is known of its flight ahead of time."""
 
-from collections.abc import Iterable
+import asyncio
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from hashlib import sha256
-from typing import TYPE_CHECKING
+from typing import Any, TypeVar
 
-from typing_extensions import Self
-
-from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.episodes.finished import check_agent
 from drone_env.episodes.record import record_of
 from drone_env.episodes.sessions import SessionRow
 from drone_env.errors import EpisodeError, NoSessionError, SessionGoneError
-from drone_env.models import Direction
-from drone_env.server.frames import Frame, Opening, ShownEpisode, frame_of
-from drone_env.server.pilots import HUMAN, PILOTS, Credit, agent_of
+from drone_env.models import DIRECTIONS, Direction
+from drone_env.server.frames import Frame, frame_of
+from drone_env.server.live.ahead import MapOf, plan, shows_values, values_along
+from drone_env.server.map_choice import is_registered
+from drone_env.server.pilots import HUMAN, PILOTS, Credit
 from drone_env.server.state import Shared
 
-if TYPE_CHECKING:
-    from drone_env.planning.solver import Solver
+Result = TypeVar("Result")
+
+
+class LeftError(Exception):
+    """The page shows another flight by now."""
 
 
 class LiveEpisode:
@@ -29,85 +32,103 @@ class LiveEpisode:
     Args:
         row: The session as it stands.
         shared: The parts of the server.
+        caller: The address of the page: its jobs take turns with those of others.
 
     Raises:
         SessionGoneError: if it flies a task that is withdrawn.
         EpisodeError: if none of our pilots flies it.
-        UnsupportedTaskError: if there is no network that its pilot needs.
-        CheckpointError: if that cannot be read.
     """
 
-    def __init__(self, row: SessionRow, shared: Shared) -> None:
+    def __init__(self, row: SessionRow, shared: Shared, caller: str) -> None:
         self.by, self.credit = row.agent, Credit.parse(row.agent)
         self.pilot = self.credit.pilot
         if self.pilot not in PILOTS:
             raise EpisodeError(f"this session is flown by {row.agent!r}, not from the page")
         self.session = row.id
         self.episode_id = row.episode_id
-        self.episode = row.begin()
-        self._sessions = shared.sessions
-        self._values = shared.values
-        self._optimum: float | None = None
-        self._agent = agent_of(self.pilot, self.episode.task, shared.networks)
-        if self._agent is not None:
-            self._agent.reset(row.seed)
-        own = self._agent if isinstance(self._agent, PathQNetAgent) else None
-        self._network = own or shared.networks.beside(self.pilot, self.episode.task)
-        self._observation = self.episode.observation()
-        self._decision: int | None = None
-        """The pilot's next action: each state is put to it once, since some draw lots."""
-
-    @classmethod
-    def attach(cls, session: str, shared: Shared) -> tuple[Self, ShownEpisode]:
-        """The episode of a session, and all of it so far.
-
-        Raises:
-            NoSessionError: if there never was such a session.
-            SessionGoneError: if it has ended or expired, or flies a task that is withdrawn.
-            EpisodeError: if none of our pilots flies it.
-            UnsupportedTaskError: if there is no network that its pilot needs.
-            CheckpointError: if that cannot be read.
-        """
-        row = shared.store.read_session(session)
-        live = cls(row, shared)
-        opening = Opening.of(live.episode, row.agent, session)
-        return live, ShownEpisode(opening=opening, frames=[live._look(), *live._follow(row.actions)])
+        self.episode: Episode = row.fly()
+        self.map_of = MapOf.of(self.episode)
+        self.values: list[float] = []
+        """The best score that can still be reached at the frames of the flight, as far as it is known."""
+        self.unsolved = False
+        """Whether the map could not be solved."""
+        self._shared, self._caller = shared, caller
+        self._plan: list[int] | None = None
+        self._planning: asyncio.Future[list[int]] | None = None
+        self._jobs: set[asyncio.Future[Any]] = set()
+        self._network = shared.networks.beside(self.pilot, self.episode.task)
 
     @property
     def automatic(self) -> bool:
         """Whether it flies by itself, and has not ended."""
-        return self._agent is not None and not self.episode.ended
+        return self.pilot != HUMAN and not self.episode.ended
 
     @property
     def first(self) -> int:
         """The steps that others have flown, before the pilot began."""
         return self.credit.forked_at or 0
 
-    def step(self) -> list[Frame]:
-        """Let the pilot of an automatic episode fly one step; the frames that follow from it."""
-        return self._fly(self._decide())
+    @property
+    def directions(self) -> list[Direction]:
+        """What has been flown."""
+        return [DIRECTIONS[action] for action in self.episode.actions]
 
-    def begin_after(self, actions: Iterable[Direction]) -> list[Frame]:
-        """Fly what a fork has behind it when it is started, and return the frames of it.
+    @property
+    def lacks_values(self) -> bool:
+        """Whether values are to be shown that are not known yet."""
+        return not self.unsolved and len(self.values) <= self.episode.steps and self._shown
+
+    async def planned(self) -> list[int]:
+        """All actions of an automatic episode to its end: its agent flies in a worker process, once.
 
         Raises:
-            EpisodeError: if an agent is said to have flown what it would not fly.
+            LeftError: if the page has left it meanwhile.
+            DroneEnvError: as `Workers.run` and `ahead.plan`.
         """
-        frames = self._follow([Action[direction] for direction in actions], check=True)
-        self._keep_beginning()
-        return frames
+        if self._plan is None:
+            if self._planning is None or self._planning.done():
+                flown = [int(action) for action in self.episode.actions]
+                self._planning = self._submit(plan, self.map_of, self.pilot, flown, self.first)
+            self._plan = await _ended(self._planning)
+        return self._plan
 
-    def begin_at(self, steps: int) -> list[Frame]:
-        """Let the pilot fly so many steps, or to the end, when it is started, and return the frames of them."""
-        frames: list[Frame] = []
-        while self.automatic and self.episode.steps < steps:
-            frames += self._follow([self._decide()])
-        if frames:
-            self._keep_beginning()
-        return frames
+    async def solve(self) -> None:
+        """Find out what can still be reached along the flight, of an automatic one to its end.
 
-    def _keep_beginning(self) -> None:
-        with self._sessions.store.session(self.session) as row:
+        Raises:
+            LeftError: if the page has left it meanwhile.
+            DroneEnvError: as `Workers.run` and `ahead.values_along`.
+        """
+        actions = await self.planned() if self.automatic else [int(action) for action in self.episode.actions]
+        self.unsolved = True
+        values = await _ended(self._submit(values_along, self.map_of, actions))
+        self.unsolved = False
+        flown = [int(action) for action in self.episode.actions[: len(actions)]]
+        if flown == actions[: len(flown)]:  # else somebody has taken back steps meanwhile
+            self.values = values
+
+    def leave(self) -> None:
+        """Drop its jobs: the page shows another."""
+        for job in self._jobs:
+            job.cancel()
+
+    def step(self) -> list[Frame]:
+        """Let the pilot of an automatic episode, which is `planned`, fly one step; the frames that follow from it."""
+        assert self._plan is not None
+        return self._fly(self._plan[self.episode.steps])
+
+    def begin_with(self, actions: Sequence[int], planned: list[int] | None) -> None:
+        """Fly and keep what the flight begins with when it is started: a fork, or the steps up to a moment.
+
+        Args:
+            actions: These steps.
+            planned: What `planned` is to return, if that is known.
+        """
+        self._plan = planned
+        if not actions:
+            return
+        self.episode.fly(actions)
+        with self._shared.store.session(self.session) as row:
             for action in self.episode.actions:
                 row.append(action)
             if self.episode.ended:
@@ -137,8 +158,8 @@ class LiveEpisode:
         if self.episode.steps <= self.first:
             since = f"since step {self.first}, where the fork begins" if self.first else "yet"
             raise EpisodeError(f"there is nothing to take back: you have not flown {since}")
-        before = self._at_start().fly(self.episode.actions[:-1])
-        with self._sessions.store.session(self.session) as row:
+        before = self.map_of.start().fly(self.episode.actions[:-1])
+        with self._shared.store.session(self.session) as row:
             self._recognise(row, self.episode)
             alone = len(row.actions) == self.episode.steps
             if alone:
@@ -148,6 +169,7 @@ class LiveEpisode:
         if not alone:
             return self._follow(row.actions[self.episode.steps :])
         self.episode = before
+        del self.values[before.steps + 1 :]
         return []
 
     def help(self) -> Frame:
@@ -157,23 +179,16 @@ class LiveEpisode:
             EpisodeError: if an agent flies this episode, or it has ended.
         """
         self._check_by_hand()
-        with self._sessions.store.session(self.session) as row:
+        with self._shared.store.session(self.session) as row:
             self._recognise(row, self.episode)
             row.agent = check_agent(str(self.credit._replace(values=True)))
         self.by, self.credit = row.agent, Credit.parse(row.agent)
-        return self._look()
+        return self.look()
 
     def reachable(self) -> list[float] | None:
-        """The best score that could still be reached at each frame so far; None while it is unknown or kept back."""
-        solver = self._solver()
-        if solver is None:
-            return None
-        flight = self._at_start()
-        values = [solver.value(flight)]
-        for action in self.episode.actions:
-            flight.step(action)
-            values.append(solver.value(flight))
-        return values
+        """The best score that could still be reached at each frame so far; None if it is unknown or hidden."""
+        known = self._shown and len(self.values) > self.episode.steps
+        return self.values[: self.episode.steps + 1] if known else None
 
     def end(self) -> None:
         """Give the session back.
@@ -182,17 +197,23 @@ class LiveEpisode:
             StoreError: if the store could not be written.
         """
         with suppress(NoSessionError, SessionGoneError):  # it may have been idle for too long
-            self._sessions.end(self.session)
+            self._shared.sessions.end(self.session)
 
-    def _decide(self) -> int:
-        if self._decision is None:
-            assert self._agent is not None
-            self._decision = int(self._agent.act(self._observation))
-        return self._decision
+    def look(self) -> Frame:
+        """The frame of the episode as it stands: its map is drawn once, and a network asked once."""
+        shown, step = self._shown, self.episode.steps
+        known = shown and step < len(self.values)
+        return frame_of(
+            self.episode,
+            self.episode.observation(),
+            self._network if shown else None,
+            self.values[step] if known else None,
+            self.values[0] if known else None,
+        )
 
     def _fly(self, action: int) -> list[Frame]:
         flown = self.episode.copy()  # where the step cannot be kept, nothing has changed here
-        with self._sessions.store.session(self.session) as row:
+        with self._shared.store.session(self.session) as row:
             self._recognise(row, flown)
             # Another page may have gone on with the same session: then this one catches up.
             alone = len(row.actions) == flown.steps
@@ -202,7 +223,7 @@ class LiveEpisode:
         if not alone:
             return self._follow(row.actions[self.episode.steps :])
         self.episode = flown
-        return [self._look()]
+        return [self.look()]
 
     def _recognise(self, row: SessionRow, flown: Episode) -> None:
         """See whether the session still flies this episode. Another page may have asked for help with it meanwhile."""
@@ -218,44 +239,34 @@ class LiveEpisode:
         if self.episode.ended:
             raise EpisodeError("this episode has ended: start another")
 
-    def _follow(self, actions: Iterable[int], *, check: bool = False) -> list[Frame]:
-        """Fly what has been flown already, and return the frames; `check` refuses what the agent would not fly."""
+    def _follow(self, actions: Iterable[int]) -> list[Frame]:
+        """Fly what another page has flown, and return the frames."""
         frames: list[Frame] = []
+        if self.pilot == HUMAN:
+            del self.values[self.episode.steps + 1 :]
         for action in actions:
-            # Where others flew it was not asked, and some plan anew each time.
-            own = self._agent is not None and self.episode.steps >= self.first
-            if own and self._decide() != action and check:
-                step, flies = self.episode.steps + 1, Action(self._decide()).name
-                raise EpisodeError(
-                    f"step {step} of the fork is said to be flown by {self.pilot}, which flies {flies} there"
-                )
             self.episode.step(action)
-            frames.append(self._look())
+            frames.append(self.look())
+        flown = [int(action) for action in self.episode.actions]
+        if self._plan is not None and self._plan[: len(flown)] != flown:
+            self._plan = None  # its agent chooses differently each time
         return frames
 
-    def _look(self) -> Frame:
-        """The frame of the episode as it stands: its map is drawn once, and a network asked once."""
-        self._observation = self.episode.observation()
-        value = None
-        solver = self._solver()
-        if solver is not None:
-            value = solver.value(self.episode)
-            if self._optimum is None:
-                self._optimum = solver.value(self._at_start())
-        network = self._network if self._shown else None
-        frame = frame_of(self.episode, self._observation, network, value, self._optimum)
-        own = frame.q_values if self._agent is self._network else None
-        self._decision = Action[max(own, key=own.__getitem__)] if own else None
-        return frame
+    def _submit(self, function: Callable[..., Result], *arguments: object) -> "asyncio.Future[Result]":
+        quick = is_registered(self.map_of.task.id)
+        job = asyncio.ensure_future(self._shared.workers.run(function, *arguments, caller=self._caller, quick=quick))
+        self._jobs.add(job)
+        job.add_done_callback(self._jobs.discard)
+        return job
 
     @property
     def _shown(self) -> bool:
-        """Whether values are shown: they are kept from a person in flight who has not asked for them."""
-        return self.pilot != HUMAN or self.credit.values or self.episode.ended
+        return shows_values(self.credit, self.episode)
 
-    def _solver(self) -> "Solver | None":
-        """The solver of the map; None while there is none, or it is kept back."""
-        return self._values.get(self.episode.task, self.episode.seed) if self._shown else None
 
-    def _at_start(self) -> Episode:
-        return Episode(self.episode.task, self.episode.reward_profile, self.episode.seed)
+async def _ended(job: "asyncio.Future[Result]") -> Result:
+    """The result of a job. It goes on if this is cancelled, since others may wait for it."""
+    await asyncio.wait((job,))
+    if job.cancelled():
+        raise LeftError
+    return job.result()

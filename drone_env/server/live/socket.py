@@ -6,7 +6,7 @@ to them. On the wire they are flights, by their number among those of the page.
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -21,11 +21,11 @@ from drone_env.errors import TooLargeError, UnknownNameError
 from drone_env.server.frames import Frame
 from drone_env.server.incoming import TRY_LATER, received
 from drone_env.server.live.commands import Attach, ByHand, Fly, Plain, Play, Start, Subscribe, parse_command
-from drone_env.server.live.episodes import LiveEpisode
+from drone_env.server.live.episodes import LeftError, LiveEpisode
 from drone_env.server.live.feeds import Feed
-from drone_env.server.live.start import Opened, end_all, open_flights
+from drone_env.server.live.start import Opened, attach, end_all, open_flights
 from drone_env.server.problems import FAILED, printable, status_of
-from drone_env.server.state import Shared
+from drone_env.server.state import Shared, caller_address
 
 log = logging.getLogger(__name__)
 
@@ -84,19 +84,24 @@ class Page:
         self.speed = SPEED
         self._socket = socket
         self._shared = shared
+        self._caller = caller_address(socket)
         self._end_sent: set[LiveEpisode] = set()
         self._flying = asyncio.Lock()
         self._changed = asyncio.Event()
-        self._solving = anyio.CancelScope()
+        self._lacking = asyncio.Event()
         self._feed: Feed | None = None
         self._tasks: TaskGroup
 
     async def run(self) -> None:
         """Serve the page until it goes."""
-        async with anyio.create_task_group() as tasks:
-            self._tasks = tasks
-            for work in (self._listen, self._play, self._tell_news):
-                tasks.start_soon(work)
+        try:
+            async with anyio.create_task_group() as tasks:
+                self._tasks = tasks
+                for work in (self._listen, self._play, self._watch_values, self._tell_news):
+                    tasks.start_soon(work)
+        finally:
+            for live in self.episodes:
+                live.leave()
 
     async def _listen(self) -> None:
         async for text in received(self._socket, self._shared.settings.max_bytes):
@@ -125,7 +130,7 @@ class Page:
                     self.speed = speed or self.speed
                     await self._set_playing(any(live.automatic for live in self.episodes))
                 case Plain(type="step"):
-                    await self._tell(await run_in_threadpool(self._step_all))
+                    await self._step_all()
                 case Fly(flight=number, direction=direction):
                     await self._tell([(number, await run_in_threadpool(self._at(number).fly, direction))])
                 case ByHand(type="undo", flight=number):
@@ -134,11 +139,15 @@ class Page:
                     live = self._at(number)
                     frame = await run_in_threadpool(live.help)
                     await self._send({"type": "helped", "flight": number, "by": live.by, "frame": frame})
-                    self._tasks.start_soon(self._answering, self._tell_values, self.episodes)
+                    self._lacking.set()
                 case Start():
-                    await self._replace(await run_in_threadpool(self._start, command), command.number)
+                    last = self.episodes[0].episode if self.episodes else None
+                    opened = await open_flights(command, self._shared, self._caller, last)
+                    await self._replace(opened, command.number)
                 case Attach():
-                    await self._replace(await run_in_threadpool(self._attach, command.sessions), command.number)
+                    sessions = dict.fromkeys(command.sessions)
+                    opened = [await attach(session, self._shared, self._caller) for session in sessions]
+                    await self._replace(opened, command.number)
                 case Plain():  # "end"
                     await self._replace([], None)
 
@@ -146,12 +155,6 @@ class Page:
         if number >= len(self.episodes):
             raise UnknownNameError("flight", str(number), [str(i) for i in range(len(self.episodes))])
         return self.episodes[number]
-
-    def _start(self, command: Start) -> Opened:
-        return open_flights(command, self._shared, self.episodes[0].episode if self.episodes else None)
-
-    def _attach(self, sessions: Sequence[str]) -> Opened:
-        return [LiveEpisode.attach(session, self._shared) for session in dict.fromkeys(sessions)]
 
     async def _undo(self, number: int) -> None:
         live = self._at(number)
@@ -162,21 +165,29 @@ class Page:
             step, by = live.episode.steps, live.by
             await self._send({"type": "undone", "flight": number, "step": step, "by": by})
 
-    def _step_all(self) -> Moved:
-        return [(number, live.step()) for number, live in enumerate(self.episodes) if live.automatic]
+    async def _step_all(self) -> None:
+        automatic = [(number, live) for number, live in enumerate(self.episodes) if live.automatic]
+        for _, live in automatic:
+            await live.planned()
+
+        def step_all() -> Moved:
+            return [(number, live.step()) for number, live in automatic]
+
+        await self._tell(await run_in_threadpool(step_all))
 
     async def _replace(self, opened: Opened, asked: int | None) -> None:
         """Show these episodes, and give up those before them that are not among them."""
         kept = {live.session for live, _ in opened}
         left = [live for live in self.episodes if live.session not in kept]
+        for live in self.episodes:
+            live.leave()
         self.episodes = [live for live, _ in opened]
         self._end_sent.clear()
         await self._set_playing(False)
         await run_in_threadpool(end_all, left)
-        message = {"flights": [shown for _, shown in opened], "number": asked}
-        await self._send({"type": "flights", **message, "playing": self.playing, "speed": self.speed})
+        rest = to_json({"number": asked, "playing": self.playing, "speed": self.speed}).decode()[1:]
+        await self._send_text(f'{{"type":"flights","flights":[{",".join(shown for _, shown in opened)}],{rest}')
         await self._tell([])
-        self._tasks.start_soon(self._answering, self._tell_values, self.episodes)
 
     async def _tell(self, moved: Moved) -> None:
         """Tell of new frames, and of episodes that have ended."""
@@ -189,22 +200,27 @@ class Page:
                 for row in await run_in_threadpool(self._shared.store.listed, 1, episode_id=live.episode_id):
                     await self._send({"type": "ended", "flight": number, "episode": row})
                 await self._send_values(number, live)
+        if any(live.lacks_values for live in self.episodes):
+            self._lacking.set()
 
-    async def _tell_values(self, episodes: Sequence[LiveEpisode]) -> None:
-        """Once the map is solved: what could be reached at the frames that were sent without it."""
-        # Nobody looks at the episodes before these any more.
-        self._solving.cancel()
-        with anyio.CancelScope() as self._solving:
-            for task, seed in {(live.episode.task, live.episode.seed) for live in episodes}:
-                with suppress(TooLargeError):
-                    await self._shared.values.solved(task, seed)
-            async with self._flying:
-                if self.episodes is episodes:
-                    for number, live in enumerate(episodes):
-                        await self._send_values(number, live)
+    async def _watch_values(self) -> None:
+        """Find out what could be reached at the frames that were sent without it, and send that, forever."""
+        while True:
+            await self._lacking.wait()
+            self._lacking.clear()
+            for number, live in enumerate(self.episodes):
+                if live.lacks_values:
+                    await self._answering(self._find_values, number, live)
+
+    async def _find_values(self, number: int, live: LiveEpisode) -> None:
+        with suppress(TooLargeError, LeftError):
+            await live.solve()
+        async with self._flying:
+            if live in self.episodes:
+                await self._send_values(number, live)
 
     async def _send_values(self, number: int, live: LiveEpisode) -> None:
-        values = await run_in_threadpool(live.reachable)
+        values = live.reachable()
         if values is not None:
             regrets = [values[0] - value for value in values]
             await self._send({"type": "values", "flight": number, "values": values, "regrets": regrets})
@@ -231,10 +247,15 @@ class Page:
                 await self._set_playing(False)
 
     async def _tick(self) -> None:
+        # Without the lock, so that the page can pause or start another flight while a pilot plans.
+        with suppress(LeftError):
+            for live in self.episodes:
+                if live.automatic:
+                    await live.planned()
         async with self._flying:
             if not self.playing:
                 return
-            await self._tell(await run_in_threadpool(self._step_all))
+            await self._step_all()
             if not any(live.automatic for live in self.episodes):
                 await self._set_playing(False)
 
@@ -250,11 +271,14 @@ class Page:
                 await self._send(message)
 
     async def _send(self, message: dict[str, Any]) -> None:
+        await self._send_text(to_json(message).decode())
+
+    async def _send_text(self, text: str) -> None:
         if self._socket.application_state is not WebSocketState.CONNECTED:
             return  # the page has gone
         # Where it goes just now, `_listen` hears of that, after the last that the page has said.
         with suppress(WebSocketDisconnect, OSError):
-            await self._socket.send_text(to_json(message).decode())
+            await self._socket.send_text(text)
 
 
 def _problem(error: Exception) -> dict[str, str]:

@@ -4,10 +4,12 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Request, Response
 from pydantic_core import to_json
+from starlette.concurrency import run_in_threadpool
 
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import DIRECTIONS, DroneState
+from drone_env.server.map_choice import is_registered
 from drone_env.server.observation_json import flat_json, openenv_json
 from drone_env.server.predict import arrays_of
 from drone_env.server.problems import RequestError, answers
@@ -24,7 +26,7 @@ from drone_env.server.schemas import (
     SolutionAnswer,
     examples,
 )
-from drone_env.server.state import COOKIE, HEADER, SESSION_ERRORS, SHARED_HEADER, CallerOf, SharedParts, warm_up
+from drone_env.server.state import COOKIE, HEADER, SESSION_ERRORS, SHARED_HEADER, CallerOf, SharedParts
 
 router = APIRouter(tags=["flight"])
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
@@ -62,9 +64,6 @@ def reset(
     options = options or ResetOptions()
     show = flat_json if options.episode_id is None else openenv_json
     session, first = shared.sessions.reset(caller.named, options, caller.address, show)
-    flown = options.task_name or (options.split or "").partition("/")[0]
-    if flown:
-        warm_up(get_task(flown))
     # Built from the rules, so it is not validated again; the tests hold it against the documented models.
     response = Response(f'{first[:-1]},"session_id":{to_json(session).decode()}}}', media_type="application/json")
     caller.tell(session, response)
@@ -109,13 +108,17 @@ def path_history(shared: SharedParts, caller: CallerOf, answer: Response) -> Pat
 
 
 @router.get("/solution", responses=SESSION_ERRORS)
-def solution(shared: SharedParts, caller: CallerOf, answer: Response) -> SolutionAnswer:
+async def solution(request: Request, shared: SharedParts, caller: CallerOf, answer: Response) -> SolutionAnswer:
     """The best flight over the map of the session's episode, once that has ended."""
-    with shared.sessions.reading(caller.session(shared, answer)) as (_, episode):
-        task, seed, score, ended = episode.task, episode.seed, episode.score, episode.ended
+
+    def flown() -> tuple[TaskConfig, int, float, bool]:
+        with shared.sessions.reading(caller.session(shared, answer)) as (_, episode):
+            return episode.task, episode.seed, episode.score, episode.ended
+
+    task, seed, score, ended = await run_in_threadpool(flown)
     if not ended:
         raise RequestError(409, "in_flight", "the best flight is shown once the episode has ended")
-    best, path = best_flight(shared, task, seed)
+    best, path = await shared.work(request, best_flight, task, seed, quick=is_registered(task.id))
     return SolutionAnswer(
         task=task.id,
         seed=seed,

@@ -4,7 +4,7 @@ from itertools import groupby
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Body, Path
+from fastapi import APIRouter, Body, Path, Request, Response
 from pydantic import ConfigDict, Field
 from typing_extensions import Self
 
@@ -18,6 +18,7 @@ from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, Message, Position, Score
 from drone_env.planning.optimal import solve_episode
 from drone_env.server.drawn_maps import name_of
+from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import answers
 from drone_env.server.routes.catalogue import describe
 from drone_env.server.schemas import OneTask
@@ -133,22 +134,24 @@ class CityFile(Message):
     toml: str = Field(description="Its text.")
 
 
-@router.get("/{task_name}/{seed}", responses=answers(404, 422))
-def drawn_map(task_name: str, seed: Annotated[int, Path(ge=0, le=MAX_SEED)]) -> DrawnMap:
+@router.get("/{task_name}/{seed}", response_model=DrawnMap, responses=answers(404, 422, 503))
+async def drawn_map(
+    request: Request, shared: SharedParts, task_name: str, seed: Annotated[int, Path(ge=0, le=MAX_SEED)]
+) -> Response:
     """A map as a drawing, to be changed. A drawing is flown by the rules of `skyline`, whatever it was made from."""
-    return DrawnMap.from_episode(Episode(get_task(task_name), seed=seed))
+    return _json(await shared.work(request, _drawing, task_name, seed, quick=is_registered(task_name)))
 
 
-@router.post("/file", responses=REFUSALS)
-def file_as_map(file: Annotated[CityFile, Body()]) -> DrawnMap:
+@router.post("/file", response_model=DrawnMap, responses=REFUSALS)
+async def file_as_map(request: Request, shared: SharedParts, file: Annotated[CityFile, Body()]) -> Response:
     """The file of a city as a drawing; what it leaves to the seed is as on its map 0."""
-    return DrawnMap.of(parse_city(file.toml.encode()))
+    return _json(await shared.work(request, _file_as_map, file.toml))
 
 
-@router.post("/worth", responses=REFUSALS)
-async def worth(shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> MapWorth:
+@router.post("/worth", response_model=MapWorth, responses=REFUSALS)
+async def worth(request: Request, shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> Response:
     """What a drawing is worth: the best score that any flight over it can reach, and the text of its file."""
-    return await shared.study(lambda: _worth(drawn.city()))
+    return _json(await shared.work(request, _worth, drawn))
 
 
 @router.post("", responses=REFUSALS)
@@ -160,7 +163,20 @@ def keep_map(shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> OneTask
     return describe(shared.maps.keep(drawn.city()), shared)
 
 
-def _worth(city: City) -> MapWorth:
+def _json(text: str) -> Response:
+    return Response(text, media_type="application/json")
+
+
+def _drawing(task_name: str, seed: int) -> str:
+    return DrawnMap.from_episode(Episode(get_task(task_name), seed=seed)).model_dump_json()
+
+
+def _file_as_map(toml: str) -> str:
+    return DrawnMap.of(parse_city(toml.encode())).model_dump_json()
+
+
+def _worth(drawn: DrawnMap) -> str:
+    city = drawn.city()
     text = city_text(city)
     episode = Episode(task_of(city, "map"), seed=0)
     optimum = between = None
@@ -175,7 +191,10 @@ def _worth(city: City) -> MapWorth:
         from drone_env.planning.bounds import bounds  # loads a compiler, which is rarely needed here
 
         between = bounds(episode)
-    return MapWorth(name=name_of(text.encode()), toml=text, numbers=_numbers(episode), optimum=optimum, bounds=between)
+    answer = MapWorth(
+        name=name_of(text.encode()), toml=text, numbers=_numbers(episode), optimum=optimum, bounds=between
+    )
+    return answer.model_dump_json()
 
 
 def _numbers(episode: Episode) -> dict[Number, int]:

@@ -1,17 +1,19 @@
 """The page, what stands in its head for sites that show links to it, and the picture beside such a link."""
 
-from functools import partial
 from hashlib import sha256
 from html import escape
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
 
 from drone_env.errors import DroneEnvError
 from drone_env.server.hello import hello
 from drone_env.server.links import Link, title_of
+from drone_env.server.map_choice import is_registered
 from drone_env.server.page_files import PAGE, edition
 from drone_env.server.pilots import called
+from drone_env.server.preview import draw_preview
 from drone_env.server.problems import answers
 from drone_env.server.state import Shared, SharedParts
 
@@ -45,11 +47,11 @@ def hello_style(request: Request) -> Response:
 async def preview(request: Request, shared: SharedParts, link: Annotated[Link, Query()]) -> Response:
     """The picture for a link to the page with this query: its map, with the flight up to its step.
 
-    A person is not flown for. A flight that is not in the cache is flown, at most to its end, beside those that
-    `/replay` and `/annotate` look at.
+    A person is not flown for.
     """
-    previews = request.app.state.previews
-    picture = previews.get(link) or await shared.study(partial(previews.draw, link))
+    record = (await run_in_threadpool(shared.store.episode, link.episode)).record if link.episode else None
+    quick = is_registered(link.task if record is None else record.task)
+    picture = await shared.work(request, draw_preview, link, record, quick=quick)
     return _known(request, picture, "image/png", {"Cache-Control": FRESH})
 
 

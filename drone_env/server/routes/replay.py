@@ -3,7 +3,7 @@
 from itertools import chain
 from typing import Annotated, Any, cast
 
-from fastapi import APIRouter, Body, Response
+from fastapi import APIRouter, Body, Request, Response
 from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 
 from drone_env.core.actions import Action
@@ -15,8 +15,10 @@ from drone_env.evaluation.analysis import Label, analyse_flight
 from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, Position, Score
 from drone_env.planning.optimal import Solution, solve_episode
 from drone_env.server.frames import Opening, ShownEpisode, frame_of
+from drone_env.server.jobs import bench
+from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import RequestError, answers
-from drone_env.server.state import Shared, SharedParts
+from drone_env.server.state import SharedParts
 
 router = APIRouter(tags=["replay"])
 RECORD_ERRORS = answers(400, 413, 415, 422, 503)
@@ -77,59 +79,54 @@ class AnalysedFlight(Message):
 
 
 @router.post("/replay", response_model=ShownEpisode, responses=RECORD_ERRORS)
-async def replay_record(shared: SharedParts, record: Record) -> Response:
+async def replay_record(request: Request, shared: SharedParts, record: Record) -> Response:
     """Fly a record again, check every reward and the score, and show it frame by frame."""
+    found = await shared.work(request, _replayed, record, quick=is_registered(record.task))
+    return Response(found, media_type="application/json")
 
-    def flight() -> Response:
-        steps = replay_steps(record)
-        start = next(steps)
-        opening = Opening.of(start, record.agent)
-        network = shared.networks.beside(opening.pilot, start.task)
-        frames = [frame_of(episode, episode.observation(), network) for episode in chain([start], steps)]
-        return json_of(ShownEpisode(opening=opening, frames=frames))
 
-    return await shared.study(flight)
+def _replayed(record: EpisodeRecord) -> str:
+    steps = replay_steps(record)
+    start = next(steps)
+    opening = Opening.of(start, record.agent)
+    network = bench().networks.beside(opening.pilot, start.task)
+    frames = [frame_of(episode, episode.observation(), network) for episode in chain([start], steps)]
+    return ShownEpisode(opening=opening, frames=frames).model_dump_json()
 
 
 @router.post("/annotate", response_model=AnalysedFlight, responses=RECORD_ERRORS | answers(409))
-async def annotate(shared: SharedParts, record: Record) -> Response:
+async def annotate(request: Request, shared: SharedParts, record: Record) -> Response:
     """What each move of a finished flight gave away, and a best flight over its map. Large maps take seconds."""
     if not record.ended:
         raise RequestError(409, "in_flight", "only a flight that has ended is annotated")
-
-    def analysed() -> Response:
-        analysis = analyse_flight(record, lambda start: shared.values.solver_of(start.task, start.seed))
-        best, path = best_flight(shared, analysis.task, analysis.seed)
-        message = AnalysedFlight(
-            score=analysis.score,
-            optimal_score=analysis.optimum,
-            regret=analysis.regret,
-            accuracy=analysis.accuracy,
-            counts=analysis.counts,
-            moves=[AnalysedMove(**move) for move in analysis.to_dict()["moves"]],
-            optimal_steps=best.steps,
-            optimal_actions=[DIRECTIONS[action] for action in best.actions],
-            optimal_path=path,
-        )
-        return json_of(message)
-
-    return await shared.study(analysed)
+    found = await shared.work(request, _annotated, record, quick=is_registered(record.task))
+    return Response(found, media_type="application/json")
 
 
-def best_flight(shared: Shared, task: TaskConfig, seed: int) -> tuple[Solution, list[Position]]:
-    """A best flight over a map, and [x, y] of the drone on it from its start on.
+def _annotated(record: EpisodeRecord) -> str:
+    analysis = analyse_flight(record, lambda start: bench().solver_of(start.task, start.seed))
+    best, path = best_flight(analysis.task, analysis.seed)
+    answer = AnalysedFlight(
+        score=analysis.score,
+        optimal_score=analysis.optimum,
+        regret=analysis.regret,
+        accuracy=analysis.accuracy,
+        counts=analysis.counts,
+        moves=[AnalysedMove(**move) for move in analysis.to_dict()["moves"]],
+        optimal_steps=best.steps,
+        optimal_actions=[DIRECTIONS[action] for action in best.actions],
+        optimal_path=path,
+    )
+    return answer.model_dump_json()
+
+
+def best_flight(task: TaskConfig, seed: int) -> tuple[Solution, list[Position]]:
+    """A best flight over a map, and [x, y] of the drone on it from its start on: for worker processes.
 
     Raises:
         TooLargeError: if the map is too large to be solved.
-        RequestError: if it could not be solved for another reason, which has been logged.
     """
     start = Episode(task, seed=seed)
     # Where every step costs the same, the shortest tour is found without.
-    best = solve_episode(start, None if task.uniform else shared.values.solver_of(task, seed))
+    best = solve_episode(start, None if task.uniform else bench().solver_of(task, seed))
     return best, [start.position, *((step.x, step.y) for step in start.copy().fly(best.actions).path)]
-
-
-def json_of(answer: Message) -> Response:
-    """A message as an answer that is not checked again."""
-    # Made in the thread of its study: FastAPI would do it where all requests are served.
-    return Response(answer.model_dump_json(), media_type="application/json")

@@ -1,12 +1,12 @@
 """The routes that show runs that are kept here, of agents and of language models, and what these were asked."""
 
-from functools import partial
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request, Response
 from pydantic import Field
+from starlette.concurrency import run_in_threadpool
 
 from drone_env.agents.named import sb3_elsewhere, sb3_file
 from drone_env.core.tasks import get_task
@@ -16,12 +16,10 @@ from drone_env.evaluation.comparison import AgentMap, Bounds, agent_map, kept_ma
 from drone_env.llm.messages import ChatMessage
 from drone_env.llm.transcript import Failure
 from drone_env.models import Count, Message
+from drone_env.server.jobs import bench
 from drone_env.server.model_runs import newest
 from drone_env.server.problems import RequestError, answers
-from drone_env.server.state import Shared, SharedParts
-
-if TYPE_CHECKING:
-    from drone_env.evaluation.leaderboard import Judged, Refused
+from drone_env.server.state import SharedParts
 
 router = APIRouter(tags=["compare"])
 LISTED = 1000
@@ -99,8 +97,8 @@ class ModelCalls(Message):
     calls: list[ModelCall]
 
 
-@router.get("/leaderboard/{task_name}/runs", responses=answers(404, 422, 503))
-async def run_boards(shared: SharedParts, task_name: str) -> RunBoards:
+@router.get("/leaderboard/{task_name}/runs", response_model=RunBoards, responses=answers(404, 422, 503))
+async def run_boards(request: Request, shared: SharedParts, task_name: str) -> Response:
     """Agents and language models side by side, over the same maps of a task.
 
     They are the evaluations (`drone-env evaluate --out`) in `evaluations` of the data folder, and the runs of
@@ -108,22 +106,46 @@ async def run_boards(shared: SharedParts, task_name: str) -> RunBoards:
     takes seconds.
     """
     task = get_task(task_name)
-    configs = await shared.study(shared.runs.configs)
-    of_models = [path for path, config in configs.items() if config is None or config.task == task.id]
-    # One by one: other studies may come between.
-    judged = [await shared.study(partial(shared.runs.judge, path)) for path in of_models]
-    for path in shared.evaluations.folders():
-        judged += await shared.study(partial(shared.evaluations.judge, path, task.id))
-    return await shared.study(lambda: _boards(shared, task.id, judged))
+    # One by one: each has the time of a job, and its worker remembers it.
+    flights: list[str] = []
+    for path in await shared.work(request, _runs_of, task.id):
+        flights += await shared.work(request, _judge_run, path)
+    for path in await shared.work(request, _evaluations):
+        await shared.work(request, _judge_evaluation, path, task.id)
+    kept = await run_in_threadpool(shared.store.kept, flights)
+    return Response(await shared.work(request, _boards, task.id, kept), media_type="application/json")
 
 
-def _boards(shared: Shared, task: str, judged: "list[Judged | Refused]") -> RunBoards:
+def _runs_of(task: str) -> list[Path]:
+    return [path for path, config in bench().runs.configs().items() if config is None or config.task == task]
+
+
+def _judge_run(path: Path) -> list[str]:
+    """The ids under which a store may have its flights."""
+    from drone_env.evaluation.leaderboard import Judged
+
+    judged = bench().runs.judge(path)
+    return [id_ for id_, _ in bench().runs.flights(path)] if isinstance(judged, Judged) else []
+
+
+def _evaluations() -> list[Path]:
+    return bench().evaluations.folders()
+
+
+def _judge_evaluation(path: Path, task: str) -> None:
+    bench().evaluations.judge(path, task)
+
+
+def _boards(task: str, kept: set[str]) -> str:
     from drone_env.evaluation.leaderboard import Judged, Refused, boards_of
 
-    return RunBoards(
+    judged = [bench().runs.judge(path) for path in _runs_of(task)]
+    for path in _evaluations():
+        judged += bench().evaluations.judge(path, task)
+    answer = RunBoards(
         task=task,
         boards=[
-            RunBoard(maps=board.maps, rows=[_row(shared, row) for row in board.rows])
+            RunBoard(maps=board.maps, rows=[_row(row, kept) for row in board.rows])
             for board in boards_of(one for one in judged if isinstance(one, Judged))
         ],
         unranked=[
@@ -132,17 +154,17 @@ def _boards(shared: Shared, task: str, judged: "list[Judged | Refused]") -> RunB
             if isinstance(one, Refused)
         ],
     )
+    return answer.model_dump_json()
 
 
-def _row(shared: Shared, figures: dict[str, Any]) -> Run:
+def _row(figures: dict[str, Any], kept: set[str]) -> Run:
     path, config = Path(figures["path"]), figures["config"]
     agent = figures.get("agent")
     flown = kept_maps(agent or config["model"], figures)
     of_model: dict[str, Any] = {"prompt": None, "errored": None, "waits": None, "tokens": None}
     ids: dict[int, str] = {}
     if agent is None:
-        flights = shared.runs.flights(path)
-        ids = newest(flights, shared.store.kept(id_ for id_, _ in flights))
+        ids = newest(bench().runs.flights(path), kept)
         of_model = {
             "prompt": config["prompt"],
             "errored": figures["flights"]["errored"],
@@ -170,23 +192,26 @@ def _listed(flown: list[FlownMap]) -> list[FlownMap]:
     return sorted(worst, key=lambda row: row.seed)
 
 
-@router.get("/episodes/{episode_id}/calls", responses=answers(404, 422, 503))
-async def calls(shared: SharedParts, episode_id: str) -> ModelCalls:
+@router.get("/episodes/{episode_id}/calls", response_model=ModelCalls, responses=answers(404, 422, 503))
+async def calls(request: Request, shared: SharedParts, episode_id: str) -> Response:
     """What a language model was asked at each step of a flight, and what it answered."""
-    return await shared.study(lambda: _calls(shared, episode_id))
+    found = await shared.work(request, _calls, episode_id)
+    if found is None:
+        await run_in_threadpool(shared.store.episode, episode_id)
+        found = ModelCalls(run=None, model=None, prompt=None, calls=[]).model_dump_json()
+    return Response(found, media_type="application/json")
 
 
-def _calls(shared: Shared, episode_id: str) -> ModelCalls:
+def _calls(episode_id: str) -> str | None:
     try:
-        found = shared.runs.calls(episode_id)
+        found = bench().runs.calls(episode_id)
     except InvalidValueError:
         # Not the error itself: it names the folder.
         raise RequestError(404, "damaged_run", "the run of this flight is damaged: see drone-env leaderboard") from None
     if found is None:
-        shared.store.episode(episode_id)
-        return ModelCalls(run=None, model=None, prompt=None, calls=[])
+        return None
     path, config, asked = found
-    return ModelCalls(
+    answer = ModelCalls(
         run=path.name,
         model=config.model,
         prompt=config.prompt,
@@ -206,6 +231,7 @@ def _calls(shared: Shared, episode_id: str) -> ModelCalls:
             for call in asked
         ],
     )
+    return answer.model_dump_json()
 
 
 def _without_folder(reason: str, path: Path) -> str:

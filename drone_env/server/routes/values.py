@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Response
+from fastapi import APIRouter, Body, Request, Response
 from pydantic import ConfigDict, Field
 
 from drone_env.core.episode import Episode
@@ -10,7 +10,8 @@ from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.tasks import get_task
 from drone_env.episodes.record import fly_directions
 from drone_env.models import Direction, Message, Seed
-from drone_env.server.map_values import ValuesAnswer
+from drone_env.server.map_choice import is_registered
+from drone_env.server.map_values import ValuesAnswer, values_json
 from drone_env.server.problems import answers
 from drone_env.server.state import SharedParts
 
@@ -46,15 +47,15 @@ class FlightSoFar(Message):
 
 
 @router.post("/values", response_model=ValuesAnswer, responses=answers(400, 413, 415, 422, 503))
-async def values(shared: SharedParts, flight: Annotated[FlightSoFar, Body()]) -> Response:
+async def values(request: Request, shared: SharedParts, flight: Annotated[FlightSoFar, Body()]) -> Response:
     """The best score still possible from a moment of a flight: by each action, and from every cell of the map.
 
     Beside it stands what the network would do at every cell, and how far the battery reaches. No session is needed. Of
     a task whose maps are too large to be solved the exact values are null.
     """
+    found = await shared.work(request, _values, flight, quick=is_registered(flight.task))
+    return Response(found, media_type="application/json")
 
-    def looked_at() -> Response:
-        # Made in the thread of its study: FastAPI would do it where all requests are served.
-        return Response(shared.map_values.json(flight.episode()), media_type="application/json")
 
-    return await shared.study(looked_at)
+def _values(flight: FlightSoFar) -> str:
+    return values_json(flight.episode())

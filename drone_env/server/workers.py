@@ -1,0 +1,247 @@
+"""Worker processes for long work, so that the process that serves requests never waits for it.
+
+Solving a map, flying a pilot, drawing a picture or reading an uploaded file takes up to seconds, and as much memory as
+its input asks for. Each of these is a job: a function of a module with arguments that can be pickled. A job runs in a
+worker process under limits of CPU time and memory (`drone_env.server.jobs`). A job whose caller leaves is dropped.
+"""
+
+import asyncio
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from multiprocessing.process import BaseProcess
+from typing import Any, TypeVar
+
+from drone_env.core.tasks import TaskConfig
+from drone_env.episodes.optima import solve_maps
+from drone_env.errors import DroneEnvError, TooLargeError
+from drone_env.server.jobs import TOO_LONG, serve
+from drone_env.server.map_choice import is_registered
+from drone_env.server.problems import FAILED, RequestError
+from drone_env.server.settings import Settings
+
+PROCESSES = max(2, (os.cpu_count() or 1) // 2)
+"""Worker processes. The first takes quick jobs alone, so that nobody's map delays the flights of others."""
+WAITING = 64
+"""Jobs that may wait in all."""
+WAITING_PER_CALLER = 16
+METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+"""Workers are forked from one process that has imported everything: they start in milliseconds and share its memory."""
+PRELOADED = [
+    "__main__",
+    "drone_env.envs.rendering",
+    "drone_env.planning.bounds",
+    "drone_env.planning.elsewhere",
+    "drone_env.planning.solvers",
+    "drone_env.server.app",
+]
+Result = TypeVar("Result")
+Queue = OrderedDict[str, "deque[Job]"]
+
+
+class Job(Future[Any]):
+    """Work that waits or runs. `cancel` drops it; if it runs and is not quick, its worker is killed."""
+
+    def __init__(
+        self, workers: "Workers", function: Callable[..., Any], arguments: tuple[object, ...], quick: bool
+    ) -> None:
+        super().__init__()
+        self.function = function
+        self.arguments = arguments
+        self.quick = quick
+        self.dropped = False
+        self.process: _Process | None = None
+        self._workers = workers
+
+    def cancel(self) -> bool:
+        """Drop it; whether it had not ended yet."""
+        return self._workers.drop(self)
+
+
+class Workers:
+    """The worker processes of one server process; safe to share between threads.
+
+    Callers take turns: each time a worker is free, the next caller's oldest job runs.
+
+    Args:
+        settings: The configuration of the server.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings.model_copy(update={"token": None})
+        self._queues: dict[bool, Queue] = {quick: OrderedDict() for quick in (True, False)}
+        self._running: set[Job] = set()
+        self._reserved_is_busy = False
+        self._closed = False
+        self._condition = threading.Condition()
+        self._threads: list[threading.Thread] = []
+
+    def submit(self, function: Callable[..., Any], *arguments: object, caller: str, quick: bool = False) -> Job:
+        """Have a worker call a function of a module.
+
+        Args:
+            function: What to call.
+            arguments: Its arguments, which are pickled.
+            caller: Whose turn it takes: an address.
+            quick: Whether it is bounded by a task of the server's own, not by what a visitor sent.
+
+        Raises:
+            RequestError: if too many jobs are waiting, or the server stops.
+        """
+        job = Job(self, function, arguments, quick)
+        with self._condition:
+            if self._closed:
+                raise RequestError(503, "not_started", "the server is stopping")
+            queue = self._queues[quick]
+            own = queue.get(caller, ())
+            if sum(map(len, queue.values())) >= WAITING or len(own) >= WAITING_PER_CALLER:
+                raise RequestError(503, "busy", "too many requests are waiting for their turn: try again later")
+            queue.setdefault(caller, deque()).append(job)
+            if not self._threads:
+                self._threads = [
+                    threading.Thread(target=self._serve, args=(not number,), name=f"drone_env-worker-{number}")
+                    for number in range(PROCESSES)
+                ]
+                for thread in self._threads:
+                    thread.start()
+            self._condition.notify_all()
+        return job
+
+    async def run(
+        self, function: Callable[..., Result], *arguments: object, caller: str, quick: bool = False
+    ) -> Result:
+        """Wait for the result of a job; it is dropped if this is cancelled. Raises as `submit`, and as the function."""
+        return await asyncio.wrap_future(self.submit(function, *arguments, caller=caller, quick=quick))
+
+    def solve(self, task: TaskConfig, seeds: Sequence[int]) -> list[float | None]:
+        """The optima of the first of some maps, at least of one, for a thread that may wait; None where it is unknown.
+
+        Raises as `submit`.
+        """
+        try:
+            return self.submit(solve_maps, task, seeds, caller="store", quick=is_registered(task.id)).result()
+        except TooLargeError:
+            return [None]
+
+    def drop(self, job: Job) -> bool:
+        """Take a job out of the queue, or kill the worker that runs it; whether it had not ended yet."""
+        with self._condition:
+            job.dropped = True
+            for queue in self._queues.values():
+                for caller, jobs in queue.items():
+                    if job in jobs:
+                        jobs.remove(job)
+                        if not jobs:
+                            del queue[caller]
+                        return Future.cancel(job)
+            # A quick job ends soon: a new worker would take longer, and know no maps.
+            if job in self._running and job.process is not None and (self._closed or not job.quick):
+                job.process.kill()
+            return job in self._running
+
+    def close(self) -> None:
+        """Drop all jobs and end the workers."""
+        with self._condition:
+            self._closed = True
+            waiting = [job for queue in self._queues.values() for jobs in queue.values() for job in jobs]
+            for job in (*waiting, *self._running):
+                job.cancel()
+            self._condition.notify_all()
+        for thread in self._threads:
+            thread.join()
+
+    def _serve(self, reserved: bool) -> None:
+        process: _Process | None = None
+        while (job := self._next(reserved)) is not None:
+            try:
+                if process is None:
+                    process = _Process(self._settings)
+                with self._condition:
+                    job.process = process
+                    if job.dropped and (self._closed or not job.quick):
+                        process.kill()
+                result, error = process.call(job.function, job.arguments)
+            except (EOFError, OSError):
+                result, error = None, _error_of(process, job)
+                process = None
+            with self._condition:
+                self._running.remove(job)
+                self._reserved_is_busy &= not reserved
+            if error is None:
+                job.set_result(result)
+            else:
+                job.set_exception(error)
+        if process is not None:
+            process.end()
+
+    def _next(self, reserved: bool) -> Job | None:
+        """The job whose turn it is, once there is one; None when the pool is closed."""
+        with self._condition:
+            while not self._closed:
+                # Others take quick jobs only while the reserved worker is busy: it has solved their maps before.
+                lanes = (True,) if reserved else (False, True) if self._reserved_is_busy else (False,)
+                for queue in (self._queues[quick] for quick in lanes if self._queues[quick]):
+                    caller, jobs = queue.popitem(last=False)
+                    job = jobs.popleft()
+                    if jobs:
+                        queue[caller] = jobs
+                    job.set_running_or_notify_cancel()
+                    self._running.add(job)
+                    self._reserved_is_busy |= reserved
+                    self._condition.notify_all()
+                    return job
+                self._condition.wait()
+        return None
+
+
+class _Process:
+    """One worker process. Only the thread that made it calls it; `kill` is for all."""
+
+    def __init__(self, settings: Settings) -> None:
+        context: Any = multiprocessing.get_context(METHOD)
+        if METHOD == "forkserver":
+            context.set_forkserver_preload(PRELOADED)
+        # A forked worker has the environment of the process that it is forked from, which may be older.
+        environment = {name: value for name, value in os.environ.items() if name.startswith("DRONE_ENV_")}
+        self._connection, theirs = context.Pipe()
+        self._process: BaseProcess = context.Process(
+            target=serve, args=(theirs, self._connection, settings, environment), name="drone_env-worker", daemon=True
+        )
+        self._process.start()
+        theirs.close()
+
+    def call(self, function: Callable[..., Any], arguments: tuple[object, ...]) -> tuple[Any, DroneEnvError | None]:
+        """The result of a function, or what it raised.
+
+        Raises:
+            EOFError, OSError: if the process has ended.
+        """
+        self._connection.send((function, arguments))
+        return self._connection.recv()
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+
+    def end(self) -> int | None:
+        """End it, and return its exit status; minus the number of a signal."""
+        self._connection.close()
+        self._process.join(0 if self._process.exitcode is None else None)
+        self._process.kill()
+        self._process.join()
+        return self._process.exitcode
+
+
+def _error_of(process: _Process | None, job: Job) -> DroneEnvError:
+    """Why a worker ended in the middle of a job."""
+    status = None if process is None else process.end()
+    if job.dropped:
+        return RequestError(503, "dropped", "nobody waits for this any more")
+    if sys.platform != "win32" and status == -signal.SIGXCPU:
+        return TooLargeError(TOO_LONG)
+    return RequestError(500, "internal", FAILED)
