@@ -20,7 +20,7 @@ from drone_env.models import (
     Position,
     Score,
 )
-from drone_env.server.pilots import PILOTS, Credit
+from drone_env.server.pilots import HUMAN, PILOTS, Credit
 
 
 class Opening(Message):
@@ -172,3 +172,8 @@ def frame_of(
         value=value,
         regret=None if value is None or optimum is None else optimum - value,
     )
+
+
+def shows_values(credit: Credit, episode: Episode) -> bool:
+    """Whether values are shown: they are hidden from a person in flight who has not asked for them."""
+    return credit.pilot != HUMAN or credit.values or episode.ended

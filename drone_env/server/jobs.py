@@ -15,8 +15,9 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import FINDERS, TaskConfig
-from drone_env.envs.registry import load_plugins, register_reward_file
+from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES, RewardProfile
+from drone_env.core.tasks import FINDERS, PACKAGE_TASKS, TASKS, TaskConfig
+from drone_env.envs.registry import load_plugins
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.files import EVALUATIONS, MAPS, RUNS
 from drone_env.server.drawn_maps import DrawnMaps
@@ -81,12 +82,20 @@ def bench() -> Bench:
 
 
 def prepare(settings: Settings) -> None:
-    """Register what the server has registered, and make the bench."""
+    """Load the plugins, and make the bench."""
     load_plugins()
-    for file in settings.reward_profiles:
-        register_reward_file(file)
     FINDERS.append(DrawnMaps(settings.data / MAPS, settings.maps).find)
     _benches.append(Bench(settings))
+
+
+def _register(tasks: dict[str, TaskConfig], profiles: dict[str, RewardProfile]) -> None:
+    """Have the tasks and reward profiles that the server has."""
+    for id_ in TASKS.keys() - PACKAGE_TASKS:
+        del TASKS[id_]
+    TASKS.update(tasks)
+    for id_ in REWARD_PROFILES.keys() - PACKAGE_PROFILES:
+        del REWARD_PROFILES[id_]
+    REWARD_PROFILES.update(profiles)
 
 
 def serve(connection: Connection, others: Connection, settings: Settings, environment: dict[str, str]) -> None:
@@ -110,11 +119,13 @@ def serve(connection: Connection, others: Connection, settings: Settings, enviro
     prepare(settings)
     while True:
         try:
-            function, arguments = connection.recv()
+            function, arguments, registered = connection.recv()
         except (EOFError, OSError):
             return
         result: Any = None
         error: DroneEnvError | None = None
+        if registered is not None:
+            _register(*registered)
         try:
             with limited():
                 result = function(*arguments)

@@ -17,7 +17,8 @@ from concurrent.futures import Future
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES
+from drone_env.core.tasks import PACKAGE_TASKS, TASKS, TaskConfig
 from drone_env.episodes.optima import solve_maps
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.server.jobs import TOO_LONG, serve
@@ -208,6 +209,7 @@ class _Process:
             context.set_forkserver_preload(PRELOADED)
         # A forked worker has the environment of the process that it is forked from, which may be older.
         environment = {name: value for name, value in os.environ.items() if name.startswith("DRONE_ENV_")}
+        self._registered: object = None
         self._connection, theirs = context.Pipe()
         self._process: BaseProcess = context.Process(
             target=serve, args=(theirs, self._connection, settings, environment), name="drone_env-worker", daemon=True
@@ -221,7 +223,13 @@ class _Process:
         Raises:
             EOFError, OSError: if the process has ended.
         """
-        self._connection.send((function, arguments))
+        # What was registered since the process began, or since its last job.
+        tasks = {id_: task for id_, task in TASKS.items() if id_ not in PACKAGE_TASKS}
+        profiles = {id_: profile for id_, profile in REWARD_PROFILES.items() if id_ not in PACKAGE_PROFILES}
+        registered = [*map(id, tasks.values()), *map(id, profiles.values())]
+        known = registered == self._registered
+        self._registered = registered
+        self._connection.send((function, arguments, None if known else (tasks, profiles)))
         return self._connection.recv()
 
     def kill(self) -> None:

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -230,22 +229,6 @@ def test_two_pages_on_one_session_never_fly_it_astray(client: TestClient) -> Non
     for seen in flights:
         assert [frame["step"] for frame in seen] == list(range(1, len(seen) + 1))
         assert names(seen) == actions[: len(seen)]
-
-
-def test_a_page_has_one_map_solved_at_a_time_and_none_when_it_has_gone(
-    client: TestClient, eventually: Callable[..., None]
-) -> None:
-    values, go_on = client.app.state.shared.values, threading.Event()  # type: ignore[attr-defined]
-    values._thread.submit(go_on.wait)
-    try:
-        with client.websocket_connect("/live") as socket:
-            page = Page(socket)
-            for seed in range(20):
-                page.start("greedy", seed=seed)
-            eventually(lambda: [seed for _, seed in values._pending] == [19])
-        eventually(lambda: not values._pending)
-    finally:
-        go_on.set()
 
 
 def test_flights_that_are_given_up_free_their_places(client: TestClient) -> None:

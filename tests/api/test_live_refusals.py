@@ -10,9 +10,7 @@ import pytest
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from drone_env.planning import solvers
 from drone_env.server.app import create_app
-from drone_env.server.exact_values import UNSOLVED
 from drone_env.server.live.commands import MOST_EPISODES
 from drone_env.server.live.episodes import LiveEpisode
 from drone_env.server.live.feeds import Feed
@@ -105,11 +103,11 @@ def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as today, client.websocket_connect("/live") as socket:
-        today.setattr(solvers, "solver_of", lambda _: {}[0])
+        today.setattr("drone_env.server.live.episodes.values_along", failing)
         page = Page(socket)
         (shown,) = page.start("greedy")
         refused = json.loads(socket.receive_text())
-        assert (refused["type"], refused["code"], refused["detail"]) == ("error", "no_values", UNSOLVED)
+        assert (refused["type"], refused["code"]) == ("error", "internal")
         page.send("step")
         assert page.until("frames")["frames"][0]["frame"]["value"] is None
     with client.websocket_connect("/live") as socket:
@@ -117,6 +115,11 @@ def test_a_page_is_told_once_that_a_map_could_not_be_solved_and_flies_on(
         page.send("attach", sessions=[shown["opening"]["session"]])
         assert len(page.until("flights")["flights"][0]["frames"]) == 2
         assert len(page.until("values")["values"]) == 2
+
+
+def failing(*_: object) -> None:
+    """A job that fails."""
+    raise KeyError("a fault")
 
 
 def test_what_nobody_foresaw_ends_no_connection(

@@ -1,6 +1,5 @@
 """`POST /values`: what can still be reached from a moment of a flight, beside the solver and the networks."""
 
-from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -22,9 +21,7 @@ from drone_env.models import DIRECTIONS, Direction
 from drone_env.planning import solvers
 from drone_env.planning.elsewhere import battery_range, charging_pads
 from drone_env.server.app import create_app
-from drone_env.server.map_values import KEPT
 from drone_env.server.settings import Settings
-from tests.api.live_page import Page
 from tests.api.networks import put_network, put_tour, put_trained
 from tests.api.test_replay import JSON, record
 from tests.toy import TOY
@@ -221,55 +218,3 @@ def test_a_flight_that_cannot_be_is_refused(shared_client: TestClient, change: A
     assert refused.status_code == 422
     assert told in refused.json()["detail"]
     assert shared_client.post("/values", json={"task": "easy"}).json()["detail"] == "body.seed: Field required"
-
-
-@pytest.fixture
-def made(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
-    """How many solvers of maps 7 were made, and how often a tour network was asked."""
-    counts: Counter[str] = Counter()
-    make, act = solvers.solver_of, TournetAgent.act_batch
-
-    def counting_make(episode: Episode) -> object:
-        counts["solvers"] += episode.seed == 7  # a reset has map 0 solved, to have it compiled
-        return make(episode)
-
-    def counting_act(self: TournetAgent, *arguments: Any) -> Any:
-        counts["asked"] += 1
-        return act(self, *arguments)
-
-    monkeypatch.setattr(solvers, "solver_of", counting_make)
-    monkeypatch.setattr(TournetAgent, "act_batch", counting_act)
-    return counts
-
-
-def test_a_map_is_solved_once_for_values_annotations_solutions_and_the_live_page(
-    client: TestClient, made: Counter[str]
-) -> None:
-    flown = record("skyline_easy")
-    header = {"X-Session-Id": client.post("/reset", json={"task_name": "skyline_easy", "seed": 7}).json()["session_id"]}
-    for action in flown.actions:
-        client.post("/step", json={"direction": action}, headers=header)
-    for _ in range(4):
-        assert client.post("/annotate", content=flown.to_json(), headers=JSON).status_code == 200
-    assert client.get("/solution", headers=header).status_code == 200
-    ask(client, "skyline_easy", 7, flown.actions[:3])
-    with client.websocket_connect("/live") as socket:
-        page = Page(socket)
-        page.start("greedy", task="skyline_easy", seed=7)
-        page.until("values")
-    assert made["solvers"] == 1
-
-
-def test_an_answer_is_kept_for_all_who_stand_there_however_they_came(client: TestClient, made: Counter[str]) -> None:
-    start = Episode("hard", seed=7)
-    ways: list[list[Direction]] = [["UP", "LEFT", "RIGHT", "DOWN"], ["LEFT", "UP", "DOWN", "RIGHT"]]
-    assert {start.copy().fly(Action[name] for name in way).position for way in ways} == {start.position}
-    first, second = (ask(client, "hard", 7, way) for way in ways)
-    assert first == second
-    assert made == {"solvers": 1, "asked": 1}
-    ask(client, "hard", 7, ["WAIT"] * 4)
-    assert made == {"solvers": 1, "asked": 1}
-    ask(client, "hard", 7, ["WAIT"] * 3)
-    assert made == {"solvers": 1, "asked": 2}
-    kept = client.app.state.shared.map_values._answer.cache_info()  # type: ignore[attr-defined]
-    assert (kept.currsize, kept.maxsize) == (2, KEPT)

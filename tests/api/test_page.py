@@ -4,7 +4,6 @@ import io
 import re
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import pytest
 from PIL import Image
@@ -18,15 +17,10 @@ from drone_env.core.tasks import get_task
 from drone_env.envs.rendering import draw_card
 from drone_env.episodes.record import EpisodeRecord, record_of, replay
 from drone_env.planning.optimal import solve
-from drone_env.server import preview
 from drone_env.server.app import create_app
 from drone_env.server.hello import hello
-from drone_env.server.links import Link
 from drone_env.server.page_files import PAGE
-from drone_env.server.preview import Previews
 from drone_env.server.settings import Settings
-from drone_env.server.state import Shared
-from tests.api.networks import put_trained
 
 
 def flown(task: str, seed: int, agent: str, steps: int | None = None) -> Episode:
@@ -137,36 +131,12 @@ class TestPreview:
         assert (answer.status_code, answer.headers["Content-Type"]) == (status, "application/json")
         assert says in answer.json()["detail"]
 
-    def test_it_is_drawn_once_and_known_by_its_tag(
-        self, client: TestClient, monkeypatch: pytest.MonkeyPatch, settings: dict[str, Any]
-    ) -> None:
-        drawn: list[Link] = []
-        draw = Previews.draw
-        monkeypatch.setattr(Previews, "draw", lambda self, link: drawn.append(link) or draw(self, link))
+    def test_it_is_known_by_its_tag(self, shared_client: TestClient) -> None:
         address = "/preview.png?task=easy&seed=7&pilot=greedy"
-        first = client.get(f"{address}&utm_source=a-site")
-        again = client.get(address)
-        assert (len(drawn), again.content) == (1, first.content)
-        assert again.headers["ETag"] == first.headers["ETag"]
-        assert again.headers["Cache-Control"] == "max-age=3600"
-        known = client.get(address, headers={"If-None-Match": first.headers["ETag"]})
+        first = shared_client.get(f"{address}&utm_source=a-site")
+        assert first.headers["Cache-Control"] == "max-age=3600"
+        known = shared_client.get(address, headers={"If-None-Match": first.headers["ETag"]})
         assert (known.status_code, known.content) == (304, b"")
-        # A network that is trained further flies another flight.
-        for _ in range(2):
-            put_trained(get_task("easy"), settings["data"])
-            assert client.get("/preview.png?task=easy&seed=7&pilot=trained").status_code == 200
-        assert len(drawn) == 3
-
-    def test_no_more_is_kept_than_there_is_room_for(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        previews = Previews(Shared(Settings(data=tmp_path)))
-        links = [Link(task="easy", seed=seed) for seed in range(4)]
-        sizes = [len(previews.draw(link)) for link in links[:2]]
-        monkeypatch.setattr(preview, "MAX_BYTES", 2 * max(sizes))
-        for link in links[2:]:
-            previews.draw(link)
-        kept = [previews.get(link) is not None for link in links]
-        assert kept[:2] == [False, False]
-        assert kept[3]
 
 
 class TestHead:

@@ -8,6 +8,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.cli import main
+from drone_env.episodes.by_map import FlownMap
+from drone_env.evaluation.leaderboard import Refused
 from drone_env.server import evaluations
 from drone_env.server.app import create_app
 from drone_env.server.routes import runs
@@ -71,13 +73,13 @@ def test_an_evaluation_is_looked_at_again_when_its_files_change(
         return judge(path, *options)
 
     monkeypatch.setattr(evaluations, "judge_evaluation", counted)
-    with TestClient(create_app(Settings(data=tmp_path))) as client:
-        first, again = (client.get("/leaderboard/easy/runs").json() for _ in range(2))
-        assert first == again
-        assert looked == [folder]
-        next((folder / "pieces").glob("*again1*")).unlink()
-        (unranked,) = client.get("/leaderboard/easy/runs").json()["unranked"]
-    assert unranked == {"run": "mine", "reason": "1 of 1 pieces of random on easy_delivery are not flown yet"}
+    kept = evaluations.Evaluations(tmp_path / "evaluations")
+    first, again = (kept.judge(folder, "easy_delivery") for _ in range(2))
+    assert (first, looked) == (again, [folder])
+    next((folder / "pieces").glob("*again1*")).unlink()
+    (refused,) = kept.judge(folder, "easy_delivery")
+    assert isinstance(refused, Refused)
+    assert refused.reason == "1 of 1 pieces of random on easy_delivery are not flown yet"
 
 
 def test_where_files_lie_is_not_told(tmp_path: Path) -> None:
@@ -94,17 +96,19 @@ def test_where_files_lie_is_not_told(tmp_path: Path) -> None:
     assert missing.startswith("1 of 1 pieces of model.zip:FlatObservation on")
 
 
-def test_an_evaluation_of_too_many_maps_is_not_looked_at_and_long_ones_are_told_in_part(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_evaluation_of_too_many_maps_is_not_looked_at(tmp_path: Path) -> None:
     folder = put_evaluation(tmp_path, "mine", "random", MAPS)
-    (whole,) = boards(tmp_path)["boards"][0]["rows"]
-    monkeypatch.setattr(runs, "LISTED", 2)
-    (part,) = boards(tmp_path)["boards"][0]["rows"]
-    lost = sorted(whole["maps"], key=lambda of: of["score"] - of["optimum"])
-    assert part == {**whole, "maps": sorted(lost[:2], key=lambda of: of["seed"])}
     config = folder / "evaluation.json"
     told = json.loads(config.read_text())
     config.write_text(json.dumps({**told, "seeds": [0, 20_000]}))
     (unranked,) = boards(tmp_path)["unranked"]
     assert unranked["reason"] == "20000 maps are more than the 10000 that are looked at here"
+
+
+def test_of_many_maps_those_where_most_was_lost_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "LISTED", 2)
+    rows = [
+        FlownMap("me", "easy_delivery", 1, seed, 1, None, score, 0, 9, 0, None, True, 0.95)
+        for seed, score in enumerate((0.9, 0.2, 0.8, 0.1))
+    ]
+    assert runs._listed(rows) == [rows[1], rows[3]]

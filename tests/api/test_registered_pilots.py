@@ -1,35 +1,22 @@
 """Agents that plugins registered, as pilots of the page."""
 
+import sys
 from collections.abc import Iterator
 
 import pytest
 from starlette.testclient import TestClient
 
-from drone_env.agents import AGENTS, GreedyAgent, register_agent
+from drone_env.agents import AGENTS, GreedyAgent
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.errors import UnsupportedTaskError
 from drone_env.server.pilots import PILOTS
 from tests.api.live_page import Page
 
 
-class Homebrew(GreedyAgent):
-    """Flies as I think
-    it should.
-
-    More about it.
-    """
-
-    def __init__(self, task: TaskConfig) -> None:
-        if task.pads:
-            raise UnsupportedTaskError("it does not know pads")
-        super().__init__(task)
-
-
 @pytest.fixture
-def homebrew() -> Iterator[None]:
-    register_agent("homebrew", Homebrew)
+def homebrew(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("DRONE_ENV_PLUGINS", "tests.api.homebrew")
     yield
-    del AGENTS["homebrew"]
+    del AGENTS["homebrew"], sys.modules["tests.api.homebrew"]
 
 
 @pytest.mark.usefixtures("homebrew")

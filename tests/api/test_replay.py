@@ -1,9 +1,6 @@
 """Flights of the past: frame by frame, annotated, listed with the optima of their maps."""
 
-import threading
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
-from itertools import islice
 from typing import Any
 
 import pytest
@@ -16,10 +13,9 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.episodes.store import Store
-from drone_env.evaluation.analysis import FlightAnalysis, analyse_flight
+from drone_env.evaluation.analysis import analyse_flight
 from drone_env.planning.optimal import solve
 from drone_env.server.pilots import PILOTS
-from drone_env.server.state import STUDIES, WAITING_STUDIES
 
 JSON = {"Content-Type": "application/json"}
 
@@ -103,31 +99,6 @@ def test_an_annotation_is_the_analysis_beside_a_best_flight(shared_client: TestC
         told["optimal_steps"],
         solve(best.task, 7).score,
     )
-
-
-def test_flights_that_are_looked_at_wait_for_each_other_and_nobody_who_flies_waits_for_them(
-    client: TestClient, session: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    go_on = threading.Event()
-
-    def slowly(of: EpisodeRecord, _: object) -> FlightAnalysis:
-        go_on.wait()
-        return analyse_flight(of)
-
-    monkeypatch.setattr("drone_env.server.routes.replay.analyse_flight", slowly)
-    body, room, asked = record("easy").to_json(), STUDIES + WAITING_STUDIES, STUDIES + WAITING_STUDIES + 40
-    with ThreadPoolExecutor(asked + 1) as threads:
-        try:
-            answers = [threads.submit(client.post, "/annotate", content=body, headers=JSON) for _ in range(asked)]
-            refused = [one.result(60) for one in islice(as_completed(answers, 60), asked - room)]
-            assert {(one.status_code, one.json()["code"], one.headers["Retry-After"]) for one in refused} == {
-                (503, "busy", "5")
-            }
-            step = threads.submit(client.post, "/step", json={"direction": "UP"}, headers=session)
-            assert step.result(60).json()["step_count"] == 1
-        finally:
-            go_on.set()
-        assert sorted(one.result(60).status_code for one in answers) == [200] * room + [503] * (asked - room)
 
 
 def fly(client: TestClient, agent: str, seeds: range, task: str = "easy") -> None:

@@ -12,9 +12,9 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.episodes.record import fly_directions
 from drone_env.errors import EpisodeError
 from drone_env.models import Direction
-from drone_env.server.frames import Frame, frame_of
+from drone_env.server.frames import Frame, frame_of, shows_values
 from drone_env.server.jobs import bench
-from drone_env.server.pilots import HUMAN, Credit, agent_of
+from drone_env.server.pilots import Credit, agent_of
 
 
 class MapOf(NamedTuple):
@@ -64,18 +64,28 @@ def plan(map_of: MapOf, pilot: str, actions: Sequence[int], first: int, check: b
     return [int(action) for action in rollout(episode, agent.act).actions]
 
 
-def values_along(map_of: MapOf, actions: Sequence[int]) -> list[float]:
-    """The best score that can still be reached at the start of a flight and after each of its actions.
+def values_along(map_of: MapOf, actions: Sequence[int], first: int) -> tuple[list[float], list[float] | None]:
+    """What can still be reached along a flight.
+
+    Args:
+        map_of: The map.
+        actions: What was flown.
+        first: The frame to begin with; 0 is the start.
+
+    Returns:
+        The best score that can still be reached at each frame from `first` on; and after each action that the last one
+        leads to, or None if the flight has ended there.
 
     Raises:
         TooLargeError: if the map is too large to be solved.
     """
     solver, flight = bench().solver_of(map_of.task, map_of.seed), map_of.start()
+    flight.fly(actions[:first])
     values = [solver.value(flight)]
-    for action in actions:
+    for action in actions[first:]:
         flight.step(action)
         values.append(solver.value(flight))
-    return values
+    return values, None if flight.ended else solver.q_values(flight).tolist()
 
 
 def frames_json(map_of: MapOf, by: str, directions: Sequence[Direction]) -> str:
@@ -96,8 +106,3 @@ def frames_json(map_of: MapOf, by: str, directions: Sequence[Direction]) -> str:
         return frame_of(episode, episode.observation(), network if shows_values(credit, episode) else None)
 
     return to_json([frame(), *(frame() for _ in fly_directions(episode, directions))]).decode()
-
-
-def shows_values(credit: Credit, episode: Episode) -> bool:
-    """Whether values are shown: they are hidden from a person in flight who has not asked for them."""
-    return credit.pilot != HUMAN or credit.values or episode.ended

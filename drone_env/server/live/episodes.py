@@ -13,8 +13,8 @@ from drone_env.episodes.record import record_of
 from drone_env.episodes.sessions import SessionRow
 from drone_env.errors import EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import DIRECTIONS, Direction
-from drone_env.server.frames import Frame, frame_of
-from drone_env.server.live.ahead import MapOf, plan, shows_values, values_along
+from drone_env.server.frames import Frame, frame_of, shows_values
+from drone_env.server.live.ahead import MapOf, plan, values_along
 from drone_env.server.map_choice import is_registered
 from drone_env.server.pilots import HUMAN, PILOTS, Credit
 from drone_env.server.state import Shared
@@ -50,6 +50,8 @@ class LiveEpisode:
         self.map_of = MapOf.of(self.episode)
         self.values: list[float] = []
         """The best score that can still be reached at the frames of the flight, as far as it is known."""
+        self._ahead: list[float] | None = None
+        """The same after each action, of a person's flight."""
         self.unsolved = False
         """Whether the map could not be solved."""
         self._shared, self._caller = shared, caller
@@ -75,8 +77,11 @@ class LiveEpisode:
 
     @property
     def lacks_values(self) -> bool:
-        """Whether values are to be shown that are not known yet."""
-        return not self.unsolved and len(self.values) <= self.episode.steps and self._shown
+        """Whether values are to be shown, now or after the next step, that are not known yet."""
+        missing = len(self.values) <= self.episode.steps
+        if self.pilot == HUMAN and not self.episode.ended:
+            missing = missing or self._ahead is None
+        return missing and self._shown and not self.unsolved
 
     async def planned(self) -> list[int]:
         """All actions of an automatic episode to its end: its agent flies in a worker process, once.
@@ -87,25 +92,26 @@ class LiveEpisode:
         """
         if self._plan is None:
             if self._planning is None or self._planning.done():
-                flown = [int(action) for action in self.episode.actions]
-                self._planning = self._submit(plan, self.map_of, self.pilot, flown, self.first)
+                self._planning = self._submit(plan, self.map_of, self.pilot, self._flown, self.first)
             self._plan = await _ended(self._planning)
         return self._plan
 
     async def solve(self) -> None:
-        """Find out what can still be reached along the flight, of an automatic one to its end.
+        """Find out what can still be reached along the flight: of an automatic one to its end, else to one step ahead.
 
         Raises:
             LeftError: if the page has left it meanwhile.
             DroneEnvError: as `Workers.run` and `ahead.values_along`.
         """
-        actions = await self.planned() if self.automatic else [int(action) for action in self.episode.actions]
+        actions = await self.planned() if self.automatic else self._flown
+        first = min(len(self.values), len(actions))
         self.unsolved = True
-        values = await _ended(self._submit(values_along, self.map_of, actions))
+        values, ahead = await _ended(self._submit(values_along, self.map_of, actions, first))
         self.unsolved = False
-        flown = [int(action) for action in self.episode.actions[: len(actions)]]
-        if flown == actions[: len(flown)]:  # else somebody has taken back steps meanwhile
-            self.values = values
+        flown = self._flown
+        if len(self.values) >= first and flown[: len(actions)] == actions[: len(flown)]:
+            self.values[first:] = values
+            self._ahead = ahead if flown == actions else None
 
     def leave(self) -> None:
         """Drop its jobs: the page shows another."""
@@ -170,6 +176,7 @@ class LiveEpisode:
             return self._follow(row.actions[self.episode.steps :])
         self.episode = before
         del self.values[before.steps + 1 :]
+        self._ahead = None
         return []
 
     def help(self) -> Frame:
@@ -223,6 +230,9 @@ class LiveEpisode:
         if not alone:
             return self._follow(row.actions[self.episode.steps :])
         self.episode = flown
+        if self._ahead is not None and len(self.values) == flown.steps:
+            self.values.append(self._ahead[action])  # V* after an action is its Q*, to the last bit
+        self._ahead = None
         return [self.look()]
 
     def _recognise(self, row: SessionRow, flown: Episode) -> None:
@@ -244,11 +254,11 @@ class LiveEpisode:
         frames: list[Frame] = []
         if self.pilot == HUMAN:
             del self.values[self.episode.steps + 1 :]
+            self._ahead = None
         for action in actions:
             self.episode.step(action)
             frames.append(self.look())
-        flown = [int(action) for action in self.episode.actions]
-        if self._plan is not None and self._plan[: len(flown)] != flown:
+        if self._plan is not None and self._plan[: self.episode.steps] != self._flown:
             self._plan = None  # its agent chooses differently each time
         return frames
 
@@ -258,6 +268,10 @@ class LiveEpisode:
         self._jobs.add(job)
         job.add_done_callback(self._jobs.discard)
         return job
+
+    @property
+    def _flown(self) -> list[int]:
+        return [int(action) for action in self.episode.actions]
 
     @property
     def _shown(self) -> bool:

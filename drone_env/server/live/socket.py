@@ -139,6 +139,7 @@ class Page:
                     live = self._at(number)
                     frame = await run_in_threadpool(live.help)
                     await self._send({"type": "helped", "flight": number, "by": live.by, "frame": frame})
+                    await self._send_values(number, live)
                     self._lacking.set()
                 case Start():
                     last = self.episodes[0].episode if self.episodes else None
@@ -213,10 +214,11 @@ class Page:
                     await self._answering(self._find_values, number, live)
 
     async def _find_values(self, number: int, live: LiveEpisode) -> None:
+        known = live.reachable() is not None
         with suppress(TooLargeError, LeftError):
             await live.solve()
         async with self._flying:
-            if live in self.episodes:
+            if live in self.episodes and not known:
                 await self._send_values(number, live)
 
     async def _send_values(self, number: int, live: LiveEpisode) -> None:

@@ -1,0 +1,222 @@
+"""Worker processes: limits, turns, and what becomes of a job that nobody waits for."""
+
+import asyncio
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from starlette.requests import Request
+
+from drone_env.core.tasks import TASKS, get_task
+from drone_env.errors import CheckpointError, TooLargeError
+from drone_env.planning.optimal import solve
+from drone_env.server import jobs, workers
+from drone_env.server.problems import RequestError
+from drone_env.server.settings import Settings
+from drone_env.server.state import Shared
+from drone_env.server.workers import Job, Workers
+from tests.toy import TOY
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+
+
+@pytest.fixture
+def pool(tmp_path: Path) -> Iterator[Workers]:
+    made = Workers(Settings(data=tmp_path / "data"))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def gate(tmp_path: Path) -> Path:
+    """A pipe: `wait_at` returns once the test writes to it."""
+    os.mkfifo(tmp_path / "gate")
+    return tmp_path / "gate"
+
+
+def wait_at(gate: Path) -> int:
+    gate.read_text()
+    return os.getpid()
+
+
+def note(file: Path, text: str) -> str:
+    with file.open("a") as notes:
+        notes.write(text)
+    return text
+
+
+def fail(error: Exception) -> None:
+    raise error
+
+
+def die(number: int) -> None:
+    os.kill(os.getpid(), number)
+
+
+def set_cpu_seconds(seconds: int) -> None:
+    jobs.CPU_SECONDS = seconds
+
+
+def spin() -> None:
+    while True:
+        pass
+
+
+def spin_compiled() -> None:
+    from numba import njit
+
+    @njit
+    def forever(number: np.ndarray) -> None:
+        while number[0] >= 0:
+            number[0] = (3 * number[0] + 1) & 0xFFFF
+
+    forever(np.zeros(1, np.int64))
+
+
+def allocate(megabytes: int) -> int:
+    return int(np.ones(megabytes << 20, np.uint8)[::4096].sum())
+
+
+def deliveries_of(task: str) -> int:
+    return get_task(task).deliveries
+
+
+def test_a_result_and_an_error_come_back(pool: Workers) -> None:
+    assert pool.submit(abs, -3, caller="a").result() == 3
+    with pytest.raises(CheckpointError, match="broken"):
+        pool.submit(fail, CheckpointError("broken"), caller="a").result()
+    with pytest.raises(RequestError, match="the server failed") as failed:
+        pool.submit(fail, KeyError("unforeseen"), caller="a").result()
+    assert failed.value.status == 500
+
+
+def test_too_much_time_and_memory_are_refused_and_the_next_job_runs(pool: Workers) -> None:
+    with pytest.raises(TooLargeError, match="MB of memory"):
+        pool.submit(allocate, 2 * jobs.MEMORY >> 20, caller="a").result()
+    assert pool.submit(allocate, jobs.MEMORY >> 21, caller="a").result()
+    pool.submit(set_cpu_seconds, 1, caller="a").result()
+    for function in (spin, spin_compiled):
+        with pytest.raises(TooLargeError, match="s of CPU time"):
+            pool.submit(function, caller="a").result()
+        assert pool.submit(abs, -3, caller="a").result() == 3
+
+
+def test_a_worker_that_dies_fails_one_job(pool: Workers) -> None:
+    with pytest.raises(RequestError, match="the server failed"):
+        pool.submit(die, signal.SIGKILL, caller="a").result()
+    assert pool.submit(abs, -3, caller="a").result() == 3
+
+
+def test_callers_take_turns_and_dropped_jobs_do_not_run(pool: Workers, gate: Path, tmp_path: Path) -> None:
+    notes = tmp_path / "notes"
+    first = pool.submit(wait_at, gate, caller="a")
+    submitted: dict[str, Job] = {
+        text: pool.submit(note, notes, text, caller=text[0]) for text in ("a1", "a2", "a3", "b1", "c1", "b2")
+    }
+    assert submitted["c1"].cancel()
+    gate.write_text("")
+    first.result()
+    submitted["a3"].result()
+    assert notes.read_text() == "a1b1a2b2a3"
+    assert submitted["c1"].cancelled()
+
+
+def test_a_running_job_is_dropped_with_its_worker(
+    pool: Workers, gate: Path, eventually: Callable[[Callable[[], bool]], None]
+) -> None:
+    job = pool.submit(wait_at, gate, caller="a")
+    eventually(lambda: job.process is not None)
+    job.cancel()
+    with pytest.raises(RequestError, match="nobody waits"):
+        job.result()
+    assert pool.submit(abs, -3, caller="a").result() == 3
+
+
+def test_quick_jobs_do_not_wait_for_long_ones(pool: Workers, gate: Path) -> None:
+    long = pool.submit(wait_at, gate, caller="a")
+    assert pool.submit(abs, -3, caller="a", quick=True).result() == 3
+    gate.write_text("")
+    long.result()
+
+
+def test_too_many_jobs_are_refused_by_caller_and_in_all(
+    pool: Workers, gate: Path, monkeypatch: pytest.MonkeyPatch, eventually: Callable[[Callable[[], bool]], None]
+) -> None:
+    monkeypatch.setattr(workers, "WAITING", 3)
+    monkeypatch.setattr(workers, "WAITING_PER_CALLER", 2)
+    running = pool.submit(wait_at, gate, caller="a")
+    eventually(running.running)
+    waiting = [pool.submit(abs, -3, caller="a") for _ in range(2)]
+    with pytest.raises(RequestError, match="try again later") as refused:
+        pool.submit(abs, -3, caller="a")
+    assert (refused.value.status, refused.value.code) == (503, "busy")
+    waiting.append(pool.submit(abs, -3, caller="b"))
+    with pytest.raises(RequestError, match="try again later"):
+        pool.submit(abs, -3, caller="c")
+    gate.write_text("")
+    assert [job.result() for job in waiting] == [3] * 3
+
+
+def test_closing_drops_everything(pool: Workers, gate: Path, eventually: Callable[[Callable[[], bool]], None]) -> None:
+    running, waiting = (pool.submit(wait_at, gate, caller="a") for _ in range(2))
+    eventually(running.running)
+    pool.close()
+    assert waiting.cancelled()
+    with pytest.raises(RequestError, match="nobody waits"):
+        running.result()
+    with pytest.raises(RequestError, match="stopping"):
+        pool.submit(abs, -3, caller="a")
+
+
+def test_workers_know_the_tasks_that_the_server_has(pool: Workers, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(TASKS, "toy", TOY)
+    assert pool.submit(deliveries_of, "toy", caller="a").result() == TOY.deliveries
+    monkeypatch.delitem(TASKS, "toy")
+    with pytest.raises(LookupError, match="unknown task"):
+        pool.submit(deliveries_of, "toy", caller="a").result()
+
+
+def test_the_store_has_its_maps_solved_here(pool: Workers) -> None:
+    easy = get_task("easy")
+    assert pool.solve(easy, [7, 8])[0] == solve(easy, 7).score
+
+
+def test_what_is_solved_is_kept_as_far_as_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, task = jobs.Bench(Settings(data=tmp_path)), get_task("easy")
+    first = bench.solver_of(task, 1)
+    monkeypatch.setattr(jobs, "KEPT_SOLVERS", 2 * first.nbytes)
+    second = bench.solver_of(task, 2)
+    assert bench.solver_of(task, 1) is first
+    bench.solver_of(task, 3)
+    assert bench.solver_of(task, 1) is first
+    assert bench.solver_of(task, 2) is not second
+
+
+def test_a_job_is_dropped_when_its_caller_leaves(
+    tmp_path: Path, gate: Path, eventually: Callable[[Callable[[], bool]], None]
+) -> None:
+    shared, gone = Shared(Settings(data=tmp_path / "data")), asyncio.Event()
+
+    async def receive() -> dict[str, Any]:
+        await gone.wait()
+        return {"type": "http.disconnect"}
+
+    async def ask() -> None:
+        request = Request({"type": "http", "client": ("10.0.0.1", 1)}, receive)
+        asked = asyncio.create_task(shared.work(request, wait_at, gate))
+        while not shared.workers._running:
+            await asyncio.sleep(0)
+        gone.set()
+        with pytest.raises(RequestError, match="has left"):
+            await asked
+
+    shared.open()
+    try:
+        asyncio.run(ask())
+        eventually(lambda: not shared.workers._running)
+    finally:
+        shared.close()
