@@ -8,8 +8,7 @@ import os
 import signal
 import sys
 from collections import OrderedDict
-from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -33,14 +32,10 @@ if sys.platform != "win32":
     import resource
 
 log = logging.getLogger(__name__)
-CPU_SECONDS = 10
-"""CPU time of one job. Python code is interrupted then; compiled code that goes on is killed after as long again."""
-MEMORY = 192 << 20
-"""Bytes that one job may allocate beside what its process holds already (Linux)."""
-KEPT_SOLVERS = 32 << 20
+KEPT_SOLVERS = 16 << 20
 """Bytes of solved maps that a process keeps; a map of skyline_hard takes 2 MB."""
-TOO_LONG = f"this takes more than {CPU_SECONDS} s of CPU time, which is all that one request may use"
-TOO_MUCH = f"this takes more than {MEMORY >> 20} MB of memory, which is all that one request may use"
+GROWTH = 32 << 20
+"""Bytes by which a process may grow over its jobs; then another takes its place."""
 
 
 class Bench:
@@ -65,7 +60,10 @@ class Bench:
         from drone_env.planning.solvers import solver_of  # loads Numba, which the process that serves does without
 
         key = (task, seed)
-        solver = self._solvers.get(key) or solver_of(Episode(task, seed=seed))
+        try:
+            solver = self._solvers.get(key) or solver_of(Episode(task, seed=seed))
+        except MemoryError:
+            raise TooLargeError(f"the exact values of this map of {task.id!r} take too much memory") from None
         self._solvers[key] = solver
         self._solvers.move_to_end(key)
         while len(self._solvers) > 1 and sum(kept.nbytes for kept in self._solvers.values()) > KEPT_SOLVERS:
@@ -113,89 +111,105 @@ def serve(connection: Connection, others: Connection, settings: Settings, enviro
     if sys.platform != "win32":
         with suppress(OSError):
             os.nice(10)  # flying has priority
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        signal.signal(signal.SIGPROF, _interrupt)
-        _lift_limits_while_compiling()
     prepare(settings)
+    limits = Limits(settings)
     while True:
         try:
             function, arguments, registered = connection.recv()
         except (EOFError, OSError):
             return
-        result: Any = None
-        error: DroneEnvError | None = None
         if registered is not None:
             _register(*registered)
+        result: Any = None
+        error: DroneEnvError | None = None
         try:
-            with limited():
+            with limits:
                 result = function(*arguments)
         except DroneEnvError as raised:
             error = raised
         except MemoryError:
-            error = TooLargeError(TOO_MUCH)
+            error = TooLargeError(limits.too_much)
         except Exception:
             log.exception("%s failed", function.__qualname__)
             error = RequestError(500, "internal", FAILED)
-        connection.send((result, error))
+        connection.send((result, error, limits.outgrown))
 
 
-@contextmanager
-def limited() -> Generator[None, None, None]:
-    """Limit CPU time and memory inside the block.
+class Limits:
+    """Limits the CPU time and memory of a job inside a `with`; nothing on Windows, no memory on other than Linux.
 
-    Raises:
-        TooLargeError: if it takes longer.
-        MemoryError: if it allocates more.
+    Python code that runs too long is interrupted by a `TooLargeError`. Compiled code is not; after as long again the
+    kernel kills the process. Numba's compiling does not count: it happens once per machine.
+
+    Args:
+        settings: The configuration of the server.
     """
-    if sys.platform == "win32":
-        yield
-        return
-    _arm()
-    try:
-        yield
-    finally:
-        _disarm()
+
+    def __init__(self, settings: Settings) -> None:
+        self.seconds, self._bytes = settings.job_seconds, settings.job_megabytes << 20
+        self.too_much = f"this takes more than {settings.job_megabytes} MB of memory, the limit for one request"
+        self._compiling = 0
+        self._first = _allocated()
+        if sys.platform != "win32":
+            from numba.core import event
+
+            signal.signal(signal.SIGPROF, self._interrupt)
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            limits = self
+
+            class Compiling(event.Listener):
+                def on_start(self, event: event.Event) -> None:
+                    limits._compiling += 1
+                    limits._lift()
+
+                def on_end(self, event: event.Event) -> None:
+                    limits._compiling -= 1
+                    if not limits._compiling:
+                        limits.__enter__()
+
+            event.register("numba:compile", Compiling())
+
+    @property
+    def outgrown(self) -> bool:
+        """Whether the process holds more memory than it should keep."""
+        return _allocated() > self._first + GROWTH
+
+    def __enter__(self) -> None:
+        """Limit time and memory from now on."""
+        if sys.platform != "win32":
+            used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+            _set_soft_limit(resource.RLIMIT_CPU, int(used) + 2 * self.seconds)
+            if sys.platform == "linux":
+                _set_soft_limit(resource.RLIMIT_DATA, _allocated() + self._bytes)
+            signal.setitimer(signal.ITIMER_PROF, self.seconds)
+
+    def __exit__(self, *error: object) -> None:
+        """Lift the limits."""
+        if sys.platform != "win32":
+            self._lift()
+
+    def _lift(self) -> None:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        for kind in (resource.RLIMIT_CPU, resource.RLIMIT_DATA):
+            _set_soft_limit(kind, resource.getrlimit(kind)[1])
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        raise TooLargeError(too_long(self.seconds))
 
 
-def _arm() -> None:
-    used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
-    _set_soft_limit(resource.RLIMIT_CPU, int(used) + 2 * CPU_SECONDS)
-    if sys.platform == "linux":
-        with open("/proc/self/status", encoding="ascii") as status:
-            held = int(next(line for line in status if line.startswith("VmData:")).split()[1]) << 10
-        _set_soft_limit(resource.RLIMIT_DATA, held + MEMORY)
-    signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)
+def too_long(seconds: int) -> str:
+    """What a caller is told whose job took too much CPU time."""
+    return f"this takes more than {seconds} s of CPU time, the limit for one request"
 
 
-def _disarm() -> None:
-    signal.setitimer(signal.ITIMER_PROF, 0)
-    for kind in (resource.RLIMIT_CPU, resource.RLIMIT_DATA):
-        _set_soft_limit(kind, resource.getrlimit(kind)[1])
+def _allocated() -> int:
+    """Bytes that this process has allocated, as the kernel counts them for `RLIMIT_DATA`; 0 on other than Linux."""
+    if sys.platform != "linux":
+        return 0
+    with open("/proc/self/status", encoding="ascii") as status:
+        return int(next(line for line in status if line.startswith("VmData:")).split()[1]) << 10
 
 
 def _set_soft_limit(kind: int, limit: int) -> None:
     hard = resource.getrlimit(kind)[1]
     resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise TooLargeError(TOO_LONG)
-
-
-def _lift_limits_while_compiling() -> None:
-    """Count no time and memory in which Numba compiles a function of ours: that happens once per machine."""
-    from numba.core import event
-
-    class Compiling(event.Listener):
-        depth = 0
-
-        def on_start(self, event: event.Event) -> None:
-            self.depth += 1
-            _disarm()
-
-        def on_end(self, event: event.Event) -> None:
-            self.depth -= 1
-            if not self.depth:
-                _arm()
-
-    event.register("numba:compile", Compiling())

@@ -56,6 +56,14 @@ class Settings(BaseSettings):
         description="TOML files of reward profiles that callers may name beside those of the package; comma-separated.",
     )
     maps: int = Field(default=1000, ge=0, description="Drawn maps that are kept; another is refused.")
+    job_seconds: int = Field(
+        default=10, ge=1, description="CPU time that solving a map, drawing a picture and other long work may take."
+    )
+    job_megabytes: int = Field(
+        default=128,
+        ge=32,
+        description="Memory that it may take; a map of 64 x 64 cells with 8 parcels and 8 pads takes 800 to be solved.",
+    )
     max_bytes: int = Field(default=131_072, ge=1024, description="Largest request body and WebSocket frame, in bytes.")
 
     @field_validator("allowed_origins", "allowed_hosts", "frame_ancestors", "reward_profiles", mode="before")

@@ -21,7 +21,7 @@ from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES
 from drone_env.core.tasks import PACKAGE_TASKS, TASKS, TaskConfig
 from drone_env.episodes.optima import solve_maps
 from drone_env.errors import DroneEnvError, TooLargeError
-from drone_env.server.jobs import TOO_LONG, serve
+from drone_env.server.jobs import serve, too_long
 from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import FAILED, RequestError
 from drone_env.server.settings import Settings
@@ -33,14 +33,7 @@ WAITING = 64
 WAITING_PER_CALLER = 16
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 """Workers are forked from one process that has imported everything: they start in milliseconds and share its memory."""
-PRELOADED = [
-    "__main__",
-    "drone_env.envs.rendering",
-    "drone_env.planning.bounds",
-    "drone_env.planning.elsewhere",
-    "drone_env.planning.solvers",
-    "drone_env.server.app",
-]
+PRELOADED = ["__main__", "drone_env.server.preloaded"]
 Result = TypeVar("Result")
 Queue = OrderedDict[str, "deque[Job]"]
 
@@ -166,9 +159,12 @@ class Workers:
                     job.process = process
                     if job.dropped and (self._closed or not job.quick):
                         process.kill()
-                result, error = process.call(job.function, job.arguments)
+                result, error, outgrown = process.call(job.function, job.arguments)
+                if outgrown:
+                    process.end()
+                    process = None
             except (EOFError, OSError):
-                result, error = None, _error_of(process, job)
+                result, error = None, self._error_of(process, job)
                 process = None
             with self._condition:
                 self._running.remove(job)
@@ -199,6 +195,15 @@ class Workers:
                 self._condition.wait()
         return None
 
+    def _error_of(self, process: "_Process | None", job: Job) -> DroneEnvError:
+        """Why a worker ended in the middle of a job."""
+        status = None if process is None else process.end()
+        if job.dropped:
+            return RequestError(503, "dropped", "nobody waits for this any more")
+        if sys.platform != "win32" and status == -signal.SIGXCPU:
+            return TooLargeError(too_long(self._settings.job_seconds))
+        return RequestError(500, "internal", FAILED)
+
 
 class _Process:
     """One worker process. Only the thread that made it calls it; `kill` is for all."""
@@ -217,8 +222,10 @@ class _Process:
         self._process.start()
         theirs.close()
 
-    def call(self, function: Callable[..., Any], arguments: tuple[object, ...]) -> tuple[Any, DroneEnvError | None]:
-        """The result of a function, or what it raised.
+    def call(
+        self, function: Callable[..., Any], arguments: tuple[object, ...]
+    ) -> tuple[Any, DroneEnvError | None, bool]:
+        """The result of a function, or what it raised; and whether the process has grown too large to be kept.
 
         Raises:
             EOFError, OSError: if the process has ended.
@@ -243,13 +250,3 @@ class _Process:
         self._process.kill()
         self._process.join()
         return self._process.exitcode
-
-
-def _error_of(process: _Process | None, job: Job) -> DroneEnvError:
-    """Why a worker ended in the middle of a job."""
-    status = None if process is None else process.end()
-    if job.dropped:
-        return RequestError(503, "dropped", "nobody waits for this any more")
-    if sys.platform != "win32" and status == -signal.SIGXCPU:
-        return TooLargeError(TOO_LONG)
-    return RequestError(500, "internal", FAILED)

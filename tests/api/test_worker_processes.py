@@ -26,7 +26,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named p
 
 @pytest.fixture
 def pool(tmp_path: Path) -> Iterator[Workers]:
-    made = Workers(Settings(data=tmp_path / "data"))
+    made = Workers(Settings(data=tmp_path / "data", job_seconds=1, job_megabytes=64))
     yield made
     made.close()
 
@@ -57,10 +57,6 @@ def die(number: int) -> None:
     os.kill(os.getpid(), number)
 
 
-def set_cpu_seconds(seconds: int) -> None:
-    jobs.CPU_SECONDS = seconds
-
-
 def spin() -> None:
     while True:
         pass
@@ -81,6 +77,11 @@ def allocate(megabytes: int) -> int:
     return int(np.ones(megabytes << 20, np.uint8)[::4096].sum())
 
 
+def hoard(megabytes: int) -> int:
+    jobs.HOARD = np.ones(megabytes << 20, np.uint8)  # type: ignore[attr-defined]
+    return os.getpid()
+
+
 def deliveries_of(task: str) -> int:
     return get_task(task).deliveries
 
@@ -96,13 +97,17 @@ def test_a_result_and_an_error_come_back(pool: Workers) -> None:
 
 def test_too_much_time_and_memory_are_refused_and_the_next_job_runs(pool: Workers) -> None:
     with pytest.raises(TooLargeError, match="MB of memory"):
-        pool.submit(allocate, 2 * jobs.MEMORY >> 20, caller="a").result()
-    assert pool.submit(allocate, jobs.MEMORY >> 21, caller="a").result()
-    pool.submit(set_cpu_seconds, 1, caller="a").result()
+        pool.submit(allocate, 80, caller="a").result()
+    assert pool.submit(allocate, 40, caller="a").result()
     for function in (spin, spin_compiled):
         with pytest.raises(TooLargeError, match="s of CPU time"):
             pool.submit(function, caller="a").result()
         assert pool.submit(abs, -3, caller="a").result() == 3
+
+
+def test_a_worker_that_has_grown_is_replaced(pool: Workers) -> None:
+    before, hoarded, after = (pool.submit(hoard, size, caller="a").result() for size in (0, 48, 0))
+    assert before == hoarded != after
 
 
 def test_a_worker_that_dies_fails_one_job(pool: Workers) -> None:

@@ -187,7 +187,7 @@ def _worth(drawn: DrawnMap) -> str:
         optimum = BestFlight(
             score=best.score, success=best.success, deliveries=best.deliveries, steps=best.steps, path=path
         )
-    except TooLargeError:
+    except (MemoryError, TooLargeError):
         from drone_env.planning.bounds import bounds  # loads a compiler, which is rarely needed here
 
         between = bounds(episode)
