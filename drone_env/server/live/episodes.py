@@ -11,7 +11,7 @@ from drone_env.core.episode import Episode
 from drone_env.episodes.finished import check_agent
 from drone_env.episodes.record import record_of
 from drone_env.episodes.sessions import SessionRow
-from drone_env.errors import EpisodeError, NoSessionError, SessionGoneError
+from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import DIRECTIONS, Direction
 from drone_env.server.frames import Frame, frame_of, shows_values
 from drone_env.server.live.ahead import MapOf, plan, values_along
@@ -105,9 +105,11 @@ class LiveEpisode:
         """
         actions = await self.planned() if self.automatic else self._flown
         first = min(len(self.values), len(actions))
-        self.unsolved = True
-        values, ahead = await _ended(self._submit(values_along, self.map_of, actions, first))
-        self.unsolved = False
+        try:
+            values, ahead = await _ended(self._submit(values_along, self.map_of, actions, first))
+        except DroneEnvError:
+            self.unsolved = True
+            raise
         flown = self._flown
         if len(self.values) >= first and flown[: len(actions)] == actions[: len(flown)]:
             self.values[first:] = values
