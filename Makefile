@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest
 # What was compiled once is kept: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo serve test test-long coverage check adapters lowest mutants verify bench bench-server bench-training bench-planners bench-peers bench-agents bench-unseen bench-ablations bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
+.PHONY: demo serve test test-long coverage check adapters lowest python $(PYTHONS) mutants verify bench bench-server bench-training bench-planners bench-peers bench-agents bench-unseen bench-ablations bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
 .DEFAULT_GOAL := demo
 
 $(VENV)/.base: pyproject.toml
@@ -92,6 +92,14 @@ $(LOWEST)/.made: $(VENV)/.dev
 
 lowest: $(LOWEST)/.made
 	$(LOWEST)/bin/python -m pytest -W default -n auto --dist worksteal
+
+# Most tests on the lowest and the highest Python, without PyTorch and what needs it: tests that need those are skipped.
+PYTHONS := python-3.10 python-3.13
+python: $(PYTHONS)
+$(PYTHONS): python-%: $(VENV)/.dev
+	python=$$($(BIN)/python -m tests.tools $*) && $$python -m venv $(VENV)/$*
+	$(BIN)/uv pip install --quiet --python $(VENV)/$*/bin/python --editable '.[llm,server,test]'
+	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$*/bin/python -m pytest -n auto --dist worksteal $(addprefix --ignore tests/,browser cluster container docs package)
 
 # Deliberate faults, one at a time: does a test of `make test` notice each?
 mutants: $(VENV)/.dev

@@ -1,7 +1,12 @@
 """What all tests share: which features they speak for, and what is said of tools that are missing."""
 
+# First, so that no variable of the user's is read.
+from tests.environment import DISPLAY
+
+# isort: split
 import os
 from collections.abc import Generator
+from pathlib import Path
 from typing import TypeVar
 
 import gymnasium
@@ -21,9 +26,16 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def sb3_log(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Where Stable-Baselines3 keeps its log, here and in what is started from here; else a folder of /tmp for each."""
+def neutral_place(tmp_path_factory: pytest.TempPathFactory) -> Generator[None, None, None]:
+    """Run the tests, and the programs that they start, in an empty folder: no `.env`, no `data` of the user's."""
+    for name in DISPLAY:
+        os.environ.pop(name, None)
+    # Stable-Baselines3 makes a folder in /tmp for each log otherwise.
     os.environ["SB3_LOGDIR"] = str(tmp_path_factory.getbasetemp() / "sb3")
+    before = Path.cwd()
+    os.chdir(tmp_path_factory.mktemp("empty"))
+    yield
+    os.chdir(before)
 
 
 @pytest.fixture(autouse=True)

@@ -89,3 +89,7 @@ def reserved_port() -> int:
     sock.bind(("127.0.0.1", 0))
     _RESERVED.append(sock)
     return sock.getsockname()[1]
+
+
+if __name__ == "__main__":
+    print(path_of_python(sys.argv[1]) or sys.exit(f"Python {sys.argv[1]} is neither on the path nor below ~/.pyenv"))

@@ -197,7 +197,7 @@ class Database:
             )
 
     def _connect(self, busy_seconds: float) -> sqlite3.Connection:
-        connection = sqlite3.connect(self.path, busy_seconds, isolation_level=None, check_same_thread=False)
+        connection = sqlite3.connect(self.path, timeout=busy_seconds, isolation_level=None, check_same_thread=False)
         try:
             self._when_free(lambda: migrate(connection, self.path))
             self._when_free(lambda: connection.execute("PRAGMA journal_mode = WAL").fetchone())

@@ -242,6 +242,7 @@ def test_a_store_that_fails_is_told_as_busy_and_keeps_nothing(
         other.execute(
             "CREATE TRIGGER broken BEFORE UPDATE ON sessions BEGIN SELECT RAISE(ABORT, 'the disk is gone'); END"
         )
+    other.close()
     for method, path, body in (("POST", "/step", {"direction": "UP"}), ("POST", "/reset", {"seed": 8})):
         answer = client.request(method, path, json=body, headers=session)
         assert (answer.status_code, answer.json()["code"]) == (503, "store")

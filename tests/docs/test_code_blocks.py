@@ -23,7 +23,7 @@ from tests.docs import shell
 from tests.docs.pages import PAGES, ROOT, Block, blocks
 
 # The scripted endpoint is that of the tests of language models.
-from tests.llm.conftest import VARIABLES, scripted_server  # noqa: F401
+from tests.llm.conftest import scripted_server  # noqa: F401
 from tests.tools import reserved_port
 
 if sys.version_info >= (3, 11):
@@ -146,8 +146,6 @@ def test_its_code_blocks_run(
     if not found:
         return
     folder = shell.checkout(tmp_path)
-    for variable in VARIABLES:
-        monkeypatch.delenv(variable, raising=False)
     monkeypatch.setenv("DRONE_ENV_DATA", str(folder / "data"))
     monkeypatch.chdir(folder)
     for block in found:

@@ -9,10 +9,10 @@ is a line in the log before it is answered, and a second line when that is over,
 """
 
 import asyncio
+import gzip
 import json
 import re
 import sys
-import zlib
 from pathlib import Path
 
 from drone_env.core.actions import Action
@@ -153,7 +153,7 @@ class Server:
         if fault in ("flood", "packed flood"):
             packed = fault == "packed flood"
             writer.write(b"HTTP/1.1 200 OK\r\n" + (b"Content-Encoding: gzip\r\n" if packed else b"") + b"\r\n")
-            data = zlib.compress(bytes(1 << 26), wbits=31) if packed else b" " * 65536
+            data = gzip.compress(bytes(1 << 26)) if packed else b" " * 65536
             for _ in range(1024):
                 writer.write(data)
                 await writer.drain()

@@ -106,7 +106,7 @@ def test_not_even_half_of_the_token_is_told(endpoint: Start, said: object) -> No
 def test_the_token_for_this_machine_passes_no_proxy(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy")
     proxies = dict.fromkeys(("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"), "http://127.0.0.1:9")
-    done = scripted.infer("--seeds", "14:15", "--tries", "1", **proxies)
+    done = scripted.infer("--seeds", "14:15", "--tries", "1", NO_PROXY="", no_proxy="", **proxies)
     assert done.status == 0, done.err
 
 

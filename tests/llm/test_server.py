@@ -46,10 +46,7 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
 
 
 @pytest.mark.feature("H7")
-def test_a_server_in_the_same_folder_shows_the_flights(
-    endpoint: Callable[..., Endpoint], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("DRONE_ENV_DATA", raising=False)
+def test_a_server_in_the_same_folder_shows_the_flights(endpoint: Callable[..., Endpoint]) -> None:
     waiting = {"sends": json.dumps({"choices": [{"message": {"content": "WAIT"}, "finish_reason": "stop"}]})}
     scripted = endpoint(pilot="greedy", faults=[[0, 0, waiting]])
     # What was cut short is none of them.

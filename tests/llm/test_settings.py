@@ -12,8 +12,9 @@ from drone_env.llm.config import Sampling
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.settings import InferenceSettings, load_settings, models_table, token_for
 from drone_env.reports.tables import settings_table
+from tests.environment import SETTINGS
 
-from .conftest import ROOT, VARIABLES
+from .conftest import ROOT
 from .virtual_time import run_config
 
 HF, OTHER = "https://router.huggingface.co/v1", "https://api.openai.com/v1"
@@ -43,7 +44,6 @@ def test_an_openai_key_does_not_go_to_hugging_face_by_another_spelling(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("HF_TOKEN", raising=False)
     monkeypatch.setenv("OPENAI_API_KEY", "sk-1")
     with pytest.raises(InvalidValueError, match="needs HF_TOKEN"):
         token_for(load_settings(), "https://router.huggingface.co./v1")
@@ -54,8 +54,6 @@ def test_an_openai_key_does_not_go_to_hugging_face_by_another_spelling(
 
 def test_the_token_is_chosen_by_the_host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in ("HF_TOKEN", "OPENAI_API_KEY"):
-        monkeypatch.delenv(name, raising=False)
     both = InferenceSettings.model_validate({"hf_token": "hf_a", "openai_api_key": "sk-b"})
     assert token_for(both, HF) == token_for(both, "https://x.hf.space/v1") == "hf_a"
     for url in (
@@ -81,8 +79,6 @@ def test_the_token_is_chosen_by_the_host(tmp_path: Path, monkeypatch: pytest.Mon
 @pytest.mark.feature("I1")
 def test_the_key_of_openai_alone_is_for_openai(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in VARIABLES:
-        monkeypatch.delenv(name, raising=False)
 
     def asked(**written: str) -> tuple[str, str, str | None]:
         (tmp_path / ".env").write_text("".join(f"{name}={value}\n" for name, value in written.items()))
@@ -110,7 +106,6 @@ def test_the_key_of_openai_alone_is_for_openai(tmp_path: Path, monkeypatch: pyte
 
 def test_settings_that_are_wrong_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("DRONE_TASK", raising=False)
     (tmp_path / ".env").write_text("DRONE_TASK=\nNOT_OURS=1\nno equals sign\n")
     assert load_settings().drone_task == "easy_delivery"
     (tmp_path / ".env").write_bytes(b"DRONE_TASK=\xff\xfe")
@@ -164,8 +159,6 @@ def test_all_that_decides_the_calls_is_a_difference() -> None:
 
 @pytest.mark.feature("I1")
 def test_settings_of_the_environment_or_env_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in VARIABLES:
-        monkeypatch.delenv(name, raising=False)
     monkeypatch.chdir(tmp_path)
     given = load_settings()
     assert (given.hf_token, given.openai_api_key) == (None, None)
@@ -177,7 +170,7 @@ def test_settings_of_the_environment_or_env_file(tmp_path: Path, monkeypatch: py
         found = getattr(load_settings(), name.lower())
         return found.get_secret_value() if isinstance(found, SecretStr) else found
 
-    for name in VARIABLES:
+    for name in SETTINGS:
         # The example as it is shipped, with one line filled in.
         filled, lines = re.subn(rf"(?m)^(# )?{name}=.*$", f"{name}=of-the-file", example)
         assert lines == 1
@@ -186,6 +179,6 @@ def test_settings_of_the_environment_or_env_file(tmp_path: Path, monkeypatch: py
         monkeypatch.setenv(name, "of-the-environment")
         assert value(name) == "of-the-environment"
         monkeypatch.delenv(name)
-    assert {name.upper() for name in InferenceSettings.model_fields} == set(VARIABLES)
+    assert {name.upper() for name in InferenceSettings.model_fields} == set(SETTINGS)
     assert settings_table(InferenceSettings) in (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
     assert models_table() in (ROOT / "docs" / "llm.md").read_text(encoding="utf-8")

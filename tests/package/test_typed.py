@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from tests.llm.conftest import VARIABLES, endpoint, scripted_server, wait_until
+from tests.llm.conftest import endpoint, scripted_server, wait_until
 from tests.package.installed import copy_tracked
 from tests.tools import find_uv, missing_tool, reserved_port
 
@@ -60,8 +60,7 @@ class Clone:
         self.folder = folder
         copy_tracked(folder)
         self.port = reserved_port()
-        ours = ("VIRTUAL_ENV", "PYTHONDONTWRITEBYTECODE", "PYTHONPATH", "UV_PROJECT_ENVIRONMENT", *VARIABLES)
-        ours += tuple(name for name in os.environ if name.startswith("DRONE_ENV_") and name != "DRONE_ENV_CACHE")
+        ours = ("VIRTUAL_ENV", "PYTHONPATH", "UV_PROJECT_ENVIRONMENT")
         self.environment = {name: value for name, value in os.environ.items() if name not in ours}
         if programs:
             self.environment["PATH"] = f"{programs}{os.pathsep}{os.environ['PATH']}"

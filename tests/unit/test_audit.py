@@ -232,7 +232,7 @@ def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
         ("id = 'x'\n[events]\nstep = 0e-999999999", "400 decimal places at most"),
         (f"id = 'x'\nshaping = 0.{'1' * 5001}", "400 decimal places at most"),
         (f"id = 'x'\nshaping = {'1' * 5001}", "digits"),
-        (f"id = 0x{'f' * 5001}", "not TOML that can be read: .* digits"),
+        (f"id = 0x{'f' * 5001}", "not TOML that can be read: .* limit"),
         (f"id = 'x'\nclamp = {'[' * 9999}", "not TOML"),
         ("id = 'score'", "taken by a profile of the package"),
         ("id = 'a\x1b'", "not TOML"),

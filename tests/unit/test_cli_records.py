@@ -129,7 +129,6 @@ def test_analyse_flight_colours_blunders_in_a_terminal(
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm-256color")
-    monkeypatch.delenv("NO_COLOR", raising=False)
     assert main(["analyse-flight", str(flight)]) == 0
     lines = capsys.readouterr().out.splitlines()
     blunders = [line for line in lines if "?? " in line]

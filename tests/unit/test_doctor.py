@@ -19,15 +19,11 @@ from drone_env.errors import MissingPackageError
 from tests.tools import reserved_port
 
 SECRET = "hf_do_not_print_me"
-VARIABLES = ("HF_TOKEN", "OPENAI_API_KEY", "API_BASE_URL", "MODEL_NAME", "DRONE_TASK", "LOCAL_IMAGE_NAME")
 
 
 @pytest.fixture(autouse=True)
 def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Work in a folder with nothing in it, in an environment that configures nothing but the cache."""
-    for name in [*VARIABLES, *(name for name in os.environ if name.startswith("DRONE_ENV_"))]:
-        if name != "DRONE_ENV_CACHE":
-            monkeypatch.delenv(name, raising=False)
+    """Work in a folder with nothing in it."""
     folder = tmp_path / "here"
     folder.mkdir()
     monkeypatch.chdir(folder)

@@ -156,7 +156,6 @@ def test_a_closed_store_says_so(tmp_path: Path) -> None:
 
 
 def test_the_folder_is_data_or_what_the_environment_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DRONE_ENV_DATA", raising=False)
     assert data_folder() == Path("data")
     monkeypatch.setenv("DRONE_ENV_DATA", "")
     assert data_folder() == Path("data")
