@@ -11,7 +11,7 @@ from drone_env.commands.contest import JsonFile, TaskNames, cells_of, fly_cells,
 from drone_env.commands.kept import Kept, kept
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.reports.tables import Table, percent, print_table
+from drone_env.reports.tables import Table, percent, print_table, with_interval
 
 if TYPE_CHECKING:
     from drone_env.episodes.by_map import FlownMap
@@ -35,7 +35,7 @@ def compare(
     All others are compared with the first, map by map. Difference: score of the other less that of the first. Better:
     share of maps on which the other scores more, where equal scores count half. Detectable: the smallest true
     difference that as many maps would show in four of five cases. Narrower: how many times wider the interval of the
-    difference would be if each had flown maps of its own. Intervals (95 %) are bootstraps over maps; IQM is the mean
+    difference would be if each had flown maps of its own. Intervals (95 %) are Student's t over maps; IQM is the mean
     of the middle half of the maps. docs/agents.md says more.
 
     Example: drone-env compare greedy optimal --task hard --episodes 200
@@ -143,5 +143,4 @@ def _print(report: dict[str, Any]) -> None:
 
 
 def _told(interval: dict[str, float], form: str = ".4f") -> str:
-    low, high = (format(interval[end], form) for end in ("low", "high"))
-    return f"{interval['mean']:{form}} [{low}, {high}]"
+    return with_interval(interval["mean"], (interval["low"], interval["high"]), form)

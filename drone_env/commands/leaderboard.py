@@ -9,7 +9,7 @@ import tyro
 from drone_env.commands.kept import judged_once
 from drone_env.commands.printing import print_json
 from drone_env.errors import InvalidValueError
-from drone_env.reports.tables import Table, number, percent, print_table, with_margin
+from drone_env.reports.tables import Table, number, percent, print_table, with_interval
 
 if TYPE_CHECKING:
     from drone_env.evaluation.leaderboard import Board
@@ -57,7 +57,7 @@ def _table(board: "Board") -> Table:
         (
             str(rank),
             *_who(row),
-            with_margin(row["score"], row["score_ci95"]),
+            with_interval(row["score"], row["score_ci95"]),
             number(row["normalised"]),
             number(row["regret"]),
             percent(row["success_rate"]),

@@ -5,9 +5,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from drone_env.evaluation.statistics import normal_interval
+from drone_env.evaluation.statistics import DIFFERENCES, ci95
 from drone_env.llm.report_tables import maps_line
-from drone_env.reports.tables import Table, number, percent, with_margin
+from drone_env.reports.tables import Table, number, percent, with_interval
 
 
 def paired(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -33,7 +33,7 @@ def paired(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
                 "prompt": run["config"]["prompt"],
                 "maps": len(differences),
                 "difference": fmean(differences) if differences else None,
-                "difference_ci95": normal_interval(differences),
+                "difference_ci95": ci95(differences, DIFFERENCES),
                 "tokens": tokens,
                 "tokens_per_point": tokens / points if points else None,
                 "usd_per_point": run["cost_usd"] / points if points and run["cost_usd"] is not None else None,
@@ -57,8 +57,8 @@ def write_paired_report(folder: Path, runs: Sequence[dict[str, Any]]) -> list[st
     rows = [
         (
             row["prompt"] + ("" if row["verdict"] == "valid" else f" ({row['verdict']}: {row['reason']})"),
-            with_margin(row["score"], row["score_ci95"]),
-            with_margin(row["difference"], row["difference_ci95"]),
+            with_interval(row["score"], row["score_ci95"]),
+            with_interval(row["difference"], row["difference_ci95"]),
             str(row["maps"]),
             percent(row["success_rate"]),
             str(row["waits"]),

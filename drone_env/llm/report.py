@@ -11,7 +11,7 @@ from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, TooLargeError, UnsupportedTaskError
 from drone_env.evaluation.analysis import analyse_flight
 from drone_env.evaluation.episodes import episodes_key, run_episodes
-from drone_env.evaluation.statistics import normal_interval
+from drone_env.evaluation.statistics import SCORES, ci95
 from drone_env.llm.answers import TURN_KINDS
 from drone_env.llm.options import Prices
 from drone_env.llm.run_folder import PilotedRecord
@@ -28,8 +28,8 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
     """The figures of a run, as JSON values; what is not known is null.
 
     Flights over one map are averaged first, then the maps, so that each map counts as much as for the other agents.
-    `score_ci95` is mean +- 1.96 standard errors over the maps, null for one map. `normalised` is
-    (score - random) / (optimal - random) of the means over the same maps.
+    `score_ci95` (`evaluation.statistics`) is null for one map. `normalised` is (score - random) / (optimal - random) of
+    the means over the same maps.
 
     Args:
         run: The run.
@@ -66,7 +66,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
             if r.status != "finished"
         ],
         "score": score,
-        "score_ci95": normal_interval([fmean(r.score for r in results) for results in by_map.values()]),
+        "score_ci95": ci95([fmean(r.score for r in results) for results in by_map.values()], SCORES),
         "success_rate": mean_over_maps([(result.seed, result.success) for result in counted]),
         "pass_hat_k": _pass_hat_k(list(by_map.values())),
         "regret": None

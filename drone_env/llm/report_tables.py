@@ -3,7 +3,7 @@
 import json
 from typing import Any
 
-from drone_env.reports.tables import Table, number, percent, with_margin
+from drone_env.reports.tables import Table, number, percent, with_interval
 
 
 def page_values(figures: dict[str, Any]) -> dict[str, Any]:
@@ -54,7 +54,7 @@ def tables(figures: dict[str, Any]) -> list[Table]:
 
 
 def _score(figures: dict[str, Any]) -> str:
-    return with_margin(figures["score"], figures["score_ci95"])
+    return with_interval(figures["score"], figures["score_ci95"])
 
 
 def _result(figures: dict[str, Any]) -> list[tuple[str, str]]:

@@ -13,6 +13,7 @@ from drone_env.core.seeds import SPLITS
 from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import episodes_key, run_episodes
+from drone_env.evaluation.statistics import SCORES, ci95
 from drone_env.llm.options import Prices
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import verdict_of
@@ -34,8 +35,7 @@ def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
         for agent in ("random", "greedy", "optimal")
     }
     scores = run_episodes(episodes_key("medium", "greedy", range(start, start + 4), "test")).scores
-    margin = 1.96 * scores.std(ddof=1) / 2
-    assert figures["score_ci95"] == pytest.approx([scores.mean() - margin, scores.mean() + margin], abs=1e-12)
+    assert figures["score_ci95"] == pytest.approx(ci95(scores, SCORES), abs=1e-12)
     assert figures["verdict"] == "valid"
     assert figures["score"] == pytest.approx(known["greedy"], abs=1e-12)
     assert figures["baselines"]["greedy"] == pytest.approx(known["greedy"], abs=1e-12)
