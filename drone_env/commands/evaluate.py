@@ -34,8 +34,8 @@ def evaluate(
     Prints a table; a progress bar goes to standard error. Score: graded, 0.01 to 0.99, with its 95 % interval
     (Student's t over maps). Ratio: mean score / mean optimal score. Regret: mean of optimum less score. Excess: steps
     beyond the optimal flight, on delivered maps; below zero where the best flight takes its time to charge.
-    docs/quoting.md says what of it to quote. An agent that cannot fly one of several tasks has a row of dashes there, and
-    the reason below.
+    docs/quoting.md says what of it to quote. An agent that cannot fly one of several tasks has a row of dashes there,
+    and the reason below.
 
     Example: drone-env evaluate --task hard --agents greedy optimal --episodes 100 --json results.json
 

@@ -57,12 +57,13 @@ class ConsoleObserver:
         self._show()
 
     def waiting(self, seconds: float, reason: str) -> None:
-        """A try failed and is repeated after a wait."""
+        """A try failed and is repeated after a wait; `reason` says which, of how many, and why."""
         self._waits += 1
         now = time.monotonic()
         if seconds >= LONG_WAIT or now - self._wait_shown >= QUIET_SECONDS:
             self._wait_shown = now
-            self._console.print(f"waiting {seconds:.1f} s, then trying again ({self._waits} so far): {reason}")
+            so_far = f"{self._waits} {'retry' if self._waits == 1 else 'retries'} so far"
+            self._console.print(f"{reason}; next attempt in {seconds:.1f} s ({so_far})", soft_wrap=True)
 
     def flown(self, flown: PilotedEpisode) -> None:
         """A flight is over: its log lines."""

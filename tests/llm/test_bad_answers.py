@@ -1,5 +1,6 @@
 """Answers that are no action: asked for once more, then a WAIT; nobody else ever flies."""
 
+import json
 from collections.abc import Callable
 
 import pytest
@@ -82,6 +83,29 @@ def test_packaging_is_no_matter(endpoint: Start) -> None:
     done = endpoint(pilot='```json\n{"action": "right"}\n```').infer(*TWO_TURNS)
     assert done.turns == {"ok": 4, "budget_stop": 1}
     assert done.flights[0]["waits"] == 0
+
+
+@pytest.mark.parametrize("part", ["message", "delta"])
+@pytest.mark.parametrize(
+    ("content", "said", "thought"),
+    [
+        ([{"type": "text", "text": "UP"}], "UP", None),
+        ([{"type": "reasoning", "text": "Up?"}, {"type": "text", "text": "U"}, {"text": "P"}], "UP", "Up?"),
+        ([{"type": "thinking", "thinking": [{"type": "text", "text": "Up?"}]}, "UP"], "UP", "Up?"),
+        ([{"type": "output_audio", "text": "DOWN"}, {"type": "output_text", "text": "UP"}], "UP", None),
+        ([{"type": "image_url", "image_url": {"url": "data:"}}], "", None),
+        ([{"type": "refusal", "refusal": "no"}], "", None),
+    ],
+)
+def test_the_parts_of_a_content(endpoint: Start, content: object, said: str, thought: str | None, part: str) -> None:
+    sent = json.dumps({"choices": [{part: {"content": content}, "finish_reason": "stop"}]})
+    fault = {"sends": sent if part == "message" else f"data: {sent}\n\ndata: [DONE]\n\n"}
+    form = "--no-stream" if part == "message" else "--stream"
+    done = endpoint(pilot="", faults=[[0, 9, fault]]).infer(*TWO_TURNS, form)
+    refusal = "no" if "refusal" in sent else None
+    answer = done.calls[0]["answer"]
+    assert (answer["text"], answer["reasoning"], answer["refusal"]) == (said, thought, refusal)
+    assert done.calls[0]["outcome"] == ("ok" if said else "refusal" if refusal else "parse_error")
 
 
 @pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
