@@ -86,6 +86,7 @@ def compare(
         "seeds": [maps.start, maps.stop],
         "repeats": repeats,
         "tasks": {t.id: {"version": t.version, **compared(row)} for t, row in rows.items()},
+        "unusable": {one.name: one.unusable for of_folder in folders.values() for one in of_folder if one.unusable},
     }
     cannot = [
         f"{t.short_name}, {agent}: {cell}"
@@ -125,6 +126,10 @@ def _print(report: dict[str, Any]) -> None:
     caption = f"{stop - start:,} maps a task, split {report['split']}, seeds {start} to {stop - 1}"
     head = ("task", "agent", "score (95 %)", "IQM (95 %)", "success")
     print_table(Table("Graded score", head, one), width=120, names=2, caption=caption, sections=True)
+    for name, unusable in report["unusable"].items():
+        from drone_env.llm.answers import Unusable
+
+        print(f"{name}: unusable answers {Unusable(unusable['answers'], unusable['of'])}")
     two = [
         (
             task,

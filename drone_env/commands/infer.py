@@ -21,7 +21,7 @@ from drone_env.llm.options import Number, Options, Whole
 if TYPE_CHECKING:
     from drone_env.llm.runner import Engine, Verdict
 
-PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|minimal-drawn|grid-drawn|vision|FILE.toml"
+PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|minimal-drawn|grid-drawn|vision|original|FILE.toml"
 PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
 PromptNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=PROMPTS)]
 DEFAULTS = Options()

@@ -2,10 +2,12 @@
 
 import time
 from collections.abc import Callable
+from statistics import fmean
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from drone_env.llm.answers import Unusable
 from drone_env.llm.config import RunConfig
 from drone_env.llm.gate import Gate
 from drone_env.llm.pilot import PilotedEpisode
@@ -46,7 +48,8 @@ class ConsoleObserver:
         )
         self._bar = self.progress.add_task(config.task_config.short_name, total=config.flights, figures="")
         self._done = 0
-        self._calls = 0
+        self._scores: list[float] = []
+        self._calls = self._answers = self._unusable = 0
         self._began = self._line_shown = time.monotonic()
         self._waits = 0
         self._wait_shown = 0.0
@@ -54,6 +57,10 @@ class ConsoleObserver:
     def called(self, call: Call) -> None:
         """A call was made."""
         self._calls += 1
+        # A first answer that could not be used is asked for once more.
+        if call.answer is not None and (call.outcome == "ok" or call.attempt == 2):
+            self._answers += 1
+            self._unusable += call.outcome != "ok"
         self._show()
 
     def waiting(self, seconds: float, reason: str) -> None:
@@ -70,6 +77,8 @@ class ConsoleObserver:
         self._keep(flown)
         print(log_text(flown, self._config.model), end="", flush=True)
         self._done += 1
+        if flown.status != "errored":
+            self._scores.append(flown.episode.counted_score())
         if flown.status != "finished":
             self._console.print(f"map {flown.episode.seed}: {flown.status}: {flown.error}")
         self.progress.update(self._bar, completed=self._done)
@@ -90,4 +99,7 @@ class ConsoleObserver:
         gate = self._gate
         rate = self._calls / max(now - self._began, 1e-9)
         cost = "" if gate.cost is None else f", ${gate.cost:.4f}"
-        return f"{gate.requests} requests, {rate:.1f} calls/s, {gate.active} at once, {gate.tokens} tokens{cost}"
+        score = f"score {fmean(self._scores):.4f}, " if self._scores else ""
+        result = f"{score}unusable answers {Unusable(self._unusable, self._answers)}"
+        spent = f"{gate.requests} requests, {rate:.1f} calls/s, {gate.active} at once, {gate.tokens} tokens{cost}"
+        return f"{result}, {spent}"

@@ -183,8 +183,10 @@ def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
     assert (good["score"], good["score_ci95"]) == over_maps([record.score for record in greedy.values()], SCORES)
     assert good["regret"] == pytest.approx(mean(solve("easy", s).score - r.score for s, r in greedy.items()), abs=1e-12)
     # The first answer could not be used, and was asked for again.
-    assert (good["waits"], good["errored"], good["tokens"]) == (
+    assert (good["waits"], good["unusable_share"], good["marked"], good["errored"], good["tokens"]) == (
         0,
+        0,
+        False,
         0,
         102 * (1 + 2 * sum(len(r.actions) for r in greedy.values())),
     )

@@ -5,6 +5,8 @@ from collections.abc import Callable
 
 import pytest
 
+from drone_env.cli import main
+
 from .conftest import Endpoint
 from .log_lines import blocks, verified
 
@@ -13,9 +15,11 @@ TWO_TURNS = ("--seeds", "14:15", "--concurrency", "1", "--max-calls", "4")
 HUGE = "I would fly to the right. " * 4_000
 
 
-def test_a_flight_of_bad_answers_waits_to_its_end(endpoint: Start) -> None:
+def test_a_flight_of_bad_answers_waits_to_its_end_and_its_run_is_marked(
+    endpoint: Start, capfd: pytest.CaptureFixture[str]
+) -> None:
     scripted = endpoint(pilot="NORTH")
-    done = scripted.infer("--seeds", "14:15")
+    done = scripted.infer("--seeds", "14:15", "--report", "--no-moves")
     assert done.status == 0, done.err
     assert done.turns == {"illegal": 60}
     assert len(scripted.requests()) == 120
@@ -25,6 +29,19 @@ def test_a_flight_of_bad_answers_waits_to_its_end(endpoint: Start) -> None:
     assert {(line.split()[2], line.split()[5]) for line in lines[1:-1]} == {("action=WAIT", "error=illegal")}
     assert "WAIT in place: 60" in done.err
     verified(done)
+    # Beside the score, wherever it is shown.
+    told, mark = "100.0% (60 of 60) !", "MARKED: 60 of 60 answers were unusable, more than 5%; the drone waited instead"
+    assert f"mean score 0.0100 over 1 flights, 0 delivered everything; unusable answers: {told}\n" in done.err
+    assert f"verdict: valid; {mark}\n" in done.err
+    figures = json.loads((done.folder / "report.json").read_text())
+    assert (figures["verdict"], figures["unusable"]["share"], figures["unusable"]["marked"]) == ("valid", 1, True)
+    text = (done.folder / "report.md").read_text()
+    assert f"**valid**; {mark}\n" in text
+    assert f"| score (95 %) | 0.0100 |\n| unusable answers | {told} |\n" in text
+    assert mark in (done.folder / "report.html").read_text()
+    capfd.readouterr()
+    assert main(["leaderboard", str(done.folder)]) == 0
+    assert told in capfd.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -159,10 +159,14 @@ export function shortened(all, first, draw) {
 
 const figure = (count) => (count === null ? "" : count.toLocaleString());
 
+/** The share of answers that could not be used; marked where they are so many that the score says little. */
+const unusable = ({ unusable_share: share, marked }) =>
+  share === null ? "" : `${percent(share, 1)}${marked ? " !" : ""}`;
+
 /** What only language models have: columns of no board where none flew. */
 const OF_MODELS = [
   ["Errored", (row) => figure(row.errored), true],
-  ["Unusable", (row) => figure(row.waits), true],
+  ["Unusable answers", unusable, true],
   ["Tokens", (row) => figure(row.tokens), true],
 ];
 
@@ -189,9 +193,11 @@ export function runsOf(context, { boards, unranked }, flights) {
     ...rows.map((row) => el("details", ...maps(row))),
   ];
   const why = ({ run, reason }) => el("li", { text: `${run}: ${reason}` });
+  const marked = boards.some(({ rows }) => rows.some((row) => row.marked));
   return [
     el("h2", { text: "Over the same maps" }),
     ...boards.flatMap(draw),
+    marked ? el("p.note", { text: "! More than 5 % of the answers were unusable; the drone waited instead." }) : "",
     unranked.length ? el("div.note", "Not ranked:", el("ul", ...unranked.map(why))) : "",
   ];
 }
