@@ -76,7 +76,7 @@ ADAPTERS := $(VENV)/adapters
 $(ADAPTERS)/.made: Makefile $(VENV)/.dev
 	test -x $(ADAPTERS)/bin/python || $(PYTHON) -m venv $(ADAPTERS)
 	$(ADAPTERS)/bin/python -m pip install --quiet --no-compile $(TORCH)
-	$(BIN)/uv pip install --quiet --python $(ADAPTERS)/bin/python --editable '.[inspect,trl,video]' 'moviepy>=2' 'openai>=1' 'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'torchrl>=0.14' 'pytest>=8.3' 'pytest-timeout>=2.3'
+	$(BIN)/uv pip install --quiet --python $(ADAPTERS)/bin/python --editable '.[inspect,trl,video]' 'moviepy>=2' 'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'torchrl>=0.14' 'pytest>=8.3' 'pytest-timeout>=2.3'
 	touch $@
 
 adapters: $(ADAPTERS)/.made

@@ -19,7 +19,7 @@ from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import UnsupportedTaskError
 from drone_env.evaluation.episodes import EpisodesKey, episodes_key, run_episodes, summarise
 from drone_env.files import write_json
-from drone_env.reports.tables import number, with_margin
+from drone_env.reports.tables import number, with_interval
 
 KEPT = Path(__file__).parents[1] / "results" / "agents"
 MAPS = 1000
@@ -71,7 +71,7 @@ def table_of_all() -> str:
     rows = [head]
     for task in (one for one in TASKS.values() if one.terrain is None):
         for agent, of in figures_of(task).items():
-            score = [with_margin(of["mean_score"], of["score_ci95"]), number(of["mean_optimal_score"])]
+            score = [with_interval(of["mean_score"], of["score_ci95"]), number(of["mean_optimal_score"])]
             steps = [f"{of['mean_steps']:.1f}", number(of["mean_excess_steps"], ".2f"), f"{of['cpu_ms']:.3g}"]
             share = f"{100 * of['success_rate']:.1f} %"
             rows.append([task.id, agent, *score, number(of["score_ratio"]), share, *steps])

@@ -11,7 +11,7 @@ from drone_env.commands.contest import JsonFile, TaskNames, cells_of, fly_cells,
 from drone_env.commands.kept import Kept, kept
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.reports.tables import Table, percent, print_table
+from drone_env.reports.tables import Table, percent, print_table, with_interval
 
 if TYPE_CHECKING:
     from drone_env.episodes.by_map import FlownMap
@@ -35,7 +35,7 @@ def compare(
     All others are compared with the first, map by map. Difference: score of the other less that of the first. Better:
     share of maps on which the other scores more, where equal scores count half. Detectable: the smallest true
     difference that as many maps would show in four of five cases. Narrower: how many times wider the interval of the
-    difference would be if each had flown maps of its own. Intervals (95 %) are bootstraps over maps; IQM is the mean
+    difference would be if each had flown maps of its own. Intervals (95 %) are Student's t over maps; IQM is the mean
     of the middle half of the maps. docs/agents.md says more.
 
     Example: drone-env compare greedy optimal --task hard --episodes 200
@@ -86,6 +86,7 @@ def compare(
         "seeds": [maps.start, maps.stop],
         "repeats": repeats,
         "tasks": {t.id: {"version": t.version, **compared(row)} for t, row in rows.items()},
+        "unusable": {one.name: one.unusable for of_folder in folders.values() for one in of_folder if one.unusable},
     }
     cannot = [
         f"{t.short_name}, {agent}: {cell}"
@@ -125,6 +126,10 @@ def _print(report: dict[str, Any]) -> None:
     caption = f"{stop - start:,} maps a task, split {report['split']}, seeds {start} to {stop - 1}"
     head = ("task", "agent", "score (95 %)", "IQM (95 %)", "success")
     print_table(Table("Graded score", head, one), width=120, names=2, caption=caption, sections=True)
+    for name, unusable in report["unusable"].items():
+        from drone_env.llm.answers import Unusable
+
+        print(f"{name}: unusable answers {Unusable(unusable['answers'], unusable['of'])}")
     two = [
         (
             task,
@@ -143,5 +148,4 @@ def _print(report: dict[str, Any]) -> None:
 
 
 def _told(interval: dict[str, float], form: str = ".4f") -> str:
-    low, high = (format(interval[end], form) for end in ("low", "high"))
-    return f"{interval['mean']:{form}} [{low}, {high}]"
+    return with_interval(interval["mean"], (interval["low"], interval["high"]), form)

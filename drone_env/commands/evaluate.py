@@ -11,7 +11,7 @@ from drone_env.commands.contest import EngineName, JsonFile, TaskNames, cells_of
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import summarise
-from drone_env.reports.tables import Table, number, percent, print_table, with_margin
+from drone_env.reports.tables import Table, number, percent, print_table, with_interval
 
 CHOICE = "|".join(NETWORK_AGENTS)
 
@@ -31,10 +31,11 @@ def evaluate(
 ) -> None:
     """Fly many maps with several agents and compare them, each beside the exact optimum of the same maps.
 
-    Prints a table; a progress bar goes to standard error. Score: graded, 0.01 to 0.99, with its 95 % confidence
-    interval. Ratio: mean score / mean optimal score. Regret: mean of optimum less score. Excess: steps beyond the
-    optimal flight, on delivered maps; below zero where the best flight takes its time to charge. docs/quoting.md says
-    what of it to quote. An agent that cannot fly one of several tasks has a row of dashes there, and the reason below.
+    Prints a table; a progress bar goes to standard error. Score: graded, 0.01 to 0.99, with its 95 % interval
+    (Student's t over maps). Ratio: mean score / mean optimal score. Regret: mean of optimum less score. Excess: steps
+    beyond the optimal flight, on delivered maps; below zero where the best flight takes its time to charge.
+    docs/quoting.md says what of it to quote. An agent that cannot fly one of several tasks has a row of dashes there,
+    and the reason below.
 
     Example: drone-env evaluate --task hard --agents greedy optimal --episodes 100 --json results.json
 
@@ -99,7 +100,7 @@ def _print(report: dict[str, Any]) -> None:
         (
             f"{get_task(task_id).short_name} v{of_task['version']}",
             agent,
-            with_margin(figures["mean_score"], figures["score_ci95"]),
+            with_interval(figures["mean_score"], figures["score_ci95"]),
             number(figures["mean_optimal_score"]),
             number(figures["score_ratio"]),
             number(figures["mean_regret"]),

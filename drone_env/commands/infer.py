@@ -21,7 +21,7 @@ from drone_env.llm.options import Number, Options, Whole
 if TYPE_CHECKING:
     from drone_env.llm.runner import Engine, Verdict
 
-PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|minimal-drawn|grid-drawn|vision|FILE.toml"
+PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|minimal-drawn|grid-drawn|vision|original|FILE.toml"
 PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
 PromptNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=PROMPTS)]
 DEFAULTS = Options()
@@ -74,7 +74,7 @@ def infer(
         episodes: How many maps of the split, 1 if nothing is said.
         split: Whose first maps to fly: test if nothing is said.
         seeds: Fly the maps from A up to and not including B instead of a split's.
-        repeats: Flights over each map, for pass^k.
+        repeats: Flights over each map, for pass^k; each sends a sampling seed of its own.
         prompt: The prompt, by its name (the newest version) or id, such as grid-1, or a file of your own; minimal if
             nothing is said, or with --resume that of the run.
         prompts: Fly the same with each of these prompts, one after another, and compare them map by map. Each run has a
@@ -86,7 +86,8 @@ def infer(
         no_temperature: Send no temperature, for models that take none.
         top_p: Nucleus sampling; not sent if nothing is said.
         max_answer_tokens: The longest answer in tokens, sent as max_tokens; 0 sends none.
-        sampling_seed: The endpoint's sampling seed; not sent if nothing is said.
+        sampling_seed: The endpoint's sampling seed, to which the number of the repeat is added: with --repeats 3 and 5,
+            the flights over a map send 5, 6 and 7. Not sent if nothing is said.
         extra: More of the request's body, as a JSON object, such as '{"reasoning_effort": "low"}'.
         reward_profile: What steps pay: a reward profile, or a TOML file with one.
         options: How the run is made.

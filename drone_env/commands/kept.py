@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, needs
@@ -22,6 +22,8 @@ class Kept(NamedTuple):
     split: str
     maps: range
     rows: "list[FlownMap]"
+    unusable: dict[str, Any] | None
+    """The unusable answers of a language model, as its report has them; None of an agent."""
 
 
 def judged(path: Path) -> "list[Judged | Refused]":
@@ -67,5 +69,6 @@ def kept(path: Path) -> list[Kept]:
         name = one.figures.get("agent") or config["model"]
         task = get_task(config["task"], config["task_version"])
         rows = kept_maps(name, one.figures)
-        found.append(Kept(f"{name} ({path})", task, config["split"], range(*config["seeds"]), rows))
+        maps, unusable = range(*config["seeds"]), one.figures.get("unusable")
+        found.append(Kept(f"{name} ({path})", task, config["split"], maps, rows, unusable))
     return found

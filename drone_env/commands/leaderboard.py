@@ -9,7 +9,7 @@ import tyro
 from drone_env.commands.kept import judged_once
 from drone_env.commands.printing import print_json
 from drone_env.errors import InvalidValueError
-from drone_env.reports.tables import Table, number, percent, print_table, with_margin
+from drone_env.reports.tables import Table, number, percent, print_table, with_interval
 
 if TYPE_CHECKING:
     from drone_env.evaluation.leaderboard import Board
@@ -45,19 +45,21 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
         print_json(report)
     else:
         for board in boards:
-            print_table(_table(board), width=140, names=3)
+            marked = [i for i, row in enumerate(board.rows) if row.get("unusable", {}).get("marked")]
+            caption = "! more than 5 % of the answers were unusable; the drone waited instead" if marked else None
+            print_table(_table(board), width=140, names=3, caption=caption, alarming=marked)
         for run in refused:
             print(f"not ranked: {run.path}: {run.reason}", file=sys.stderr)
     return int(any(run.damaged for run in refused))
 
 
 def _table(board: "Board") -> Table:
-    figures = ("score (95 %)", "normalised", "regret", "success", "errored", "WAIT in place", "tokens")
+    figures = ("score (95 %)", "normalised", "regret", "success", "errored", "unusable", "tokens")
     rows = [
         (
             str(rank),
             *_who(row),
-            with_margin(row["score"], row["score_ci95"]),
+            with_interval(row["score"], row["score_ci95"]),
             number(row["normalised"]),
             number(row["regret"]),
             percent(row["success_rate"]),
@@ -73,7 +75,9 @@ def _who(row: dict[str, Any]) -> tuple[str, str]:
 
 
 def _of_a_model(row: dict[str, Any]) -> tuple[str, str, str]:
-    """What an agent has not: flights without an answer, steps likewise, tokens."""
+    """What an agent does not have: errored flights, unusable answers, tokens."""
     if "agent" in row:
         return "-", "-", "-"
-    return str(row["flights"]["errored"]), str(row["waits"]), str(sum(row["tokens"].values()))
+    from drone_env.llm.report_tables import unusable_of
+
+    return str(row["flights"]["errored"]), str(unusable_of(row)), str(sum(row["tokens"].values()))

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from drone_env.episodes.by_map import FlownMap
 from drone_env.evaluation.episodes import EpisodeResults
-from drone_env.evaluation.statistics import normal_interval
+from drone_env.evaluation.statistics import DIFFERENCES, REGRETS, SCORES, SHARES, ci95
 from drone_env.models import Count, Message, Seed
 
 Bounds = list[float] | None
@@ -70,11 +70,11 @@ def _standing(agent: str, rows: Sequence[FlownMap]) -> Standing:
         flights=sum(row.flights for row in rows),
         maps=len(rows),
         success_rate=fmean(success),
-        success_ci95=normal_interval(success),
+        success_ci95=ci95(success, SHARES),
         score=fmean(score),
-        score_ci95=normal_interval(score),
+        score_ci95=ci95(score, SCORES),
         regret=fmean(regret) if regret else None,
-        regret_ci95=normal_interval(regret),
+        regret_ci95=ci95(regret, REGRETS),
         regret_maps=len(regret),
         steps=fmean([row.steps for row in rows]),
         reward=None if profile is None else fmean([row.reward for row in rows]),
@@ -152,7 +152,7 @@ def paired(flown: Sequence[FlownMap], a: str, b: str) -> Pairing:
     return Pairing(
         maps=len(pairs),
         difference=fmean(differences) if pairs else None,
-        ci95=normal_interval(differences),
+        ci95=ci95(differences, DIFFERENCES),
         wins=wins,
         ties=ties,
         losses=len(pairs) - wins - ties,

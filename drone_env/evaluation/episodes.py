@@ -22,7 +22,7 @@ from drone_env.core.rollout import rollout
 from drone_env.core.seeds import N_SEEDS, SPLITS, check_seed, map_key, split_of, split_seeds, task_key
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
-from drone_env.evaluation.statistics import normal_interval
+from drone_env.evaluation.statistics import SCORES, ci95
 
 if TYPE_CHECKING:
     from drone_env.agents.together import Ends
@@ -246,9 +246,9 @@ def concatenate(pieces: Sequence[EpisodeResults]) -> EpisodeResults:
 def summarise(results: EpisodeResults, *again: EpisodeResults) -> dict[str, Any]:
     """The figures of a report, as JSON values; what could not be measured is null.
 
-    Of several flights over each map, `again`, the mean counts, so that intervals are over maps. `score_ci95` is
-    mean +- 1.96 standard errors (normal approximation), null for a single map. `score_ratio` is mean score / mean
-    optimal score on the same maps. `mean_excess_steps` counts the steps beyond the optimal flight's, over flights that
+    Of several flights over each map, `again`, the mean counts, so that intervals are over maps. `score_ci95` (see
+    `statistics`) is null for a single map. `score_ratio` is mean score / mean optimal score on the same maps.
+    `mean_excess_steps` counts the steps beyond the optimal flight's, over flights that
     delivered everything; null where there is none.
 
     Raises:
@@ -268,7 +268,7 @@ def summarise(results: EpisodeResults, *again: EpisodeResults) -> dict[str, Any]
     excess = (steps - results.optimal_steps)[success]
     return {
         "mean_score": mean,
-        "score_ci95": normal_interval(of_maps),
+        "score_ci95": ci95(of_maps, SCORES),
         "success_rate": fmean(success.flat),
         "mean_steps": fmean(steps.flat),
         "mean_optimal_score": optimal,

@@ -20,6 +20,8 @@ AnswerKind = Literal["ok", "parse_error", "illegal", "refusal", "truncated"]
 TurnKind = Literal["ok", "repaired", "parse_error", "illegal", "refusal", "truncated", "api_error", "budget_stop"]
 TURN_KINDS: tuple[TurnKind, ...] = get_args(TurnKind)
 """How a request for actions came out, its repair counted in."""
+MOST_UNUSABLE = 0.05
+"""A run is marked if a larger share of its answers was unusable."""
 
 KEYS = {"action", "direction", "actions", "directions"}
 FENCE = "```"
@@ -57,6 +59,47 @@ class Answer(Message):
     def _writable(cls, text: str | None) -> str | None:
         # JSON may hold half a character, which no file can; a stream may bring its halves one after the other.
         return text and text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
+
+
+class Unusable(NamedTuple):
+    """How many answers were unusable, after their repair, of how many that came."""
+
+    answers: int
+    of: int
+
+    @classmethod
+    def among(cls, turns: Mapping[TurnKind, int]) -> "Unusable":
+        """Those of a run or a flight.
+
+        Args:
+            turns: How many requests for actions came out in which way.
+        """
+        came = {kind: count for kind, count in turns.items() if kind not in ("api_error", "budget_stop")}
+        return cls(sum(count for kind, count in came.items() if kind not in ("ok", "repaired")), sum(came.values()))
+
+    @property
+    def share(self) -> float | None:
+        """Their share; None if no answer came."""
+        return self.answers / self.of if self.of else None
+
+    @property
+    def marked(self) -> bool:
+        """Whether they are so many that the score says little about what the model chose."""
+        return self.answers > MOST_UNUSABLE * self.of
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as JSON values."""
+        return {**self._asdict(), "share": self.share, "marked": self.marked}
+
+    def __str__(self) -> str:
+        mark = " !" if self.marked else ""
+        return "-" if self.share is None else f"{self.share:.1%} ({self.answers} of {self.of}){mark}"
+
+    @property
+    def mark(self) -> str:
+        """Why a run is marked, in words; empty if it is not."""
+        share = f"{self.answers} of {self.of} answers were unusable, more than {MOST_UNUSABLE:.0%}"
+        return f"MARKED: {share}; the drone waited instead" if self.marked else ""
 
 
 class Reading(NamedTuple):
@@ -102,7 +145,8 @@ def read_answer(
         asked = "a list of actions" if plan else "one action"
         where = f"the last line with {marks[0]}" if marked is not None else "the answer"
         missing = f", and has no line with {marks[0]}" if marks and marked is None else ""
-        reason = f"{where} is not {asked}{missing}" if text.strip() else "the answer is empty"
+        empty = "there is only reasoning and no answer" if answer.reasoning else "the answer is empty"
+        reason = f"{where} is not {asked}{missing}" if text.strip() else empty
         return unusable("parse_error", reason)
     unknown = [word for word in words if word.upper() not in actions]
     if unknown:

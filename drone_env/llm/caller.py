@@ -45,8 +45,9 @@ class Caller:
             StoppedError: if the run is being stopped for the sake of another call.
             InvalidValueError: if the transcript holds another request under this key.
         """
-        request = digest({"body": self._endpoint.body, "messages": messages})
         seed, repeat = self._config.flight(key.flight)
+        body = self._endpoint.bodies[repeat]
+        request = digest({"body": body, "messages": messages})
         # A repeat is another draw from the model, and so is a repair: only equal ones share an answer.
         cache_key = digest([self._config.base_url, request, repeat, key.attempt])
         answer, cached = await self._desk.known(key, request, cache_key)
@@ -66,6 +67,7 @@ class Caller:
                 messages=messages,
                 picture=picture,
                 request_digest=request,
+                sampling_seed=body.get("seed"),
                 answer=answer,
                 outcome=outcome,
                 failures=failures,
@@ -96,12 +98,12 @@ class Caller:
 
     async def _try(self, key: CallKey, messages: list[ChatMessage], failures: list[Failure]) -> tuple[Answer, float]:
         """The answer and when its request was sent; all failed tries are noted in `failures`."""
-        options = self._options
+        options, (seed, repeat) = self._options, self._config.flight(key.flight)
         while True:
             ends = await self._desk.acquire(key.flight) + self._clock.now()
             sent_at = self._clock.now()
             try:
-                answer = await self._endpoint.ask(messages, str(key))
+                answer = await self._endpoint.ask(messages, str(key), repeat)
             except TryFailedError as failed:
                 asked = failed.retry_after
                 pause = min(asked or 0.0, options.longest_wait)
@@ -114,7 +116,8 @@ class Caller:
                 failures.append(Failure(status=failed.status, reason=failed.reason, waited=wait))
                 if not again:
                     raise
-                await self._desk.waiting(wait, str(failed))
+                attempt = f"attempt {len(failures)} of {options.tries} failed"
+                await self._desk.waiting(wait, f"map {seed}, turn {key.turn}: {attempt}: {failed}")
                 await self._clock.sleep(wait)
             except BaseException:
                 await self._desk.release(key.flight, None)

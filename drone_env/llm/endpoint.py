@@ -6,12 +6,12 @@ import itertools
 import json
 import re
 import ssl
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from functools import lru_cache
 from time import time
-from typing import Any
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 import httpx
@@ -39,6 +39,12 @@ SILENCE_SECONDS = 1.0
 """How long the end of a response is waited for behind the end of its stream."""
 STREAM_END = re.compile(rb"^data: ?\[DONE\]", re.MULTILINE)
 DIRECTIONS = [action.name for action in Action]
+PARTS = {
+    **dict.fromkeys(("text", "output_text", "summary_text"), "text"),
+    **dict.fromkeys(("reasoning", "thinking"), "reasoning"),
+    "refusal": "refusal",
+}
+"""Where each type of part of a message's content belongs. Parts of other types, such as pictures, are ignored."""
 HINTS = {
     401: "the token is missing or wrong: check HF_TOKEN (Hugging Face) or OPENAI_API_KEY (elsewhere)",
     403: "the token may not use this model or endpoint",
@@ -58,9 +64,9 @@ OPTIONS = (
     ("response_format", "response_format|json_schema", "--answers text"),
     ("tools", r"tool_choice|\btools?\b|function", "--answers text"),
 )
+"""What is sent, how an endpoint says that it does not take it so, and what helps; the first that fits is named."""
 NO_PICTURE = re.compile(r"image|vision|multi-?modal|content\b.*\bstring|string\b.*\bcontent", re.IGNORECASE)
 """How an endpoint says that it takes no pictures."""
-"""What is sent, how an endpoint says that it does not take it so, and what helps; the first that fits is named."""
 
 
 @dataclass(eq=False)
@@ -68,7 +74,7 @@ class TryFailedError(DroneEnvError):
     """A try that brought no answer.
 
     Attributes:
-        status: The HTTP status, 0 where there was none.
+        status: The HTTP status, or the one that an error in a 200 response carries; 0 if there was none.
         reason: What went wrong, in words.
         retried: Whether another try may bring one.
         retry_after: Seconds that the endpoint asks to wait; None where it does not say.
@@ -83,6 +89,14 @@ class TryFailedError(DroneEnvError):
 
     def __str__(self) -> str:
         return f"{self.status or 'no answer'}: {self.reason}"
+
+
+class _SentError(Exception):
+    """A 200 response that holds an error, or no answer, as `value`."""
+
+    def __init__(self, value: Any) -> None:
+        super().__init__()
+        self.value = value
 
 
 @lru_cache(maxsize=1)
@@ -100,6 +114,9 @@ class Endpoint:
         config: Model, address, sampling, form of the answers.
         token: What authorises; None to send none.
         timeout: Seconds that an answer may take.
+
+    Attributes:
+        bodies: What each request of a repeat holds beside the messages, by the repeat's number.
     """
 
     def __init__(self, config: RunConfig, token: str | None, timeout: float) -> None:
@@ -108,7 +125,7 @@ class Endpoint:
         self._timeout = timeout
         self._stream = config.stream
         self._picture = config.load_prompt().picture
-        self.body = request_body(config)
+        self.bodies = [request_body(config, repeat) for repeat in range(config.repeats)]
         headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
         if token is not None:
             headers["authorization"] = f"Bearer {token}"
@@ -128,14 +145,14 @@ class Endpoint:
         self._clients = clients
         self._next_client = itertools.cycle(clients)
 
-    async def ask(self, messages: Sequence[ChatMessage], call_id: str) -> Answer:
+    async def ask(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
         """Send one request. The answer holds no token, wherever the endpoint quotes it.
 
         Raises:
             TryFailedError: if no answer came.
         """
         try:
-            return await asyncio.wait_for(self._ask(messages, call_id), self._timeout)
+            return await asyncio.wait_for(self._ask(messages, call_id, self.bodies[repeat]), self._timeout)
         except asyncio.TimeoutError:
             raise TryFailedError(0, f"no answer within {self._timeout:g} s", retried=True) from None
         except (httpx.HTTPError, httpx.InvalidURL) as error:
@@ -152,26 +169,42 @@ class Endpoint:
         for client in self._clients:
             await client.aclose()
 
-    async def _ask(self, messages: Sequence[ChatMessage], call_id: str) -> Answer:
-        body = {"messages": list(messages), **self.body}
+    async def _ask(self, messages: Sequence[ChatMessage], call_id: str, body: dict[str, Any]) -> Answer:
+        body = {"messages": list(messages), **body}
         if self._stream:
             body |= {"stream": True, "stream_options": {"include_usage": True}}
         headers = {"x-client-request-id": call_id}
         async with next(self._next_client).stream("POST", self._url, json=body, headers=headers) as response:
             data = await _read(response)
         if not response.is_success:
-            raise self._refusal(response, data)
-        fields = _streamed(data) if self._stream else _answer([_json(data)], "message")
+            raise self._refusal(response.status_code, _error_text(data), response.headers)
+        try:
+            if not data.strip():
+                raise _SentError({"message": "the response is empty"})
+            fields = _streamed(data) if self._stream else _answer([_json(data)], "message")
+        except _SentError as sent:
+            raise self._error_inside(sent.value, response.headers) from None
         if fields["finish_reason"] is None and self._stream:
             raise TryFailedError(0, "the stream ended before the answer did", retried=True)
         texts = {name: value for name, value in fields.items() if isinstance(value, str)}
         return Answer.model_validate(fields | {name: without_secret(text, self._token) for name, text in texts.items()})
 
-    def _refusal(self, response: httpx.Response, data: bytes) -> TryFailedError:
-        status, reason = response.status_code, self._clean(_error_text(data))
+    def _error_inside(self, error: Any, headers: httpx.Headers) -> TryFailedError:
+        """What an error in a 200 response comes to: the same as one with the status that it carries."""
+        reason = f"{self._clean(_message_of(error) or json.dumps(error))} (in a 200 response)"
+        status, headers = _status_in(error), httpx.Headers({**headers, **_wait_in(error)})
+        if status is not None:
+            return self._refusal(status, reason, headers)
+        # Nothing says that it will stay so.
+        return TryFailedError(200, reason, retried=True, retry_after=_retry_after(headers))
+
+    def _refusal(self, status: int, reason: str, headers: httpx.Headers) -> TryFailedError:
+        reason = self._clean(reason)
+        if not reason:
+            reason = f"{httpx.codes.get_reason_phrase(status)}, without a reason".removeprefix(", ")
         if 300 <= status < 400:
             # Who follows takes the token along.
-            where = self._clean(response.headers.get("location", "elsewhere"))
+            where = self._clean(headers.get("location", "elsewhere"))
             reason = f"it redirects to {where}, which is not followed: API_BASE_URL must be the endpoint itself"
         if self._picture and _takes_no_picture(status, reason):
             reason += " (each call shows a picture: try it with one that does not, such as --prompt grid)"
@@ -180,12 +213,12 @@ class Endpoint:
             return TryFailedError(status, f"{HINTS[status]} ({reason})", retried=False, fatal=True)
         retried = status in RETRIED or status >= 500
         if status in (400, 422):
-            sent = {**self.body, "stream": True} if self._stream else self.body
+            sent = {**self.bodies[0], "stream": True} if self._stream else self.bodies[0]
             for name, told, option in OPTIONS:
                 if name in sent and re.search(told, reason, re.IGNORECASE):
-                    reason += f" (try it with {option % self.body})"
+                    reason += f" (try it with {option % sent})"
                     break
-        return TryFailedError(status, reason, retried, _retry_after(response.headers) if retried else None)
+        return TryFailedError(status, reason, retried, _retry_after(headers) if retried else None)
 
     def _clean(self, text: str) -> str:
         """The text on one line, without the token, and without what moves a terminal or cannot be written."""
@@ -202,9 +235,12 @@ def _takes_no_picture(status: int, reason: str) -> bool:
     return status == 413 or (status in (400, 404, 415, 422, 500) and NO_PICTURE.search(reason) is not None)
 
 
-def request_body(config: RunConfig) -> dict[str, Any]:
-    """What is sent beside the messages."""
+def request_body(config: RunConfig, repeat: int = 0) -> dict[str, Any]:
+    """What is sent beside the messages in one repeat of a run."""
     sampling = config.sampling.model_dump(exclude={"extra"}, exclude_none=True)
+    if "seed" in sampling:
+        # With the same seed each repeat would be a copy of the first.
+        sampling["seed"] += repeat
     return {"model": config.model, **sampling, **config.sampling.extra, **_form(config)}
 
 
@@ -281,28 +317,50 @@ def _answer(completions: Sequence[Any], part: str) -> dict[str, Any]:
         if not hasattr(completion, "get"):
             raise ValueError(f"an object was expected, got {completion!r}")
         choices: list[Any] = completion.get("choices") or []
-        if completion.get("error") or (part == "message" and not choices):
-            # Some send their errors as 200.
-            raise ValueError(f"there are no choices, but {completion.get('error') or completion}")
+        if completion.get("error") or completion.get("object") == "error" or (part == "message" and not choices):
+            raise _SentError(completion.get("error") or completion)
         last["model"] = _text(completion.get("model")) or last["model"]
         usage = completion.get("usage") or usage
         for choice in choices[:1]:
+            if choice is None or (part == "message" and choice.get(part) is None):
+                raise _SentError({"message": "there is no message"})
             last["finish_reason"] = _text(choice.get("finish_reason")) or last["finish_reason"]
-            message: Any = choice[part] if part == "message" else choice.get(part) or {}
+            if choice.get("error") or last["finish_reason"] == "error":
+                raise _SentError(choice.get("error") or {"message": "the answer was broken off by an error"})
+            message: Any = choice.get(part) or {}
             calls: list[Any] = message.get("tool_calls") or []
-            pieces: dict[str, list[Any]] = {
-                "text": [message.get("content")],
-                "reasoning": [message.get("reasoning_content") or message.get("reasoning")],
-                "refusal": [message.get("refusal")],
-                # Those of several calls stand side by side, which makes them no action.
-                "tool_arguments": [(call.get("function") or {}).get("arguments") for call in calls],
-            }
-            for name, found in pieces.items():
-                texts[name] += [piece for piece in map(_text, found) if piece]
+            for name, piece in _pieces(message.get("content")):
+                texts[name].append(piece)
+            thoughts = message.get("reasoning_content") or message.get("reasoning")
+            texts["reasoning"] += [piece for _, piece in _pieces(thoughts)]
+            refusal = _text(message.get("refusal"))
+            # Those of several calls stand side by side, which makes them no action.
+            arguments = [_text((call.get("function") or {}).get("arguments")) for call in calls]
+            texts["refusal"] += [refusal] if refusal else []
+            texts["tool_arguments"] += [piece for piece in arguments if piece]
     joined = {name: "".join(found) or None for name, found in texts.items()}
+    if part == "message" and not any(joined.values()) and last["finish_reason"] is None:
+        raise _SentError({"message": "the message is empty"})
     counts = {name: usage.get(name) for name in ("prompt_tokens", "completion_tokens")}
     counted = {name: n if type(n) is int and 0 <= n < MOST_TOKENS else None for name, n in counts.items()}
     return {**joined, "text": joined["text"] or "", **last, **counted}
+
+
+def _pieces(content: Any) -> Iterator[tuple[str, str]]:
+    """(field of the answer, text) for each piece of a content: a text, or a list of parts."""
+    if content is None or isinstance(content, str):
+        yield "text", content or ""
+        return
+    if not isinstance(content, list):
+        raise ValueError(f"text was expected, got {content!r}")
+    for part in cast(list[Any], content):
+        if isinstance(part, str):
+            yield "text", part
+            continue
+        kind = part.get("type", "text")
+        if kind in PARTS:
+            inner = part.get("text") or part.get(kind) or part.get("summary")
+            yield PARTS[kind], "".join(text for _, text in _pieces(inner))
 
 
 def _json(data: bytes) -> Any:
@@ -322,12 +380,44 @@ def _error_text(data: bytes) -> str:
     """What an error says, in whatever form it came."""
     text = data.decode(errors="replace")
     try:
-        error: Any = json.loads(data)
-        error = error.get("error", error)
-        message = error.get("message")
-    except (ValueError, AttributeError, RecursionError):
-        return text
-    return message if isinstance(message, str) else text
+        message = _message_of(json.loads(data))
+    except (ValueError, RecursionError):
+        message = None
+    return text if message is None else message
+
+
+def _message_of(error: Any) -> str | None:
+    """What an error says; None if it says nothing in one of the usual forms."""
+    if isinstance(error, Mapping):
+        fields = cast(Mapping[str, Any], error)
+        named = (fields.get(name) for name in ("error", "message", "detail"))
+        return next((found for found in map(_message_of, named) if found is not None), None)
+    return error if isinstance(error, str) else None
+
+
+def _status_in(error: Any) -> int | None:
+    """The HTTP status that an error carries: `code` or `status`, as a number or in digits."""
+    fields: Mapping[str, Any] = cast(Mapping[str, Any], error) if isinstance(error, Mapping) else {}
+    named = (str(fields.get(name)) for name in ("code", "status"))
+    return next((int(value) for value in named if re.fullmatch("[45][0-9][0-9]", value)), None)
+
+
+def _wait_in(error: Any) -> dict[str, str]:
+    """The headers about waiting that an error holds: in itself, in its `metadata`, or in the `headers` of these.
+
+    OpenRouter says there at which millisecond since 1970 its limit ends.
+    """
+    found: dict[str, str] = {}
+    parts = [error]
+    for part in parts:
+        if isinstance(part, Mapping):
+            fields = cast(Mapping[str, Any], part)
+            named = {name.lower().replace("_", "-"): str(value) for name, value in fields.items()}
+            found |= {name: named[name] for name in ("retry-after", "retry-after-ms") if name in named}
+            if not found and re.fullmatch("[0-9]{13}", named.get("x-ratelimit-reset", "")):
+                found["retry-after-ms"] = str(int(named["x-ratelimit-reset"]) - 1000 * time())
+            parts += [fields.get("metadata"), fields.get("headers")]
+    return found
 
 
 def _retry_after(headers: httpx.Headers) -> float | None:

@@ -17,7 +17,7 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.episodes.record import record_of
 from drone_env.errors import InvalidValueError, needs
-from drone_env.llm.answers import Answer, Reading, read_answer
+from drone_env.llm.answers import Answer, Reading, Unusable, read_answer
 from drone_env.llm.gate import LimitReachedError
 from drone_env.llm.messages import ChatMessage, with_pictures
 from drone_env.llm.pilot import PilotedEpisode, fly
@@ -38,6 +38,7 @@ with needs("inspect"):
         ContentImage,
         ContentReasoning,
         ContentText,
+        GenerateConfig,
         ModelOutput,
         get_model,
     )
@@ -58,6 +59,7 @@ def drone_delivery(
     split: str = "test",
     history: int = 0,
     reward_profile: str = DEFAULT_PROFILE,
+    sampling_seed: int | None = None,
 ) -> Task:
     """Flights over the first maps of a split, one sample a map; Inspect's epochs are repeats.
 
@@ -68,6 +70,8 @@ def drone_delivery(
         split: Whose maps: train, validation or test.
         history: How many of the last steps the prompt names.
         reward_profile: What steps pay; it changes no score.
+        sampling_seed: The seed of the first epoch; each further one sends the next. Inspect's own `--seed` is the same
+            in every epoch, so that these are copies.
 
     Raises:
         UnknownNameError: if the task, prompt, split or profile does not exist.
@@ -82,7 +86,7 @@ def drone_delivery(
         samples.append(Sample(id=str(seed), input=_inspects(messages), metadata={"seed": seed}))
     return Task(
         dataset=MemoryDataset(samples, name=f"{config.id}-{split}"),
-        solver=pilot(config.id, prompt if chosen.own else chosen.id, history, reward_profile),
+        solver=pilot(config.id, prompt if chosen.own else chosen.id, history, reward_profile, sampling_seed),
         scorer=graded(),
         fail_on_error=MOST_ERRORED,
         name=config.id,
@@ -92,7 +96,7 @@ def drone_delivery(
 
 
 @solver
-def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
+def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_seed: int | None = None) -> Solver:
     """Flies the map of a sample to its end; an unusable answer is asked for once more, then it is a WAIT.
 
     Args:
@@ -100,6 +104,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
         prompt: Id of the prompt, or its file.
         history: How many of the last steps the prompt names.
         reward_profile: What steps pay.
+        sampling_seed: The seed of the first epoch.
     """
     config, chosen = get_task(task), get_prompt(prompt)
 
@@ -107,12 +112,13 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
         model = get_model()
         stopped: BaseException | None = None
         words = chosen.symbols(config, state.metadata["seed"]).actions
+        sampling = GenerateConfig(seed=None if sampling_seed is None else sampling_seed + state.epoch - 1)
 
         async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
             nonlocal stopped
             asked = _inspects(messages)
             try:
-                output = await model.generate(asked)
+                output = await model.generate(asked, config=sampling)
             except (LimitExceededError, anyio.get_cancelled_exc_class()) as error:
                 stopped = error
                 raise LimitReachedError(str(error) or "stopped by Inspect") from error
@@ -131,12 +137,13 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str) -> Solver:
     return solve
 
 
-@scorer(metrics={"score": [mean(), stderr()], "success": [mean(), stderr()], "regret": [mean(), stderr()]})
+@scorer(metrics={name: [mean(), stderr()] for name in ("score", "unusable", "success", "regret")})
 def graded() -> Scorer:
-    """The graded score of a flight, whether it delivered everything, and the optimum of its map minus the score.
+    """The graded score of a flight, the share of unusable answers, success, and the optimum of its map minus the score.
 
-    An unfinished flight counts as if it waited to its end. Regret is NaN, unscored, where a map is too large to be
-    solved. The metadata hold the outcomes of all answers and the record of the flight.
+    An unfinished flight counts as if it waited to its end. Success is whether it delivered everything. NaN, which is
+    unscored, are regret if a map is too large to be solved, and the share if no answer came. The metadata hold the
+    outcomes of all answers and the record of the flight.
     """
 
     async def score(state: TaskState, target: Target) -> Score:
@@ -144,8 +151,10 @@ def graded() -> Scorer:
         result = PilotedRecord.model_validate(kept["result"])
         optimum = best_of(get_task(kept["task"]), result.seed)
         regret = math.nan if optimum is None else optimum.score - result.score
+        share = Unusable.among(result.turns).share
+        unusable = math.nan if share is None else share
         return Score(
-            value={"score": result.score, "success": float(result.success), "regret": regret},
+            value={"score": result.score, "unusable": unusable, "success": float(result.success), "regret": regret},
             answer=" ".join(kept["actions"]),
             explanation=kept["log"],
             metadata={"result": kept["result"], "record": kept["record"]},

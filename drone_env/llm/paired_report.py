@@ -5,9 +5,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from drone_env.evaluation.statistics import normal_interval
-from drone_env.llm.report_tables import maps_line
-from drone_env.reports.tables import Table, number, percent, with_margin
+from drone_env.evaluation.statistics import DIFFERENCES, ci95
+from drone_env.llm.report_tables import maps_line, unusable_of
+from drone_env.reports.tables import Table, number, percent, with_interval
 
 
 def paired(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -26,14 +26,14 @@ def paired(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
         differences = [score - by_map[0][seed] for seed, score in scores.items() if seed in by_map[0]]
         points = sum(sum(of_map["scores"]) for of_map in run["maps"])
         tokens = sum(run["tokens"].values())
-        same = ("verdict", "reason", "score", "score_ci95", "success_rate", "regret", "waits", "cost_usd")
+        same = ("verdict", "reason", "score", "score_ci95", "success_rate", "regret", "waits", "unusable", "cost_usd")
         rows.append(
             {name: run[name] for name in same}
             | {
                 "prompt": run["config"]["prompt"],
                 "maps": len(differences),
                 "difference": fmean(differences) if differences else None,
-                "difference_ci95": normal_interval(differences),
+                "difference_ci95": ci95(differences, DIFFERENCES),
                 "tokens": tokens,
                 "tokens_per_point": tokens / points if points else None,
                 "usd_per_point": run["cost_usd"] / points if points and run["cost_usd"] is not None else None,
@@ -53,15 +53,15 @@ def write_paired_report(folder: Path, runs: Sequence[dict[str, Any]]) -> list[st
     figures = paired(runs)
     config = figures["config"]
     first = figures["runs"][0]["prompt"]
-    head = ("prompt", "score (95 %)", f"less that of {first}", "maps", "delivered all", "WAIT in place", "tokens")
+    head = ("prompt", "score (95 %)", f"less that of {first}", "maps", "delivered all", "unusable", "tokens")
     rows = [
         (
             row["prompt"] + ("" if row["verdict"] == "valid" else f" ({row['verdict']}: {row['reason']})"),
-            with_margin(row["score"], row["score_ci95"]),
-            with_margin(row["difference"], row["difference_ci95"]),
+            with_interval(row["score"], row["score_ci95"]),
+            with_interval(row["difference"], row["difference_ci95"]),
             str(row["maps"]),
             percent(row["success_rate"]),
-            str(row["waits"]),
+            str(unusable_of(row)),
             number(row["tokens"], ","),
             number(row["tokens_per_point"], ",.0f"),
             number(row["cost_usd"]),
@@ -74,8 +74,8 @@ def write_paired_report(folder: Path, runs: Sequence[dict[str, Any]]) -> list[st
     page = render("prompts.md", title=title, maps=maps_line(config), table=table)
     write_pages(folder, figures, {"report.md": page})
     lines = [
-        f"{name}: score {score}, {more} against {first}, {tokens} tokens a point"
+        f"{name}: score {score}, unusable answers {unusable}, {more} against {first}, {tokens} tokens a point"
         + ("" if dollars == "-" else f", ${dollars} a point")
-        for name, score, more, _, _, _, _, tokens, _, dollars in rows
+        for name, score, more, _, _, unusable, _, tokens, _, dollars in rows
     ]
     return [*lines, f"report: {folder / 'report.md'}"]

@@ -2,10 +2,12 @@
 
 import time
 from collections.abc import Callable
+from statistics import fmean
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from drone_env.llm.answers import Unusable
 from drone_env.llm.config import RunConfig
 from drone_env.llm.gate import Gate
 from drone_env.llm.pilot import PilotedEpisode
@@ -46,7 +48,8 @@ class ConsoleObserver:
         )
         self._bar = self.progress.add_task(config.task_config.short_name, total=config.flights, figures="")
         self._done = 0
-        self._calls = 0
+        self._scores: list[float] = []
+        self._calls = self._answers = self._unusable = 0
         self._began = self._line_shown = time.monotonic()
         self._waits = 0
         self._wait_shown = 0.0
@@ -54,21 +57,28 @@ class ConsoleObserver:
     def called(self, call: Call) -> None:
         """A call was made."""
         self._calls += 1
+        # A first answer that could not be used is asked for once more.
+        if call.answer is not None and (call.outcome == "ok" or call.attempt == 2):
+            self._answers += 1
+            self._unusable += call.outcome != "ok"
         self._show()
 
     def waiting(self, seconds: float, reason: str) -> None:
-        """A try failed and is repeated after a wait."""
+        """A try failed and is repeated after a wait; `reason` says which, of how many, and why."""
         self._waits += 1
         now = time.monotonic()
         if seconds >= LONG_WAIT or now - self._wait_shown >= QUIET_SECONDS:
             self._wait_shown = now
-            self._console.print(f"waiting {seconds:.1f} s, then trying again ({self._waits} so far): {reason}")
+            so_far = f"{self._waits} {'retry' if self._waits == 1 else 'retries'} so far"
+            self._console.print(f"{reason}; next attempt in {seconds:.1f} s ({so_far})", soft_wrap=True)
 
     def flown(self, flown: PilotedEpisode) -> None:
         """A flight is over: its log lines."""
         self._keep(flown)
         print(log_text(flown, self._config.model), end="", flush=True)
         self._done += 1
+        if flown.status != "errored":
+            self._scores.append(flown.episode.counted_score())
         if flown.status != "finished":
             self._console.print(f"map {flown.episode.seed}: {flown.status}: {flown.error}")
         self.progress.update(self._bar, completed=self._done)
@@ -89,4 +99,7 @@ class ConsoleObserver:
         gate = self._gate
         rate = self._calls / max(now - self._began, 1e-9)
         cost = "" if gate.cost is None else f", ${gate.cost:.4f}"
-        return f"{gate.requests} requests, {rate:.1f} calls/s, {gate.active} at once, {gate.tokens} tokens{cost}"
+        score = f"score {fmean(self._scores):.4f}, " if self._scores else ""
+        result = f"{score}unusable answers {Unusable(self._unusable, self._answers)}"
+        spent = f"{gate.requests} requests, {rate:.1f} calls/s, {gate.active} at once, {gate.tokens} tokens{cost}"
+        return f"{result}, {spent}"

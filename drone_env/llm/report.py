@@ -11,8 +11,8 @@ from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, TooLargeError, UnsupportedTaskError
 from drone_env.evaluation.analysis import analyse_flight
 from drone_env.evaluation.episodes import episodes_key, run_episodes
-from drone_env.evaluation.statistics import normal_interval
-from drone_env.llm.answers import TURN_KINDS
+from drone_env.evaluation.statistics import SCORES, ci95
+from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
 from drone_env.llm.options import Prices
 from drone_env.llm.run_folder import PilotedRecord
 from drone_env.llm.runner import mean_over_maps, verdict_of
@@ -28,8 +28,9 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
     """The figures of a run, as JSON values; what is not known is null.
 
     Flights over one map are averaged first, then the maps, so that each map counts as much as for the other agents.
-    `score_ci95` is mean +- 1.96 standard errors over the maps, null for one map. `normalised` is
-    (score - random) / (optimal - random) of the means over the same maps.
+    `score_ci95` (`evaluation.statistics`) is null for one map. `normalised` is (score - random) / (optimal - random) of
+    the means over the same maps. `unusable` counts the answers that no repair made usable; the run is marked if they
+    are more than 5 %.
 
     Args:
         run: The run.
@@ -48,6 +49,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
     score = mean_over_maps([(result.seed, result.score) for result in counted])
     random = _mean_of(baselines["random"])
     best = _mean_of(optima)
+    turns: dict[TurnKind, int] = {name: sum(one.turns.get(name, 0) for one in run.results) for name in TURN_KINDS}
     return {
         "format": "drone_env/llm-report",
         "config": config.model_dump(mode="json"),
@@ -66,7 +68,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
             if r.status != "finished"
         ],
         "score": score,
-        "score_ci95": normal_interval([fmean(r.score for r in results) for results in by_map.values()]),
+        "score_ci95": ci95([fmean(r.score for r in results) for results in by_map.values()], SCORES),
         "success_rate": mean_over_maps([(result.seed, result.success) for result in counted]),
         "pass_hat_k": _pass_hat_k(list(by_map.values())),
         "regret": None
@@ -76,7 +78,8 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
         if score is None or random is None or best is None or best == random
         else (score - random) / (best - random),
         "baselines": {name: _mean_of(scores) for name, scores in baselines.items()},
-        "turns": {name: sum(result.turns.get(name, 0) for result in run.results) for name in TURN_KINDS},
+        "turns": turns,
+        "unusable": Unusable.among(turns).to_dict(),
         "waits": sum(result.waits for result in run.results),
         "moves": _moves(run) if moves else None,
         **_spending(run, prices),

@@ -3,7 +3,8 @@
 import json
 from typing import Any
 
-from drone_env.reports.tables import Table, number, percent, with_margin
+from drone_env.llm.answers import Unusable
+from drone_env.reports.tables import Table, number, percent, with_interval
 
 
 def page_values(figures: dict[str, Any]) -> dict[str, Any]:
@@ -17,7 +18,13 @@ def page_values(figures: dict[str, Any]) -> dict[str, Any]:
         # In capitals where the figures do not count.
         "verdict": figures["verdict"].upper() if figures["verdict"] == "invalid" else figures["verdict"],
         "score": _score(figures),
+        "unusable": unusable_of(figures),
     }
+
+
+def unusable_of(figures: dict[str, Any]) -> Unusable:
+    """The unusable answers of a run, from the figures of its report."""
+    return Unusable(figures["unusable"]["answers"], figures["unusable"]["of"])
 
 
 def maps_line(config: dict[str, Any]) -> str:
@@ -54,13 +61,14 @@ def tables(figures: dict[str, Any]) -> list[Table]:
 
 
 def _score(figures: dict[str, Any]) -> str:
-    return with_margin(figures["score"], figures["score_ci95"])
+    return with_interval(figures["score"], figures["score_ci95"])
 
 
 def _result(figures: dict[str, Any]) -> list[tuple[str, str]]:
     flights, moves = figures["flights"], figures["moves"]
     rows = [
         ("score (95 %)", _score(figures)),
+        ("unusable answers", str(unusable_of(figures))),
         ("delivered all", percent(figures["success_rate"])),
         *((f"pass^{k}", percent(share)) for k, share in figures["pass_hat_k"].items() if k != "1"),
         ("regret", number(figures["regret"])),

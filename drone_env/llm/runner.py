@@ -10,7 +10,7 @@ from typing import Any, Literal, Protocol
 
 from drone_env.core.actions import Action
 from drone_env.episodes.log_lines import end_line, start_line, step_line
-from drone_env.llm.answers import TURN_KINDS
+from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
 from drone_env.llm.caller import Caller
 from drone_env.llm.config import RunConfig
 from drone_env.llm.desk import Desk, Watcher
@@ -173,21 +173,25 @@ def mean_over_maps(values: Sequence[tuple[int, float]]) -> float | None:
 
 
 def summary_lines(result: RunResult) -> list[str]:
-    """The result of a run, for people: the verdict, the score of those that count, and how the answers came out."""
+    """The result of a run, for people: the score of those that count, how the answers came out, and the verdict."""
     counted = [flight for flight in result.flights if flight.status != "errored"]
-    outcomes = {name: sum(flight.turns.count(name) for flight in result.flights) for name in TURN_KINDS}
+    outcomes: dict[TurnKind, int] = {
+        name: sum(flight.turns.count(name) for flight in result.flights) for name in TURN_KINDS
+    }
     waits = sum(error is not None for flight in result.flights for error in flight.step_errors)
     errored = len(result.flights) - len(counted)
     unfinished = sum(not flight.episode.ended for flight in counted)
-    lines: list[str] = []
+    lines, unusable = list[str](), Unusable.among(outcomes)
     mean = mean_over_maps([(flight.episode.seed, flight.episode.counted_score()) for flight in counted])
     if mean is not None:
         success = sum(flight.episode.success for flight in counted)
-        lines.append(f"mean score {mean:.4f} over {len(counted)} flights, {success} delivered everything")
+        flights = f"{len(counted)} flights, {success} delivered everything"
+        lines.append(f"mean score {mean:.4f} over {flights}; unusable answers: {unusable}")
     lines.append(f"errored and left out: {errored}; unfinished, counted as waiting to the end: {unfinished}")
     lines.append(f"answers: {', '.join(f'{name} {count}' for name, count in outcomes.items())}; WAIT in place: {waits}")
     if outcomes["truncated"]:
         lines.append("truncated answers: a larger --max-answer-tokens leaves room for thoughts")
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
-    lines.append(f"verdict: {verdict}{': ' if result.reason else ''}{result.reason}")
+    reason = f"{': ' if result.reason else ''}{result.reason}"
+    lines.append(f"verdict: {verdict}{reason}{'; ' if unusable.marked else ''}{unusable.mark}")
     return lines

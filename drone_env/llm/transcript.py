@@ -33,7 +33,7 @@ class CallKey(NamedTuple):
 class Failure(Message):
     """One try that brought no answer."""
 
-    status: int = Field(ge=0, description="HTTP status, 0 where there was none.")
+    status: int = Field(ge=0, description="HTTP status, or that of an error in a 200 response; 0 if there was none.")
     reason: str
     waited: float = Field(ge=0, description="Seconds waited before the next try.")
 
@@ -49,6 +49,7 @@ class Call(Message):
     messages: list[ChatMessage] = Field(description="Of a picture, what it shows.")
     picture: str | None = Field(default=None, description="SHA-256 of the PNG that was sent: how it looked.")
     request_digest: str = Field(description="Of the messages and all that is sent with them.")
+    sampling_seed: int | None = Field(default=None, description="The seed that was sent: the run's plus `repeat`.")
     answer: Answer | None = Field(description="Null where no try brought one.")
     outcome: str = Field(description="How the answer was understood, or `api_error`.")
     failures: list[Failure] = Field(default_factory=list[Failure])

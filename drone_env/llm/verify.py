@@ -60,7 +60,8 @@ def verified_run(path: Path) -> VerifiedRun:
         # Leaving out the flights that went badly would make a run look better than it was.
         raise InvalidValueError(f"{path}: flight {lost[0]} was begun but is not among the results: resume the run")
     used: set[CallKey] = set()
-    body, prompt, task = request_body(config), config.load_prompt(), config.task_config
+    bodies = [request_body(config, repeat) for repeat in range(config.repeats)]
+    prompt, task = config.load_prompt(), config.task_config
 
     by_number = {result.flight: result for result in results}
 
@@ -69,7 +70,9 @@ def verified_run(path: Path) -> VerifiedRun:
         if call is not None and call.answer is not None:
             if call.messages != messages:
                 raise InvalidValueError(f"call {key} asked something else than this prompt does")
-            if call.request_digest != digest({"body": body, "messages": messages}):
+            body = bodies[config.flight(key.flight)[1]]
+            asked = digest({"body": body, "messages": messages})
+            if (call.request_digest, call.sampling_seed) != (asked, body.get("seed")):
                 raise InvalidValueError(f"call {key} asked another model or otherwise than run.json says")
             used.add(key)
             words = prompt.symbols(task, config.flight(key.flight)[0]).actions

@@ -32,9 +32,14 @@ def percent(value: float | None) -> str:
     return number(value, ".1%")
 
 
-def with_margin(mean: float | None, interval: Sequence[float] | None) -> str:
-    """A mean and half the width of its interval; the mean alone where there is no interval."""
-    return number(mean) + ("" if mean is None or interval is None else f" ± {interval[1] - mean:.4f}")
+def with_interval(mean: float | None, interval: Sequence[float] | None, form: str = ".4f") -> str:
+    """A mean and half the width of its interval; both ends where the range of the figure cuts one of them off."""
+    if mean is None or interval is None:
+        return number(mean, form)
+    low, high = interval
+    if abs(low + high - 2 * mean) > 1e-9:
+        return f"{mean:{form}} [{low:{form}}, {high:{form}}]"
+    return f"{mean:{form}} ± {high - mean:{form}}"
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -34,13 +34,15 @@ def evaluated(endpoint: Endpoint, folder: Path, arguments: dict[str, Any], **opt
 
 def test_a_greedy_pilot_scores_as_the_greedy_agent(endpoint: Start, tmp_path: Path) -> None:
     scripted = endpoint(pilot="greedy")
-    log = evaluated(scripted, tmp_path, {"task": "medium", "episodes": 4}, epochs=2)
+    log = evaluated(scripted, tmp_path, {"task": "medium", "episodes": 4, "sampling_seed": 5}, epochs=2)
     assert log.status == "success"
     start = SPLITS["test"].start
     greedy = run_episodes(episodes_key("medium", "greedy", range(start, start + 4), "test"))
     flown = [sample.scores["graded"] for sample in log.samples]
     assert sorted(score.value["score"] for score in flown) == sorted([*greedy.scores, *greedy.scores])
-    assert len(scripted.requests()) == 2 * greedy.steps.sum()
+    # Each epoch is another draw from the model.
+    sent = [request["body"]["seed"] for request in scripted.requests()]
+    assert (sent.count(5), sent.count(6), len(sent)) == (*[greedy.steps.sum()] * 2, 2 * greedy.steps.sum())
     by_name = {score.name: score.metrics["mean"].value for score in log.results.scores}
     assert by_name["score"] == pytest.approx(greedy.scores.mean(), abs=1e-12)
     optima = [solve("medium", seed).score for seed in range(start, start + 4)]
@@ -55,7 +57,8 @@ def test_bad_answers_are_repaired_once_then_wait(endpoint: Start, tmp_path: Path
     log = evaluated(endpoint(pilot="Let us go up!"), tmp_path, {"episodes": 1})
     (sample,) = log.samples
     assert sample.scores["graded"].metadata["result"]["turns"]["parse_error"] == 60
-    assert sample.scores["graded"].value["score"] == 0.01
+    value = sample.scores["graded"].value
+    assert (value["score"], value["unusable"], value["success"]) == (0.01, 1, 0)
     assert "action=WAIT reward=-0.01 done=false error=parse_error" in sample.scores["graded"].explanation
     mended = evaluated(endpoint(pilot="Let us go up!", repair="greedy"), tmp_path, {"episodes": 1})
     turns = mended.samples[0].scores["graded"].metadata["result"]["turns"]

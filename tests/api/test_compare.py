@@ -3,15 +3,15 @@
 import json
 from collections import defaultdict
 from collections.abc import Generator
-from math import sqrt
 from pathlib import Path
-from statistics import mean, stdev
+from statistics import mean
 from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
 
 from drone_env.episodes.store import Store
+from drone_env.evaluation.statistics import DIFFERENCES, REGRETS, SCORES, SHARES, Range, ci95
 from drone_env.llm.run_folder import EPISODES
 from drone_env.llm.transcript import read_calls
 from drone_env.planning.optimal import solve
@@ -69,14 +69,10 @@ def get(client: TestClient, path: str, **query: str) -> Any:
     return answer.json()
 
 
-def over_maps(values: list[float]) -> tuple[Any, Any]:
-    """Their mean and its interval, as they are to be told."""
-    if len(values) < 2:
-        return pytest.approx(values[0], abs=1e-12), None
-    margin = 1.96 * stdev(values) / sqrt(len(values))
-    return pytest.approx(mean(values), abs=1e-12), pytest.approx(
-        [mean(values) - margin, mean(values) + margin], abs=1e-12
-    )
+def over_maps(values: list[float], within: Range) -> tuple[Any, Any]:
+    """Their mean and its interval."""
+    ends = ci95(values, within)
+    return pytest.approx(mean(values), abs=1e-12), ends and pytest.approx(ends, abs=1e-12)
 
 
 def test_the_leaderboard_counts_each_map_once(client: TestClient, flights: dict[str, dict[int, list[Any]]]) -> None:
@@ -89,13 +85,15 @@ def test_the_leaderboard_counts_each_map_once(client: TestClient, flights: dict[
         maps = flights[agent]
         assert (row["flights"], row["maps"]) == (sum(map(len, maps.values())), len(maps))
         scores = {seed: mean(one.record.score for one in of_map) for seed, of_map in maps.items()}
-        assert (row["score"], row["score_ci95"]) == over_maps(list(scores.values()))
+        assert (row["score"], row["score_ci95"]) == over_maps(list(scores.values()), SCORES)
         lost = [solve("easy", seed).score - score for seed, score in scores.items()]
-        assert (row["regret"], row["regret_ci95"], row["regret_maps"]) == (*over_maps(lost), len(maps))
+        assert (row["regret"], row["regret_ci95"], row["regret_maps"]) == (*over_maps(lost, REGRETS), len(maps))
         success = [mean(one.record.success for one in of_map) for of_map in maps.values()]
-        assert (row["success_rate"], row["success_ci95"]) == over_maps(success)
-        assert row["steps"] == over_maps([mean(one.steps for one in of_map) for of_map in maps.values()])[0]
-        assert row["reward"] == over_maps([mean(one.reward_total for one in of_map) for of_map in maps.values()])[0]
+        assert (row["success_rate"], row["success_ci95"]) == over_maps(success, SHARES)
+        assert row["steps"] == pytest.approx(mean(mean(one.steps for one in of_map) for of_map in maps.values()))
+        assert row["reward"] == pytest.approx(
+            mean(mean(one.reward_total for one in of_map) for of_map in maps.values())
+        )
     assert rows["human with values"]["maps"] == 2
     assert 0 < rows["human with values"]["success_rate"] < 1
     kinds = {agent: row["kind"] for agent, row in rows.items()}
@@ -147,7 +145,7 @@ def test_two_agents_are_paired_by_the_maps_that_both_flew(
     }
     both = range(2, 6)
     differences = [score["random"][seed] - score["greedy"][seed] for seed in both]
-    assert (answer["difference"], answer["ci95"]) == over_maps(differences)
+    assert (answer["difference"], answer["ci95"]) == over_maps(differences, DIFFERENCES)
     assert [pair["seed"] for pair in answer["pairs"]] == list(both)
     assert [pair["difference"] for pair in answer["pairs"]] == pytest.approx(differences)
     assert [pair["a"]["id"] for pair in answer["pairs"]] == [flights["random"][seed][-1].id for seed in both]
@@ -182,11 +180,13 @@ def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
     ]
     good = board["rows"][0]
     greedy = {seed: flown("easy", seed, "greedy") for seed in (14, 15)}
-    assert (good["score"], good["score_ci95"]) == over_maps([record.score for record in greedy.values()])
+    assert (good["score"], good["score_ci95"]) == over_maps([record.score for record in greedy.values()], SCORES)
     assert good["regret"] == pytest.approx(mean(solve("easy", s).score - r.score for s, r in greedy.items()), abs=1e-12)
     # The first answer could not be used, and was asked for again.
-    assert (good["waits"], good["errored"], good["tokens"]) == (
+    assert (good["waits"], good["unusable_share"], good["marked"], good["errored"], good["tokens"]) == (
         0,
+        0,
+        False,
         0,
         102 * (1 + 2 * sum(len(r.actions) for r in greedy.values())),
     )

@@ -50,10 +50,8 @@ def test_agents_and_models_stand_on_one_board_as_the_command_ranks_them(
             (of["seed"], len(of["scores"]), of["optimum"]) for of in expected["maps"]
         ]
     _, random, scripted = board["rows"]
-    assert (random["flights"], random["prompt"], random["errored"], random["waits"], random["tokens"]) == (
-        8,
-        *[None] * 4,
-    )
+    of_models = ("prompt", "errored", "waits", "unusable_share", "tokens")
+    assert (random["flights"], *(random[name] for name in of_models)) == (8, *[None] * 5)
     assert [of["id"] for of in random["maps"]] == [None] * 4
     assert scripted["tokens"] > 0
     assert all(of["id"] for of in scripted["maps"])

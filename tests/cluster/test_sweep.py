@@ -18,7 +18,7 @@ from drone_env.cluster.sweep.trial import train_trial
 from drone_env.commands.arguments import own_profiles_forgotten
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.evaluation.statistics import bootstrap
+from drone_env.evaluation.statistics import SHARES, crossed, interval
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.trainer import Trainer
 
@@ -157,12 +157,13 @@ def test_the_interval_covers_seeds_and_maps() -> None:
     covered = 0
     for _ in range(50):
         scores = 0.5 + 0.1 * rng.standard_normal((12, 1)) + 0.1 * rng.standard_normal(40)
-        interval = bootstrap(scores)
-        assert interval.low < interval.mean < interval.high
-        covered += interval.low <= 0.5 <= interval.high
+        found = crossed(scores, SHARES)
+        assert found is not None
+        assert found.low < found.mean < found.high
+        covered += found.low <= 0.5 <= found.high
     assert 42 <= covered <= 50
-    ratio = bootstrap(np.full((2, 3), 0.45), np.full(3, 0.9))
-    assert ratio == pytest.approx((0.5, 0.5, 0.5))
+    # One seed is as certain as its maps are.
+    assert crossed(scores[:1], SHARES) == pytest.approx(interval(scores[0], SHARES))
 
 
 @pytest.mark.usefixtures("no_curves")

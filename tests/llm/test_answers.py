@@ -3,7 +3,7 @@
 import pytest
 
 from drone_env.core.actions import Action
-from drone_env.llm.answers import Answer, read_answer
+from drone_env.llm.answers import Answer, Unusable, read_answer
 
 
 @pytest.mark.parametrize(
@@ -41,6 +41,22 @@ from drone_env.llm.answers import Answer, read_answer
 )
 def test_one_action(text: str, kind: str) -> None:
     assert read_answer(Answer(text=text), plan=False).kind == kind
+
+
+def test_an_answer_of_thoughts_alone_is_told() -> None:
+    assert read_answer(Answer(text="", reasoning="Up?"), False).reason == "there is only reasoning and no answer"
+
+
+@pytest.mark.parametrize(
+    ("turns", "told"),
+    [
+        ({"ok": 18, "repaired": 1, "illegal": 1, "api_error": 5, "budget_stop": 1}, "5.0% (1 of 20)"),
+        ({"ok": 18, "truncated": 1}, "5.3% (1 of 19) !"),
+        ({"api_error": 1}, "-"),
+    ],
+)
+def test_a_run_is_marked_if_more_than_one_answer_in_20_was_unusable(turns: dict[str, int], told: str) -> None:
+    assert str(Unusable.among(turns)) == told
 
 
 def test_half_a_character_can_be_kept() -> None:

@@ -1,8 +1,11 @@
 """Answers that are no action: asked for once more, then a WAIT; nobody else ever flies."""
 
+import json
 from collections.abc import Callable
 
 import pytest
+
+from drone_env.cli import main
 
 from .conftest import Endpoint
 from .log_lines import blocks, verified
@@ -12,9 +15,11 @@ TWO_TURNS = ("--seeds", "14:15", "--concurrency", "1", "--max-calls", "4")
 HUGE = "I would fly to the right. " * 4_000
 
 
-def test_a_flight_of_bad_answers_waits_to_its_end(endpoint: Start) -> None:
+def test_a_flight_of_bad_answers_waits_to_its_end_and_its_run_is_marked(
+    endpoint: Start, capfd: pytest.CaptureFixture[str]
+) -> None:
     scripted = endpoint(pilot="NORTH")
-    done = scripted.infer("--seeds", "14:15")
+    done = scripted.infer("--seeds", "14:15", "--report", "--no-moves")
     assert done.status == 0, done.err
     assert done.turns == {"illegal": 60}
     assert len(scripted.requests()) == 120
@@ -24,6 +29,19 @@ def test_a_flight_of_bad_answers_waits_to_its_end(endpoint: Start) -> None:
     assert {(line.split()[2], line.split()[5]) for line in lines[1:-1]} == {("action=WAIT", "error=illegal")}
     assert "WAIT in place: 60" in done.err
     verified(done)
+    # Beside the score, wherever it is shown.
+    told, mark = "100.0% (60 of 60) !", "MARKED: 60 of 60 answers were unusable, more than 5%; the drone waited instead"
+    assert f"mean score 0.0100 over 1 flights, 0 delivered everything; unusable answers: {told}\n" in done.err
+    assert f"verdict: valid; {mark}\n" in done.err
+    figures = json.loads((done.folder / "report.json").read_text())
+    assert (figures["verdict"], figures["unusable"]["share"], figures["unusable"]["marked"]) == ("valid", 1, True)
+    text = (done.folder / "report.md").read_text()
+    assert f"**valid**; {mark}\n" in text
+    assert f"| score (95 %) | 0.0100 |\n| unusable answers | {told} |\n" in text
+    assert mark in (done.folder / "report.html").read_text()
+    capfd.readouterr()
+    assert main(["leaderboard", str(done.folder)]) == 0
+    assert told in capfd.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -82,6 +100,29 @@ def test_packaging_is_no_matter(endpoint: Start) -> None:
     done = endpoint(pilot='```json\n{"action": "right"}\n```').infer(*TWO_TURNS)
     assert done.turns == {"ok": 4, "budget_stop": 1}
     assert done.flights[0]["waits"] == 0
+
+
+@pytest.mark.parametrize("part", ["message", "delta"])
+@pytest.mark.parametrize(
+    ("content", "said", "thought"),
+    [
+        ([{"type": "text", "text": "UP"}], "UP", None),
+        ([{"type": "reasoning", "text": "Up?"}, {"type": "text", "text": "U"}, {"text": "P"}], "UP", "Up?"),
+        ([{"type": "thinking", "thinking": [{"type": "text", "text": "Up?"}]}, "UP"], "UP", "Up?"),
+        ([{"type": "output_audio", "text": "DOWN"}, {"type": "output_text", "text": "UP"}], "UP", None),
+        ([{"type": "image_url", "image_url": {"url": "data:"}}], "", None),
+        ([{"type": "refusal", "refusal": "no"}], "", None),
+    ],
+)
+def test_the_parts_of_a_content(endpoint: Start, content: object, said: str, thought: str | None, part: str) -> None:
+    sent = json.dumps({"choices": [{part: {"content": content}, "finish_reason": "stop"}]})
+    fault = {"sends": sent if part == "message" else f"data: {sent}\n\ndata: [DONE]\n\n"}
+    form = "--no-stream" if part == "message" else "--stream"
+    done = endpoint(pilot="", faults=[[0, 9, fault]]).infer(*TWO_TURNS, form)
+    refusal = "no" if "refusal" in sent else None
+    answer = done.calls[0]["answer"]
+    assert (answer["text"], answer["reasoning"], answer["refusal"]) == (said, thought, refusal)
+    assert done.calls[0]["outcome"] == ("ok" if said else "refusal" if refusal else "parse_error")
 
 
 @pytest.mark.parametrize("stream", ["--stream", "--no-stream"])

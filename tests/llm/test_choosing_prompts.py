@@ -4,12 +4,13 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from statistics import fmean, stdev
+from statistics import fmean
 
 import pytest
 
 from drone_env.cli import main
 from drone_env.core.seeds import SPLITS
+from drone_env.evaluation.statistics import DIFFERENCES, ci95
 from drone_env.llm.prompt import FOLDER
 from drone_env.planning.optimal import solve
 
@@ -98,8 +99,7 @@ def test_prompts_beside_each_other_in_one_report(endpoint: Start, capfd: pytest.
     less = [ours - theirs for theirs, ours in zip(*scores, strict=True)]
     assert sum(less) < 0
     assert (greedy["maps"], greedy["difference"]) == (3, pytest.approx(fmean(less), abs=1e-12))
-    half = 1.96 * stdev(less) / 3**0.5
-    assert greedy["difference_ci95"] == pytest.approx([fmean(less) - half, fmean(less) + half])
+    assert greedy["difference_ci95"] == pytest.approx(ci95(less, DIFFERENCES))
     # A call is 100 tokens of prompt and 2 of answer; each map is flown twice.
     calls, points = single[1]["calls"]["answered"], 2 * sum(scores[1])
     assert greedy["tokens_per_point"] == pytest.approx(102 * calls / points)

@@ -12,6 +12,13 @@ from .log_lines import blocks, verified
 Start = Callable[..., Endpoint]
 
 
+BROKEN_OFF = (
+    'data: {"choices": [{"delta": {"content": "UP"}}]}\n\n'
+    'data: {"choices": [{"delta": {}, "finish_reason": "error"}]}\n\ndata: [DONE]\n\n'
+)
+"""A stream whose first piece looks like an answer."""
+
+
 class RawJson(str):
     """JSON as it is sent."""
 
@@ -126,7 +133,8 @@ def test_a_429_is_told_and_tried_again(endpoint: Start) -> None:
     done = scripted.infer("--seeds", "14:15")
     assert done.status == 0, done.err
     assert [request["call"] for request in scripted.requests()] == ["0-1-1", "0-2-1", "0-2-1", "0-3-1"]
-    assert "waiting 0.1 s, then trying again (1 so far): 429: scripted 429" in done.err
+    told = "map 14, turn 2: attempt 1 of 6 failed: 429: scripted 429; next attempt in 0.1 s (1 retry so far)\n"
+    assert told in done.err
     assert done.calls[1]["failures"] == [{"status": 429, "reason": "scripted 429", "waited": 0.1}]
     assert done.turns == {"ok": 3}
     verified(done)
@@ -143,6 +151,15 @@ def test_a_429_is_told_and_tried_again(endpoint: Start) -> None:
         ("cut", "--no-stream"),
         ("cut_body", "--stream"),
         ("cut_body", "--no-stream"),
+        ({"sends": ""}, "--no-stream"),
+        ({"sends": '{"error": {"code": 503}}'}, "--no-stream"),
+        ({"sends": '{"error": "overloaded"}'}, "--no-stream"),
+        ({"sends": '{"object": "error", "message": "busy", "code": 500}'}, "--no-stream"),
+        ({"sends": '{"choices": []}'}, "--no-stream"),
+        ({"sends": '{"choices": [{"message": null, "finish_reason": "stop"}]}'}, "--no-stream"),
+        ({"sends": '{"choices": [{"message": {"content": null}, "finish_reason": null}]}'}, "--no-stream"),
+        ({"sends": 'data: {"error": {"code": 503}}\n\n'}, "--stream"),
+        ({"sends": BROKEN_OFF}, "--stream"),
     ],
 )
 def test_failures_that_pass_are_tried_again(endpoint: Start, fault: object, stream: str) -> None:
@@ -229,11 +246,25 @@ def test_an_answer_without_end_is_not_read_on(endpoint: Start, fault: str, most:
     assert len(scripted.requests()) == 1
 
 
-def test_an_error_sent_as_200_is_told(endpoint: Start) -> None:
-    fault = {"sends": json.dumps({"error": {"message": "quota exceeded"}})}
-    done = endpoint(pilot="greedy", faults=[[0, 0, fault]]).infer("--seeds", "14:15")
-    (failure,) = done.calls[0]["failures"]
-    assert failure["reason"] == "not an answer: there are no choices, but {'message': 'quota exceeded'}"
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        ({"message": "quota exceeded", "code": 402}, "402: quota exceeded (in a 200 response)"),
+        ({"message": "no temperature", "code": "400"}, "400: no temperature (in a 200 response) (try it with "),
+        ({"code": 401}, "401: the token is missing or wrong: "),
+    ],
+)
+def test_an_error_sent_as_200_that_stays_stops_the_run_at_once(endpoint: Start, error: object, told: str) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[0, 0, {"sends": json.dumps({"error": error})}]])
+    done = scripted.infer("--seeds", "14:15")
+    assert (done.status, f"answers {told}" in done.err) == (2, True), done.err
+    assert len(scripted.requests()) == 1
+
+
+def test_a_failure_without_a_reason_is_named_by_its_status(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[0, 0, {"status": 500, "message": ""}]])
+    done = scripted.infer("--seeds", "14:15")
+    assert "failed: 500: Internal Server Error, without a reason; next attempt in " in done.err
 
 
 def test_what_an_endpoint_says_cannot_move_the_terminal(endpoint: Start) -> None:

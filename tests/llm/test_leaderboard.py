@@ -46,6 +46,8 @@ def test_agents_and_models_over_the_same_maps_stand_on_one_board(
     floor, best = np.mean(flown[0].scores), expected["mean_optimal_score"]
     assert greedy["normalised"] == pytest.approx((greedy["score"] - floor) / (best - floor))
     assert waits["normalised"] < 0 < greedy["normalised"]
+    # Its own WAITs are usable, and so is the first answer, which was repaired.
+    assert waits["unusable"] == {"answers": 0, "of": 240, "share": 0, "marked": False}
     assert main(["leaderboard", str(agents), str(model)]) == 0
     out = capsys.readouterr().out
     assert [line.split()[1] for line in out.splitlines() if line.strip()[:1].isdigit()] == [
@@ -70,6 +72,7 @@ def test_what_is_kept_is_compared_map_by_map(tmp_path: Path, capsys: pytest.Capt
     greedy = run_episodes(episodes_key("easy", "greedy", range(14, 18)))
     assert found["others"][names[1]]["difference"]["mean"] == pytest.approx(scripted["score"] - greedy.scores.mean())
     assert found["others"][names[2]]["difference"]["high"] < 0
+    assert report["unusable"] == {names[1]: scripted["unusable"]}
     assert main(["compare", agents]) == 2
     assert "compare takes two agents or more" in capsys.readouterr().err
     both = str(evaluated(tmp_path / "both", "--agents", "random", "greedy"))

@@ -35,7 +35,7 @@ def test_a_checkout_with_other_ends_of_lines_has_the_same_prompts(tmp_path: Path
 def test_the_first_prompts_say_what_they_always_said() -> None:
     """Old runs are checked, and gone on with, by them."""
     said: dict[str, str] = {}
-    for name in ("coordinates-1", "grid-1", "minimal-1", "plan-1"):
+    for name in ("coordinates-1", "grid-1", "minimal-1", "original-1", "plan-1"):
         digest = hashlib.sha256()
         for task in ("hard", "skyline_easy"):
             episode = Episode(task)
@@ -48,6 +48,7 @@ def test_the_first_prompts_say_what_they_always_said() -> None:
         "coordinates-1": "efa13975020617da b6454cb90a1fdedf",
         "grid-1": "8af5d06d159d7c32 236f58f1d3041242",
         "minimal-1": "dd03a74b564c877f 02b517faed01b160",
+        "original-1": "810762151e14b202 fd4b8dc90b4e191a",
         "plan-1": "facf28bbfa0f8598 d886e558d22491ec",
     }
 

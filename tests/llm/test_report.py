@@ -13,6 +13,7 @@ from drone_env.core.seeds import SPLITS
 from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import episodes_key, run_episodes
+from drone_env.evaluation.statistics import SCORES, ci95
 from drone_env.llm.options import Prices
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import verdict_of
@@ -34,8 +35,7 @@ def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
         for agent in ("random", "greedy", "optimal")
     }
     scores = run_episodes(episodes_key("medium", "greedy", range(start, start + 4), "test")).scores
-    margin = 1.96 * scores.std(ddof=1) / 2
-    assert figures["score_ci95"] == pytest.approx([scores.mean() - margin, scores.mean() + margin], abs=1e-12)
+    assert figures["score_ci95"] == pytest.approx(ci95(scores, SCORES), abs=1e-12)
     assert figures["verdict"] == "valid"
     assert figures["score"] == pytest.approx(known["greedy"], abs=1e-12)
     assert figures["baselines"]["greedy"] == pytest.approx(known["greedy"], abs=1e-12)
@@ -60,8 +60,16 @@ def test_pass_hat_k_is_the_chance_that_k_flights_all_deliver(endpoint: Start) ->
     # Of four flights over map 14, of three steps each, the second one waits to its end.
     waiting = {"sends": json.dumps({"choices": [{"message": {"content": "WAIT"}, "finish_reason": "stop"}]})}
     scripted = endpoint(pilot="greedy", faults=[[3, 62, waiting]])
-    done = scripted.infer("--seeds", "14:15", "--repeats", "4", "--concurrency", "1")
+    four = ("--seeds", "14:15", "--repeats", "4", "--concurrency", "1", "--sampling-seed", "5")
+    done = scripted.infer(*four)
     assert [flight["success"] for flight in done.flights] == [True, False, True, True]
+    # Each flight is another draw from the model, and the same one if the run goes on in its midst.
+    transcript = done.folder / "calls.jsonl"
+    transcript.write_text("".join(transcript.read_text().splitlines(keepends=True)[:-1]))
+    done = scripted.infer(*four, "--resume", folder=done.folder)
+    seeds = [5] * 3 + [6] * 60 + [7] * 3 + [8] * 3
+    assert [request["body"]["seed"] for request in scripted.requests()] == [*seeds, 8]
+    assert [call["sampling_seed"] for call in done.calls] == seeds
     figures = report(verified_run(done.folder), moves=False)
     assert figures["pass_hat_k"] == pytest.approx({"1": 3 / 4, "2": 3 / 6, "3": 1 / 4, "4": 0})
     assert figures["success_rate"] == 0.75

@@ -44,16 +44,18 @@ def test_so_many_tries_and_no_more(endpoint: Start) -> None:
 
 
 @pytest.mark.parametrize(
-    ("headers", "waited"),
+    ("fault", "waited"),
     [
-        ({"Retry-After": "2"}, 2.0),
-        ({"Retry-After": "120"}, 120.0),
-        ({"Retry-After": "0.5"}, 0.5),
-        ({"Retry-After-Ms": "1500", "Retry-After": "9"}, 1.5),
+        ({"status": 429, "headers": {"Retry-After": "2"}}, 2.0),
+        ({"status": 429, "headers": {"Retry-After": "120"}}, 120.0),
+        ({"status": 429, "headers": {"Retry-After": "0.5"}}, 0.5),
+        ({"status": 429, "headers": {"Retry-After-Ms": "1500", "Retry-After": "9"}}, 1.5),
+        ({"sends": '{"error": {"code": 429, "retry_after": 2}}'}, 2.0),
+        ({"sends": '{"error": {"code": 503, "metadata": {"headers": {"Retry-After": "3"}}}}'}, 3.0),
     ],
 )
-def test_what_the_endpoint_asks_for_is_waited(endpoint: Start, headers: dict[str, str], waited: float) -> None:
-    scripted = endpoint(pilot="greedy", faults=[[1, 1, {"status": 429, "headers": headers}]])
+def test_what_the_endpoint_asks_for_is_waited(endpoint: Start, fault: dict[str, object], waited: float) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[1, 1, fault]])
     flown = fly(scripted.url, scripted.folder / "run", Options())
     assert (flown.turns, flown.clock.slept) == (["ok"] * 3, [waited])
 

@@ -96,7 +96,7 @@ def test_no_spelling_of_the_token_reaches_a_file_or_the_terminal(endpoint: Start
     assert [name for name, written in told.items() if written in seen] == []
 
 
-@pytest.mark.parametrize("said", ["x" * 195 + TOKEN, {"choices": [{"message": {"content": ["x" * 93 + TOKEN]}}]}])
+@pytest.mark.parametrize("said", ["x" * 195 + TOKEN, {"choices": [{"message": {"content": {"": "x" * 89 + TOKEN}}}]}])
 def test_not_even_half_of_the_token_is_told(endpoint: Start, said: object) -> None:
     done = endpoint(pilot="greedy", faults=[[0, 0, {"sends": json.dumps(said)}]]).infer("--seeds", "14:15")
     assert "xxx***" in done.calls[0]["failures"][0]["reason"]

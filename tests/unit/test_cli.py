@@ -24,6 +24,7 @@ from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import TooLargeError
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.planning.optimal import solve
+from drone_env.reports.tables import with_interval
 
 STEP = re.compile(r"\[STEP\] step=(\d+) action=([A-Z]+) reward=(\d\.\d\d) done=(true|false) error=null")
 
@@ -141,7 +142,7 @@ def test_the_table_shows_every_figure_in_its_column(tmp_path: Path, capsys: pyte
     out = capsys.readouterr().out
     for agent, of in json.loads(file.read_text())["tasks"]["hard_delivery"]["agents"].items():
         cells = [
-            f"{agent} ", f"{of['mean_score']:.4f} ± {of['score_ci95'][1] - of['mean_score']:.4f}",
+            f"{agent} ", with_interval(of["mean_score"], of["score_ci95"]),
             f"{of['mean_optimal_score']:.4f}", f"{of['score_ratio']:.4f}", f"{of['mean_regret']:.4f}",
             f"{of['success_rate']:.1%}", f"{of['mean_steps']:.1f}",
             "-" if of["mean_excess_steps"] is None else f"{of['mean_excess_steps']:.2f}",

@@ -1,6 +1,5 @@
-"""How sure a comparison is: figures by hand, intervals beside all resamples there are, and the command."""
+"""How sure a comparison is: figures and intervals by hand, and the command."""
 
-import itertools
 import json
 from pathlib import Path
 
@@ -11,7 +10,9 @@ from drone_env.cli import main
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.comparison import Pairing, flown_maps, paired, standings
 from drone_env.evaluation.episodes import episodes_key, run_episodes
-from drone_env.evaluation.reliable import contest, interquartile_mean, mean, profile, shares_of_optimum
+from drone_env.evaluation.reliable import contest, interquartile_mean, profile, shares_of_optimum
+from drone_env.evaluation.statistics import SCORES, interval, student
+from drone_env.reports.tables import with_interval
 
 A, B = np.array([0.9, 0.5, 0.7, 0.2, 0.9]), np.array([0.6, 0.5, 0.8, 0.1, 0.1])
 
@@ -25,15 +26,6 @@ def pairing_of(a: np.ndarray, b: np.ndarray) -> Pairing:
         for row, score in zip(flown, scores, strict=True)
     ]
     return paired(rows, "a", "b")
-
-
-def resamples(n: int) -> np.ndarray:
-    """int[n^n, n]: all there are."""
-    return np.array(list(itertools.product(range(n), repeat=n)))
-
-
-def ends(drawn: np.ndarray) -> list[float]:
-    return np.quantile(drawn, [0.025, 0.975]).tolist()
 
 
 def test_the_figures_of_a_contest_by_hand() -> None:
@@ -50,18 +42,31 @@ def test_the_figures_of_a_contest_by_hand() -> None:
     )
 
 
-def test_the_interval_of_pairs_is_that_of_all_resamples_of_whole_maps() -> None:
-    every, found = resamples(5), contest(pairing_of(A, B))
-    assert found.difference[1:] == pytest.approx(ends((A - B)[every].mean(axis=1)), abs=0.02)
-    assert mean(A)[1:] == pytest.approx(ends(A[every].mean(axis=1)), abs=0.02)
-    both = A[every].mean(axis=1)[:, None] - B[every].mean(axis=1)
-    assert found.unpaired[1:] == pytest.approx(ends(both), abs=0.02)
+@pytest.mark.parametrize(
+    ("freedom", "quantile"), [(1, 12.706), (2, 4.303), (3, 3.182), (4, 2.776), (10, 2.228), (30, 2.042), (1e6, 1.960)]
+)
+def test_student_is_that_of_the_tables(freedom: float, quantile: float) -> None:
+    assert student(freedom) == pytest.approx(quantile, rel=0.002)
+
+
+def test_intervals_by_hand() -> None:
+    # The squares of the deviations add up to 0.352, 0.388 and, of the differences, 0.508.
+    assert interval(A, SCORES) == pytest.approx((0.64, 0.64 - 2.776 * (0.352 / 20) ** 0.5, 0.99), abs=1e-3)
+    found = contest(pairing_of(A, B))
+    half = 2.776 * (0.508 / 20) ** 0.5
+    assert found.difference == pytest.approx((0.22, 0.22 - half, 0.22 + half), abs=1e-3)
+    # Apart, there are 7.98 degrees of freedom (Welch).
+    half = 2.307 * ((0.352 + 0.388) / 20) ** 0.5
+    assert found.unpaired == pytest.approx((0.22, 0.22 - half, 0.22 + half), abs=1e-3)
+    # Of shares, which end at 1.
+    half = 2.776 * (0.8 / 20) ** 0.5
+    assert found.improvement == pytest.approx((0.7, 0.7 - half, 1), abs=1e-3)
 
 
 def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end() -> None:
-    assert interquartile_mean(A).mean == pytest.approx((0.5 + 0.7 + 0.9) / 3)
-    drawn = np.sort(A[resamples(5)], axis=1)[:, 1:-1].mean(axis=1)
-    assert interquartile_mean(A)[1:] == pytest.approx(ends(drawn), abs=0.02)
+    # Of the rest the outermost stand for those left out: three times 0.3, three times 0.6, and 3 degrees of freedom.
+    half = 3.182 * (0.02 * 7 / (4 * 3)) ** 0.5
+    assert interquartile_mean(np.arange(1, 9) / 10) == pytest.approx((0.45, 0.45 - half, 0.45 + half), abs=1e-3)
 
 
 def test_a_profile_is_the_share_of_maps_above() -> None:
@@ -88,7 +93,7 @@ def test_who_lost_least_stands_first_whatever_the_maps_were_worth() -> None:
 
 
 def test_one_map_is_no_comparison() -> None:
-    with pytest.raises(InvalidValueError, match="two maps or more that both agents flew; they share 1"):
+    with pytest.raises(InvalidValueError, match="an interval takes two maps or more, got 1"):
         contest(pairing_of(A[:1], B[:1]))
 
 
@@ -108,6 +113,12 @@ def test_pairs_on_hard_are_at_least_four_times_as_sure(tmp_path: Path) -> None:
     assert main([*command, "--json", str(file), "--plot", str(picture)]) == 0
     report = json.loads(file.read_text())
     hard = report["tasks"]["hard_delivery"]
+    # The same flights have the same interval wherever it is shown.
+    evaluated = tmp_path / "evaluated.json"
+    flown = ["--task", "hard", "--agents", "greedy", "--episodes", "200"]
+    assert main(["evaluate", *flown, "--json", str(evaluated)]) == 0
+    alone = json.loads(evaluated.read_text())["tasks"]["hard_delivery"]["agents"]["greedy"]
+    assert list(hard["agents"]["greedy"]["score"].values()) == [alone["mean_score"], *alone["score_ci95"]]
     assert (report["split"], report["repeats"], hard["first"], list(hard["agents"])) == (
         "test",
         1,
@@ -128,12 +139,11 @@ def test_compare_prints_its_figures(tmp_path: Path, capsys: pytest.CaptureFixtur
     for task, of_task in json.loads(file.read_text())["tasks"].items():
         for agent, figures in of_task["agents"].items():
             score = figures["score"]
-            assert f"{score['mean']:.4f} [{score['low']:.4f}, {score['high']:.4f}]" in out, (task, agent)
+            assert with_interval(score["mean"], (score["low"], score["high"])) in out, (task, agent)
         for agent, figures in of_task["others"].items():
             told = figures["difference"]
-            assert f"{agent} - random {told['mean']:.4f} [{told['low']:.4f}, {told['high']:.4f}]" in " ".join(
-                out.split()
-            )
+            difference = with_interval(told["mean"], (told["low"], told["high"]))
+            assert f"{agent} - random {difference}" in " ".join(out.split())
             assert f"{figures['detectable']:.4f}" in out
             assert f"{figures['narrower']:.1f}" in out
     assert out.splitlines()[-1].startswith("skyline_easy, pathqnet: no network is shipped for 'skyline_easy'")
@@ -144,7 +154,7 @@ def test_compare_prints_its_figures(tmp_path: Path, capsys: pytest.CaptureFixtur
     [
         (["greedy"], "compare takes two agents or more, each once; got greedy"),
         (["greedy", "greedy"], "each once; got greedy greedy"),
-        (["greedy", "random", "--seeds", "3:4", "--task", "easy"], "they share 1"),
+        (["greedy", "random", "--seeds", "3:4", "--task", "easy"], "two maps or more, got 1"),
         (["greedy", "random", "--plot", "plot.txt"], ".svg or .png; got plot.txt"),
         (["greedy", "random", "--plot", "nowhere/plot.svg"], "a folder that exists"),
         (["greedy", "random", "--repeats", "0"], "repeats must be at least 1"),

@@ -64,7 +64,7 @@ def _scores(figures: dict[str, Any]) -> Any:
     figure, axes = _figure(1.9 + 0.45 * max(len(shown), 1))
     for row, of in enumerate(shown):
         test = of["test"]
-        low, high = test["score"]["ci95"]
+        low, high = test["score"]["ci95"] or [test["score"]["mean"]] * 2
         axes.plot([low, high], [row, row], color="#1c7ed6", linewidth=3, solid_capstyle="butt")
         axes.plot(test["score"]["mean"], row, "o", color="#1c7ed6")
         axes.plot(test["seed_scores"], [row + 0.22] * len(test["seed_scores"]), ".", color="#868e96", markersize=5)

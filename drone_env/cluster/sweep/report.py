@@ -5,19 +5,20 @@ from statistics import fmean
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
-from drone_env.evaluation.statistics import Interval, bootstrap
+from drone_env.evaluation.statistics import SCORES, SHARES, Range, crossed
 
 
 def sweep_report(folder: SweepFolder, config: SweepConfig) -> dict[str, Any]:
     """The figures of a sweep, as JSON values; what is not known is null.
 
     `test` of a setting is over the seeds that finished: mean score and ratio to the optimum of the same test maps,
-    each with the 95 % bootstrap interval over seeds and maps. Settings that were stopped early have none, and are
+    each with its interval (95 %) over seeds and maps. Settings that were stopped early have none, and are
     ranked by their validation scores where they were stopped; they come after the others. A trial that failed counts in
     nothing, and its setting says how many seeds are behind its figures.
     """
@@ -101,17 +102,24 @@ def _test(finished: list[TrialState]) -> dict[str, Any] | None:
     if not flown:
         return None
     scores, optima = np.array([test.scores for test in flown]), flown[0].optima
+    ratio = None
+    if optima is not None:
+        # Linearised: what a map adds to mean score / mean optimum, which hard maps lower in both.
+        best = np.array(optima)
+        share = scores.mean() / best.mean()
+        ratio = _figure(share + (scores - share * best) / best.mean(), SHARES)
     return {
-        "score": _interval(bootstrap(scores)),
-        "ratio": None if optima is None else _interval(bootstrap(scores, np.array(optima))),
+        "score": _figure(scores, SCORES),
+        "ratio": ratio,
         "seed_scores": [fmean(test.scores) for test in flown],
         "optimum": None if optima is None else fmean(optima),
         "success": fmean(test.success_rate for test in flown),
     }
 
 
-def _interval(interval: Interval) -> dict[str, Any]:
-    return {"mean": interval.mean, "ci95": [interval.low, interval.high]}
+def _figure(values: npt.NDArray[np.float64], within: Range) -> dict[str, Any]:
+    found = crossed(values, within)
+    return {"mean": float(values.mean()), "ci95": None if found is None else [found.low, found.high]}
 
 
 def _rank(setting: dict[str, Any]) -> tuple[float, float, float]:

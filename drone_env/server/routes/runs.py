@@ -36,9 +36,11 @@ class Run(Message):
     run: str = Field(description="Name of its folder.")
     kind: Literal["agent", "model"] = Field(description="From `drone-env evaluate`, or from `drone-env infer`.")
     agent: str = Field(description="Who flew: the model, or the agent as `drone-env evaluate` was told it.")
-    prompt: str | None = Field(description="What the model was asked by; null of an agent, as the next three.")
+    prompt: str | None = Field(description="What the model was asked by; null of an agent, as the next four.")
     errored: Count | None = Field(description="Flights that were left out, since a request failed for good.")
     waits: Count | None = Field(description="Steps that are a WAIT because no answer could be used.")
+    unusable_share: float | None = Field(description="Share of answers that could not be used, after their repair.")
+    marked: bool = Field(description="Whether that is more than 5 %: the score says little about the model.")
     tokens: Count | None
     flights: Count = Field(description="Those that count.")
     success_rate: float = Field(ge=0, le=1)
@@ -162,6 +164,7 @@ def _row(figures: dict[str, Any], kept: set[str]) -> Run:
     agent = figures.get("agent")
     flown = kept_maps(agent or config["model"], figures)
     of_model: dict[str, Any] = {"prompt": None, "errored": None, "waits": None, "tokens": None}
+    of_model |= {"unusable_share": None, "marked": False}
     ids: dict[int, str] = {}
     if agent is None:
         ids = newest(bench().runs.flights(path), kept)
@@ -169,6 +172,8 @@ def _row(figures: dict[str, Any], kept: set[str]) -> Run:
             "prompt": config["prompt"],
             "errored": figures["flights"]["errored"],
             "waits": figures["waits"],
+            "unusable_share": figures["unusable"]["share"],
+            "marked": figures["unusable"]["marked"],
             "tokens": sum(figures["tokens"].values()),
         }
     same = ("score", "score_ci95", "regret", "normalised", "success_rate")

@@ -31,15 +31,16 @@ export function grid(caption, columns, rows, below = () => null) {
 
 /** Where a score lies from 0 to 1, as a bar with its interval as whiskers, beside the number. */
 function scoreBar(score, ci, colour) {
-  const [low, high] = (ci ?? [score, score]).map((bound) => Math.min(Math.max(bound, 0), 1));
+  const [low, high] = ci ?? [score, score];
   const style = { "--at": score, "--low": low, "--high": high, "--colour": colour };
   const bar = el("span.bar", { "aria-hidden": "true" }, el("i"), el("b"));
   return el("div.score-bar", { style }, within(score, ci, points), bar);
 }
 
-/** A figure and half of its interval. */
+/** A figure and half of its interval; both ends where the range of the figure cuts one of them off. */
 function within(value, ci, write) {
-  const margin = ci ? ` ± ${write((ci[1] - ci[0]) / 2)}` : "";
+  const cut = ci && Math.abs(ci[0] + ci[1] - 2 * value) > 1e-9;
+  const margin = cut ? ` [${ci.map(write).join(", ")}]` : ci ? ` ± ${write(ci[1] - value)}` : "";
   return el("span.within", write(value), el("span.margin", { text: margin }));
 }
 
@@ -158,10 +159,14 @@ export function shortened(all, first, draw) {
 
 const figure = (count) => (count === null ? "" : count.toLocaleString());
 
+/** The share of answers that could not be used; marked where they are so many that the score says little. */
+const unusable = ({ unusable_share: share, marked }) =>
+  share === null ? "" : `${percent(share, 1)}${marked ? " !" : ""}`;
+
 /** What only language models have: columns of no board where none flew. */
 const OF_MODELS = [
   ["Errored", (row) => figure(row.errored), true],
-  ["Unusable", (row) => figure(row.waits), true],
+  ["Unusable answers", unusable, true],
   ["Tokens", (row) => figure(row.tokens), true],
 ];
 
@@ -188,9 +193,11 @@ export function runsOf(context, { boards, unranked }, flights) {
     ...rows.map((row) => el("details", ...maps(row))),
   ];
   const why = ({ run, reason }) => el("li", { text: `${run}: ${reason}` });
+  const marked = boards.some(({ rows }) => rows.some((row) => row.marked));
   return [
     el("h2", { text: "Over the same maps" }),
     ...boards.flatMap(draw),
+    marked ? el("p.note", { text: "! More than 5 % of the answers were unusable; the drone waited instead." }) : "",
     unranked.length ? el("div.note", "Not ranked:", el("ul", ...unranked.map(why))) : "",
   ];
 }
