@@ -1,12 +1,23 @@
-"""How several subcommands print: JSON, progress bars."""
+"""How several subcommands print: JSON, progress bars, commands to type."""
 
 import json
+import shutil
+import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+
+def program(name: str) -> str:
+    """What to type for a program of this environment: its name if the shell finds it, else its path."""
+    here, found = Path(sys.executable).with_name(name), shutil.which(name)
+    if found is not None and Path(found).parent == here.parent:
+        return name
+    return str(here.relative_to(Path.cwd()) if here.is_relative_to(Path.cwd()) else here)
 
 
 def print_json(report: dict[str, Any]) -> None:
