@@ -14,11 +14,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextCol
 from rich.text import Text
 
 from drone_env.commands.arguments import TASK, ProfileName
-from drone_env.commands.printing import program
 from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import data_folder
+from drone_env.installer import program
 from drone_env.rl.config import TrainConfig, preset
 from drone_env.rl.tour_config import TourConfig
 
@@ -72,35 +72,35 @@ class TourSettings(TourConfig):
 AnySettings = TypeVar("AnySettings", Settings, TourSettings)
 
 
-def train_commands(arguments: Sequence[str]) -> Iterator[Callable[..., int]]:
+def train_commands(arguments: Sequence[str], typed: Sequence[str]) -> Iterator[Callable[..., int]]:
     """The subcommand for each training, its defaults being those of what the arguments name.
 
     Args:
-        arguments: Of the command line; those of another subcommand name nothing.
+        arguments: Of the subcommand.
+        typed: The same as they were typed, with the files that are now named.
 
     Raises:
         UnknownNameError: if there is no such task.
         InvalidValueError: if there is no such preset, or no such number of episodes.
     """
-    named = _named(arguments if arguments[:1] == ["train"] else [])
+    named = _named(arguments)
     if named.network == "tournet":
-        yield _tour_command(_tour_defaults(named.task or "all", named), _going_on(arguments))
+        yield _tour_command(_tour_defaults(named.task or "all", named), _going_on(typed))
         return
     if named.task != "all":
-        yield _train_command(_defaults(named.task or "easy", named), _going_on(arguments))
+        yield _train_command(_defaults(named.task or "easy", named), _going_on(typed))
         return
     for task in STANDARD:
         # With --fresh, the tasks that follow have not started again: the command goes on with this one alone.
         only = {"all": task, "--task=all": f"--task={task}"} if named.fresh else {}
-        yield _train_command(_defaults(task, named), _going_on([only.get(word, word) for word in arguments]))
+        yield _train_command(_defaults(task, named), _going_on([only.get(word, word) for word in typed]))
 
 
-def _going_on(arguments: Sequence[str]) -> str:
+def _going_on(typed: Sequence[str]) -> str:
     """The command that goes on with a training: as typed, without `--fresh`."""
-    rest = [word for word in arguments[1:] if word not in FRESH]
     script = Path(sys.argv[0]).name == "train.py"
     start = [program("python"), sys.argv[0]] if script else [program("drone-env"), "train"]
-    return shlex.join([*start, *rest])
+    return shlex.join([*start, *(word for word in typed if word not in FRESH)])
 
 
 def _train_command(defaults: Settings, going_on: str) -> Callable[..., int]:
@@ -142,6 +142,10 @@ def _train_command(defaults: Settings, going_on: str) -> Callable[..., int]:
         return _train(lambda: Trainer(config), going_on, resume, fresh, data, results)
 
     return train
+
+
+train = _train_command(Settings(**vars(preset("fast", "easy"))), "")
+"""The subcommand as the overview of all commands shows it."""
 
 
 def _tour_command(defaults: TourSettings, going_on: str) -> Callable[..., int]:

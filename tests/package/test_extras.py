@@ -106,7 +106,6 @@ print(json.dumps(told))
 """
 PROGRAMS: Mapping[str, str] = {
     "drone_env.cli infer": "llm",
-    "drone_env.cli leaderboard x": "llm",
     "drone_env.cli serve": "server",
     "drone_env.cli train": "train",
     "drone_env.cli sweep --task easy --set lr=1e-3 --out x": "train",
@@ -159,9 +158,9 @@ def test_extras_bring_what_they_name_and_no_more() -> None:
 @pytest.mark.parametrize(
     ("made_by", "where", "home", "command", "pip"),
     [
-        ("uv = 0.13.9", "clone/.venv", "clone", "uv sync --extra train --inexact in the clone", "uv pip"),
-        ("uv = 0.13.9", "elsewhere", "clone", "uv pip install -e '.[train]' in the clone", "uv pip"),
-        ("version = 3.11.2", "clone/.venv", "clone", "pip install -e '.[train]' in the clone", "pip"),
+        ("uv = 0.13.9", "clone/.venv", "clone", "uv sync --extra train --inexact", "uv pip"),
+        ("uv = 0.13.9", "elsewhere", "clone", "uv pip install -e '.[train]'", "uv pip"),
+        ("version = 3.11.2", "clone/.venv", "clone", "pip install -e '.[train]'", "pip"),
         ("uv = 0.13.9", "elsewhere", "elsewhere/lib", "uv pip install 'drone-delivery-env[train]'", "uv pip"),
         ("version = 3.11.2", "elsewhere", "elsewhere/lib", "pip install 'drone-delivery-env[train]'", "pip"),
     ],
@@ -175,8 +174,10 @@ def test_what_brings_an_extra_is_a_command_of_the_installer_in_use(
     (tmp_path / where / "pyvenv.cfg").write_text(f"home = /usr/bin\n{made_by}\n")
     monkeypatch.delenv("UV_PROJECT_ENVIRONMENT", raising=False)
     monkeypatch.setattr(installer, "CLONE", tmp_path / home)
+    monkeypatch.setattr(installer, "program", lambda name: name)
     monkeypatch.setattr(sys, "prefix", str(tmp_path / where))
-    assert str(MissingPackageError("torch", "train")) == f"torch is not installed: run {command}"
+    place = f" in {tmp_path / home}" if home == "clone" else ""
+    assert str(MissingPackageError("torch", "train")) == f"torch is not installed; type{place}: {command}"
     assert installer.pip() == pip
 
 
