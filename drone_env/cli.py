@@ -53,7 +53,7 @@ def _calls(arguments: Sequence[str]) -> Iterator[Callable[[], int | None]]:
             overview.command(command)
         overview.cli(prog="drone-env", description=DESCRIPTION, args=["--help"])
     if not arguments or arguments[0].startswith("-"):
-        raise InvalidValueError(f"name a command: {', '.join(COMMANDS)}; see drone-env --help")
+        raise InvalidValueError("name a command, such as fly, evaluate or train; drone-env --help lists all")
     name, *rest = with_names(arguments)
     if name not in COMMANDS:
         raise UnknownNameError("command", name, COMMANDS)

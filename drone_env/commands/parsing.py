@@ -8,6 +8,7 @@ from contextlib import redirect_stderr, redirect_stdout, suppress
 from difflib import get_close_matches
 from functools import partial, wraps
 from inspect import signature
+from itertools import dropwhile, takewhile
 from typing import Annotated, Any, get_type_hints
 
 import tyro
@@ -17,7 +18,7 @@ from drone_env.errors import InvalidValueError, UnknownNameError
 NOT_A_NUMBER = re.compile(
     r"Error parsing (\S+): .*?(?:invalid literal for (int)\(\) with base 10|could not convert string to float): (.+)"
 )
-NO_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(.+)'\. Expected one of (\(.+\))\.")
+NO_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(.+)'\. Expected one of (\(.+\)) ?\.")
 UNRECOGNISED = re.compile(r"Unrecognized options: ([^\s,]+)")
 MISSING = re.compile(r"Missing from .+?: (--\S+)")
 NO_VALUE = re.compile(r"Missing value for argument '(.+)'\.")
@@ -59,10 +60,15 @@ def parsed(command: Callable[..., int | None], program: str, arguments: Sequence
 
 
 def _first_part(box: str) -> str:
-    """What a box of tyro says, up to its first rule, in one line."""
-    lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()[1:]]
-    rule = next((i for i, line in enumerate(lines) if line.startswith("──")), len(lines))
-    return " ".join(" ".join(lines[:rule]).split())
+    """What a box of tyro says between its title and its next rule, in one line."""
+    lines = [line.strip("│╰╯ ") for line in box.splitlines()[1:]]
+    # Without UTF-8 a box has no sides, and a rule below its title.
+    below = dropwhile(_is_rule, lines)
+    return " ".join(" ".join(takewhile(lambda line: not _is_rule(line), below)).split())
+
+
+def _is_rule(line: str) -> bool:
+    return line.startswith(("──", "----"))
 
 
 def _error(told: str, program: str, options: Sequence[str]) -> InvalidValueError | UnknownNameError:

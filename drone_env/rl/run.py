@@ -72,7 +72,7 @@ class TrainingRun(Generic[AnyLearner]):
                 self.trainer.set_state(state)
                 self._seconds = state["seconds"]
             except DifferentRunError as error:
-                again = "omit them to go on, or add --fresh to start again"
+                again = "use those to go on, or add --fresh to start again"
                 raise CheckpointError(f"{self.checkpoint} has other settings: {error}; {again}") from None
             except (CheckpointError, KeyError) as error:
                 why = f"{self.checkpoint} lacks {error}" if isinstance(error, KeyError) else error

@@ -311,7 +311,8 @@ class TourTrainer(Learner):
 
     def figures(self, line: TourProgress) -> str:
         """A line of the log in few words, for who watches."""
-        return f"validation {figure(line.validation, 4)}  regret {figure(line.regret, 5)}  completion {line.completion:.4f}"
+        regret = f"regret {figure(line.regret, 5)}  completion {line.completion:.4f}"
+        return f"validation {figure(line.validation, 4)}  {regret}"
 
     def metadata(self) -> dict[str, Any]:
         """What the exported network says of itself."""

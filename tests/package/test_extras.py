@@ -136,6 +136,29 @@ def test_without_extras_every_program_says_in_a_line_which_it_needs(tmp_path: Pa
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("script", "extra"), [("train.py", "[train]"), ("inference.py", "[llm]"), ("check_graders.py", "")]
+)
+def test_scripts_of_a_clone_without_any_package_say_what_to_type(script: str, extra: str, tmp_path: Path) -> None:
+    for name in ("drone_env/__init__.py", "drone_env/installer.py", "pyproject.toml", script):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes((extras.ROOT / name).read_bytes())
+
+    def told() -> str:
+        # Without `site`, Python finds no packages but its own.
+        command = [sys.executable, "-S", "-B", script]
+        done = subprocess.run(command, cwd=tmp_path, env={"PATH": os.environ["PATH"]}, capture_output=True, text=True)
+        assert done.returncode == 1
+        return done.stderr
+
+    install = f"'.{extra}'" if extra else "."
+    new = rf"type: python3 -m venv \.venv && \. \.venv/bin/activate && pip install -e {re.escape(install)}\n"
+    assert re.fullmatch(rf"{script}: \S+ is not installed; {new}", told())
+    (tmp_path / ".venv/bin").mkdir(parents=True)
+    (tmp_path / ".venv/bin/activate").touch()
+    assert re.fullmatch(rf"{script}: \S+ is not installed; type: \. \.venv/bin/activate\n", told())
+
+
 def test_each_extra_alone_brings_what_its_part_imports() -> None:
     assert not_brought() == []
 
