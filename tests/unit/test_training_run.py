@@ -411,7 +411,8 @@ def test_the_log_grows_and_begins_anew_with_what_the_checkpoint_holds(tmp_path: 
     first = [log_line(line) for line in run.trainer.history]
     with (tmp_path / "train.log").open() as follower:  # as `tail -f` holds it open
         assert follower.read().splitlines() == first
-        (tmp_path / "train.log").open("a").write("flown after the checkpoint\n")
+        with (tmp_path / "train.log").open("a") as log:
+            log.write("flown after the checkpoint\n")
         run = run_in(tmp_path, episodes=15)
         list(run.train())
         last = log_line(run.trainer.history[-1])
