@@ -3,13 +3,13 @@
 import argparse
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
@@ -42,6 +42,25 @@ class Figures(TextColumn):
         text = super().render(task)
         text.no_wrap, text.overflow = True, "ellipsis"
         return text
+
+
+class Live(Progress):
+    """The progress of a training, read again for every frame.
+
+    Args:
+        trainer: What is trained.
+        console: Where it is shown; nothing is, if that is no terminal.
+    """
+
+    def __init__(self, trainer: "Learner", console: Console) -> None:
+        super().__init__(*COLUMNS, console=console, disable=not console.file.isatty())
+        self._trainer = trainer
+        self.bar = self.add_task(trainer.name, total=trainer.wanted, completed=trainer.done, figures="")
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """One line, which counts what is done up to now."""
+        self.update(self.bar, completed=self._trainer.done)
+        return super().get_renderables()
 
 
 COLUMNS = (
@@ -243,15 +262,13 @@ def _train(
         return 0
     if run.resumed:
         console.print(f"going on from {run.checkpoint}: {begun} of {wanted} {unit}")
-    bars = Progress(*COLUMNS, console=console, disable=not console.file.isatty())
-    with bars as progress, run.stopping_on_interrupt():
-        bar = progress.add_task(trainer.name, total=wanted, completed=begun, figures="")
+    with Live(trainer, console) as progress, run.stopping_on_interrupt():
         clock, work = progress.get_time, trainer.worked
         started = clock()
         for line in run.train():
             rate = (getattr(line, trainer.work) - work) / max(clock() - started, 1e-9)
             figures = f"{trainer.figures(line)}  {rate:.0f} {trainer.work}/s"
-            progress.update(bar, completed=trainer.done, figures=figures)
+            progress.update(progress.bar, figures=figures)
             if not console.file.isatty() and trainer.done % trainer.validation_every == 0:
                 print(f"{trainer.done}/{wanted} {unit}  {figures}", file=sys.stderr, flush=True)
     if run.stopped:
