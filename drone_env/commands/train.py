@@ -3,6 +3,7 @@
 import argparse
 import shlex
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 import tyro
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
+from rich.table import Column
 from rich.text import Text
 
 from drone_env.commands.arguments import TASK, ProfileName
@@ -50,25 +52,29 @@ class Live(Progress):
     Args:
         trainer: What is trained.
         console: Where it is shown; nothing is, if that is no terminal.
+        clock: Gives the time in seconds.
     """
 
-    def __init__(self, trainer: "Learner", console: Console) -> None:
-        super().__init__(*COLUMNS, console=console, disable=not console.file.isatty())
+    def __init__(self, trainer: "Learner", console: Console, clock: Callable[[], float] = time.monotonic) -> None:
         self._trainer = trainer
+        shown = console.file.isatty()
+        # By the speed of the last minutes: episodes end in bursts, and a validation takes its time.
+        super().__init__(*COLUMNS, console=console, disable=not shown, get_time=clock, speed_estimate_period=300)
         self.bar = self.add_task(trainer.name, total=trainer.wanted, completed=trainer.done, figures="")
 
     def get_renderables(self) -> Iterable[RenderableType]:
         """One line, which counts what is done up to now."""
-        self.update(self.bar, completed=self._trainer.done)
+        for bar in self.task_ids:  # none yet while this is made
+            self.update(bar, completed=self._trainer.done)
         return super().get_renderables()
 
 
 COLUMNS = (
     TextColumn("{task.description}"),
-    MofNCompleteColumn(),
-    TimeRemainingColumn(),
+    MofNCompleteColumn(table_column=Column(no_wrap=True)),
+    TimeRemainingColumn(table_column=Column(no_wrap=True)),
     BarColumn(bar_width=8),
-    Figures("{task.fields[figures]}"),
+    Figures("{task.fields[figures]}", table_column=Column()),
 )
 
 

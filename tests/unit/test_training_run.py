@@ -1,6 +1,8 @@
 """A training run on disk: its checkpoints, its files, the command, and what a kill or Ctrl-C leaves."""
 
 import csv
+import io
+import itertools
 import json
 import math
 import os
@@ -16,13 +18,17 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from shutil import rmtree
 from textwrap import wrap
+from types import SimpleNamespace
 
 import pytest
 import torch
 from fastapi.testclient import TestClient
+from rich.cells import cell_len
+from rich.console import Console
 
 from drone_env.agents.network import load_network
 from drone_env.cli import main
+from drone_env.commands.train import Live
 from drone_env.core.seeds import split_seeds
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl import validation
@@ -258,6 +264,27 @@ def test_every_value_is_a_flag(tmp_path: Path, capsys: pytest.CaptureFixture[str
     if not torch.cuda.is_available():
         assert main([*TRAIN, "--gpu", "--data", str(tmp_path), "--results", str(tmp_path)]) == 2
         assert "CUDA" in capsys.readouterr().err
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_the_bar_shows_the_episode_the_time_and_the_validation(columns: int) -> None:
+    trainer, shown = SimpleNamespace(name="hard", done=60, wanted=1000), Terminal()
+    console = Console(file=shown, width=columns, force_terminal=True, color_system=None)
+    ticks = itertools.count()
+    figures = "validation 0.9561 of 0.9774  loss 0.0310  epsilon 0.52  12345 steps/s"
+    with Live(trainer, console, lambda: next(ticks)) as progress:  # type: ignore[arg-type]
+        progress.update(progress.bar, figures=figures)
+        for trainer.done in (100, 130):
+            progress.refresh()
+    last = re.sub(r"\x1b\[[^a-zA-Z]*[a-zA-Z]", "", shown.getvalue()).rstrip("\n").rpartition("\r")[2]
+    assert cell_len(last) <= columns
+    assert re.search(r"hard +130/1000 \d:\d\d:\d\d ", last)
+    assert (figures if columns == 120 else figures[:27]) in last
 
 
 ORIGINALS = [
