@@ -442,7 +442,8 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
     named = [t for t in (*TASKS.values(), *PAST_TASKS) if name in (t.id, t.short_name, t.grader)]
     named = named or [task for find in FINDERS if (task := find(name)) is not None]
     if not named:
-        raise UnknownNameError("task", name, [task.short_name for task in TASKS.values()], ", --task CITY.toml")
+        short = [task.short_name for task in TASKS.values()]
+        raise UnknownNameError("task", name, short, ", --task CITY.toml", also=TASKS)
     for task in named:
         if version in (None, task.version):
             return task

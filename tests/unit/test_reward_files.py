@@ -38,10 +38,7 @@ def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run(*arguments: str) -> int:
-    try:
-        return main(arguments)
-    except SystemExit as ended:
-        return int(ended.code or 0)
+    return main(arguments)
 
 
 def test_a_command_pays_by_the_file_and_forgets_it(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
