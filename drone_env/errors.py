@@ -49,18 +49,18 @@ def _again(kind: type[DroneEnvError], args: tuple[Any, ...], attributes: dict[st
 class UnknownNameError(DroneEnvError, LookupError):
     """A name that is not in a registry.
 
-    The message names the most similar one that is, and lists all, unless none are given; it ends with `more`. Names in
-    `also` are compared and not listed.
+    The message names the most similar one that is, and lists all, unless none are given. Names in `also` are compared
+    and not listed.
     """
 
-    def __init__(self, kind: str, given: object, allowed: Iterable[str], more: str = "", also: Iterable[str] = ()) -> None:
+    def __init__(self, kind: str, given: object, allowed: Iterable[str], also: Iterable[str] = ()) -> None:
         self.kind = kind
         self.given = given
         self.allowed = sorted(set(allowed))
         close = get_close_matches(f"{given}".lower(), [*self.allowed, *also], 1)
         meant = f"did you mean {close[0]!r}? " if close else ""
         known = f"unknown {kind} {given!r}; {meant}allowed: {', '.join(self.allowed)}"
-        super().__init__((known if self.allowed else f"there is no {kind} {given!r}") + more)
+        super().__init__(known if self.allowed else f"there is no {kind} {given!r}")
 
 
 class WithdrawnError(UnknownNameError):

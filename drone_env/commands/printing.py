@@ -24,6 +24,7 @@ def print_error(error: object) -> None:
     """
     text = f"drone-env: {error}"
     if isinstance(error, UnknownNameError):
+        text += ", CITY.toml" if error.kind == "task" else ""  # which commands take, and calls do not
         start, _, names = text.partition("allowed: ")
         shown = names.split(", ")
         while len(wrap(text, WIDTH)) > 2 and len(shown) > 1:

@@ -443,7 +443,7 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
     named = named or [task for find in FINDERS if (task := find(name)) is not None]
     if not named:
         short = [task.short_name for task in TASKS.values()]
-        raise UnknownNameError("task", name, short, ", --task CITY.toml", also=TASKS)
+        raise UnknownNameError("task", name, short, also=TASKS)
     for task in named:
         if version in (None, task.version):
             return task
