@@ -1,17 +1,22 @@
 """Check that every grader in the manifest can be found, called and believed: python check_graders.py [openenv.yaml]."""
 
 import importlib
+import runpy
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import yaml
+try:
+    import yaml
 
-from drone_env.core.episode import Episode
-from drone_env.core.tasks import get_task
-from drone_env.models import DroneState
-from drone_env.planning.optimal import solve
+    from drone_env.core.episode import Episode
+    from drone_env.core.tasks import get_task
+    from drone_env.models import DroneState
+    from drone_env.planning.optimal import solve
+except ModuleNotFoundError as error:
+    installer = runpy.run_path(str(Path(__file__).with_name("drone_env") / "installer.py"))
+    sys.exit(f"check_graders.py: {installer['missing'](error)}")
 
 TASKS_REQUIRED = 3
 

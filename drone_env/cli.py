@@ -1,11 +1,10 @@
-"""`drone-env`: the command line. A new subcommand is one more line in `_app`."""
+"""`drone-env`: the command line. A new subcommand is one more name in `COMMANDS`."""
 
 import io
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
-import tyro
 from tyro.extras import SubcommandApp
 
 from drone_env import __version__
@@ -21,50 +20,66 @@ from drone_env.commands.fly import fly
 from drone_env.commands.infer import infer
 from drone_env.commands.leaderboard import leaderboard
 from drone_env.commands.named_files import told, with_names
+from drone_env.commands.parsing import parsed
 from drone_env.commands.play import play
+from drone_env.commands.printing import print_error
 from drone_env.commands.replay import replay
 from drone_env.commands.serve import serve
 from drone_env.commands.solve import solve
 from drone_env.commands.sweep import sweep
-from drone_env.commands.train import train_commands
+from drone_env.commands.train import train, train_commands
 from drone_env.envs.registry import load_plugins
-from drone_env.errors import AgentError, DroneEnvError
+from drone_env.errors import AgentError, DroneEnvError, InvalidValueError, UnknownNameError
 
 DESCRIPTION = (
     "A drone delivers parcels on a generated city grid. `drone-env COMMAND --help` is the manual of a command."
 )
 
 
-def _app(train: Callable[..., int]) -> SubcommandApp:
-    app = SubcommandApp()
-    measuring = (evaluate, compare, leaderboard, solve, audit, analyse_flight)
-    for command in (fly, *measuring, train, sweep, infer, play, replay, dataset, city, serve, doctor):
-        app.command(command)
-    return app
+COMMANDS: dict[str, Callable[..., int | None]] = {
+    command.__name__.replace("_", "-"): command
+    for command in (
+        *(fly, evaluate, compare, leaderboard, solve, audit, analyse_flight),
+        *(train, sweep, infer, play, replay, dataset, city, serve, doctor),
+    )
+}
+
+
+def _calls(arguments: Sequence[str]) -> Iterator[Callable[[], int | None]]:
+    """What the arguments ask for: one call, or several to train several tasks."""
+    if arguments[:1] in (["-h"], ["--help"]):
+        overview = SubcommandApp()
+        for command in COMMANDS.values():
+            overview.command(command)
+        overview.cli(prog="drone-env", description=DESCRIPTION, args=["--help"])
+    if not arguments or arguments[0].startswith("-"):
+        raise InvalidValueError("name a command, such as fly, evaluate or train; drone-env --help lists all")
+    name, *rest = with_names(arguments)
+    if name not in COMMANDS:
+        raise UnknownNameError("command", name, COMMANDS)
+    for command in train_commands(rest, arguments[1:]) if name == "train" else [COMMANDS[name]]:
+        yield parsed(command, f"drone-env {name}", rest)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status: 0 done, 1 a check that failed, 2 anything else that went wrong."""
-    arguments = sys.argv[1:] if arguments is None else arguments
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
     if sys.stdin is None or sys.stdout is None or sys.stderr is None:
         return 2  # closed by whoever started us: there is nowhere to say so
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A map whose emoji the terminal lacks is better than none.
             stream.reconfigure(errors="replace")
-    if list(arguments) == ["--version"]:
+    if arguments == ["--version"]:
         print(f"drone-env {__version__}")
         return 0
     try:
-        if list(arguments[:1]) != ["doctor"]:  # which says what is wrong with them
+        if arguments[:1] != ["doctor"]:  # which says what is wrong with them
             load_plugins()
         status = 0
         with own_profiles_forgotten():
-            named = with_names(arguments)
-            for train in train_commands(named):  # one, whatever the command, unless all tasks are to be trained
-                status = status or _app(train).cli(
-                    prog="drone-env", description=DESCRIPTION, args=named, config=[tyro.conf.DisallowNone]
-                )
+            for call in _calls(arguments):
+                status = status or call()
         sys.stdout.flush()
         return int(status or 0)
     except BrokenPipeError:
@@ -74,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (DroneEnvError, OSError) as error:
         if isinstance(error, AgentError):
             print(error.trace, end="", file=sys.stderr)  # whoever wrote the agent has to debug it
-        print(f"drone-env: {told(error, arguments) if isinstance(error, OSError) else error}", file=sys.stderr)
+        print_error(told(error, arguments) if isinstance(error, OSError) else error)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -24,6 +24,7 @@ Each message says what was given and what is allowed.
 import sys
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from typing import Any, NamedTuple, Protocol
 
 from drone_env.installer import how_to_install
@@ -46,14 +47,20 @@ def _again(kind: type[DroneEnvError], args: tuple[Any, ...], attributes: dict[st
 
 
 class UnknownNameError(DroneEnvError, LookupError):
-    """A name that is not in a registry; the message lists the names that are, unless none are given, then `more`."""
+    """A name that is not in a registry.
 
-    def __init__(self, kind: str, given: object, allowed: Iterable[str], more: str = "") -> None:
+    The message names the most similar one that is, and lists all, unless none are given. Names in `also` are compared
+    and not listed.
+    """
+
+    def __init__(self, kind: str, given: object, allowed: Iterable[str], also: Iterable[str] = ()) -> None:
         self.kind = kind
         self.given = given
         self.allowed = sorted(set(allowed))
-        known = f"unknown {kind} {given!r}; allowed: {', '.join(self.allowed)}"
-        super().__init__((known if self.allowed else f"there is no {kind} {given!r}") + more)
+        close = get_close_matches(f"{given}".lower(), [*self.allowed, *also], 1)
+        meant = f"did you mean {close[0]!r}? " if close else ""
+        known = f"unknown {kind} {given!r}; {meant}allowed: {', '.join(self.allowed)}"
+        super().__init__(known if self.allowed else f"there is no {kind} {given!r}")
 
 
 class WithdrawnError(UnknownNameError):
@@ -104,7 +111,7 @@ class MissingPackageError(DroneEnvError, ImportError):
     """A package that only an extra installs; the message says how."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed: {how_to_install(extra)}")
+        super().__init__(f"{package} is not installed; {how_to_install(extra)}")
 
 
 class StoreError(DroneEnvError, OSError):

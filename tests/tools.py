@@ -33,7 +33,7 @@ def missing_package(failure: str) -> str | None:
     """The large package for want of which something failed, by what pytest tells of it; None if it failed otherwise."""
     if os.environ.get("DRONE_ENV_REQUIRE_TOOLS") == "1":
         return None
-    named = re.findall(r"(?<=No module named ')\w+|\w+(?= is not installed: run)", failure)
+    named = re.findall(r"(?<=No module named ')\w+|\w+(?= is not installed; type)", failure)
     return next((name for name in named if name in ABSENT), None)
 
 

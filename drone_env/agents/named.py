@@ -4,10 +4,11 @@ import hashlib
 import re
 import sys
 from collections.abc import Callable, Mapping
+from functools import partial
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any, cast
 
 from drone_env.agents.base import Agent, named_failures
@@ -16,6 +17,7 @@ from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError
 
 SB3_FILE = re.compile(r"(?P<file>.+\.zip)(:(?P<wrapper>[\w.]+(:(?!sampled$)\w+)?))??(?P<sampled>:sampled)?")
+ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 MODULE = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 
 
@@ -144,11 +146,30 @@ def _must_take(function: Callable[..., Any], what: str) -> None:
 
 
 def _identity(made: Any) -> dict[str, object]:
-    """What decides how code flies, as far as can be told: its name, and what the file of its module holds."""
-    module = sys.modules.get(made.__module__)
-    file = getattr(module, "__file__", None)
-    source = None if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16]
-    return {"agent": f"{made.__module__}:{getattr(made, '__qualname__', type(made).__qualname__)}", "source": source}
+    """What decides how code flies, as far as can be told: its name and a digest of its module's file.
+
+    Without such a file, as in a REPL, the digest is of the code itself; it is null for code in C. A `partial` also has
+    its arguments.
+    """
+    if isinstance(made, partial):
+        bound = cast("partial[Any]", made)
+        return {**_identity(bound.func), "bound": ADDRESS.sub("", f"{bound.args} {bound.keywords}")}
+    module = getattr(made, "__module__", None) or "builtins"
+    file = getattr(sys.modules.get(module), "__file__", None)
+    held = Path(file).read_bytes() if file and Path(file).is_file() else _code(made)
+    source = hashlib.sha256(held).hexdigest()[:16] if held else None
+    return {"agent": f"{module}:{getattr(made, '__qualname__', type(made).__qualname__)}", "source": source}
+
+
+def _code(made: Any) -> bytes:
+    """What code does, as bytes that its place in a file does not change; none of what is written in C."""
+    if isinstance(made, CodeType):
+        inner = b"".join(_code(one) if isinstance(one, CodeType) else repr(one).encode() for one in made.co_consts)
+        return made.co_code + repr(made.co_names).encode() + inner
+    if hasattr(made, "__code__"):
+        return _code(made.__code__)
+    members = vars(made if isinstance(made, type) else type(made))
+    return b"".join(_code(one) for _, one in sorted(members.items()) if hasattr(one, "__code__"))
 
 
 def _wrapper(name: str) -> Any:

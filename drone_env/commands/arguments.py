@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
+from reprlib import repr as shortened
 from typing import Annotated
 
 import tyro
@@ -59,7 +60,9 @@ def parse_seeds(text: str) -> range:
     start, colon, stop = text.partition(":")
     numbers = [number for number in (start, stop) if number.isdecimal() and len(number) <= len(str(N_SEEDS))]
     if not (colon and len(numbers) == 2 and int(start) < int(stop) <= N_SEEDS):
-        raise InvalidValueError(f"--seeds takes A:B with integers 0 <= A < B <= 2^53, such as 0:100; got {text!r}")
+        raise InvalidValueError(
+            f"--seeds takes A:B with integers 0 <= A < B <= 2^53, such as 0:100; got {shortened(text)}"
+        )
     return range(int(start), int(stop))
 
 

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from drone_env.evaluation.leaderboard import Judged, Refused
 
 
+RUN = "run.json"
+"""The file that a run of a language model begins with: `llm.run_folder`, which needs an extra, has the same name."""
+
+
 class Kept(NamedTuple):
     """What a folder holds of one agent or model on one task."""
 
@@ -27,19 +31,24 @@ class Kept(NamedTuple):
 
 
 def judged(path: Path) -> "list[Judged | Refused]":
-    """What a folder is worth on the leaderboard.
+    """What a folder is worth on the leaderboard: an evaluation, a run of a language model, or a folder of these.
 
     Raises:
-        MissingPackageError: if it is a run of a language model, and the extra `llm` is not installed.
+        MissingPackageError: if there is a run of a language model, and the extra `llm` is not installed.
     """
-    from drone_env.evaluation.leaderboard import judge_evaluation
+    from drone_env.evaluation.leaderboard import Refused, judge_evaluation
 
     if (path / evaluation.CONFIG).exists():
         return judge_evaluation(path)
-    with needs("llm"):
-        from drone_env.llm.leaderboard import judge
-        from drone_env.llm.run_folder import runs_in
-    return [judge(run) for run in runs_in(path)]
+    if (path / RUN).exists():
+        with needs("llm"):
+            from drone_env.llm.leaderboard import judge
+        return [judge(path)]
+    inside = sorted(file.parent for name in (evaluation.CONFIG, RUN) for file in path.glob(f"*/{name}"))
+    if not inside:
+        what = "no results in it" if path.is_dir() else "no such folder"
+        return [Refused(path, f"{what}; give a folder of evaluate --out or infer --out", damaged=True)]
+    return [one for folder in inside for one in judged(folder)]
 
 
 def judged_once(paths: Iterable[Path]) -> "list[Judged | Refused]":

@@ -1,12 +1,38 @@
-"""How several subcommands print: JSON, progress bars."""
+"""How several subcommands print: JSON, progress bars, commands to type."""
 
 import json
+import shutil
+import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from textwrap import fill, wrap
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from drone_env.errors import UnknownNameError
+
+WIDTH = 80
+"""Columns of a terminal, if nothing else is known."""
+
+
+def print_error(error: object) -> None:
+    """An error on standard error, in two lines of 80 columns where its message allows that.
+
+    Of a long list of names that are allowed, as many are printed as fit.
+    """
+    text = f"drone-env: {error}"
+    if isinstance(error, UnknownNameError):
+        text += ", CITY.toml" if error.kind == "task" else ""  # which commands take, and calls do not
+        start, _, names = text.partition("allowed: ")
+        shown = names.split(", ")
+        while len(wrap(text, WIDTH)) > 2 and len(shown) > 1:
+            shown.pop()
+            text = f"{start}allowed: {', '.join(shown)} and {names.count(', ') + 1 - len(shown)} more"
+    if sys.stderr.isatty():
+        text = fill(text, shutil.get_terminal_size().columns, break_long_words=False, break_on_hyphens=False)
+    print(text, file=sys.stderr)
 
 
 def print_json(report: dict[str, Any]) -> None:

@@ -28,9 +28,9 @@ def serve(
         data: Folder of what is kept: episodes, sessions, logs.
         reward_profiles: TOML files of reward profiles that callers may name beside those of the package.
     """
-    missing = [name for name in NEEDED if find_spec(name) is None]
-    if missing:
-        raise MissingPackageError(" and ".join(missing), "server")
+    for package in NEEDED:
+        if find_spec(package) is None:
+            raise MissingPackageError(package, "server")
     from drone_env.server.process import run
 
     run(host, port, workers, data, reward_profiles)

@@ -1,21 +1,26 @@
 """`drone-env train`: train a network to fly a task."""
 
 import argparse
+import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
+from rich.table import Column
+from rich.text import Text
 
 from drone_env.commands.arguments import TASK, ProfileName
 from drone_env.core.rewards import DEFAULT_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import data_folder
+from drone_env.installer import program
 from drone_env.rl.config import TrainConfig, preset
 from drone_env.rl.tour_config import TourConfig
 
@@ -28,13 +33,48 @@ TaskOrAll = Annotated[str, tyro.conf.arg(metavar=f"{TASK}|all")]
 Network = Literal["pathqnet", "tournet"]
 CHOSEN = ("task", "kind")
 """What a checkpoint is found by, and so no setting that is taken from it."""
+FRESH = ("--fresh", "--no-fresh")
+
+
+class Figures(TextColumn):
+    """Text that a narrow terminal cuts off at its end: what stands beside it keeps its width."""
+
+    def render(self, task: Task) -> Text:
+        """The figures in one line."""
+        text = super().render(task)
+        text.no_wrap, text.overflow = True, "ellipsis"
+        return text
+
+
+class Live(Progress):
+    """The progress of a training, read again for every frame.
+
+    Args:
+        trainer: What is trained.
+        console: Where it is shown; nothing is, if that is no terminal.
+        clock: Gives the time in seconds.
+    """
+
+    def __init__(self, trainer: "Learner", console: Console, clock: Callable[[], float] = time.monotonic) -> None:
+        self._trainer = trainer
+        shown = console.file.isatty()
+        # By the speed of the last minutes: episodes end in bursts, and a validation takes its time.
+        super().__init__(*COLUMNS, console=console, disable=not shown, get_time=clock, speed_estimate_period=300)
+        self.bar = self.add_task(trainer.name, total=trainer.wanted, completed=trainer.done, figures="")
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """One line, which counts what is done up to now."""
+        for bar in self.task_ids:  # none yet while this is made
+            self.update(bar, completed=self._trainer.done)
+        return super().get_renderables()
+
 
 COLUMNS = (
     TextColumn("{task.description}"),
-    BarColumn(),
-    MofNCompleteColumn(),
-    TextColumn("{task.fields[figures]}"),
-    TimeRemainingColumn(),
+    MofNCompleteColumn(table_column=Column(no_wrap=True)),
+    TimeRemainingColumn(table_column=Column(no_wrap=True)),
+    BarColumn(bar_width=8),
+    Figures("{task.fields[figures]}", table_column=Column()),
 )
 
 
@@ -57,25 +97,38 @@ class TourSettings(TourConfig):
 AnySettings = TypeVar("AnySettings", Settings, TourSettings)
 
 
-def train_commands(arguments: Sequence[str]) -> Iterator[Callable[..., int]]:
+def train_commands(arguments: Sequence[str], typed: Sequence[str]) -> Iterator[Callable[..., int]]:
     """The subcommand for each training, its defaults being those of what the arguments name.
 
     Args:
-        arguments: Of the command line; those of another subcommand name nothing.
+        arguments: Of the subcommand.
+        typed: The same as they were typed, with the files that are now named.
 
     Raises:
         UnknownNameError: if there is no such task.
         InvalidValueError: if there is no such preset, or no such number of episodes.
     """
-    named = _named(arguments if arguments[:1] == ["train"] else [])
+    named = _named(arguments)
     if named.network == "tournet":
-        yield _tour_command(_tour_defaults(named.task or "all", named))
+        yield _tour_command(_tour_defaults(named.task or "all", named), _going_on(typed))
         return
-    for task in STANDARD if named.task == "all" else [named.task or "easy"]:
-        yield _train_command(_defaults(task, named))
+    if named.task != "all":
+        yield _train_command(_defaults(named.task or "easy", named), _going_on(typed))
+        return
+    for task in STANDARD:
+        # With --fresh, the tasks that follow have not started again: the command goes on with this one alone.
+        only = {"all": task, "--task=all": f"--task={task}"} if named.fresh else {}
+        yield _train_command(_defaults(task, named), _going_on([only.get(word, word) for word in typed]))
 
 
-def _train_command(defaults: Settings) -> Callable[..., int]:
+def _going_on(typed: Sequence[str]) -> str:
+    """The command that goes on with a training: as typed, without `--fresh`."""
+    script = Path(sys.argv[0]).name == "train.py"
+    start = [program("python"), sys.argv[0]] if script else [program("drone-env"), "train"]
+    return shlex.join([*start, *(word for word in typed if word not in FRESH)])
+
+
+def _train_command(defaults: Settings, going_on: str) -> Callable[..., int]:
     def train(
         config: Annotated[Settings, tyro.conf.arg(name="")] = defaults,
         network: Network = "pathqnet",
@@ -105,18 +158,22 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
             task: The task, by its short name, id or grader; `all` for easy, medium and hard, one after the other.
             preset: Which defaults to start from.
             resume: Insist that there is a checkpoint to go on from.
-            fresh: Start again; a checkpoint that is there is renamed to `TASK.pth.old`.
+            fresh: Start again; an earlier training is kept as `TASK.pth.1`, `TASK.pth.2` and so on.
             data: Folder of checkpoint, network and log; DRONE_ENV_DATA if nothing is said, else data.
             results: Folder of tables and curves; results/ in DRONE_ENV_DATA if nothing is said, else results.
         """
         with needs("train"):
             from drone_env.rl.trainer import Trainer
-        return _train(lambda: Trainer(config), resume, fresh, data, results)
+        return _train(lambda: Trainer(config), going_on, resume, fresh, data, results)
 
     return train
 
 
-def _tour_command(defaults: TourSettings) -> Callable[..., int]:
+train = _train_command(Settings(**vars(preset("fast", "easy"))), "")
+"""The subcommand as the overview of all commands shows it."""
+
+
+def _tour_command(defaults: TourSettings, going_on: str) -> Callable[..., int]:
     def train(
         config: Annotated[TourSettings, tyro.conf.arg(name="")] = defaults,
         network: Network = "tournet",
@@ -140,7 +197,7 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
             network: What to train: `tournet`.
             task: `all` for one network that flies every task, or one task.
             resume: Insist that there is a checkpoint to go on from.
-            fresh: Start again; a checkpoint that is there is renamed to `tournet.pth.old`.
+            fresh: Start again; an earlier training is kept as `tournet.pth.1`, `tournet.pth.2` and so on.
             data: Folder of checkpoint, network and log; DRONE_ENV_DATA if nothing is said, else data.
             results: Folder of tables and curves; results/ in DRONE_ENV_DATA if nothing is said, else results.
         """
@@ -148,7 +205,7 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
             from drone_env.rl.tour_rewards import RewardTrainer
             from drone_env.rl.tour_trainer import TourTrainer
         make = RewardTrainer if config.kind == "rewards" else TourTrainer
-        return _train(lambda: make(config), resume, fresh, data, results)
+        return _train(lambda: make(config), going_on, resume, fresh, data, results)
 
     return train
 
@@ -190,42 +247,42 @@ def _as_before(defaults: AnySettings, name: str, named: argparse.Namespace) -> A
         return defaults  # `TrainingRun` says what is wrong with it, or what is missing
 
 
-def _train(make: "Callable[[], Learner]", resume: bool, fresh: bool, data: Path | None, results: Path | None) -> int:
+def _train(
+    make: "Callable[[], Learner]", going_on: str, resume: bool, fresh: bool, data: Path | None, results: Path | None
+) -> int:
     from drone_env.rl.run import TrainingRun
 
     if resume and fresh:
         raise InvalidValueError("--resume goes on and --fresh starts again: give one of them")
     run = TrainingRun(make(), data or data_folder(), results or data_folder("results"), fresh)
     if resume and not run.resumed:
-        raise InvalidValueError(f"--resume: there is no checkpoint {run.checkpoint}")
+        raise InvalidValueError(f"--resume: there is no checkpoint {run.checkpoint}; omit --resume to start")
     trainer, unit, console = run.trainer, run.trainer.unit, Console(stderr=True)
     wanted, begun = trainer.wanted, trainer.done
     if begun >= wanted:
         console.print(
-            f"{run.checkpoint} has {begun} {unit} already, and {wanted} were asked for: nothing to do. "
-            f"{trainer.how_to_go_on}--fresh starts again and keeps it as {run.checkpoint}.old",
+            f"{run.checkpoint} has {begun} of {wanted} {unit}: nothing to do.\n"
+            f"{trainer.how_to_go_on}Add --fresh to start again; the old training is kept.",
             soft_wrap=True,
         )
         return 0
     if run.resumed:
         console.print(f"going on from {run.checkpoint}: {begun} of {wanted} {unit}")
-    bars = Progress(*COLUMNS, console=console, disable=not console.file.isatty())
-    with bars as progress, run.stopping_on_interrupt():
-        bar = progress.add_task(trainer.name, total=wanted, completed=begun, figures="")
+    with Live(trainer, console) as progress, run.stopping_on_interrupt():
         clock, work = progress.get_time, trainer.worked
         started = clock()
         for line in run.train():
             rate = (getattr(line, trainer.work) - work) / max(clock() - started, 1e-9)
-            figures = f"{rate:.0f} {trainer.work}/s  {trainer.figures(line)}"
-            progress.update(bar, completed=trainer.done, figures=figures)
+            figures = f"{trainer.figures(line)}  {rate:.0f} {trainer.work}/s"
+            progress.update(progress.bar, figures=figures)
             if not console.file.isatty() and trainer.done % trainer.validation_every == 0:
                 print(f"{trainer.done}/{wanted} {unit}  {figures}", file=sys.stderr, flush=True)
     if run.stopped:
-        console.print(
-            f"stopped after {trainer.done} {unit}; the same command goes on from {run.checkpoint}", soft_wrap=True
-        )
+        console.print(f"stopped after {trainer.done} {unit}, saved as {run.checkpoint}", soft_wrap=True)
+        console.print(f"to go on, type: {going_on}", soft_wrap=True)
         return 130
     done = f"trained: {trainer.result} on the validation maps; network {run.network}, curves {run.results}"
     console.print(done, soft_wrap=True)
-    console.print(f"next: drone-env evaluate {trainer.judged_by} --checkpoint {run.network}", soft_wrap=True)
+    judge = f"{program('drone-env')} evaluate {trainer.judged_by} --checkpoint {run.network}"
+    console.print(f"next: {judge}", soft_wrap=True)
     return 0

@@ -432,7 +432,7 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
     Without a version, the current one.
 
     Raises:
-        UnknownNameError: if there is none; the message lists the valid ids and short names, or the valid versions.
+        UnknownNameError: if there is none; the message lists the valid short names, or the valid versions.
         WithdrawnError: if this version is withdrawn; the message names the one that replaces it.
     """
     if isinstance(name, TaskConfig):
@@ -442,9 +442,8 @@ def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
     named = [t for t in (*TASKS.values(), *PAST_TASKS) if name in (t.id, t.short_name, t.grader)]
     named = named or [task for find in FINDERS if (task := find(name)) is not None]
     if not named:
-        names = [n for task in TASKS.values() for n in (task.id, task.short_name)]
-        more = "; a city where --task or DRONE_ENV_PLUGINS names its file, a drawn map on the server that keeps it"
-        raise UnknownNameError("task", name, names, more)
+        short = [task.short_name for task in TASKS.values()]
+        raise UnknownNameError("task", name, short, also=TASKS)
     for task in named:
         if version in (None, task.version):
             return task

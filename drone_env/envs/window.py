@@ -67,7 +67,7 @@ class Window:
         try:
             import pygame
         except ImportError as error:
-            raise DependencyNotInstalled(f"pygame is not installed: {how_to_install('human')}") from error
+            raise DependencyNotInstalled(f"pygame is not installed; {how_to_install('human')}") from error
         pygame.display.init()
         pygame.display.set_caption("Drone delivery")
         self._pygame, self._clock = pygame, pygame.time.Clock()

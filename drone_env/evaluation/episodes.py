@@ -68,6 +68,21 @@ class EpisodeResults:
     optimal_scores: npt.NDArray[np.float64]
     optimal_steps: npt.NDArray[np.int32]
 
+    def __repr__(self) -> str:
+        """The figures in three lines of at most 80 columns."""
+        figures, key = summarise(self), self.key
+        mean, interval, optimum = figures["mean_score"], figures["score_ci95"], figures["mean_optimal_score"]
+        margin = "" if interval is None else f" ± {interval[1] - mean:.4f} (95 %)"
+        best = "unknown" if optimum is None else f"{optimum:.4f}"
+        what = f" on {key.task} v{key.version}"
+        room = 80 - len(what)
+        return (
+            f"{key.agent if len(key.agent) <= room else f'…{key.agent[1 - room :]}'}{what}\n"
+            f"maps {key.seeds[0]} to {key.seeds[1] - 1} ({len(self.seeds)}, split {key.split})\n"
+            f"score {mean:.4f}{margin}, optimum {best}, "
+            f"success {figures['success_rate']:.1%}, steps {figures['mean_steps']:.1f}"
+        )
+
 
 COLUMNS = [field.name for field in fields(EpisodeResults) if field.name != "key"]
 """What there is of each episode."""

@@ -73,8 +73,8 @@ class Learner(ABC):
         """
 
     @abstractmethod
-    def best_network(self) -> nn.Module:
-        """The network to keep."""
+    def best_network(self) -> nn.Module | None:
+        """The network to keep; None before the first validation."""
 
     @abstractmethod
     def metadata(self) -> dict[str, Any]:
@@ -107,16 +107,25 @@ LATER = ("reward ", "rules of ")
 """How that begins which older checkpoints do not tell: what a reward profile holds, and which task has the name."""
 
 
+MOST_NAMED = 2
+"""Settings that a message names: it is to fit two lines."""
+
+
+class DifferentRunError(CheckpointError):
+    """A checkpoint of a run with other settings, some of which the message names."""
+
+
 def require_same(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> None:
-    """See that a checkpoint is of a run with this configuration, as far as it tells.
+    """Check that a checkpoint is of a run with this configuration, as far as the checkpoint says.
 
     Raises:
-        CheckpointError: if it is not; the message says what differs.
+        DifferentRunError: if it is not.
     """
     told = [name for name in ours if name in theirs or not name.startswith(LATER)]
     different = [f"{name} {theirs.get(name)!r} (now {ours[name]!r})" for name in told if theirs.get(name) != ours[name]]
     if different:
-        raise CheckpointError(f"the checkpoint is of a run with {', '.join(different)}")
+        more = len(different) - MOST_NAMED
+        raise DifferentRunError(", ".join(different[:MOST_NAMED]) + (f" and {more} more" if more > 0 else ""))
 
 
 def keep_freed_memory() -> None:

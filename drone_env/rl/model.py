@@ -5,15 +5,17 @@
     -> Linear 128, LayerNorm -> Linear 128 -> Linear 64 -> Linear 5
 
 Every layer but the last is followed by ReLU. The network takes maps of any size: what it learned on one it can be
-asked about another.
+asked about another. A square map may also be flat, uint8[B, H * W], row by row: its sides follow from its length.
 """
 
 from functools import lru_cache
+from math import isqrt
 
 import torch
 from torch import Tensor, nn
 
 from drone_env.agents.network import EPSILON, POOLED, SHAPES
+from drone_env.errors import InvalidValueError
 
 
 def _linear(name: str, more: int = 0) -> nn.Linear:
@@ -29,7 +31,7 @@ def _convolution(name: str) -> nn.Conv2d:
 
 
 class MapEncoder(nn.Module):
-    """The map as 64 features: float32[B, 64] from uint8[B, H, W]."""
+    """The map as 64 features: float32[B, 64] from uint8[B, H, W], or from uint8[B, H * W] of square maps."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -40,7 +42,16 @@ class MapEncoder(nn.Module):
         self.linear = _linear("encoder.linear")
 
     def forward(self, grid: Tensor) -> Tensor:
-        """The features of a batch of maps."""
+        """The features of a batch of maps.
+
+        Raises:
+            InvalidValueError: if maps are flat, and not square.
+        """
+        if grid.ndim == 2:
+            side = isqrt(grid.shape[1])
+            if side * side != grid.shape[1]:
+                raise InvalidValueError(f"a flat map is square, got {grid.shape[1]} cells; give the shape (B, H, W)")
+            grid = grid.reshape(-1, side, side)
         # Channels last, as the embedding leaves them, is what the convolutions are fastest on.
         x = self.embedding(grid.int()).permute(0, 3, 1, 2)
         x = torch.relu_(self.conv1(x))
@@ -60,7 +71,7 @@ def pooling(height: int, width: int, device: torch.device) -> Tensor:
 
 
 class PathQNet(nn.Module):
-    """The values of the five actions: float32[B, 5] from uint8[B, H, W] and float32[B, telemetry_size]."""
+    """The values of the five actions: float32[B, 5] from maps as of `MapEncoder` and float32[B, telemetry_size]."""
 
     def __init__(self, telemetry_size: int = 5) -> None:
         super().__init__()
@@ -77,5 +88,9 @@ class PathQNet(nn.Module):
         )
 
     def forward(self, grid: Tensor, telemetry: Tensor) -> Tensor:
-        """The value of each action."""
+        """The value of each action.
+
+        Raises:
+            InvalidValueError: as `MapEncoder.forward`.
+        """
         return self.head(torch.cat([self.encoder(grid), telemetry], dim=1))

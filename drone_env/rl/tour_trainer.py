@@ -114,6 +114,8 @@ class TourTrainer(Learner):
         self.history: list[TourProgress] = []
         self.shares: dict[str, float] = {}
         """Share of the optimum on the validation maps of each task, of the last validation."""
+        self.validated: dict[str, Tensor] = {}
+        """The average of the weights at the last validation."""
         self._cpu_before, self._cpu_since = 0.0, time.process_time()
         self._prepare(list(shares))
 
@@ -246,6 +248,7 @@ class TourTrainer(Learner):
         for name, validator in self._validators.items():
             flown = validator.validate(partial(choose, self._viewers[name], self._judged))
             self.shares[name] = flown.score / flown.optimum
+        self.validated = {name: tensor.clone() for name, tensor in self.average.state_dict().items()}
 
     def _judged(self, view: View) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         return self._says(self.average, view)
@@ -267,6 +270,7 @@ class TourTrainer(Learner):
             "losses": list(self._losses),
             "history": [asdict(line) for line in self.history],
             "shares": dict(self.shares),
+            "validated": dict(self.validated),
             "cpu_seconds": self.cpu_seconds,
         }
 
@@ -283,11 +287,16 @@ class TourTrainer(Learner):
         self._losses = [tuple(losses) for losses in state["losses"]]
         self.history = [TourProgress(**line) for line in state["history"]]
         self.shares = dict(state["shares"])
+        self.validated = dict(state["validated"])
         self._cpu_before, self._cpu_since = state["cpu_seconds"], time.process_time()
 
-    def best_network(self) -> TourNet:
-        """The average of the weights."""
-        return self.average
+    def best_network(self) -> TourNet | None:
+        """The average of the weights at the last validation; None before the first."""
+        if not self.validated:
+            return None
+        network = TourNet()
+        network.load_state_dict(self.validated)
+        return network
 
     @property
     def result(self) -> str:
@@ -302,7 +311,8 @@ class TourTrainer(Learner):
 
     def figures(self, line: TourProgress) -> str:
         """A line of the log in few words, for who watches."""
-        return f"regret {line.regret:.5f}  completion {line.completion:.4f}  validation {figure(line.validation, 4)}"
+        regret = f"regret {figure(line.regret, 5)}  completion {line.completion:.4f}"
+        return f"validation {figure(line.validation, 4)}  {regret}"
 
     def metadata(self) -> dict[str, Any]:
         """What the exported network says of itself."""

@@ -353,14 +353,12 @@ class Trainer(Learner):
     @property
     def how_to_go_on(self) -> str:
         """More episodes."""
-        return f"--episodes {2 * self.episodes} goes on from it; "
+        return f"Add --episodes {2 * self.episodes} to go on. "
 
     def figures(self, line: Progress) -> str:
         """A line of the log in few words, for who watches."""
-        return (
-            f"epsilon {line.epsilon:.2f}  loss {figure(line.loss, 5)}  "
-            f"validation {figure(line.validation, 4)} of {figure(line.validation_optimum, 4)}"
-        )
+        validation = f"validation {figure(line.validation, 4)} of {figure(line.validation_optimum, 4)}"
+        return f"{validation}  loss {figure(line.loss, 4)}  epsilon {line.epsilon:.2f}"
 
     def metadata(self) -> dict[str, Any]:
         """What the exported network says of itself."""
@@ -376,8 +374,10 @@ class Trainer(Learner):
             "validation_optimum": None if math.isnan(self.validator.optimum) else self.validator.optimum,
         }
 
-    def best_network(self) -> PathQNet:
-        """The network that flew the validation maps best, on the CPU."""
+    def best_network(self) -> PathQNet | None:
+        """The network that flew the validation maps best, on the CPU; None before the first validation."""
+        if self.best_score < 0:
+            return None
         network = PathQNet(self.task.telemetry_size)
         network.load_state_dict({name: tensor.cpu() for name, tensor in self.best.items()})
         return network

@@ -75,9 +75,8 @@ def run(
         for name, meant in misspelt_variables().items():
             print(f"drone-env: {name} is not a setting and is ignored; is {meant} meant?", file=sys.stderr)
         url = f"http://{settings.host}:{sockets[0].getsockname()[1]}"
-        print(
-            f"drone-env {__version__}: {url}, docs at {url}/docs, data in {settings.data}", file=sys.stderr, flush=True
-        )
+        folder = settings.data.resolve()
+        print(f"drone-env {__version__}: {url}, docs at {url}/docs, files in {folder}", file=sys.stderr, flush=True)
         for line in Networks(settings.weights, settings.data).described():
             print(f"drone-env: {line}", file=sys.stderr, flush=True)
         config = uvicorn.Config(

@@ -109,7 +109,7 @@ def test_a_step_that_is_none_is_refused_and_changes_nothing(
 @pytest.mark.parametrize(
     ("body", "told"),
     [
-        ({"task_name": "none"}, "easy, easy_delivery"),
+        ({"task_name": "none"}, "allowed: city, city_small, easy, hard"),
         ({"reward_profile": "none"}, "allowed: aligned"),
         ({"seed": -1}, "body.seed"),
         ({"seed": 2**53}, "body.seed"),

@@ -1,7 +1,6 @@
 """Blocks of shell commands: taken apart, run in a folder that looks like a checkout, or checked without running."""
 
 import ast
-import functools
 import os
 import re
 import shlex
@@ -10,13 +9,12 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from tyro.extras import SubcommandApp
 
 from drone_env import cli, get_task
 from drone_env.commands import named_files
+from drone_env.commands.parsing import parsed
 from drone_env.core.rewards import get_reward_profile
 from tests.docs.pages import ROOT, Block
 
@@ -174,20 +172,9 @@ def _check_path(word: str, where: str) -> None:
         assert (ROOT / word).exists(), f"{where}: there is no {word}"
 
 
-class _Parser(SubcommandApp):
-    """Parses the arguments of the commands, and calls none of them."""
-
-    def command(self, function: Any = None, **more: Any) -> Any:
-        @functools.wraps(function)
-        def nothing(*_: Any, **__: Any) -> int:
-            return 0
-
-        return super().command(nothing, **more)
-
-
 def _check_options(arguments: list[str], where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(cli, "SubcommandApp", _Parser)
+        patch.setattr(cli, "parsed", lambda *arguments: parsed(*arguments) and bool)  # parses, and calls nothing
         for option in named_files.REGISTERED:  # the files are made when the page is run
             known = get_task("easy") if option == "--task" else get_reward_profile("aligned")
             patch.setitem(named_files.REGISTERED, option, lambda file, known=known: known)

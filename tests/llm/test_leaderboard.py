@@ -48,6 +48,9 @@ def test_agents_and_models_over_the_same_maps_stand_on_one_board(
     assert waits["normalised"] < 0 < greedy["normalised"]
     # Its own WAITs are usable, and so is the first answer, which was repaired.
     assert waits["unusable"] == {"answers": 0, "of": 240, "share": 0, "marked": False}
+    # A folder of results stands for all that are in it.
+    inside = ranked(capsys, tmp_path, model.parent)["boards"]
+    assert [len(board["rows"]) for board in inside] == [3, 1]
     assert main(["leaderboard", str(agents), str(model)]) == 0
     out = capsys.readouterr().out
     assert [line.split()[1] for line in out.splitlines() if line.strip()[:1].isdigit()] == [
@@ -90,7 +93,7 @@ def test_folders_of_other_maps_are_not_compared(tmp_path: Path, capsys: pytest.C
     assert "folders name task and maps themselves" in capsys.readouterr().err
     (tmp_path / "empty").mkdir()
     assert main(["compare", str(tmp_path / "empty"), "greedy"]) == 2
-    assert "this is not the folder of a run" in capsys.readouterr().err
+    assert "no results in it; give a folder of evaluate --out or infer --out" in capsys.readouterr().err
 
 
 def test_an_evaluation_that_is_not_whole_is_not_ranked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

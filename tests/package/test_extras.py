@@ -107,7 +107,6 @@ print(json.dumps(told))
 """
 PROGRAMS: Mapping[str, str] = {
     "drone_env.cli infer": "llm",
-    "drone_env.cli leaderboard x": "llm",
     "drone_env.cli serve": "server",
     "drone_env.cli train": "train",
     "drone_env.cli sweep --task easy --set lr=1e-3 --out x": "train",
@@ -138,6 +137,29 @@ def test_without_extras_every_program_says_in_a_line_which_it_needs(tmp_path: Pa
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("script", "extra"), [("train.py", "[train]"), ("inference.py", "[llm]"), ("check_graders.py", "")]
+)
+def test_scripts_of_a_clone_without_any_package_say_what_to_type(script: str, extra: str, tmp_path: Path) -> None:
+    for name in ("drone_env/__init__.py", "drone_env/installer.py", "pyproject.toml", script):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes((extras.ROOT / name).read_bytes())
+
+    def told() -> str:
+        # Without `site`, Python finds no packages but its own.
+        command = [sys.executable, "-S", "-B", script]
+        done = subprocess.run(command, cwd=tmp_path, env={"PATH": os.environ["PATH"]}, capture_output=True, text=True)
+        assert done.returncode == 1
+        return done.stderr
+
+    install = f"'.{extra}'" if extra else "."
+    new = rf"type: python3 -m venv \.venv && \. \.venv/bin/activate && pip install -e {re.escape(install)}\n"
+    assert re.fullmatch(rf"{script}: \S+ is not installed; {new}", told())
+    (tmp_path / ".venv/bin").mkdir(parents=True)
+    (tmp_path / ".venv/bin/activate").touch()
+    assert re.fullmatch(rf"{script}: \S+ is not installed; type: \. \.venv/bin/activate\n", told())
+
+
 def test_each_extra_alone_brings_what_its_part_imports() -> None:
     assert not_brought() == []
 
@@ -162,9 +184,9 @@ def test_extras_bring_what_they_name_and_no_more() -> None:
 @pytest.mark.parametrize(
     ("made_by", "where", "home", "command", "pip"),
     [
-        ("uv = 0.13.9", "clone/.venv", "clone", "uv sync --extra train --inexact in the clone", "uv pip"),
-        ("uv = 0.13.9", "elsewhere", "clone", "uv pip install -e '.[train]' in the clone", "uv pip"),
-        ("version = 3.11.2", "clone/.venv", "clone", "pip install -e '.[train]' in the clone", "pip"),
+        ("uv = 0.13.9", "clone/.venv", "clone", "uv sync --extra train --inexact", "uv pip"),
+        ("uv = 0.13.9", "elsewhere", "clone", "uv pip install -e '.[train]'", "uv pip"),
+        ("version = 3.11.2", "clone/.venv", "clone", "pip install -e '.[train]'", "pip"),
         ("uv = 0.13.9", "elsewhere", "elsewhere/lib", "uv pip install 'drone-delivery-env[train]'", "uv pip"),
         ("version = 3.11.2", "elsewhere", "elsewhere/lib", "pip install 'drone-delivery-env[train]'", "pip"),
     ],
@@ -178,8 +200,10 @@ def test_what_brings_an_extra_is_a_command_of_the_installer_in_use(
     (tmp_path / where / "pyvenv.cfg").write_text(f"home = /usr/bin\n{made_by}\n")
     monkeypatch.delenv("UV_PROJECT_ENVIRONMENT", raising=False)
     monkeypatch.setattr(installer, "CLONE", tmp_path / home)
+    monkeypatch.setattr(installer, "program", lambda name: name)
     monkeypatch.setattr(sys, "prefix", str(tmp_path / where))
-    assert str(MissingPackageError("torch", "train")) == f"torch is not installed: run {command}"
+    place = f" in {tmp_path / home}" if home == "clone" else ""
+    assert str(MissingPackageError("torch", "train")) == f"torch is not installed; type{place}: {command}"
     assert installer.pip() == pip
 
 

@@ -37,7 +37,7 @@ def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> 
     with pytest.raises(CheckpointError, match="does not say its version"):
         load_checkpoint(path)
     save_checkpoint(path, {"config": SMALL.identity()})
-    with pytest.raises(CheckpointError, match=r"easy\.pth lacks 'online'; --fresh"):
+    with pytest.raises(CheckpointError, match=r"easy\.pth lacks 'online'; add --fresh"):
         run_in(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["easy.pth"]
 

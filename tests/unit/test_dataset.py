@@ -370,7 +370,7 @@ def test_only_who_asks_for_test_maps_gets_them(tmp_path: Path) -> None:
     ("arguments", "allowed"),
     [
         (["--maps", "0"], "at least 1"),
-        (["--task", "extreme"], "easy_delivery"),
+        (["--task", "extreme"], "easy, hard, medium"),
         (["--agents", "ace"], "greedy, optimal, pathqnet, random"),
         (["--epsilon", "2"], "0 to 1"),
         (["--split", "exam"], "test, train, validation"),

@@ -56,4 +56,7 @@ def test_so_do_their_details() -> None:
     assert missing.msg == str(missing)
     assert missing.msg.startswith("Ray is not installed")
     twice = pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(unknown))))
-    assert str(twice) == "unknown task 'eazy'; allowed: easy, hard"
+    assert "did you mean 'hard_delivery'? allowed: hard" in str(
+        UnknownNameError("task", "Hard_delivry", ["hard"], also=["hard_delivery"])
+    )
+    assert str(twice) == "unknown task 'eazy'; did you mean 'easy'? allowed: easy, hard"

@@ -25,7 +25,7 @@ from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.errors import CheckpointError, UnsupportedTaskError
+from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.rl.checkpoint import export_network
 from drone_env.rl.model import MapEncoder, PathQNet
@@ -56,6 +56,10 @@ def test_the_network_is_as_drawn() -> None:
         grids = torch.randint(0, 9, (3, height, width), dtype=torch.uint8)
         assert MapEncoder()(grids).shape == (3, 64)
         assert PathQNet()(grids, torch.rand(3, 5)).shape == (3, 5)
+    network, grids, telemetry = PathQNet(), torch.randint(0, 9, (3, 14, 14)), torch.rand(3, 5)
+    assert torch.equal(network(grids.flatten(1), telemetry), network(grids, telemetry))
+    with pytest.raises(InvalidValueError, match=r"a flat map is square, got 77 cells; give the shape \(B, H, W\)"):
+        network(torch.zeros(3, 77, dtype=torch.uint8), telemetry)
 
 
 def test_the_layers_come_in_the_order_that_is_drawn() -> None:

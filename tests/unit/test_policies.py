@@ -4,6 +4,7 @@ import pickle
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -118,6 +119,28 @@ def test_what_flies_is_known_by_what_its_module_holds(mine: Any, tmp_path: Path)
     (tmp_path / "my_policies.py").write_text(MODULE + "# changed\n")
     after = [episodes_key("easy", name, range(1)).config_hash for name in names]
     assert not {*before} & {*after}
+
+
+def test_code_that_no_file_holds_flies_and_is_known_by_what_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    typed = ModuleType("typed")
+    typed.__file__ = "<stdin>"  # as `python -` has it
+    monkeypatch.setitem(sys.modules, "typed", typed)
+
+    def key(code: str) -> Any:
+        exec(f"import functools, numpy\npolicy = {code}", vars(typed))
+        results = evaluate(vars(typed)["policy"], "easy", seeds=range(2))
+        assert all(len(line) <= 80 for line in repr(results).splitlines())
+        return results.key
+
+    waiting, again, up = key("lambda o: 4"), key("(\n\nlambda seen: 4)"), key("lambda o: 0")
+    assert waiting.agent == "typed:<lambda>"
+    assert waiting == again
+    assert waiting.config_hash != up.config_hash
+    bound = [key(f"functools.partial(lambda a, o: a, {a})") for a in (4, 0)]
+    assert len({waiting.config_hash, *(one.config_hash for one in bound)}) == 3
+    classes = [key(f"type('Mine', (), {{'__call__': lambda self, o: {a}}})()") for a in (4, 0)]
+    assert classes[0].config_hash != classes[1].config_hash
+    assert [key(code).agent for code in ("len", "numpy.ndim")] == ["builtins:len", "numpy:ndim"]
 
 
 def test_every_command_takes_them(mine: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -38,10 +38,7 @@ def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run(*arguments: str) -> int:
-    try:
-        return main(arguments)
-    except SystemExit as ended:
-        return int(ended.code or 0)
+    return main(arguments)
 
 
 def test_a_command_pays_by_the_file_and_forgets_it(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -89,11 +86,11 @@ def test_a_training_goes_on_by_the_same_rewards_only(mine: Path, capsys: pytest.
     assert run(*TRAIN, "--reward-profile", "mine.toml", "--resume", "--data", "older") == 0
     assert "nothing to do" in capsys.readouterr().err
     assert run("train", "--task", "easy") == 2
-    assert "is of a run with reward_profile 'mine' (now 'aligned'); --fresh" in capsys.readouterr().err
+    assert "has other settings: reward_profile 'mine' (now 'aligned'); use those" in capsys.readouterr().err
     mine.write_text(MINE.replace("-0.25", "-0.5"))
     assert run("train", "--task", "easy", "--reward-profile", "mine.toml") == 2
-    different = "reward events 'delivery 7, wait 0.5, step -0.25' (now 'delivery 7, wait 0.5, step -0.5'); --fresh"
-    assert f"is of a run with {different}" in capsys.readouterr().err
+    different = "reward events 'delivery 7, wait 0.5, step -0.25' (now 'delivery 7, wait 0.5, step -0.5'); use those"
+    assert f"has other settings: {different}" in capsys.readouterr().err
 
 
 def test_environments_pay_by_the_file(mine: Path) -> None:

@@ -145,7 +145,7 @@ class TestNames:
         assert isinstance(caught.value, LookupError)
         for known in ("easy", "medium", "hard"):
             assert known in caught.value.allowed
-            assert f"{known}_delivery" in str(caught.value)
+            assert f" {known}, " in str(caught.value)
 
     def test_unknown_profile_lists_the_valid_ones(self) -> None:
         with pytest.raises(UnknownNameError, match="aligned, composite, score, tiered"):

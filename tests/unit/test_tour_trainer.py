@@ -97,7 +97,11 @@ def test_the_average_follows_the_weights_that_learn_and_is_what_is_kept() -> Non
         for found, wanted in zip(weights(trainer.average), expected, strict=True):
             assert torch.allclose(found, wanted, atol=1e-6)
     assert not all(map(torch.equal, weights(trainer.average), weights(trainer.online)))
-    assert trainer.best_network() is trainer.average
+    assert trainer.best_network() is None
+    trainer.validate()
+    best = trainer.best_network()
+    assert best is not None
+    assert_same(dict(best.state_dict()), dict(trainer.average.state_dict()))
 
 
 def test_it_soon_flies_better_than_to_the_nearest_target() -> None:

@@ -1,10 +1,13 @@
 """A training run on disk: its checkpoints, its files, the command, and what a kill or Ctrl-C leaves."""
 
 import csv
+import io
+import itertools
 import json
 import math
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -13,19 +16,25 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import asdict, fields, replace
 from pathlib import Path
+from shutil import rmtree
+from textwrap import wrap
+from types import SimpleNamespace
 
 import pytest
 import torch
 from fastapi.testclient import TestClient
+from rich.cells import cell_len
+from rich.console import Console
 
 from drone_env.agents.network import load_network
 from drone_env.cli import main
+from drone_env.commands.train import Live
 from drone_env.core.seeds import split_seeds
 from drone_env.errors import CheckpointError, InvalidValueError
 from drone_env.rl import validation
 from drone_env.rl.checkpoint import load_checkpoint
 from drone_env.rl.config import ORIGINAL, TrainConfig, preset
-from drone_env.rl.run import DIGITS, TrainingRun, log_line
+from drone_env.rl.run import DIGITS, MOST_KEPT, TrainingRun, log_line
 from drone_env.rl.trainer import Progress, Trainer
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
@@ -47,10 +56,38 @@ def test_a_checkpoint_of_another_run_names_the_difference_and_without_one_it_sta
         run_in(tmp_path, gamma=0.9)
     run = run_in(tmp_path, fresh=True, gamma=0.9)
     assert not run.resumed
-    (tmp_path / "easy.pth.old").rename(tmp_path / "easy.pth")
-    assert run_in(tmp_path).resumed
     (tmp_path / "easy.pth").unlink()
     assert not run_in(tmp_path).resumed
+
+
+@pytest.mark.feature("L5")
+@pytest.mark.usefixtures("no_curves")
+def test_what_starts_again_keeps_every_earlier_training_until_there_are_too_many(tmp_path: Path) -> None:
+    list(run_in(tmp_path, episodes=10).train())
+    files = ("easy.pth", "easy.npz", "results/easy")
+    first = {name: (tmp_path / name).read_bytes() for name in files[:2]}
+    for number in range(1, MOST_KEPT + 1):
+        run = run_in(tmp_path, fresh=True, seed=number, validation_every=20)
+        next(lines := run.train())
+        run.save()  # before the first validation
+        assert (tmp_path / "easy.npz").read_bytes() == first["easy.npz"]  # what a server flies
+        lines.close()
+    for name in files[:2]:
+        assert (tmp_path / f"{name}.1").read_bytes() == first[name]
+    assert load_checkpoint(tmp_path / "easy.pth.2")["config"]["seed"] == 1
+    assert (tmp_path / "results/easy.1/history.csv").exists()
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(InvalidValueError, match=r"easy\.pth\.1 to \.9 are kept already: move or delete"):
+        next(run_in(tmp_path, fresh=True).train())
+    assert sorted(tmp_path.rglob("*")) == before
+    assert run_in(tmp_path, seed=MOST_KEPT, validation_every=20).resumed
+    # Without a checkpoint, too, the network of an earlier training is kept.
+    for name in ("easy.pth", "easy.pth.9", "easy.npz.9"):
+        (tmp_path / name).unlink()
+    rmtree(tmp_path / "results/easy.9")
+    list(run_in(tmp_path, episodes=10, seed=1).train())
+    assert (tmp_path / "easy.npz.9").read_bytes() == first["easy.npz"]
+    assert (tmp_path / "easy.npz").read_bytes() != first["easy.npz"]
 
 
 def saved_at(run: TrainingRun[Trainer]) -> list[tuple[int, int]]:
@@ -154,12 +191,11 @@ def test_the_command_trains_and_leaves_what_it_says(
     assert (model["file"], model["digest"]) == ("easy.npz", network.digest)
     # There is nothing left to do, until more is asked for.
     assert main(TRAIN) == 0
-    assert "has 40 episodes already" in capsys.readouterr().err
+    assert "has 40 of 40 episodes: nothing to do." in capsys.readouterr().err
     written = (tmp_path / "data/easy.pth").read_bytes()
     assert main(["train", "--episodes", "20"]) == 0
     told = capsys.readouterr().err
-    assert "easy.pth has 40 episodes already, and 20 were asked for: nothing to do. --episodes 80 goes on" in told
-    assert "--fresh starts again" in told
+    assert "easy.pth has 40 of 20 episodes: nothing to do.\nAdd --episodes 80 to go on. Add --fresh to start" in told
     assert (tmp_path / "data/easy.pth").read_bytes() == written
     assert main([*TRAIN, "--episodes", "50"]) == 0
     assert "going on from data/easy.pth: 40 of 50 episodes" in " ".join(capsys.readouterr().err.split())
@@ -168,9 +204,11 @@ def test_the_command_trains_and_leaves_what_it_says(
     assert main(["train", "--episodes", "55"]) == 0
     assert load_checkpoint(tmp_path / "data/easy.pth")["config"] == state["config"]
     assert main(["train", "--episodes", "60", "--gamma", "0.9"]) == 2
-    assert "gamma 0.99 (now 0.9); --fresh" in capsys.readouterr().err
+    assert "easy.pth has other settings: gamma 0.99 (now 0.9); use those to go on" in capsys.readouterr().err
     assert main(["train", "--episodes", "60", "--preset", "original"]) == 2
-    assert "num_envs 8 (now 1)" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "num_envs 8 (now 1) and 17 more; use those" in told
+    assert len(wrap(told, 80)) <= 2
 
 
 @pytest.mark.usefixtures("no_curves")
@@ -208,11 +246,7 @@ def test_the_command_refuses(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    try:
-        status = main(["train", *arguments])
-    except SystemExit as ended:
-        status = int(ended.code or 0)
-    assert status == 2
+    assert main(["train", *arguments]) == 2
     assert message in "".join(capsys.readouterr())
     assert list(tmp_path.iterdir()) == []
 
@@ -226,6 +260,27 @@ def test_every_value_is_a_flag(tmp_path: Path, capsys: pytest.CaptureFixture[str
     if not torch.cuda.is_available():
         assert main([*TRAIN, "--gpu", "--data", str(tmp_path), "--results", str(tmp_path)]) == 2
         assert "CUDA" in capsys.readouterr().err
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_the_bar_shows_the_episode_the_time_and_the_validation(columns: int) -> None:
+    trainer, shown = SimpleNamespace(name="hard", done=60, wanted=1000), Terminal()
+    console = Console(file=shown, width=columns, force_terminal=True, color_system=None)
+    ticks = itertools.count()
+    figures = "validation 0.9561 of 0.9774  loss 0.0310  epsilon 0.52  12345 steps/s"
+    with Live(trainer, console, lambda: next(ticks)) as progress:  # type: ignore[arg-type]
+        progress.update(progress.bar, figures=figures)
+        for trainer.done in (100, 130):
+            progress.refresh()
+    last = re.sub(r"\x1b\[[^a-zA-Z]*[a-zA-Z]", "", shown.getvalue()).rstrip("\n").rpartition("\r")[2]
+    assert cell_len(last) <= columns
+    assert re.search(r"hard +130/1000 \d:\d\d:\d\d ", last)
+    assert (figures if columns == 120 else figures[:27]) in last
 
 
 ORIGINALS = [
@@ -302,15 +357,19 @@ def test_interrupted_the_run_saves_and_ends_cleanly(
         return log_line(line)
 
     monkeypatch.setattr("drone_env.rl.run.log_line", interrupting)
-    assert main([*TRAIN, "--episodes", "20000"]) == 130
+    assert main([*TRAIN, "--episodes", "20000", "--fresh"]) == 130
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "stopping after this step" in captured.err
     state = load_checkpoint(tmp_path / "data/easy.pth")
     flown = state["counters"][2]
-    assert f"stopped after {flown} episodes; the same command goes on from data/easy.pth" in " ".join(
-        captured.err.split()
-    )
+    assert f"stopped after {flown} episodes, saved as data/easy.pth\n" in captured.err
+    # What it says to type goes on, and does not start again.
+    typed = re.search(r"to go on, type: \S+drone-env (.+)\n", captured.err)[1].split()
+    assert typed == [*TRAIN, "--episodes", "20000"]
+    monkeypatch.setattr("drone_env.rl.run.log_line", lambda line: signal.raise_signal(signal.SIGINT) or log_line(line))
+    assert main(typed) == 130
+    assert f"going on from data/easy.pth: {flown} of 20000" in capsys.readouterr().err
     assert told[-1].episode <= flown < told[-1].episode + SMALL.num_envs
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -335,18 +394,17 @@ def test_interrupted_twice_it_ends_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.feature("L5")
-def test_two_cannot_train_the_same_in_one_folder(tmp_path: Path) -> None:
+def test_two_cannot_train_in_one_folder(tmp_path: Path) -> None:
     first, second = run_in(tmp_path), run_in(tmp_path)
     lines = first.train()
     next(lines)
     first.save()
     kept = first.checkpoint.read_bytes()
-    with pytest.raises(InvalidValueError, match=r"another process is training .*easy\.pth"):
-        next(second.train())
-    with pytest.raises(InvalidValueError, match="another process is training"):
-        run_in(tmp_path, fresh=True)
+    # The log is that of one training.
+    for other in (second, run_in(tmp_path, fresh=True), run_in(tmp_path, seed=1, task="medium")):
+        with pytest.raises(InvalidValueError, match=r"another process is training in .*: .*add --data FOLDER"):
+            next(other.train())
     assert first.checkpoint.read_bytes() == kept
-    run_in(tmp_path, seed=1, task="medium")
     lines.close()
     assert next(run_in(tmp_path, fresh=True).train()).episode == 5
 
@@ -362,7 +420,7 @@ def test_maps_whose_optimum_is_not_known_are_trained_on_without(
     run = run_in(tmp_path, episodes=10)
     (*_, last) = run.train()
     assert log_line(last).endswith(" optimum=-")
-    assert run.trainer.figures(last).endswith(f"validation {last.validation:.4f} of -")
+    assert run.trainer.figures(last).startswith(f"validation {last.validation:.4f} of -")
     assert run.trainer.result.endswith(" of -")
     assert TrainLog(tmp_path).curve()["optimum"][-1] is None
     assert load_network(run.network).metadata["validation_optimum"] is None
@@ -374,8 +432,26 @@ def test_the_log_grows_and_begins_anew_with_what_the_checkpoint_holds(tmp_path: 
     lengths = [(tmp_path / "train.log").read_text().count("\n") for _ in run.train()]
     assert lengths == [1, 2]  # each line is there for others when it is told
     first = [log_line(line) for line in run.trainer.history]
-    (tmp_path / "train.log").write_text("flown after the checkpoint\n")
-    run = run_in(tmp_path, episodes=15, final_learning_rate=1e-5)
-    list(run.train())
-    assert (tmp_path / "train.log").read_text().splitlines() == [*first, log_line(run.trainer.history[-1])]
-    assert [asdict(line)["episode"] for line in run.trainer.history] == [5, 10, 15]
+    with (tmp_path / "train.log").open() as follower:  # as `tail -f` holds it open
+        assert follower.read().splitlines() == first
+        with (tmp_path / "train.log").open("a") as log:
+            log.write("flown after the checkpoint\n")
+        run = run_in(tmp_path, episodes=15)
+        list(run.train())
+        last = log_line(run.trainer.history[-1])
+        assert follower.read() == f"{last}\n"
+        assert (tmp_path / "train.log").read_text().splitlines() == [*first, last]
+        assert [asdict(line)["episode"] for line in run.trainer.history] == [5, 10, 15]
+        # A training that starts again has another log in the same file, which is there before the first episode.
+        run = run_in(tmp_path, fresh=True, episodes=10)
+        fly, seen = run.trainer.fly, list[str]()
+
+        def looking() -> None:
+            follower.seek(0)
+            seen.append(follower.read())
+            fly()
+
+        run.trainer.fly = looking  # type: ignore[method-assign]
+        list(run.train())
+        follower.seek(0)
+        assert (seen[0], follower.read().count("\n")) == ("", 2)
