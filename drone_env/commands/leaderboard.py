@@ -75,7 +75,7 @@ def _who(row: dict[str, Any]) -> tuple[str, str]:
 
 
 def _of_a_model(row: dict[str, Any]) -> tuple[str, str, str]:
-    """What an agent does not have: errored flights, unusable answers, tokens."""
+    """Errored flights, unusable answers and tokens, which an agent does not have."""
     if "agent" in row:
         return "-", "-", "-"
     from drone_env.llm.report_tables import unusable_of

@@ -1,8 +1,8 @@
 """How sure a comparison is: figures over maps, each with its interval (95 %, `statistics`).
 
 The figures are those of rliable (Agarwal et al., "Deep Reinforcement Learning at the Edge of the Statistical
-Precipice", 2021): interquartile mean, probability of improvement, performance profile. There the tasks of a benchmark
-are given and runs are drawn; here maps are drawn, and two agents fly the same ones.
+Precipice", 2021): interquartile mean, probability of improvement, performance profile. rliable draws runs of
+given tasks; we draw maps, and two agents fly the same ones.
 """
 
 import math
@@ -96,8 +96,8 @@ def contest(pairing: Pairing) -> Contest:
 def interquartile_mean(scores: Floats) -> Interval:
     """The mean of the middle half of float64[n]: n // 4 scores are left out at each end.
 
-    Its interval is that of a trimmed mean (Tukey and McLaughlin, 1963): the variance is that of all scores, where those
-    left out count as the nearest that is not.
+    The interval is the one of Tukey and McLaughlin (1963) for a trimmed mean: its variance comes from all scores, with
+    each that is left out replaced by the nearest that is not.
     """
     ordered, n = np.sort(scores), len(scores)
     cut = n // 4

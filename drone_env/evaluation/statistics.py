@@ -60,12 +60,12 @@ def error_of(values: Values) -> tuple[float, int]:
 
 
 def of_errors(mean: float, errors: Sequence[tuple[float, int]], within: Range) -> Interval:
-    """The interval of a figure whose errors are independent (Welch and Satterthwaite).
+    """Build the interval of a figure with independent errors (Welch and Satterthwaite).
 
     Args:
         mean: The figure.
         errors: The variance that each adds to it, and the degrees of freedom of that.
-        within: What the figure can be.
+        within: The range of the figure.
     """
     variance = math.fsum(error for error, _ in errors)
     if variance == 0:

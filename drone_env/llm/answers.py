@@ -84,7 +84,7 @@ class Unusable(NamedTuple):
 
     @property
     def marked(self) -> bool:
-        """Whether they are so many that the score says little about what the model chose."""
+        """Whether the share is above `MOST_UNUSABLE`: the score then says little about the model."""
         return self.answers > MOST_UNUSABLE * self.of
 
     def to_dict(self) -> dict[str, Any]:

@@ -116,7 +116,7 @@ class Endpoint:
         timeout: Seconds that an answer may take.
 
     Attributes:
-        bodies: What each request of a repeat holds beside the messages, by the repeat's number.
+        bodies: By the number of the repeat, the body of its requests without the messages.
     """
 
     def __init__(self, config: RunConfig, token: str | None, timeout: float) -> None:
@@ -190,7 +190,7 @@ class Endpoint:
         return Answer.model_validate(fields | {name: without_secret(text, self._token) for name, text in texts.items()})
 
     def _error_inside(self, error: Any, headers: httpx.Headers) -> TryFailedError:
-        """What an error in a 200 response comes to: the same as one with the status that it carries."""
+        """Treat an error in a 200 response as one with the status that it carries."""
         reason = f"{self._clean(_message_of(error) or json.dumps(error))} (in a 200 response)"
         status, headers = _status_in(error), httpx.Headers({**headers, **_wait_in(error)})
         if status is not None:
@@ -236,7 +236,7 @@ def _takes_no_picture(status: int, reason: str) -> bool:
 
 
 def request_body(config: RunConfig, repeat: int = 0) -> dict[str, Any]:
-    """What is sent beside the messages in one repeat of a run."""
+    """Build the body of the requests of one repeat, without the messages."""
     sampling = config.sampling.model_dump(exclude={"extra"}, exclude_none=True)
     if "seed" in sampling:
         # With the same seed each repeat would be a copy of the first.
@@ -387,7 +387,7 @@ def _error_text(data: bytes) -> str:
 
 
 def _message_of(error: Any) -> str | None:
-    """What an error says; None if it says nothing in one of the usual forms."""
+    """Find the message of an error; None if it has none in a usual place."""
     if isinstance(error, Mapping):
         fields = cast(Mapping[str, Any], error)
         named = (fields.get(name) for name in ("error", "message", "detail"))

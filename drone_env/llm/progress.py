@@ -64,7 +64,7 @@ class ConsoleObserver:
         self._show()
 
     def waiting(self, seconds: float, reason: str) -> None:
-        """A try failed and is repeated after a wait; `reason` says which, of how many, and why."""
+        """A try failed and is repeated after a wait; `reason` names the attempt and the error."""
         self._waits += 1
         now = time.monotonic()
         if seconds >= LONG_WAIT or now - self._wait_shown >= QUIET_SECONDS:

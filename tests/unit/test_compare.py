@@ -64,7 +64,7 @@ def test_intervals_by_hand() -> None:
 
 
 def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end() -> None:
-    # Of the rest the outermost stand for those left out: three times 0.3, three times 0.6, and 3 degrees of freedom.
+    # The nearest of the rest replace those left out: three times 0.3, three times 0.6. There are 3 degrees of freedom.
     half = 3.182 * (0.02 * 7 / (4 * 3)) ** 0.5
     assert interquartile_mean(np.arange(1, 9) / 10) == pytest.approx((0.45, 0.45 - half, 0.45 + half), abs=1e-3)
 

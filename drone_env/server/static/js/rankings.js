@@ -159,7 +159,7 @@ export function shortened(all, first, draw) {
 
 const figure = (count) => (count === null ? "" : count.toLocaleString());
 
-/** The share of answers that could not be used; marked where they are so many that the score says little. */
+/** The share of unusable answers, marked if it is above 5 %. */
 const unusable = ({ unusable_share: share, marked }) =>
   share === null ? "" : `${percent(share, 1)}${marked ? " !" : ""}`;
 
