@@ -33,7 +33,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
 from drone_env.rl.lessons import Lessons, Teacher
 from drone_env.rl.tour_batch import Batch, chosen_by, losses_of, sample
-from drone_env.rl.tour_config import ALL, TourConfig
+from drone_env.rl.tour_config import ALL, TourConfig, randomise
 from drone_env.rl.tour_model import TourNet
 from drone_env.rl.validation import Validator
 
@@ -161,9 +161,12 @@ class TourTrainer(Learner):
         return int(self._random(chunk, 0).choice(len(self._shares), p=self._shares))
 
     def _draw(self, chunk: int) -> Lessons:
-        train = SPLITS["train"]
-        seeds = self._random(chunk, 1).integers(train.start, train.stop, self.config.maps_per_chunk)
-        return self._teachers[self._subject(chunk)].draw(seeds)
+        config, train, random = self.config, SPLITS["train"], self._random(chunk, 1)
+        seeds = random.integers(train.start, train.stop, config.maps_per_chunk)
+        teacher = self._teachers[self._subject(chunk)]
+        if random.random() < config.randomised:
+            teacher = Teacher(randomise(teacher.task, random), config.maps_per_chunk, config.states_per_map)
+        return teacher.draw(seeds)
 
     def _fill_windows(self, drawing: ThreadPoolExecutor) -> None:
         """Draw again what a run that goes on had drawn last."""
