@@ -79,7 +79,7 @@ class TourConfig:
     """Maps that are drawn together; one chunk is drawn for each update."""
     states_per_map: int = 128
     """States of each map."""
-    randomised: float = 0.5
+    randomised: float = 0.6
     """Probability that a chunk is drawn on a task with other numbers (`randomise`), when it learns exact values."""
     plans: int = 16
     """Plans that are flown from each state where it learns from rewards."""
@@ -159,22 +159,22 @@ def variant(name: str, deliveries: int, pads: int) -> TaskConfig:
 
 
 def randomise(task: TaskConfig, random: np.random.Generator) -> TaskConfig:
-    """The task with other numbers: each is drawn anew with probability 1/2, and one map in four is larger."""
+    """The task with other numbers: each is drawn anew with probability 1/2, and one map in three is larger."""
 
     def scaled(number: int, low: float, high: float) -> int:
         factor = math.exp(random.uniform(math.log(low), math.log(high)))
         return max(1, round(number * factor)) if random.random() < 0.5 else number
 
-    if task.street_spacing and random.random() < 0.25:
+    if task.street_spacing and random.random() < 1 / 3:
         task = enlarge(task, int(random.choice(np.arange(task.width, LARGEST_SIDE + 1, task.street_spacing))))
     numbers = {
         "battery_capacity": scaled(task.battery_capacity, 0.6, 1.6),
-        "max_steps": scaled(task.max_steps, 0.35, 2.2),
+        "max_steps": scaled(task.max_steps, 0.3, 2.2),
     }
     if task.pads and task.charge_rate:
         numbers["charge_rate"] = scaled(task.charge_rate, 0.2, 2.0)
         if random.random() < 0.5:
-            numbers["pads"] = int(random.integers(1, task.pads + 3))
+            numbers["pads"] = int(random.integers(1, task.pads + 2))
     return replace(task, **numbers)
 
 
