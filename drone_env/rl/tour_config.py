@@ -49,6 +49,8 @@ class TourConfig:
     """The task, by its short name, id or grader; `all` for one network that learns all of them, and variants."""
     kind: Literal["distilled", "rewards"] = "distilled"
     """What it learns from: the exact value of each option, or the scores of plans that it tries alone."""
+    initial: str = ""
+    """File of an exported tour network whose weights it starts from; random ones if empty."""
     updates: int = 12_000
     """Updates in all; the learning rate falls to its end over them."""
     seed: int = 0

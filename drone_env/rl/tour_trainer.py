@@ -16,6 +16,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from drone_env.agents.tour_network import load_tour_network
 from drone_env.agents.tour_view import View
 from drone_env.agents.tour_viewer import Viewer
 from drone_env.agents.tournet import choose
@@ -105,6 +107,9 @@ class TourTrainer(Learner):
         self._validators = {task.short_name: Validator(task, config.validation_maps) for task in tasks}
         self._viewers = {task.short_name: Viewer(task) for task in tasks}
         self.online = TourNet()
+        if config.initial:
+            parameters = load_tour_network(Path(config.initial)).parameters
+            self.online.load_state_dict({name: torch.from_numpy(array) for name, array in parameters.items()})
         self.average = deepcopy(self.online)
         self.optimizer = torch.optim.AdamW(
             self.online.parameters(), config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
