@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from drone_env.rl.learner import Learner
 
 STANDARD = ("easy", "medium", "hard")
-"""What `--task all` stands for where each task has a network of its own."""
+"""The tasks of `--task standard`."""
 TaskOrAll = Annotated[str, tyro.conf.arg(metavar=f"{TASK}|all")]
+TaskOrStandard = Annotated[str, tyro.conf.arg(metavar=f"{TASK}|standard")]
 Network = Literal["pathqnet", "tournet"]
 CHOSEN = ("task", "kind")
 """What a checkpoint is found by, and so no setting that is taken from it."""
@@ -65,13 +66,18 @@ def train_commands(arguments: Sequence[str]) -> Iterator[Callable[..., int]]:
 
     Raises:
         UnknownNameError: if there is no such task.
-        InvalidValueError: if there is no such preset, or no such number of episodes.
+        InvalidValueError: if there is no such preset, no such number of episodes, or no one network for all tasks.
     """
     named = _named(arguments if arguments[:1] == ["train"] else [])
     if named.network == "tournet":
         yield _tour_command(_tour_defaults(named.task or "all", named))
         return
-    for task in STANDARD if named.task == "all" else [named.task or "easy"]:
+    if named.task == "all":
+        raise InvalidValueError(
+            "one PathQNet learns one task: --task standard trains one each for easy, medium and hard.\n"
+            "--network tournet trains one network for --task all"
+        )
+    for task in STANDARD if named.task == "standard" else [named.task or "easy"]:
         yield _train_command(_defaults(task, named))
 
 
@@ -79,7 +85,7 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
     def train(
         config: Annotated[Settings, tyro.conf.arg(name="")] = defaults,
         network: Network = "pathqnet",
-        task: TaskOrAll = "easy",
+        task: TaskOrStandard = "easy",
         preset: Literal["fast", "original"] = "fast",
         resume: bool = False,
         fresh: bool = False,
@@ -102,7 +108,7 @@ def _train_command(defaults: Settings) -> Callable[..., int]:
             config: How to train.
             network: What to train: `pathqnet` learns the values of actions on one task from its rewards, `tournet`
                 learns which parcel or pad to fly to next from exact values, on all tasks at once.
-            task: The task, by its short name, id or grader; `all` for easy, medium and hard, one after the other.
+            task: The task, by its short name, id or grader; `standard` for easy, medium and hard, one after another.
             preset: Which defaults to start from.
             resume: Insist that there is a checkpoint to go on from.
             fresh: Start again; a checkpoint that is there is renamed to `TASK.pth.old`.
@@ -138,7 +144,7 @@ def _tour_command(defaults: TourSettings) -> Callable[..., int]:
         Args:
             config: How to train.
             network: What to train: `tournet`.
-            task: `all` for one network that flies every task, or one task.
+            task: `all` for one network that flies every registered task, or one task.
             resume: Insist that there is a checkpoint to go on from.
             fresh: Start again; a checkpoint that is there is renamed to `tournet.pth.old`.
             data: Folder of checkpoint, network and log; DRONE_ENV_DATA if nothing is said, else data.
