@@ -74,8 +74,8 @@ def train_commands(arguments: Sequence[str]) -> Iterator[Callable[..., int]]:
         return
     if named.task == "all":
         raise InvalidValueError(
-            "one PathQNet learns one task: --task standard trains one each for easy, medium and hard.\n"
-            "--network tournet trains one network for --task all"
+            "PathQNet learns one task at a time; --task all is for tournet.\n"
+            "Type --task standard (easy, medium, hard), or add --network tournet."
         )
     for task in STANDARD if named.task == "standard" else [named.task or "easy"]:
         yield _train_command(_defaults(task, named))

@@ -197,7 +197,7 @@ def test_the_standard_tasks_are_trained_one_after_another(tmp_path: Path, capsys
         (["--resume"], "there is no checkpoint"),
         (["--episodes", "0"], "episodes must be above 0"),
         (["--task", "impossible"], "allowed: "),
-        (["--task", "all"], "--network tournet trains one network for --task all"),
+        (["--task", "all"], "Type --task standard (easy, medium, hard), or add --network tournet."),
         (["--reward-profile", "generous"], "allowed: aligned"),
     ],
 )
