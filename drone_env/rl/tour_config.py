@@ -82,7 +82,7 @@ class TourConfig:
     states_per_map: int = 128
     """States of each map."""
     randomised: float = 0.6
-    """Probability that a chunk is drawn on a task with other numbers (`randomise`), when it learns exact values."""
+    """Probability that a chunk is drawn on a task with other numbers (`randomise`), if it learns from exact values."""
     plans: int = 16
     """Plans that are flown from each state where it learns from rewards."""
     window: int = 24

@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -31,7 +32,7 @@ from drone_env.agents.tournet import choose
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs.registry import task_argument
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, TooLargeError
 from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
 from drone_env.rl.lessons import Lessons, Teacher
 from drone_env.rl.tour_batch import Batch, chosen_by, losses_of, sample
@@ -166,11 +167,13 @@ class TourTrainer(Learner):
         return int(self._random(chunk, 0).choice(len(self._shares), p=self._shares))
 
     def _draw(self, chunk: int) -> Lessons:
-        config, train, random = self.config, SPLITS["train"], self._random(chunk, 1)
+        config, random = self.config, self._random(chunk, 1)
+        train = SPLITS["train"]
         seeds = random.integers(train.start, train.stop, config.maps_per_chunk)
         teacher = self._teachers[self._subject(chunk)]
         if random.random() < config.randomised:
-            teacher = Teacher(randomise(teacher.task, random), config.maps_per_chunk, config.states_per_map)
+            with suppress(TooLargeError):  # such numbers are left out
+                teacher = Teacher(randomise(teacher.task, random), config.maps_per_chunk, config.states_per_map)
         return teacher.draw(seeds)
 
     def _fill_windows(self, drawing: ThreadPoolExecutor) -> None:
