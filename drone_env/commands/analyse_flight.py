@@ -34,10 +34,10 @@ STYLES = {
 def analyse_flight(
     file: File = None, task: ChosenTask = None, agent: ChosenAgent = None, seed: Seed = None, json: bool = False
 ) -> None:
-    """Say of every move of a flight what it gave away, exactly, and what would have been better.
+    """Print the exact score that each move of a flight lost, and the better moves.
 
-    The flight is a recorded one, or flown first: name a file or a task. Value: the highest score that can still be
-    reached after the move. Regret: by how much the move lowered it. Better: all moves that would not have. Marks: ??
+    The flight is a recorded one, or flown first: name a file or a task. Value: the highest score that could still be
+    reached before the move. Regret: by how much the move lowered it. Better: all moves that would not have. Marks: ??
     blunder (a parcel lost), ? mistake, ?! inaccuracy, !! the only move that was not a blunder. Accuracy: the share of
     best moves among those on which anything could be lost.
 

@@ -43,7 +43,7 @@ def compare(
     Args:
         agents: Two agents or more, named as `evaluate --agents` takes them; or folders of `evaluate --out` and of
             `infer`, whose maps the others then fly.
-        task: One or more tasks, or all.
+        task: One or more tasks; `all` for every registered task.
         split: Whose first maps to fly: test if nothing is said.
         episodes: How many maps of the split, 200 if nothing is said.
         seeds: Fly the maps from A up to and not including B instead of a split's.

@@ -40,7 +40,7 @@ def evaluate(
     Example: drone-env evaluate --task hard --agents greedy optimal --episodes 100 --json results.json
 
     Args:
-        task: One or more tasks, or all.
+        task: One or more tasks; `all` for every registered task.
         agents: One or more agents: names, `MODULE:NAME` for one of your own, `FILE.zip:WRAPPER` for a policy of
             Stable-Baselines3 and the wrapper that it was trained behind (docs/agents.md).
         split: Whose first maps to fly: test if nothing is said. Training never touches validation and test.

@@ -28,8 +28,9 @@ if TYPE_CHECKING:
     from drone_env.rl.learner import Learner
 
 STANDARD = ("easy", "medium", "hard")
-"""What `--task all` stands for where each task has a network of its own."""
+"""The tasks of `--task standard`."""
 TaskOrAll = Annotated[str, tyro.conf.arg(metavar=f"{TASK}|all")]
+TaskOrStandard = Annotated[str, tyro.conf.arg(metavar=f"{TASK}|standard")]
 Network = Literal["pathqnet", "tournet"]
 CHOSEN = ("task", "kind")
 """What a checkpoint is found by, and so no setting that is taken from it."""
@@ -106,18 +107,23 @@ def train_commands(arguments: Sequence[str], typed: Sequence[str]) -> Iterator[C
 
     Raises:
         UnknownNameError: if there is no such task.
-        InvalidValueError: if there is no such preset, or no such number of episodes.
+        InvalidValueError: if there is no such preset, no such number of episodes, or no one network for all tasks.
     """
     named = _named(arguments)
     if named.network == "tournet":
         yield _tour_command(_tour_defaults(named.task or "all", named), _going_on(typed))
         return
-    if named.task != "all":
+    if named.task == "all":
+        raise InvalidValueError(
+            "PathQNet learns one task at a time; --task all is for tournet.\n"
+            "Type --task standard (easy, medium, hard), or add --network tournet."
+        )
+    if named.task != "standard":
         yield _train_command(_defaults(named.task or "easy", named), _going_on(typed))
         return
     for task in STANDARD:
         # With --fresh, the tasks that follow have not started again: the command goes on with this one alone.
-        only = {"all": task, "--task=all": f"--task={task}"} if named.fresh else {}
+        only = {"standard": task, "--task=standard": f"--task={task}"} if named.fresh else {}
         yield _train_command(_defaults(task, named), _going_on([only.get(word, word) for word in typed]))
 
 
@@ -132,7 +138,7 @@ def _train_command(defaults: Settings, going_on: str) -> Callable[..., int]:
     def train(
         config: Annotated[Settings, tyro.conf.arg(name="")] = defaults,
         network: Network = "pathqnet",
-        task: TaskOrAll = "easy",
+        task: TaskOrStandard = "easy",
         preset: Literal["fast", "original"] = "fast",
         resume: bool = False,
         fresh: bool = False,
@@ -155,7 +161,7 @@ def _train_command(defaults: Settings, going_on: str) -> Callable[..., int]:
             config: How to train.
             network: What to train: `pathqnet` learns the values of actions on one task from its rewards, `tournet`
                 learns which parcel or pad to fly to next from exact values, on all tasks at once.
-            task: The task, by its short name, id or grader; `all` for easy, medium and hard, one after the other.
+            task: The task, by its short name, id or grader; `standard` for easy, medium and hard, one after another.
             preset: Which defaults to start from.
             resume: Insist that there is a checkpoint to go on from.
             fresh: Start again; an earlier training is kept as `TASK.pth.1`, `TASK.pth.2` and so on.
@@ -195,7 +201,7 @@ def _tour_command(defaults: TourSettings, going_on: str) -> Callable[..., int]:
         Args:
             config: How to train.
             network: What to train: `tournet`.
-            task: `all` for one network that flies every task, or one task.
+            task: `all` for one network that flies every registered task, or one task.
             resume: Insist that there is a checkpoint to go on from.
             fresh: Start again; an earlier training is kept as `tournet.pth.1`, `tournet.pth.2` and so on.
             data: Folder of checkpoint, network and log; DRONE_ENV_DATA if nothing is said, else data.

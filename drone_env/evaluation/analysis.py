@@ -13,7 +13,6 @@ import json
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast, get_args
 
 from drone_env.core.actions import Action, Event, Outcome
@@ -214,9 +213,8 @@ class FlightAnalysis:
     def to_text(self) -> str:
         """All of it for a terminal or a file: a title, one line per move, the summary."""
         losses = self.moves if self.giving_up is None else (*self.moves, self.giving_up)
-        lines = [_line(lost, after) for lost, (_, after) in zip(losses, pairwise(self.values), strict=True)]
         title = f"{self.task.id}, map {self.seed}, flown by {self.agent}"
-        return "\n".join([title, "", HEADING, *lines, "", *self.summary_lines()])
+        return "\n".join([title, "", HEADING, *map(_line, losses), "", *self.summary_lines()])
 
     def summary_lines(self) -> list[str]:
         """The moves by label and what they lost together, the score beside the optimum, the accuracy."""
@@ -242,7 +240,7 @@ class FlightAnalysis:
 
 
 HEADING = f"{'step':>4}  {'move':<8} {'to':>8}  {'event':<12}  {'value':>6}  {'regret':>7}  better"
-"""Above the lines of the moves; `value` is what can still be reached after the move."""
+"""The heading of the moves; `value` is `Move.value`."""
 
 
 def analyse_flight(record: EpisodeRecord, solver_from: "Callable[[Episode], Solver] | None" = None) -> FlightAnalysis:
@@ -322,8 +320,8 @@ def _move(flight: Episode, values: list[float]) -> Move:
     )
 
 
-def _line(lost: Move | GivingUp, after: float) -> str:
-    """One line below `HEADING`; `after` is what can still be reached."""
+def _line(lost: Move | GivingUp) -> str:
+    """One line below `HEADING`."""
     if isinstance(lost, Move):
         move, mark, event = lost.action.name, lost.mark, lost.event.name.lower()
         number, to = str(lost.step), str(lost.position)
@@ -333,7 +331,7 @@ def _line(lost: Move | GivingUp, after: float) -> str:
     regret, better = "", ""
     if lost.regret > 0:
         regret, better = f"{lost.regret:.5f}", ", ".join(action.name for action in lost.best_actions)
-    return f"{number:>4}  {f'{move:<5} {mark}':<8} {to:>8}  {event:<12}  {after:6.4f}  {regret:>7}  {better}".rstrip()
+    return f"{number:>4}  {f'{move:<5} {mark}':<8} {to:>8}  {event:<12}  {lost.value:6.4f}  {regret:>7}  {better}".rstrip()
 
 
 def _plain(value: Any) -> Any:

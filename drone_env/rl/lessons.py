@@ -42,7 +42,7 @@ FROM_START, OTHER, NEARLY_BEST, GOES_ON = 40, 35, 20, 85
 """In percent: flights that begin at the start; choices that are not the best; those of them that cost at most `NEAR`;
 how often a flight goes on along its way instead of choosing anew."""
 NEAR = 0.02
-KEPT_BEGUN, KEPT_ON_THE_WAY, KEPT_LOST = 75, 20, 10
+KEPT_BEGUN, KEPT_ON_THE_WAY, KEPT_LOST = 75, 20, 20
 """In percent, the states that are kept: where a way begins, on the way, and once the mission cannot be completed."""
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, logsigmoid
 
-from drone_env.agents.tour_view import View
+from drone_env.agents.tour_view import SHORT_TIME, SMALL_BATTERY, View
 from drone_env.rl.lessons import COMPLETE, Lessons
 
 LESSONS = 4
@@ -58,13 +58,20 @@ def sample(window: Sequence[Lessons], size: int, random: np.random.Generator) ->
         random: Chooses them; a lesson or a state can be chosen more than once.
     """
     parts: list[tuple[npt.NDArray[Any], ...]] = []
-    for _ in range(LESSONS):
-        view, values = window[int(random.integers(len(window)))]
+    lessons = [window[int(random.integers(len(window)))] for _ in range(LESSONS)]
+    most = max(view.tokens.shape[1] for view, _ in lessons)
+    for view, values in lessons:
+        more = (0, most - view.tokens.shape[1])  # tokens that are not there
         chosen = random.integers(0, len(view.tokens), size // LESSONS)
         counts: npt.NDArray[np.int64] = np.diff(view.begins)[chosen]
         shifts: npt.NDArray[np.int64] = view.begins[chosen] - np.cumsum(counts) + counts
         options: npt.NDArray[np.int64] = np.repeat(shifts, counts) + np.arange(int(counts.sum()))
-        by_state = (view.tokens[chosen], view.present[chosen], view.edges[chosen], counts)
+        by_state = (
+            np.pad(view.tokens[chosen], ((0, 0), more, (0, 0))),
+            np.pad(view.present[chosen], ((0, 0), more)),
+            np.pad(view.edges[chosen], ((0, 0), more, more, (0, 0))),
+            counts,
+        )
         parts.append((*by_state, view.token[options], view.features[options], view.numbers[options], values[options]))
     tokens, present, edges, counts, token, features, numbers, values = map(np.concatenate, zip(*parts, strict=True))
     begins = np.concatenate([[0], np.cumsum(counts)])
@@ -90,7 +97,10 @@ def losses_of(
     logits = batch.table(chosen_by(preference, completion), -math.inf)
     values = batch.table(batch.values, -math.inf)
     regrets = values.amax(1, keepdim=True) - values
-    wanted = (-regrets / temperature).softmax(1)
+    # At most what a step over a road costs: else equal mistakes would count for less where maps are larger.
+    drone = batch.inputs[0][:, 0]
+    step_cost = drone[:, SMALL_BATTERY] / 100 + drone[:, SHORT_TIME] / 400
+    wanted = (-regrets / step_cost.clamp(max=temperature)[:, None]).softmax(1)
     log_chosen = logits.log_softmax(1)
     there = torch.isfinite(values)
     choice = -(wanted * log_chosen.masked_fill(~there, 0)).sum(1).mean()

@@ -4,6 +4,8 @@ import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from drone_env.core.tasks import TASKS, TaskConfig, get_task, own_rules
 from drone_env.errors import InvalidValueError
 
@@ -26,6 +28,8 @@ VARIANTS = (
     ("skyline_hard", 4, 4),
 )
 """Task, parcels, pads: so that a network sees other counts than those of the tasks."""
+LARGEST_SIDE, FEW = 48, 4
+"""Side of the largest map that a task is enlarged to, and the most parcels there: exact values of more take seconds."""
 MOST = {"seed": 2**63 - 1, "num_threads": 256, "batch_size": 1 << 16}
 """The largest that some fields may be: PyTorch takes no greater seeds."""
 MOST_STATES = 1 << 17
@@ -45,6 +49,8 @@ class TourConfig:
     """The task, by its short name, id or grader; `all` for one network that learns all of them, and variants."""
     kind: Literal["distilled", "rewards"] = "distilled"
     """What it learns from: the exact value of each option, or the scores of plans that it tries alone."""
+    initial: str = ""
+    """File of an exported tour network whose weights it starts from; random ones if empty."""
     updates: int = 12_000
     """Updates in all; the learning rate falls to its end over them."""
     seed: int = 0
@@ -75,6 +81,8 @@ class TourConfig:
     """Maps that are drawn together; one chunk is drawn for each update."""
     states_per_map: int = 128
     """States of each map."""
+    randomised: float = 0.6
+    """Probability that a chunk is drawn on a task with other numbers (`randomise`), if it learns from exact values."""
     plans: int = 16
     """Plans that are flown from each state where it learns from rewards."""
     window: int = 24
@@ -116,6 +124,7 @@ class TourConfig:
         )
         _require(self.batch_size % 4 == 0, f"batch_size must be a multiple of 4, got {self.batch_size}")
         _require(0 <= self.average < 1, f"average must be in [0, 1), got {self.average}")
+        _require(0 <= self.randomised <= 1, f"randomised must be in [0, 1], got {self.randomised}")
 
     @property
     def name(self) -> str:
@@ -149,6 +158,42 @@ def variant(name: str, deliveries: int, pads: int) -> TaskConfig:
     task = TASKS[name]
     changed = f"{task.id}_{deliveries}_{pads}"
     return replace(task, id=changed, short_name=changed, grader="", deliveries=deliveries, pads=pads)
+
+
+def randomise(task: TaskConfig, random: np.random.Generator) -> TaskConfig:
+    """The task with other numbers: each is drawn anew with probability 1/2, and one map in three is larger."""
+
+    def scaled(number: int, low: float, high: float) -> int:
+        factor = math.exp(random.uniform(math.log(low), math.log(high)))
+        return max(1, round(number * factor)) if random.random() < 0.5 else number
+
+    if task.street_spacing and random.random() < 1 / 3:
+        task = enlarge(task, int(random.choice(np.arange(task.width, LARGEST_SIDE + 1, task.street_spacing))))
+    numbers = {
+        "battery_capacity": scaled(task.battery_capacity, 0.6, 1.6),
+        "max_steps": scaled(task.max_steps, 0.3, 2.2),
+    }
+    if task.pads and task.charge_rate:
+        numbers["charge_rate"] = scaled(task.charge_rate, 0.2, 2.0)
+        if random.random() < 0.5:
+            numbers["pads"] = int(random.integers(1, task.pads + 2))
+    return replace(task, **numbers)
+
+
+def enlarge(task: TaskConfig, side: int) -> TaskConfig:
+    """The task on square maps of another size: as densely built, with battery and time for the longer ways."""
+    area, length = side * side / (task.width * task.height), side / task.width
+    return replace(
+        task,
+        width=side,
+        height=side,
+        buildings=int(task.buildings * area),
+        trees=int(task.trees * area),
+        obstacles=int(task.obstacles * area),
+        battery_capacity=round(task.battery_capacity * length),
+        max_steps=round(task.max_steps * length),
+        deliveries=task.deliveries if length == 1 else min(task.deliveries, FEW),
+    )
 
 
 def _require(holds: bool, message: str) -> None:

@@ -13,9 +13,11 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,17 +25,18 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from drone_env.agents.tour_network import load_tour_network
 from drone_env.agents.tour_view import View
 from drone_env.agents.tour_viewer import Viewer
 from drone_env.agents.tournet import choose
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tasks import TaskConfig
 from drone_env.envs.registry import task_argument
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, TooLargeError
 from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
 from drone_env.rl.lessons import Lessons, Teacher
 from drone_env.rl.tour_batch import Batch, chosen_by, losses_of, sample
-from drone_env.rl.tour_config import ALL, TourConfig
+from drone_env.rl.tour_config import ALL, TourConfig, randomise
 from drone_env.rl.tour_model import TourNet
 from drone_env.rl.validation import Validator
 
@@ -105,6 +108,9 @@ class TourTrainer(Learner):
         self._validators = {task.short_name: Validator(task, config.validation_maps) for task in tasks}
         self._viewers = {task.short_name: Viewer(task) for task in tasks}
         self.online = TourNet()
+        if config.initial:
+            parameters = load_tour_network(Path(config.initial)).parameters
+            self.online.load_state_dict({name: torch.from_numpy(array) for name, array in parameters.items()})
         self.average = deepcopy(self.online)
         self.optimizer = torch.optim.AdamW(
             self.online.parameters(), config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
@@ -163,9 +169,14 @@ class TourTrainer(Learner):
         return int(self._random(chunk, 0).choice(len(self._shares), p=self._shares))
 
     def _draw(self, chunk: int) -> Lessons:
+        config, random = self.config, self._random(chunk, 1)
         train = SPLITS["train"]
-        seeds = self._random(chunk, 1).integers(train.start, train.stop, self.config.maps_per_chunk)
-        return self._teachers[self._subject(chunk)].draw(seeds)
+        seeds = random.integers(train.start, train.stop, config.maps_per_chunk)
+        teacher = self._teachers[self._subject(chunk)]
+        if random.random() < config.randomised:
+            with suppress(TooLargeError):  # such numbers are left out
+                teacher = Teacher(randomise(teacher.task, random), config.maps_per_chunk, config.states_per_map)
+        return teacher.draw(seeds)
 
     def _fill_windows(self, drawing: ThreadPoolExecutor) -> None:
         """Draw again what a run that goes on had drawn last."""

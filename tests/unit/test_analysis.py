@@ -238,6 +238,7 @@ def test_text_has_one_line_per_move_and_fits_a_terminal() -> None:
     assert heading.split() == ["step", "move", "to", "event", "value", "regret", "better"]
     for move, line in zip(analysis.moves, lines, strict=False):
         assert line.split()[:2] == [str(move.step), move.action.name]
+        assert f"  {move.value:.4f}" in line
         assert (" ?? " in line) == (move.label == "blunder")
         assert line.endswith(", ".join(action.name for action in move.best_actions)) or move.regret == 0
     assert lines[len(analysis.moves)] == ""

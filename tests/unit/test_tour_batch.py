@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from drone_env.agents.tour_view import make_view
+from drone_env.agents.tour_view import SHORT_TIME, SMALL_BATTERY, make_view
 from drone_env.rl.lessons import Lessons
 from drone_env.rl.tour_batch import Batch, losses_of, sample
 
 
-def fake_lessons(counts: list[int], of: int) -> Lessons:
+def fake_lessons(counts: list[int], of: int, stops: int = 2) -> Lessons:
     """States with so many options, each of which tells by its features of which lessons, state and place it is."""
-    view = make_view(len(counts), 2, sum(counts))
+    view = make_view(len(counts), stops, sum(counts))
     view.tokens[:] = np.arange(len(counts))[:, None, None]
     view.present[:] = True
     view.begins[1:] = np.cumsum(counts)
@@ -24,8 +24,9 @@ def fake_lessons(counts: list[int], of: int) -> Lessons:
 
 def test_a_batch_holds_the_options_of_the_states_that_it_chose() -> None:
     window = [fake_lessons(counts, of) for of, counts in enumerate(([2, 5, 3], [4, 2], [3, 3, 2, 6]))]
+    window.append(fake_lessons([2, 7], 3, stops=4))
     batch = sample(window, 40, np.random.default_rng(1))
-    tokens, _, _, owner, token, features = (part.numpy() for part in batch.inputs)
+    tokens, present, edges, owner, token, features = (part.numpy() for part in batch.inputs)
     assert len(tokens) == 40
     table = batch.table(batch.values, -1.0).numpy()
     chosen: list[tuple[int, int]] = []
@@ -34,7 +35,10 @@ def test_a_batch_holds_the_options_of_the_states_that_it_chose() -> None:
         (of,), (state,) = set(mine[:, 0].astype(int).tolist()), set(mine[:, 1].astype(int).tolist())
         view, values = window[of]
         some = slice(view.begins[state], view.begins[state + 1])
-        assert np.array_equal(tokens[m], view.tokens[state])
+        there = view.tokens.shape[1]
+        assert np.array_equal(tokens[m, :there], view.tokens[state])
+        assert present[m].tolist() == [True] * there + [False] * (5 - there)
+        assert edges[m].shape[:2] == (5, 5)
         assert np.array_equal(mine, view.features[some])
         assert np.array_equal(token[owner == m], view.token[some])
         count = len(mine)
@@ -47,24 +51,26 @@ def test_a_batch_holds_the_options_of_the_states_that_it_chose() -> None:
     assert len(set(chosen)) > 5
 
 
-def batch_of(values: list[list[float]]) -> Batch:
-    """A batch of states whose options are worth so much, in their order."""
+def batch_of(values: list[list[float]], step_costs: list[float]) -> Batch:
+    """A batch of states whose options are worth so much, in their order, and what a step costs in each, in score."""
     lessons = fake_lessons([len(row) for row in values], 0)
+    for m, cost in enumerate(step_costs):
+        lessons.view.tokens[m, 0, [SMALL_BATTERY, SHORT_TIME]] = 100 * 0.6 * cost, 400 * 0.4 * cost
     return Batch(lessons.view, np.array([value for row in values for value in row], np.float32))
 
 
 def test_the_losses_are_those_of_the_formulas() -> None:
-    values, temperature = [[0.95, 0.94, 0.5], [0.85, 0.91]], 0.02
-    batch = batch_of(values)
+    values, step_costs, temperature = [[0.95, 0.94, 0.5], [0.85, 0.91]], [0.01, 0.5], 0.02
+    batch = batch_of(values, step_costs)
     rng = torch.Generator().manual_seed(0)
     preference, completion = torch.randn((2, 5), generator=rng, dtype=torch.float32)
     choice, regret, completions = losses_of(preference, completion, batch, temperature)
     entropies, regrets, errors, option = [], [], [], 0
-    for row in values:
+    for row, step_cost in zip(values, step_costs, strict=True):
         given = range(option, option + len(row))
         # A choice needs an option that is liked and that the mission can be completed after: that counts twice.
         likes = [float(preference[k]) - 2 * math.log1p(math.exp(-float(completion[k]))) for k in given]
-        wants = [math.exp((value - max(row)) / temperature) for value in row]
+        wants = [math.exp((value - max(row)) / min(temperature, step_cost)) for value in row]
         chosen = [math.exp(like) / sum(map(math.exp, likes)) for like in likes]
         wanted = [want / sum(wants) for want in wants]
         entropies.append(-sum(p * math.log(q) for p, q in zip(wanted, chosen, strict=True)))
@@ -81,7 +87,7 @@ def test_the_losses_are_those_of_the_formulas() -> None:
 
 def test_the_wanted_choice_is_where_the_cross_entropy_is_least() -> None:
     values, temperature = [[0.95, 0.94, 0.93]], 0.01
-    batch = batch_of(values)
+    batch = batch_of(values, [1.0])
     completion = torch.full((3,), 50.0)  # certain: it takes nothing from any choice
     preference = (torch.tensor(values[0]) / temperature).requires_grad_()
     choice, _, _ = losses_of(preference, completion, batch, temperature)

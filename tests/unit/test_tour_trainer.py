@@ -12,11 +12,11 @@ import torch
 from torch import nn
 
 from drone_env.core.seeds import split_of, split_seeds
-from drone_env.core.tasks import TASKS, get_task
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.rl.checkpoint import export_network
 from drone_env.rl.lessons import Lessons, Teacher
-from drone_env.rl.tour_config import SHARES, TourConfig, variant
+from drone_env.rl.tour_config import SHARES, TourConfig, randomise, variant
 from drone_env.rl.tour_trainer import TourTrainer
 from tests.unit.small_training import SMALL_TOUR, assert_same, finished
 
@@ -26,16 +26,16 @@ EVERYTHING = replace(SMALL_TOUR, task="all", updates=9, validation_maps=1, state
 class Recorded(Teacher):
     """A teacher that tells what it was asked for."""
 
-    asked: list[tuple[str, list[int]]]
+    asked: list[tuple[TaskConfig, list[int]]]
 
     def draw(self, seeds: npt.NDArray[np.int64]) -> Lessons:
         """As any other."""
-        self.asked.append((self.task.id, seeds.tolist()))
+        self.asked.append((self.task, seeds.tolist()))
         return super().draw(seeds)
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[int]]]:
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[TaskConfig, list[int]]]:
     """The task and the maps of each chunk of lessons that is drawn."""
     monkeypatch.setattr(Recorded, "asked", [], raising=False)
     monkeypatch.setattr("drone_env.rl.tour_trainer.Teacher", Recorded)
@@ -45,14 +45,17 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[int]]]:
 # What it learns from
 
 
-def test_lessons_are_drawn_on_train_maps_of_the_tasks_by_their_shares(asked: list[tuple[str, list[int]]]) -> None:
+def test_lessons_are_drawn_on_train_maps_of_the_tasks_by_their_shares(
+    asked: list[tuple[TaskConfig, list[int]]],
+) -> None:
     config = replace(EVERYTHING, updates=12, maps_per_chunk=2, validation_every=12)
     trainer = finished(TourTrainer(config))
     seeds = [seed for _, maps in asked for seed in maps]
     assert len(set(seeds)) == 2 * len(asked) >= 24
     assert {split_of(seed) for seed in seeds} == {"train"}
-    assert len({task for task, _ in asked}) > 4
+    assert len({task.id for task, _ in asked}) > 4
     shares = config.lessons()
+    assert 0 < sum(task in shares for task, _ in asked) < len(asked)
     assert sum(shares.values()) == pytest.approx(1)
     drawn = np.bincount([trainer._subject(chunk) for chunk in range(4000)], minlength=len(shares)) / 4000
     assert drawn == pytest.approx(list(shares.values()), abs=0.02)
@@ -68,6 +71,24 @@ def test_what_is_learned_and_what_is_validated() -> None:
     assert (own.deliveries, own.pads, own.max_steps) == (2, 4, get_task("skyline_easy").max_steps)
     assert own in everything.lessons()
     assert own.id not in TASKS
+
+
+def test_a_task_with_other_numbers() -> None:
+    task, random = get_task("skyline_hard"), np.random.default_rng(0)
+    drawn = [randomise(task, random) for _ in range(300)]
+    alike = [other for other in drawn if other.width == task.width]
+    for name, low, high in (
+        ("battery_capacity", 16, 42), ("max_steps", 48, 352), ("charge_rate", 1, 10), ("pads", 1, 6),
+    ):  # fmt: skip
+        numbers = [getattr(other, name) for other in alike]
+        assert low <= min(numbers) < getattr(task, name) < max(numbers) <= high
+        assert numbers.count(getattr(task, name)) > 80
+    large = [other for other in drawn if other.width > task.width]
+    assert {(other.deliveries, other.width == other.height <= 48) for other in large} == {(4, True)}
+    assert all(abs(other.buildings - task.buildings * (other.width / 16) ** 2) < 1 for other in large)
+    # Where nothing charges and nothing is drawn along streets.
+    hard = randomise(get_task("hard"), random)
+    assert (hard.pads, hard.charge_rate, hard.width) == (0, 0, 18)
 
 
 # How it learns
@@ -129,6 +150,9 @@ def test_a_validation_is_what_evaluation_says_of_the_exported_average(tmp_path: 
     key = episodes_key("skyline_easy", f"tournet:{tmp_path / 'net.npz'}", maps, "validation")
     figures = summarise(run_episodes(key))
     assert trainer.shares == {"skyline_easy": pytest.approx(figures["mean_score"] / figures["mean_optimal_score"])}
+    # Another training can start from it.
+    other = TourTrainer(replace(SMALL_TOUR, initial=str(tmp_path / "net.npz"), seed=1))
+    assert_same(weights(other.online), weights(trainer.average))
 
 
 def test_the_lines_of_its_log() -> None:

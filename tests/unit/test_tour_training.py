@@ -103,6 +103,7 @@ def test_a_run_on_all_tasks_draws_the_last_lessons_again(tmp_path: Path) -> None
         ({"warm_up": -1}, "warm_up must not be below 0"),
         ({"completion_weight": -0.1}, "completion_weight must not be below 0"),
         ({"average": 1.0}, r"average must be in \[0, 1\), got 1"),
+        ({"randomised": 1.5}, r"randomised must be in \[0, 1\], got 1.5"),
         ({"batch_size": 66}, "batch_size must be a multiple of 4, got 66"),
         ({"task": "easy"}, "nothing to choose on 'easy_delivery': one parcel, and one way to it"),
         ({"task": "impossible"}, "allowed: "),

@@ -212,17 +212,17 @@ def test_the_command_trains_and_leaves_what_it_says(
 
 
 @pytest.mark.usefixtures("no_curves")
-def test_all_tasks_are_trained_one_after_the_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_standard_tasks_are_trained_one_after_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     places = ["--data", str(tmp_path / "data"), "--results", str(tmp_path / "results")]
     few = [*TRAIN[3:], "--episodes", "2", "--validation-maps", "1"]
-    assert main(["train", "--task", "all", *few, *places]) == 0
+    assert main(["train", "--task", "standard", *few, *places]) == 0
     for task in ("easy", "medium", "hard"):
         assert load_checkpoint(tmp_path / f"data/{task}.pth")["config"]["task"] == f"{task}_delivery"
         assert load_network(tmp_path / f"data/{task}.npz").metadata["task"] == f"{task}_delivery"
     # The first that cannot be trained ends it.
     (tmp_path / "data/easy.pth").write_bytes(b"nothing")
     capsys.readouterr()
-    assert main(["train", "--task=all", *few, *places]) == 2
+    assert main(["train", "--task=standard", *few, *places]) == 2
     told = capsys.readouterr().err
     assert "easy.pth" in told
     assert "medium" not in told
@@ -235,6 +235,7 @@ def test_all_tasks_are_trained_one_after_the_other(tmp_path: Path, capsys: pytes
         (["--resume"], "there is no checkpoint"),
         (["--episodes", "0"], "episodes must be above 0"),
         (["--task", "impossible"], "allowed: "),
+        (["--task", "all"], "Type --task standard (easy, medium, hard), or add --network tournet."),
         (["--reward-profile", "generous"], "allowed: aligned"),
     ],
 )
