@@ -131,6 +131,12 @@ class EndpointError(DroneEnvError, RuntimeError):
     """An endpoint of language models refuses, so that no further call makes sense: a wrong token, no such model."""
 
 
+def shown(value: object) -> str:
+    """A value that somebody else wrote, for a message: its `repr`, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
 class Invalid(Protocol):
     """What Pydantic raises for a value that does not fit a model, and FastAPI for a request."""
 

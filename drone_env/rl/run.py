@@ -13,7 +13,7 @@ from typing import Any, Generic, TextIO
 
 from drone_env.errors import CheckpointError, needs
 from drone_env.files import locked, replacing
-from drone_env.rl.checkpoint import export_network, load_checkpoint, save_checkpoint
+from drone_env.rl.checkpoint import UNREADABLE, export_network, load_checkpoint, save_checkpoint
 from drone_env.rl.curves import draw_curves
 from drone_env.rl.learner import AnyLearner, figure, figures_of
 
@@ -68,8 +68,9 @@ class TrainingRun(Generic[AnyLearner]):
                 state = load_checkpoint(self.checkpoint, str(self.trainer.device))
                 self.trainer.set_state(state)
                 self._seconds = state["seconds"]
-            except (CheckpointError, KeyError) as error:
-                why = f"{self.checkpoint} lacks {error}" if isinstance(error, KeyError) else error
+            except UNREADABLE as error:
+                wrong = "lacks" if isinstance(error, KeyError) else "does not fit this training:"
+                why = error if isinstance(error, CheckpointError) else f"{self.checkpoint} {wrong} {error}"
                 raise CheckpointError(f"{why}; --fresh starts again and keeps it as {self.checkpoint}.old") from None
         self.stopped = False
         """Whether the run is to end after the present step, or has."""

@@ -26,12 +26,11 @@ class Evaluations:
         return sorted(config.parent for config in self._folder.glob(f"*/{CONFIG}"))
 
     def judge(self, path: Path, task: str) -> list[Judged | Refused]:
-        """What each agent is worth on a task, or why it is not ranked: once, as long as the files stay as they are.
-
-        Raises:
-            OSError: if the system does not tell of a file.
-        """
-        stamps = [(file, stamp(file)) for file in (path / CONFIG, *sorted((path / PIECES).glob("*.npz")))]
+        """What each agent is worth on a task, or why it is not ranked: once, as long as the files stay as they are."""
+        try:
+            stamps = [(file, stamp(file)) for file in (path / CONFIG, *sorted((path / PIECES).glob("*.npz")))]
+        except OSError as error:
+            return [Refused(path, str(error), damaged=True)]
         known = self._judged.get((path, task))
         if known is None or known[0] != stamps:
             known = self._judged[path, task] = stamps, judge_evaluation(path, task, MOST_MAPS)
