@@ -6,8 +6,9 @@ import stat
 import threading
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from drone_env.errors import InvalidValueError
 
@@ -27,7 +28,7 @@ def data_folder(part: str = "") -> Path:
     return Path(configured, part) if configured else Path(PLACES[part])
 
 
-def open_file(path: str | Path) -> BinaryIO:
+def open_file(path: str | Path) -> BufferedReader:
     """Open a regular file, or a link to one, to read bytes.
 
     Reading anything else may block (a pipe), never end (a device) or fail late (a folder).

@@ -242,15 +242,12 @@ def _position(value: Any, name: str) -> XY:
 
 def _list(value: Any, name: str, fits: Callable[[object], bool], length: int, form: str) -> list[Any]:
     items = cast(list[Any], value) if isinstance(value, list) else []
-    _require(len(items) == length and all(map(fits, items)), f"{name} must be {form}, got {shown(value)}")
+    _require(len(items) == length and all(map(fits, items)), f"{name} must be {form}, got {shown(cast(object, value))}")
     return items
 
 
 def _is_number(value: object) -> bool:
-    try:
-        return type(value) in (int, float) and math.isfinite(float(value))  # pyright: ignore[reportArgumentType]
-    except OverflowError:
-        return False
+    return type(value) in (int, float) and math.isfinite(float(value))  # pyright: ignore[reportArgumentType]
 
 
 def _named(kind: Cell) -> str:
