@@ -145,6 +145,10 @@ class Invalid(Protocol):
         ...
 
 
+LONGEST_NAME = 200
+"""Characters: whoever sends a value names its parts."""
+
+
 class WrongPart(NamedTuple):
     """What is wrong with a part, such as `body.direction`; its name is empty for the whole."""
 
@@ -156,7 +160,9 @@ class WrongPart(NamedTuple):
 def wrong_parts(error: Invalid) -> list[WrongPart]:
     """What is wrong, part by part."""
     return [
-        WrongPart(".".join(map(str, part["loc"])), part["msg"].removeprefix("Value error, "), part["type"])
+        WrongPart(
+            ".".join(map(str, part["loc"]))[:LONGEST_NAME], part["msg"].removeprefix("Value error, "), part["type"]
+        )
         for part in error.errors()
     ]
 

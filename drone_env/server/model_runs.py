@@ -76,16 +76,19 @@ class ModelRuns:
         """The calls of a flight of the store, in order, and the run that it is of; None where it is of none.
 
         Raises:
-            OSError: if a file cannot be read.
+            OSError: if the transcript cannot be read.
             InvalidValueError: if the transcript of the run is damaged.
         """
         for path, config in self.configs().items():
             from drone_env.llm.run_folder import TRANSCRIPT, EpisodeIds
             from drone_env.llm.transcript import read_calls
 
-            if config is None or not (path / TRANSCRIPT).exists():
+            if config is None:
                 continue
-            ids = EpisodeIds(path)
+            try:
+                ids = EpisodeIds(path)
+            except (DroneEnvError, OSError):  # it has made no call yet, or is damaged
+                continue
             for flight in range(min(config.flights, MOST_FLIGHTS)):
                 if ids.of(flight) == episode_id:
                     calls = [call for _, call in read_calls(path / TRANSCRIPT) if call.flight == flight]
