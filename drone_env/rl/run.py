@@ -70,7 +70,8 @@ class TrainingRun(Generic[AnyLearner]):
                 self._seconds = state["seconds"]
             except UNREADABLE as error:
                 wrong = "lacks" if isinstance(error, KeyError) else "does not fit this training:"
-                why = error if isinstance(error, CheckpointError) else f"{self.checkpoint} {wrong} {error}"
+                first = (str(error).splitlines() or [type(error).__name__])[0]  # PyTorch adds lines
+                why = error if isinstance(error, CheckpointError) else f"{self.checkpoint} {wrong} {first}"
                 raise CheckpointError(f"{why}; --fresh starts again and keeps it as {self.checkpoint}.old") from None
         self.stopped = False
         """Whether the run is to end after the present step, or has."""
