@@ -138,12 +138,22 @@ class EndpointError(DroneEnvError, RuntimeError):
     """An endpoint of language models refuses, so that no further call makes sense: a wrong token, no such model."""
 
 
+def shown(value: object) -> str:
+    """A value that somebody else wrote, for a message: its `repr`, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
 class Invalid(Protocol):
     """What Pydantic raises for a value that does not fit a model, and FastAPI for a request."""
 
     def errors(self) -> Sequence[Any]:
         """What is wrong, part by part."""
         ...
+
+
+LONGEST_NAME = 200
+"""Characters: whoever sends a value names its parts."""
 
 
 class WrongPart(NamedTuple):
@@ -156,10 +166,11 @@ class WrongPart(NamedTuple):
 
 def wrong_parts(error: Invalid) -> list[WrongPart]:
     """What is wrong, part by part."""
-    return [
-        WrongPart(".".join(map(str, part["loc"])), part["msg"].removeprefix("Value error, "), part["type"])
-        for part in error.errors()
-    ]
+    found: list[WrongPart] = []
+    for part in error.errors():
+        where = ".".join(map(str, part["loc"]))[:LONGEST_NAME]
+        found.append(WrongPart(where, part["msg"].removeprefix("Value error, "), part["type"]))
+    return found
 
 
 def text_of(error: Invalid, name: Callable[[str], str] = str) -> str:

@@ -1,10 +1,12 @@
-"""Files that are there whole or not at all."""
+"""Read files that others may have damaged, and write files whole or not at all."""
 
 import json
 import os
+import stat
 import threading
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,63 @@ def data_folder(part: str = "") -> Path:
     """
     configured = os.environ.get("DRONE_ENV_DATA")
     return Path(configured, part) if configured else Path(PLACES[part])
+
+
+def open_file(path: str | Path) -> BufferedReader:
+    """Open a regular file, or a link to one, to read bytes.
+
+    Reading anything else may block (a pipe), never end (a device) or fail late (a folder).
+
+    Raises:
+        OSError: if it cannot be opened.
+        InvalidValueError: if it is not a regular file.
+    """
+    _require_regular(path, os.stat(path))
+    # The path may lead elsewhere by now: a pipe opened without O_NONBLOCK waits for a writer.
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    try:
+        _require_regular(path, os.fstat(descriptor))
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return open(descriptor, "rb")
+
+
+def _require_regular(path: str | Path, status: os.stat_result) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe, socket or device"
+        raise InvalidValueError(f"{path} is {kind}; only regular files are read")
+
+
+def read_file(path: str | Path, most: int) -> bytes:
+    """The bytes of a regular file; one of more than `most` bytes is not read.
+
+    Raises:
+        OSError: if it cannot be read.
+        InvalidValueError: if it is not a regular file, or is too large.
+    """
+    with open_file(path) as file:
+        too_large = os.fstat(file.fileno()).st_size > most
+        content = b"" if too_large else file.read(most + 1)
+    if too_large or len(content) > most:
+        raise InvalidValueError(f"{path} is too large: at most {most:,} bytes are read")
+    return content
+
+
+def read_lines(path: str | Path, most: int) -> Iterator[bytes]:
+    """The lines of a regular file of any size, each of at most `most` bytes and with its line end.
+
+    Raises:
+        OSError: if it cannot be read.
+        InvalidValueError: if it is not a regular file, or at a line that is too long.
+    """
+    with open_file(path) as file:
+        number = 1
+        while line := file.readline(most + 1):
+            if len(line) > most:
+                raise InvalidValueError(f"line {number} of {path} is too long: at most {most:,} bytes are read")
+            yield line
+            number += 1
 
 
 @contextmanager

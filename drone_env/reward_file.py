@@ -15,20 +15,17 @@
 Every key but `id` may be left out.
 """
 
-import sys
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 from drone_env.core.actions import Event
 from drone_env.core.rewards import PACKAGE_PROFILES, RewardProfile, get_reward_profile
-from drone_env.errors import InvalidTaskError
+from drone_env.errors import InvalidTaskError, InvalidValueError, shown
+from drone_env.files import read_file
+from drone_env.toml_text import parse_toml
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
+MAX_FILE = 1 << 16
 KEYS: dict[str, tuple[type, ...]] = {
     "id": (str,),
     "summary": (str,),
@@ -69,23 +66,24 @@ def load_reward_profile(path: str | Path) -> RewardProfile:
             raise InvalidTaskError(f"reward profile {path}: {message}")
 
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=Decimal)
-        repr(table)  # so that the messages below can show all that it holds
-    except ArithmeticError:
-        raise InvalidTaskError(f"reward profile {path}: the exponent of a number is too large") from None
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is one, a number of thousands of digits another
-        raise InvalidTaskError(f"reward profile {path}: not TOML that can be read: {error}") from None
+        content = read_file(path, MAX_FILE)
+    except InvalidValueError as error:
+        raise InvalidTaskError(f"reward profile {error}") from None
+    try:
+        table = parse_toml(content, parse_float=Decimal)
+    except InvalidValueError as error:
+        raise InvalidTaskError(f"reward profile {path}: {error}") from None
     for key, value in table.items():
-        require(key in KEYS, f"unknown key {key!r}; allowed: {', '.join(KEYS)}")
+        require(key in KEYS, f"unknown key {shown(key)}; allowed: {', '.join(KEYS)}")
         fits = isinstance(value, KEYS[key]) and (bool in KEYS[key] or not isinstance(value, bool))
-        require(fits, f"{key} must be {_named(KEYS[key])}, got {value!r}")
+        require(fits, f"{key} must be {_named(KEYS[key])}, got {shown(value)}")
     require(bool(table.get("id")), "id is missing")
-    require(table["id"].isprintable(), f"id must be printable, got {table['id']!r}")
-    require(table["id"] not in PACKAGE_PROFILES, f"id {table['id']!r} is taken by a profile of the package")
+    require(table["id"].isprintable(), f"id must be printable, got {shown(table['id'])}")
+    require(table["id"] not in PACKAGE_PROFILES, f"id {shown(table['id'])} is taken by a profile of the package")
     events: dict[str, Any] = table.pop("events", {})
     for name, value in events.items():
-        require(name in EVENTS, f"unknown event {name!r}; allowed: {', '.join(EVENTS)}")
-        require(_is_number(value), f"events.{name} must be a number, got {value!r}")
+        require(name in EVENTS, f"unknown event {shown(name)}; allowed: {', '.join(EVENTS)}")
+        require(_is_number(value), f"events.{name} must be a number, got {shown(value)}")
     clamp: list[Any] | None = table.pop("clamp", None)
     require(clamp is None or (len(clamp) == 2 and all(map(_is_number, clamp))), "clamp must be [lowest, highest]")
     numbers = {key: Decimal(table.pop(key)) for key in ("shaping", "shaping_gamma") if key in table}

@@ -17,6 +17,7 @@ from drone_env.envs import wrappers
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
 from drone_env.envs.forms import to_planes, to_vector
 from drone_env.errors import CheckpointError, InvalidValueError
+from drone_env.files import open_file
 from drone_env.installer import pip
 from drone_env.planning.from_observation import drone_positions
 
@@ -139,7 +140,7 @@ def load_policy(file: Path, task: TaskConfig, wrapper: Any, sampled: bool) -> Sb
         raise InvalidValueError(
             f"{file} is read by Stable-Baselines3, which is not installed: {pip()} install stable-baselines3"
         ) from error
-    with file.open("rb") as opened:
+    with open_file(file) as opened:
         try:
             data, params, _ = load_from_zip_file(opened, device="cpu")
             found = cast(dict[str, Any], data)

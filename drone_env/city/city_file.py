@@ -24,7 +24,6 @@ for a road, 🏢, 🌳, 🚧 for what cannot be entered, 🔋 for a pad.
 
 import json
 import math
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,19 +35,17 @@ import numpy.typing as npt
 from drone_env.core.cells import SYMBOLS, Cell
 from drone_env.core.tasks import MAX_DELIVERIES
 from drone_env.core.terrain import PLACED, XY, pieces
-from drone_env.errors import InvalidTaskError
-from drone_env.files import write_text
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from drone_env.errors import InvalidTaskError, InvalidValueError, shown
+from drone_env.files import read_file, write_text
+from drone_env.toml_text import parse_toml
 
 FORMAT = 1
 MIN_SIDE, MAX_SIDE = 2, 512
 """Cells along a side of a city. A task flies at most `core.tasks.MAX_SIDE` of them."""
-MAX_FILE = 16 << 20
-"""Bytes: more than the largest city takes."""
+MAX_FILE = 2 << 20
+"""Bytes: the largest city takes 1 MiB."""
+MAX_TEXT = 200
+"""Characters of a text: one line, which frames and pictures repeat."""
 CELL_OF = {SYMBOLS[kind]: kind for kind in PLACED}
 ALLOWED = ", ".join(f"{symbol!r} {kind.name.lower()}" for symbol, kind in CELL_OF.items())
 TEXTS = ("attribution", "licence", "source")
@@ -91,7 +88,8 @@ class City:
         _require(MIN_SIDE <= min(width, height) and max(width, height) <= MAX_SIDE, f"{sides}, got {width} x {height}")
         for name in TEXTS:
             text = getattr(self, name)
-            _require(text.isprintable(), f"{name} must be printable, got {text!r}")
+            fits = text.isprintable() and len(text) <= MAX_TEXT
+            _require(fits, f"{name} must be one printable line of at most {MAX_TEXT} characters, got {shown(text)}")
         _require(self.cell is None or 0 < self.cell < math.inf, f"cell must be metres above 0, got {self.cell}")
         if self.bbox is not None:
             check_bbox(self.bbox)
@@ -161,40 +159,39 @@ def read_city(path: str | Path) -> City:
         OSError: if the file cannot be read.
         InvalidTaskError: if it is not a city; the message says why.
     """
-    path = Path(path)
-    with path.open("rb") as file:
-        content = file.read(MAX_FILE + 1)
+    try:
+        content = read_file(path, MAX_FILE)
+    except InvalidValueError as error:
+        raise InvalidTaskError(f"city {error}") from None
     try:
         return parse_city(content)
     except InvalidTaskError as error:
         raise InvalidTaskError(f"city {path}: {error}") from None
 
 
-def parse_city(content: bytes) -> City:
-    """The city in what a file holds.
+def parse_city(content: str | bytes) -> City:
+    """The city in the text of a file, or in its UTF-8.
 
     Raises:
         InvalidTaskError: if it is not a city; the message says why.
     """
-    _require(len(content) <= MAX_FILE, f"larger than {MAX_FILE >> 20} MiB, which no city is")
     try:
-        table = tomllib.loads(content.decode("utf-8-sig"))
-        repr(table)  # so that the messages below can show all that it holds
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError is one, a number of thousands of digits another
-        raise InvalidTaskError(f"not TOML that can be read: {error}") from None
+        table = parse_toml(content)
+    except InvalidValueError as error:
+        raise InvalidTaskError(str(error)) from None
     for key in table:
-        _require(key in KEYS, f"unknown key {key!r}; allowed: {', '.join(KEYS)}")
+        _require(key in KEYS, f"unknown key {shown(key)}; allowed: {', '.join(KEYS)}")
     version = table.get("format")
-    _require(type(version) is int and version == FORMAT, f"format must be {FORMAT}, got {version!r}")
+    _require(type(version) is int and version == FORMAT, f"format must be {FORMAT}, got {shown(version)}")
     terrain = table.get("terrain")
     given = list(cast(dict[str, Any], terrain)) if isinstance(terrain, dict) else terrain
-    _require(given == ["rows"], f"[terrain] holds rows and nothing else, got {given!r}")
+    _require(given == ["rows"], f"[terrain] holds rows and nothing else, got {shown(given)}")
     values: dict[str, Any] = {}
     for name in TEXTS:
         values[name] = table.get(name, "")
-        _require(isinstance(values[name], str), f"{name} must be a text, got {values[name]!r}")
+        _require(isinstance(values[name], str), f"{name} must be a text, got {shown(values[name])}")
     if "cell" in table:
-        _require(_is_number(table["cell"]), f"cell must be a number of metres, got {table['cell']!r}")
+        _require(_is_number(table["cell"]), f"cell must be a number of metres, got {shown(table['cell'])}")
         values["cell"] = float(table["cell"])
     if "bbox" in table:
         box = _list(table["bbox"], "bbox", _is_number, 4, "[west, south, east, north]")
@@ -203,13 +200,13 @@ def parse_city(content: bytes) -> City:
         values["start"] = _position(table["start"], "start")
     if "parcels" in table:
         parcels = table["parcels"]
-        _require(isinstance(parcels, list), f"parcels must be [[x, y], ...], got {parcels!r}")
+        _require(isinstance(parcels, list), f"parcels must be [[x, y], ...], got {shown(parcels)}")
         values["parcels"] = tuple(_position(parcel, f"parcel {i}") for i, parcel in enumerate(parcels))
     numbers = table.get("task", {})
-    _require(isinstance(numbers, dict), f"[task] must be a table, got {numbers!r}")
+    _require(isinstance(numbers, dict), f"[task] must be a table, got {shown(numbers)}")
     for name, number in numbers.items():
-        _require(name in NUMBERS, f"unknown number {name!r} in [task]; allowed: {', '.join(NUMBERS)}")
-        _require(type(number) is int, f"{name} must be an integer, got {number!r}")
+        _require(name in NUMBERS, f"unknown number {shown(name)} in [task]; allowed: {', '.join(NUMBERS)}")
+        _require(type(number) is int, f"{name} must be an integer, got {shown(number)}")
     return City(numbers=numbers, grid=_grid_of(table["terrain"]["rows"]), **values)
 
 
@@ -245,15 +242,12 @@ def _position(value: Any, name: str) -> XY:
 
 def _list(value: Any, name: str, fits: Callable[[object], bool], length: int, form: str) -> list[Any]:
     items = cast(list[Any], value) if isinstance(value, list) else []
-    _require(len(items) == length and all(map(fits, items)), f"{name} must be {form}, got {value!r}")
+    _require(len(items) == length and all(map(fits, items)), f"{name} must be {form}, got {shown(cast(object, value))}")
     return items
 
 
 def _is_number(value: object) -> bool:
-    try:
-        return type(value) in (int, float) and math.isfinite(float(value))  # pyright: ignore[reportArgumentType]
-    except OverflowError:
-        return False
+    return type(value) in (int, float) and math.isfinite(float(value))  # pyright: ignore[reportArgumentType]
 
 
 def _named(kind: Cell) -> str:

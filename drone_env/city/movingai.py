@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from drone_env.core.cells import Cell
 from drone_env.errors import InvalidValueError
+from drone_env.files import read_file
 
 CELL_OF = {
     ".": Cell.ROAD,
@@ -40,10 +41,7 @@ def read_movingai(path: Path) -> npt.NDArray[np.uint8]:
         if not holds:
             raise InvalidValueError(f"{path}: {message}")
 
-    with path.open("rb") as file:
-        content = file.read(MAX_FILE + 1)
-    require(len(content) <= MAX_FILE, f"larger than {MAX_FILE >> 20} MiB, which is more than is read")
-    text = content.decode("ascii", errors="replace").replace("\r\n", "\n")
+    text = read_file(path, MAX_FILE).decode("ascii", errors="replace").replace("\r\n", "\n")
     head = HEAD.match(text)
     if head is None:
         begins = "`type octile`, `height H`, `width W`, `map`, a line each"

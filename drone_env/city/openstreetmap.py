@@ -4,6 +4,7 @@ A file is read as a stream, by osmium. It keeps the coordinates of all nodes, an
 into the sheet is kept here.
 """
 
+import os
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ import numpy.typing as npt
 from drone_env.city.layers import Layer, keys, layers
 from drone_env.city.sheet import BBox, Sheet
 from drone_env.errors import InvalidValueError, needs
+from drone_env.files import open_file
 
 ATTRIBUTION = "© OpenStreetMap contributors"
 LICENCE = "ODbL-1.0"
@@ -223,7 +225,8 @@ def _reading(path: Path) -> Generator[tuple[Any, Any], None, None]:
     suffix = next((suffix for suffix in FORMATS if path.name.endswith(suffix)), None)
     if suffix is None:
         raise InvalidValueError(f"{path}: an extract of OpenStreetMap ends in {', '.join(FORMATS)}")
-    size = path.stat().st_size
+    with open_file(path) as opened:
+        size = os.fstat(opened.fileno()).st_size
     if size > MAX_FILE:
         cut = "cut a piece out of it by `osmium extract --bbox WEST,SOUTH,EAST,NORTH`"
         raise InvalidValueError(f"{path} has {size >> 20} MiB, at most {MAX_FILE >> 20} are read: {cut}")

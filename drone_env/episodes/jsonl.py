@@ -6,8 +6,9 @@ from pathlib import Path
 
 from typing_extensions import Self
 
-from drone_env.episodes.record import EpisodeRecord, parse_record
+from drone_env.episodes.record import LONGEST_RECORD, EpisodeRecord, parse_record
 from drone_env.errors import InvalidValueError
+from drone_env.files import read_lines
 
 
 class RecordWriter:
@@ -51,8 +52,9 @@ class RecordWriter:
         self.close()
 
     def _check_last_line(self) -> None:
-        with self._path.open("rb") as file:
-            last = b"".join(deque(file, 1))
+        if not self._path.is_file():
+            return  # a pipe or a device, which holds no lines
+        last = b"".join(deque(read_lines(self._path, LONGEST_RECORD), 1))
         name = f"the last line of {self._path}"
         if last.endswith(b"\n"):
             parse_record(last, name)
@@ -78,15 +80,14 @@ def read_records(path: str | Path) -> Iterator[EpisodeRecord]:
 
 def numbered_records(path: str | Path) -> Iterator[tuple[int, EpisodeRecord]]:
     """As `read_records`, each with the number of its line, from 1."""
-    with Path(path).open("rb") as file:
-        for number, line in enumerate(file, 1):
-            if not line.strip():
-                continue
-            name = f"line {number} of {path}"
-            try:
-                record = parse_record(line, name)
-            except InvalidValueError as error:
-                if line.endswith(b"\n"):
-                    raise
-                raise InvalidValueError(f"the last line is cut, and all before it are whole: {error}") from None
-            yield number, record
+    for number, line in enumerate(read_lines(path, LONGEST_RECORD), 1):
+        if not line.strip():
+            continue
+        name = f"line {number} of {path}"
+        try:
+            record = parse_record(line, name)
+        except InvalidValueError as error:
+            if line.endswith(b"\n"):
+                raise
+            raise InvalidValueError(f"the last line is cut, and all before it are whole: {error}") from None
+        yield number, record

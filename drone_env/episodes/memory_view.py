@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from drone_env.episodes.finished import StoredEpisode
-from drone_env.errors import DroneEnvError
-from drone_env.files import write_text
+from drone_env.errors import DroneEnvError, InvalidValueError
+from drone_env.files import open_file, write_text
 
 LENGTH = 100
 PAUSE_SECONDS = 0.05
@@ -89,10 +89,12 @@ class MemoryView:
     def _keep_what_is_not_ours(self) -> None:
         """Give a file that is no such view another name: it may be the history of another program."""
         try:
-            with self._path.open("rb") as file:
+            with open_file(self._path) as file:
                 head = file.read(len(MARK))
         except FileNotFoundError:
             return
+        except InvalidValueError as error:
+            raise OSError(str(error)) from None
         if head in (b"", MARK.encode()):
             return
         aside = self._make_aside()

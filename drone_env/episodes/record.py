@@ -18,10 +18,12 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.files import write_text
+from drone_env.files import read_file, write_text
 from drone_env.models import DIRECTIONS, Count, Direction, Message, Score
 
 FORMAT_VERSION = 2
+LONGEST_RECORD = 4 << 20
+"""Bytes of a record: one of 32,000 steps, the most that there are, has about 1.3 MB."""
 AgentLabel = Annotated[
     str,
     Field(
@@ -186,7 +188,7 @@ def load_record(path: str | Path) -> EpisodeRecord:
         OSError: if the file cannot be read.
         InvalidValueError: if it is not a record; the message says what is wrong with it.
     """
-    return parse_record(Path(path).read_bytes(), str(path))
+    return parse_record(read_file(path, LONGEST_RECORD), str(path))
 
 
 def parse_record(text: str | bytes, name: str) -> EpisodeRecord:

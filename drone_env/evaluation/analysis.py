@@ -331,7 +331,9 @@ def _line(lost: Move | GivingUp) -> str:
     regret, better = "", ""
     if lost.regret > 0:
         regret, better = f"{lost.regret:.5f}", ", ".join(action.name for action in lost.best_actions)
-    return f"{number:>4}  {f'{move:<5} {mark}':<8} {to:>8}  {event:<12}  {lost.value:6.4f}  {regret:>7}  {better}".rstrip()
+    return (
+        f"{number:>4}  {f'{move:<5} {mark}':<8} {to:>8}  {event:<12}  {lost.value:6.4f}  {regret:>7}  {better}".rstrip()
+    )
 
 
 def _plain(value: Any) -> Any:

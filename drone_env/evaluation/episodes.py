@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from statistics import fmean
@@ -84,8 +84,16 @@ class EpisodeResults:
         )
 
 
-COLUMNS = [field.name for field in fields(EpisodeResults) if field.name != "key"]
-"""What there is of each episode."""
+COLUMNS: dict[str, type[np.generic]] = {
+    "seeds": np.int64,
+    "scores": np.float64,
+    "steps": np.int32,
+    "deliveries": np.int32,
+    "success": np.bool_,
+    "optimal_scores": np.float64,
+    "optimal_steps": np.int32,
+}
+"""What there is of each episode, and the type of its array."""
 AVERAGED = ("scores", "success", "steps")
 """What differs from flight to flight over a map."""
 

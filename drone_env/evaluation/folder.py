@@ -1,18 +1,17 @@
 """Evaluation on any engine: an engine is a map over keys, and a folder keeps what it has brought so far."""
 
-import json
 import os
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drone_env import __version__
 from drone_env.agents import network_file
+from drone_env.core.score import HIGHEST, LOWEST
 from drone_env.core.tasks import WITHDRAWN, get_task, withdrawal
-from drone_env.errors import DroneEnvError, InvalidValueError, TooLargeError
+from drone_env.errors import InvalidValueError, TooLargeError, shown
 from drone_env.evaluation.episodes import (
     COLUMNS,
     PIECE,
@@ -22,11 +21,17 @@ from drone_env.evaluation.episodes import (
     pieces_of,
     run_episodes,
 )
-from drone_env.files import differences, is_begun, replacing, write_json
+from drone_env.files import differences, is_begun, read_file, replacing, write_json
+from drone_env.npz import unpack_arrays
+
+if TYPE_CHECKING:
+    from drone_env.evaluation.config import EvaluationConfig
 
 Engine = Callable[[Sequence[EpisodesKey]], Iterator[EpisodeResults]]
 """Brings the results of all keys, in any order; bringing one twice does no harm."""
-CONFIG, PIECES, FORMAT = "evaluation.json", "pieces", "drone_env/evaluation"
+CONFIG, PIECES = "evaluation.json", "pieces"
+MOST_BYTES = 1 << 20
+"""Bytes of a configuration, and of a piece: 1,000 episodes take 38,000."""
 
 
 def local_engine(keys: Sequence[EpisodesKey]) -> Iterator[EpisodeResults]:
@@ -59,7 +64,7 @@ class ResultsFolder:
             self.package = _begun_by(config_path, config)
         else:
             path.mkdir(parents=True, exist_ok=True)
-            write_json(config_path, config)
+            write_json(config_path, config.model_dump())
         self._pieces.mkdir(exist_ok=True)
 
     def load(self, key: EpisodesKey) -> EpisodeResults | None:
@@ -92,13 +97,26 @@ def _load(path: Path, key: EpisodesKey) -> EpisodeResults | None:
     if not path.exists():
         return None
     try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            results = EpisodeResults(key=key, **{name: file[name] for name in COLUMNS})
-        whole = np.array_equal(results.seeds, np.arange(*key.seeds))
-        if not whole or any(len(getattr(results, name)) != len(results.seeds) for name in COLUMNS):
+        columns = unpack_arrays(read_file(path, MOST_BYTES), MOST_BYTES)
+        if columns.keys() != COLUMNS.keys():
+            raise ValueError(f"it holds {shown(sorted(columns))} instead of {', '.join(COLUMNS)}")
+        for name, kind in COLUMNS.items():
+            column = columns[name]
+            if column.dtype != kind or column.shape != (key.seeds[1] - key.seeds[0],):
+                raise ValueError(f"{name} is {shown(column.dtype)}{list(column.shape)}")
+        results = EpisodeResults(key=key, **columns)
+        if not np.array_equal(results.seeds, np.arange(*key.seeds)):
             raise ValueError("it holds other episodes")
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise InvalidValueError(f"{path} is damaged, remove it to have it flown again: {error}") from None
+        task = get_task(key.task, key.version)
+        # NaN compares as False.
+        scores = ((results.scores >= LOWEST) & (results.scores <= HIGHEST)).all()
+        steps = ((results.steps >= 0) & (results.steps <= task.max_steps)).all()
+        done = ((results.deliveries >= 0) & (results.deliveries <= task.deliveries)).all()
+        if not (scores and steps and done and (results.success == (results.deliveries == task.deliveries)).all()):
+            raise ValueError("scores, steps, deliveries or success are out of range")
+    except ValueError as error:
+        why = str(error).removeprefix(f"{path} ")
+        raise InvalidValueError(f"{path} is damaged, remove it to have it flown again: {why}") from None
     return results
 
 
@@ -124,24 +142,18 @@ def kept_results(
         UnknownNameError: if it is of a task that does not exist, or no longer.
     """
     config = _read_config(path / CONFIG)
-    try:
-        versions = dict(task.rsplit(" v", 1) for task in config["tasks"])
-        start, stop = config["seeds"]
-        flown: list[tuple[str, tuple[EpisodeResults, ...]]] = []
-        for label, digest in config["agents"].items():
-            agent, of_task = label.rsplit(" on ", 1)
-            if task not in (None, of_task):
-                continue
-            if most is not None and stop - start > most:
-                raise TooLargeError(f"{stop - start} maps are more than the {most} that are looked at here")
-            get_task(of_task, int(versions[of_task]))
-            key = EpisodesKey(of_task, int(versions[of_task]), config["split"], (start, stop), agent, digest)
-            repeats = [key._replace(repeat=repeat) for repeat in range(config.get("repeats", {}).get(label, 1))]
-            flown.append((agent, tuple(_whole(path / PIECES, of, config["piece"]) for of in repeats)))
-    except (KeyError, TypeError, ValueError) as error:
-        if isinstance(error, DroneEnvError):
-            raise
-        raise InvalidValueError(f"{path / CONFIG} is not the configuration of an evaluation: {error!r}") from None
+    versions, (start, stop) = config.versions(), config.seeds
+    flown: list[tuple[str, tuple[EpisodeResults, ...]]] = []
+    for label, digest in config.agents.items():
+        agent, _, of_task = label.rpartition(" on ")
+        if task not in (None, of_task):
+            continue
+        if most is not None and stop - start > most:
+            raise TooLargeError(f"{stop - start} maps are more than the {most} that are looked at here")
+        get_task(of_task, versions[of_task])
+        key = EpisodesKey(of_task, versions[of_task], config.split, (start, stop), agent, digest)
+        repeats = [key._replace(repeat=repeat) for repeat in range(config.repeats.get(label, 1))]
+        flown.append((agent, tuple(_whole(path / PIECES, of, config.piece) for of in repeats)))
     return flown
 
 
@@ -204,20 +216,19 @@ def evaluate_keys(
     return {key: concatenate([flown[piece] for piece in of_key]) for key, of_key in pieces.items()}
 
 
-def _config(keys: Sequence[EpisodesKey]) -> dict[str, Any]:
-    """What decides the results, as JSON. A network's file is named by what it holds, not by where it lies."""
+def _config(keys: Sequence[EpisodesKey]) -> "EvaluationConfig":
+    from drone_env.evaluation.config import EvaluationConfig  # loads Pydantic, which most commands do without
+
     first = keys[0]
-    return {
-        "format": FORMAT,
-        "format_version": 1,
-        "package": __version__,
-        "piece": PIECE,
-        "split": first.split,
-        "seeds": list(first.seeds),
-        "repeats": {f"{_label(key)} on {key.task}": key.repeat + 1 for key in keys if key.repeat},
-        "tasks": sorted({f"{key.task} v{key.version}" for key in keys}),
-        "agents": {f"{_label(key)} on {key.task}": key.config_hash for key in keys},
-    }
+    return EvaluationConfig(
+        package=__version__,
+        piece=PIECE,
+        split=first.split,
+        seeds=list(first.seeds),
+        repeats={f"{_label(key)} on {key.task}": key.repeat + 1 for key in keys if key.repeat},
+        tasks=sorted({f"{key.task} v{key.version}" for key in keys}),
+        agents={f"{_label(key)} on {key.task}": key.config_hash for key in keys},
+    )
 
 
 def _label(key: EpisodesKey) -> str:
@@ -225,21 +236,17 @@ def _label(key: EpisodesKey) -> str:
     return key.agent if network is None else network[0]
 
 
-def _read_config(path: Path) -> dict[str, Any]:
-    try:
-        config: Any = json.loads(path.read_bytes())
-        if not isinstance(config, dict) or config.get("format") != FORMAT:
-            raise ValueError("it has another format")
-    except ValueError as error:
-        raise InvalidValueError(f"{path} is not the configuration of an evaluation: {error}") from None
-    return cast(dict[str, Any], config)
+def _read_config(path: Path) -> "EvaluationConfig":
+    from drone_env.evaluation.config import EvaluationConfig  # as above
+
+    return EvaluationConfig.read(read_file(path, MOST_BYTES), f"{path} is not the configuration of an evaluation")
 
 
-def _begun_by(path: Path, config: dict[str, Any]) -> str:
+def _begun_by(path: Path, config: "EvaluationConfig") -> str:
     """The version of this package that began the evaluation; an evaluation that is not whole must be of this one."""
     before = _read_config(path)
-    changed = differences({"repeats": {}, **before, "package": ""}, {**config, "package": ""})
+    changed = differences(before.model_dump(exclude={"package"}), config.model_dump(exclude={"package"}))
     if changed:
-        gone = [f"{withdrawal(*pair)}" for pair in WITHDRAWN if "{} v{}".format(*pair) in before.get("tasks", ())]
+        gone = [f"{withdrawal(*pair)}" for pair in WITHDRAWN if "{} v{}".format(*pair) in before.tasks]
         raise InvalidValueError(f"{path.parent} holds another evaluation: {'; '.join(changed + gone)}")
-    return f"{before.get('package')}"
+    return before.package

@@ -52,8 +52,8 @@ def judge_evaluation(path: Path, task: str | None = None, most: int | None = Non
         return [Judged(path, _figures(agent, repeats)) for agent, repeats in kept_results(path, task, most)]
     except (NotWholeError, TooLargeError, UnknownNameError) as error:
         return [Refused(path, str(error), damaged=False)]
-    except (DroneEnvError, OSError, ValueError) as error:
-        return [Refused(path, str(error).removeprefix(f"{path}: "), damaged=True)]
+    except (DroneEnvError, OSError) as error:
+        return [Refused(path, str(error), damaged=True)]
 
 
 def _figures(agent: str, repeats: tuple[EpisodeResults, ...]) -> dict[str, Any]:
@@ -62,7 +62,7 @@ def _figures(agent: str, repeats: tuple[EpisodeResults, ...]) -> dict[str, Any]:
     best = random.optimal_scores  # NaN where they are not known
     for results in repeats:
         known = np.array_equal(results.optimal_scores, best, equal_nan=True)
-        if not known or (results.scores > best).any() or (results.scores < 0).any():
+        if not known or (results.scores > best).any():
             raise InvalidValueError(f"{agent} on {key.task}: these are no scores, or not of these maps")
     figures, floor = summarise(*repeats), fmean(random.scores)
     above = figures["mean_optimal_score"] and figures["mean_optimal_score"] - floor

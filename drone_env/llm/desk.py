@@ -5,11 +5,11 @@ from typing import NoReturn, Protocol
 from urllib.parse import urlsplit
 
 from drone_env.errors import DroneEnvError, EndpointError, InvalidValueError
-from drone_env.files import write_text
+from drone_env.files import read_file, write_text
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig
 from drone_env.llm.gate import Gate
-from drone_env.llm.transcript import Call, CallKey, Transcript
+from drone_env.llm.transcript import LONGEST_CALL, Call, CallKey, Transcript
 
 
 class CallFailedError(DroneEnvError):
@@ -132,7 +132,9 @@ class AnswerCache:
             InvalidValueError: if the file is no answer.
         """
         path = self._path(key)
-        return Answer.read(path.read_bytes(), f"remove {path}, which is no answer") if path.exists() else None
+        if not path.exists():
+            return None
+        return Answer.read(read_file(path, LONGEST_CALL), f"remove {path}, which is no answer")
 
     def put(self, key: str, answer: Answer) -> None:
         """Keep an answer.

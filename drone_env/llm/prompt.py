@@ -7,7 +7,6 @@ form are filled in by `str.format`, those with `format = 2` by Jinja2, and may i
 import hashlib
 import re
 import string
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,18 +18,16 @@ from pydantic import Field, ValidationError
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError, UnknownNameError, needs, text_of
+from drone_env.files import read_file
 from drone_env.llm.answers import MARK
 from drone_env.llm.messages import LARGEST, SMALLEST, ChatMessage, Part, picture_part
 from drone_env.llm.symbols import PLAIN, Symbols, draw_symbols
 from drone_env.llm.values import FIRST_VALUES, TITLES, VALUES, deciding, values_of
 from drone_env.models import DroneObservation, Message
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from drone_env.toml_text import parse_toml
 
 FOLDER = Path(__file__).with_name("prompts")
+MAX_FILE = 1 << 18
 QUOTED_CHARACTERS = 2000
 """How much of a bad answer is shown to the model again."""
 
@@ -126,7 +123,7 @@ def read_prompt(path: Path) -> Prompt:
 
 def text_of_file(path: Path) -> str:
     """What a file holds, whose lines end in LF here: a checkout may have CRLF, which is no other prompt."""
-    return path.read_bytes().replace(b"\r\n", b"\n").decode()
+    return read_file(path, MAX_FILE).replace(b"\r\n", b"\n").decode()
 
 
 @lru_cache(maxsize=64)
@@ -142,8 +139,8 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
         InvalidValueError: if it is not a prompt; the message says why.
     """
     try:
-        data = PromptFile.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
+        data = PromptFile.model_validate(parse_toml(text))
+    except InvalidValueError as error:
         raise InvalidValueError(f"{path}: {error}") from None
     except ValidationError as error:
         raise InvalidValueError(f"{path} is not a prompt: {text_of(error)}") from None

@@ -1,6 +1,7 @@
 """The folder of a run: what it is, its transcript, and what follows from that. One process at a time writes to it."""
 
 import hashlib
+import os
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -11,13 +12,16 @@ from typing_extensions import Self
 from drone_env.episodes.record import record_of
 from drone_env.episodes.store import Store
 from drone_env.errors import InvalidValueError
-from drone_env.files import is_begun, locked, write_text
+from drone_env.files import is_begun, locked, read_file, read_lines, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
 from drone_env.llm.pilot import PilotedEpisode, Status
+from drone_env.llm.transcript import LONGEST_CALL
 from drone_env.models import Count, Message, Score
 
 CONFIG, TRANSCRIPT, EPISODES, RESULTS = "run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl"
+MOST_CONFIG, LONGEST_RESULT = 1 << 20, 1 << 16
+"""Bytes of a configuration, and of the result of a flight."""
 
 
 class PilotedRecord(Message):
@@ -64,12 +68,12 @@ class EpisodeIds:
 
     Raises:
         OSError: if no call of it was made.
+        InvalidValueError: if the transcript cannot be one.
     """
 
     def __init__(self, path: Path) -> None:
-        with (path / TRANSCRIPT).open("rb") as file:
-            # It holds the time of the run's first call, and is the same for all parts of the run.
-            self._run = file.readline()
+        # It holds the time of the run's first call, and is the same for all parts of the run.
+        self._run = next(read_lines(path / TRANSCRIPT, LONGEST_CALL), b"")
 
     def of(self, flight: int) -> str:
         """The id of the flight of a number."""
@@ -135,7 +139,7 @@ class RunFolder:
 def runs_in(path: Path) -> list[Path]:
     """The folder itself; or those of the runs in it, as `--prompts` makes them, where it is of none itself."""
     inside = sorted(file.parent for file in path.glob(f"*/{CONFIG}"))
-    return [path] if (path / CONFIG).exists() else inside or [path]
+    return [path] if os.path.lexists(path / CONFIG) else inside or [path]
 
 
 def load_config(path: Path) -> RunConfig:
@@ -146,7 +150,7 @@ def load_config(path: Path) -> RunConfig:
         InvalidValueError: if there is none, or the file is not the configuration of a run.
     """
     try:
-        text = (path / CONFIG).read_bytes()
+        text = read_file(path / CONFIG, MOST_CONFIG)
     except (FileNotFoundError, NotADirectoryError):
         raise InvalidValueError(f"{path}: this is not the folder of a run: there is no {CONFIG} in it") from None
     return RunConfig.read(text, f"{path / CONFIG} is not the configuration of a run")
@@ -159,6 +163,6 @@ def load_results(path: Path) -> list[PilotedRecord]:
         OSError: if there are none yet.
         InvalidValueError: if a line is no result.
     """
-    lines = enumerate((path / RESULTS).read_bytes().splitlines(), 1)
+    lines = enumerate(read_lines(path / RESULTS, LONGEST_RESULT), 1)
     wrong = f"of {path / RESULTS} is not the result of a flight"
     return [PilotedRecord.read(line, f"line {number} {wrong}") for number, line in lines]

@@ -13,10 +13,13 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 
 from drone_env.errors import InvalidValueError
-from drone_env.files import locked
+from drone_env.files import locked, read_lines
 from drone_env.llm.answers import Answer
 from drone_env.llm.messages import ChatMessage
 from drone_env.models import Count, Message
+
+LONGEST_CALL = 1 << 24
+"""Bytes of a line: an answer has at most 4 MiB, and JSON may escape it."""
 
 
 class CallKey(NamedTuple):
@@ -128,13 +131,12 @@ def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
         InvalidValueError: at a line that is no call, or the second answer of one.
     """
     seen: set[CallKey] = set()
-    with path.open("rb") as file:
-        for number, line in enumerate(file, 1):
-            if not line.endswith(b"\n"):
-                return
-            call = Call.read(line, f"line {number} of {path} is no call")
-            if call.answer is not None:
-                if call.key in seen:
-                    raise InvalidValueError(f"line {number} of {path}: call {call.key} has an answer already")
-                seen.add(call.key)
-            yield len(line), call
+    for number, line in enumerate(read_lines(path, LONGEST_CALL), 1):
+        if not line.endswith(b"\n"):
+            return
+        call = Call.read(line, f"line {number} of {path} is no call")
+        if call.answer is not None:
+            if call.key in seen:
+                raise InvalidValueError(f"line {number} of {path}: call {call.key} has an answer already")
+            seen.add(call.key)
+        yield len(line), call

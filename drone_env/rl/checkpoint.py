@@ -8,19 +8,23 @@ always a whole one. An exported network is read by `agents.network`, without PyT
 import json
 import os
 import pickle
+import struct
 import zipfile
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 import torch
 from torch import nn
 
-from drone_env.errors import CheckpointError
-from drone_env.files import replacing
+from drone_env.errors import CheckpointError, InvalidValueError
+from drone_env.files import open_file, replacing
 
 FORMAT = "drone_env/checkpoint"
 VERSION = 2
+UNREADABLE = (pickle.UnpicklingError, zipfile.BadZipFile, struct.error, RuntimeError, EOFError, MemoryError,
+              ValueError, TypeError, LookupError, AttributeError, AssertionError, ArithmeticError)  # fmt: skip
+"""What reading a damaged archive, its pickle or its tensors raises."""
 
 
 def save_checkpoint(path: Path, contents: dict[str, Any]) -> None:
@@ -47,8 +51,12 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
         CheckpointError: if it is cut short, no checkpoint of this project, or of another version.
     """
     try:
-        contents: Any = torch.load(path, map_location=device, weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, zipfile.BadZipFile, ValueError, KeyError) as error:
+        with open_file(path) as file:
+            _require_plain(file)
+            contents: Any = torch.load(file, map_location=device, weights_only=True)
+    except InvalidValueError as error:
+        raise CheckpointError(str(error)) from None
+    except UNREADABLE as error:
         raise CheckpointError(f"{path} cannot be read: cut short, or no checkpoint ({type(error).__name__})") from None
     if not isinstance(contents, dict) or cast(dict[str, Any], contents).get("format") != FORMAT:
         raise CheckpointError(f"{path} is not a checkpoint of this project")
@@ -61,6 +69,15 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
     if isinstance(batch, dict) and "rows" in batch:  # as earlier versions call the states
         batch["states"] = batch.pop("rows")
     return contents
+
+
+def _require_plain(file: BinaryIO) -> None:
+    """Refuse an archive that unpacks to more than the file has: `torch.save` compresses nothing."""
+    size = os.fstat(file.fileno()).st_size
+    with zipfile.ZipFile(file) as archive:
+        if sum(entry.file_size for entry in archive.infolist()) > size:
+            raise zipfile.BadZipFile("it is compressed")
+    file.seek(0)
 
 
 def export_network(network: nn.Module, path: Path, metadata: dict[str, Any]) -> None:

@@ -14,7 +14,7 @@ from typing import Any, Generic, TextIO
 
 from drone_env.errors import CheckpointError, InvalidValueError, needs
 from drone_env.files import locked, replacing
-from drone_env.rl.checkpoint import export_network, load_checkpoint, save_checkpoint
+from drone_env.rl.checkpoint import UNREADABLE, export_network, load_checkpoint, save_checkpoint
 from drone_env.rl.curves import draw_curves
 from drone_env.rl.learner import AnyLearner, DifferentRunError, figure, figures_of
 
@@ -74,8 +74,10 @@ class TrainingRun(Generic[AnyLearner]):
             except DifferentRunError as error:
                 again = "use those to go on, or add --fresh to start again"
                 raise CheckpointError(f"{self.checkpoint} has other settings: {error}; {again}") from None
-            except (CheckpointError, KeyError) as error:
-                why = f"{self.checkpoint} lacks {error}" if isinstance(error, KeyError) else error
+            except UNREADABLE as error:
+                wrong = "lacks" if isinstance(error, KeyError) else "does not fit this training:"
+                first = (str(error).splitlines() or [type(error).__name__])[0]  # PyTorch adds lines
+                why = error if isinstance(error, CheckpointError) else f"{self.checkpoint} {wrong} {first}"
                 raise CheckpointError(f"{why}; add --fresh to start again and keep the file") from None
         self.stopped = False
         """Whether the run is to end after the present step, or has."""

@@ -1,5 +1,6 @@
 """The evaluations of agents that lie in the data folder, and what they are worth."""
 
+import os
 from pathlib import Path
 
 from drone_env.evaluation.folder import CONFIG, PIECES
@@ -23,15 +24,14 @@ class Evaluations:
 
     def folders(self) -> list[Path]:
         """Those of evaluations, by name."""
-        return sorted(config.parent for config in self._folder.glob(f"*/{CONFIG}"))
+        return [path for path in sorted(self._folder.glob("*")) if os.path.lexists(path / CONFIG)]
 
     def judge(self, path: Path, task: str) -> list[Judged | Refused]:
-        """What each agent is worth on a task, or why it is not ranked: once, as long as the files stay as they are.
-
-        Raises:
-            OSError: if the system does not tell of a file.
-        """
-        stamps = [(file, stamp(file)) for file in (path / CONFIG, *sorted((path / PIECES).glob("*.npz")))]
+        """What each agent is worth on a task, or why it is not ranked: once, as long as the files stay as they are."""
+        try:
+            stamps = [(file, stamp(file)) for file in (path / CONFIG, *sorted((path / PIECES).glob("*.npz")))]
+        except OSError as error:
+            return [Refused(path, str(error), damaged=True)]
         known = self._judged.get((path, task))
         if known is None or known[0] != stamps:
             known = self._judged[path, task] = stamps, judge_evaluation(path, task, MOST_MAPS)

@@ -11,9 +11,8 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers
 from starlette.types import Scope
 
-FOREIGN_HEADERS = ("forwarded", "via", "x-real-ip", "origin", "sec-fetch-site")
-"""What proxies add, and browsers."""
-FORWARDED = "x-forwarded-"
+PROXY_HEADERS, FORWARDED = ("forwarded", "via", "x-real-ip"), "x-forwarded-"
+BROWSER_HEADERS = ("origin", "sec-fetch-site")
 OPEN_SOCKETS = "/dev/fd"
 
 
@@ -47,16 +46,35 @@ def listens_on_loopback(scope: Scope, host: str) -> bool:
 def local_address(scope: Scope, host: str) -> str | None:
     """The address of a program on this machine that calls a server which nobody else reaches; None for all others.
 
-    Browsers are none, nor is what comes through a proxy, which may bring strangers. HTTP/1.0 is what proxies speak
-    that add no header.
+    Browsers are none.
     """
     client, headers = scope.get("client"), Headers(scope=scope)
-    if client is None or scope.get("http_version") == "1.0" or not is_local_name(client[0].lower()):
-        return None
-    if any(name in FOREIGN_HEADERS or name.startswith(FORWARDED) for name in headers):
+    if client is None or any(name in BROWSER_HEADERS for name in headers):
         return None
     named = is_local_name(host_name(headers.get("host", "")))
-    return client[0] if named and listens_on_loopback(scope, host) else None
+    return client[0] if named and stranger_address(scope, host) is None else None
+
+
+def stranger_address(scope: Scope, host: str) -> str | None:
+    """The address of a caller of a server that strangers reach; None if nobody but this machine reaches it.
+
+    A proxy may bring strangers. HTTP/1.0 is what proxies speak that add no header. Of IPv6 the network of 64 bits
+    counts: whoever has one address has them all.
+    """
+    client = (scope.get("client") or ("unknown",))[0].lower()
+    headers = Headers(scope=scope)
+    proxied = any(name in PROXY_HEADERS or name.startswith(FORWARDED) for name in headers)
+    direct = scope.get("http_version") != "1.0" and not proxied
+    if direct and is_local_name(client) and listens_on_loopback(scope, host):
+        return None
+    try:
+        address = ipaddress.ip_address(client)
+    except ValueError:
+        return client
+    if isinstance(address, ipaddress.IPv4Address):
+        return client
+    mapped = address.ipv4_mapped
+    return str(ipaddress.ip_network((address, 64), strict=False)) if mapped is None else str(mapped)
 
 
 @lru_cache(maxsize=1024)

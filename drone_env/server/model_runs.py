@@ -3,6 +3,7 @@
 What flies a model again is imported where it is asked for: most servers have no such run.
 """
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,20 +32,16 @@ class ModelRuns:
         self._judged: dict[Path, tuple[object, Judged | Refused]] = {}
 
     def configs(self) -> "dict[Path, RunConfig | None]":
-        """What each run is, by its folder; None where that cannot be read.
-
-        Raises:
-            OSError: if a folder cannot be read.
-        """
+        """What each run is, by its folder; None if that cannot be read."""
         found: dict[Path, RunConfig | None] = {}
-        for path in sorted(self._folder.iterdir()) if self._folder.is_dir() else ():
+        for path in sorted(self._folder.glob("*")):
             from drone_env.llm.run_folder import CONFIG, load_config, runs_in
 
             for run in runs_in(path):
-                if (run / CONFIG).is_file():
+                if os.path.lexists(run / CONFIG):
                     try:
                         found[run] = load_config(run)
-                    except DroneEnvError:
+                    except (DroneEnvError, OSError):
                         found[run] = None
         return found
 
@@ -57,7 +54,12 @@ class ModelRuns:
         from drone_env.llm.leaderboard import judge
         from drone_env.llm.run_folder import CONFIG, EPISODES, RESULTS, TRANSCRIPT
 
-        stamps = [stamp(path / name) for name in (CONFIG, TRANSCRIPT, EPISODES, RESULTS)]
+        try:
+            stamps = [stamp(path / name) for name in (CONFIG, TRANSCRIPT, EPISODES, RESULTS)]
+        except OSError as error:
+            from drone_env.evaluation.leaderboard import Refused
+
+            return Refused(path, str(error), damaged=True)
         known = self._judged.get(path)
         if known is None or known[0] != stamps:
             known = self._judged[path] = stamps, judge(path)
@@ -74,16 +76,19 @@ class ModelRuns:
         """The calls of a flight of the store, in order, and the run that it is of; None where it is of none.
 
         Raises:
-            OSError: if a file cannot be read.
+            OSError: if the transcript cannot be read.
             InvalidValueError: if the transcript of the run is damaged.
         """
         for path, config in self.configs().items():
             from drone_env.llm.run_folder import TRANSCRIPT, EpisodeIds
             from drone_env.llm.transcript import read_calls
 
-            if config is None or not (path / TRANSCRIPT).exists():
+            if config is None:
                 continue
-            ids = EpisodeIds(path)
+            try:
+                ids = EpisodeIds(path)
+            except (DroneEnvError, OSError):  # it has made no call yet, or is damaged
+                continue
             for flight in range(min(config.flights, MOST_FLIGHTS)):
                 if ids.of(flight) == episode_id:
                     calls = [call for _, call in read_calls(path / TRANSCRIPT) if call.flight == flight]

@@ -83,7 +83,7 @@ STATUSES: list[tuple[type[DroneEnvError], int, str]] = [
 _MEANINGS = {
     400: "The body is not JSON; in the task API also an index that the split does not have.",
     401: "The token is missing or wrong.",
-    403: "A host, or a web page of an origin, that is not allowed.",
+    403: "A host, or a web page of an origin, that is not allowed; or something that this server has turned off.",
     404: "There is no such thing; `detail` lists what there is.",
     409: "No session was named, or the episode is not at the right point.",
     410: "The session is gone.",

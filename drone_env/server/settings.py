@@ -55,7 +55,12 @@ class Settings(BaseSettings):
         default=(),
         description="TOML files of reward profiles that callers may name beside those of the package; comma-separated.",
     )
-    maps: int = Field(default=1000, ge=0, description="Drawn maps that are kept; another is refused.")
+    maps: int | None = Field(
+        default=None,
+        ge=0,
+        description="Drawn maps that are kept; of more, the one unused for longest is forgotten, and one address keeps "
+        "at most a tenth. If empty, 1000 for callers with a token or on this machine alone, and none for others.",
+    )
     job_seconds: int = Field(
         default=10, ge=1, description="CPU time that solving a map, drawing a picture and other long work may take."
     )

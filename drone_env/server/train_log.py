@@ -4,7 +4,8 @@ from collections import deque
 from math import isfinite
 from pathlib import Path
 
-from drone_env.files import stamp
+from drone_env.errors import InvalidValueError, StoreError
+from drone_env.files import open_file, stamp
 
 FILE_NAME = "train.log"
 TAIL_BYTES = 256 * 1024
@@ -44,14 +45,21 @@ class TrainLog:
         return {name: [row[name] for row in rows if row.keys() == rows[0].keys()] for name in rows[0]} if rows else {}
 
     def _end(self, size: int) -> list[str]:
-        """Its last lines, of at most so many bytes; none where there is no file."""
+        """Its last lines, of at most so many bytes; none where there is no file.
+
+        Raises:
+            StoreError: if it cannot be read.
+        """
         try:
-            with self.path.open("rb") as file:
+            with open_file(self.path) as file:
                 start = max(file.seek(0, 2) - size, 0)
                 file.seek(start)
                 text = file.read(size).decode("utf-8", "replace")
         except FileNotFoundError:
             return []
+        except (InvalidValueError, OSError) as error:
+            why = getattr(error, "strerror", None) or str(error).removeprefix(f"{self.path} ")
+            raise StoreError(f"{FILE_NAME} cannot be read: {why}") from None
         return text.splitlines()[1 if start else 0 :]
 
 

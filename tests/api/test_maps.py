@@ -1,10 +1,13 @@
 """Maps that are drawn: what they are worth, and how they are kept."""
 
+import json
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import SecretStr
 from starlette.testclient import TestClient
 
 from drone_env.city.city_file import City, city_text, read_city, write_city
@@ -23,6 +26,12 @@ YARD: dict[str, Any] = {
     "numbers": {"battery_capacity": 9},
     "attribution": "© OpenStreetMap contributors",
 }
+HALF = 'format = 1\nlicence = "CC0-1.0"\n[terrain]\nrows = ["· · 🏢", "· 🚧🔋", "· · · "]'
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> dict[str, Any]:
+    return {"data": tmp_path / "data", "maps": 1000}
 
 
 def answer(client: TestClient, path: str, body: dict[str, Any]) -> Any:
@@ -53,8 +62,7 @@ def test_any_map_can_be_drawn_on(client: TestClient) -> None:
     drawn = client.get("/maps/skyline_medium/43").json()
     best = solve("skyline_medium", 43)
     assert answer(client, "/maps/worth", drawn)["optimum"]["score"] == best.score
-    half = 'format = 1\nlicence = "CC0-1.0"\n[task]\ndeliveries = 2\n[terrain]\nrows = ["· · 🏢", "· 🚧🔋", "· · · "]'
-    drawn = answer(client, "/maps/file", {"toml": half})
+    drawn = answer(client, "/maps/file", {"toml": f"{HALF}\n[task]\ndeliveries = 2"})
     assert (len(drawn["parcels"]), drawn["licence"], drawn["numbers"]) == (2, "CC0-1.0", {})
     largest = np.ones((128, 128), np.uint8)
     largest[0, :2] = 0
@@ -74,8 +82,11 @@ def test_any_map_can_be_drawn_on(client: TestClient) -> None:
         ({"cells": [[0, 3, 0, 0], [0, 3, 0, 8], [0, 3, 2, 0]]}, "parcel 0 [2, 0] cannot be reached from start"),
         ({"parcels": []}, "at least 1 item"),
         ({"numbers": {"max_steps": 0}}, "max_steps must be 1 to 32000, got 0"),
+        ({"numbers": {"max_steps": 141}}, "max_steps must be at most 140 on a drawn map of 4 x 3 cells, got 141"),
+        ({"numbers": {"battery_capacity": 141}}, "battery_capacity must be at most 140"),
         ({"numbers": {"deliveries": 2}}, "deliveries"),
-        ({"attribution": "a\nb"}, "attribution must be printable"),
+        ({"attribution": "a\nb"}, "attribution must be one printable line of at most 200 characters"),
+        ({"source": "x" * 201}, "at most 200 characters"),
     ],
 )
 def test_a_bad_drawing_is_refused_with_what_is_allowed(
@@ -85,8 +96,23 @@ def test_a_bad_drawing_is_refused_with_what_is_allowed(
         refused = shared_client.post(path, json={**YARD, **change})
         assert refused.status_code == 422
         assert detail in refused.json()["detail"]
-    refused = shared_client.post("/maps/file", json={"toml": "format = 2"})
-    assert (refused.status_code, refused.json()["detail"]) == (422, "format must be 1, got 2")
+
+
+@pytest.mark.parametrize(
+    ("toml", "detail"),
+    [
+        ("format = 2", "format must be 1, got 2"),
+        ("a." * 12_000 + "a = 1", "not TOML that can be read: it has more than 64 dots outside strings"),
+        ("# \ud800", "surrogates not allowed"),
+        (f"{HALF}\n[task]\nmax_steps = 121", "max_steps must be at most 120 on a drawn map of 3 x 3 cells"),
+    ],
+)
+def test_a_file_that_is_no_map_is_refused(shared_client: TestClient, toml: str, detail: str) -> None:
+    # Sent as bytes: a lone surrogate has no UTF-8, but JSON escapes it.
+    body = json.dumps({"toml": toml})
+    refused = shared_client.post("/maps/file", content=body, headers={"Content-Type": "application/json"})
+    assert refused.status_code == 422
+    assert detail in refused.json()["detail"]
 
 
 def test_a_kept_map_is_flown_stored_and_found_after_a_restart(client: TestClient, settings: dict[str, Any]) -> None:
@@ -116,15 +142,69 @@ def test_a_kept_map_is_flown_stored_and_found_after_a_restart(client: TestClient
         assert again.get(f"/grade/{kept['task']['grader']}", headers=session).json()["task"] == task
 
 
-def test_no_more_are_kept_than_the_server_has_room_for(settings: dict[str, Any]) -> None:
-    few = Settings(**settings, maps=1)
-    with TestClient(create_app(few)) as client:
-        kept = answer(client, "/maps", YARD)
-        refused = client.post("/maps", json={**YARD, "start": [0, 2]})
-        assert (refused.status_code, refused.json()["code"]) == (503, "no_room")
-        assert answer(client, "/maps", YARD) == kept
+def at(start: int) -> dict[str, Any]:
+    """One of several drawings, by where the drone starts."""
+    return {**YARD, "cells": [[0] * 9] * 3, "start": [start, 1]}
+
+
+def test_the_map_that_was_not_used_for_longest_makes_room_and_is_unknown_from_then_on(
+    settings: dict[str, Any],
+) -> None:
+    few = Settings(**settings | {"maps": 2})
+    with TestClient(create_app(few), "http://127.0.0.1", client=("127.0.0.1", 1)) as client:
+        first, second = (answer(client, "/maps", at(start))["task"]["id"] for start in (0, 1))
+        session = {"X-Session-Id": answer(client, "/reset", {"task_name": second, "seed": 0})["session_id"]}
+        file = few.data / "maps" / f"{second}.toml"
+        os.utime(file, (0, 0))
+        answer(client, "/maps", at(2))
+        assert [client.get(f"/tasks/{task}").status_code for task in (first, second)] == [200, 404]
+    with TestClient(create_app(few)) as again:
+        for path, body in (("/step", {"direction": "UP"}), ("/reset", {"task_name": second})):
+            refused = again.post(path, json=body, headers=session)
+            assert (refused.status_code, refused.json()["code"]) == (422, "unknown_name"), path
+            assert second in refused.json()["detail"]
+        assert again.get("/state", headers=session).status_code == 404
+        # Whoever draws it again gets it back, and the session with it.
+        assert answer(again, "/maps", at(1))["task"]["id"] == second
+        assert again.post("/step", json={"direction": "UP"}, headers=session).status_code == 200
     # What a hand has changed is another map, which is not flown by the name of this one.
-    file = few.data / "maps" / f"{kept['task']['id']}.toml"
     write_city(City(read_city(file).grid), file)
     with TestClient(create_app(few)) as again:
-        assert again.get(f"/tasks/{file.stem}").status_code == 404
+        assert again.get(f"/tasks/{second}").status_code == 404
+
+
+def test_one_stranger_keeps_a_tenth_of_the_maps(settings: dict[str, Any]) -> None:
+    app = create_app(Settings(**settings | {"maps": 20}))
+    with TestClient(app, client=("192.0.2.1", 1)) as one:
+        other, neighbour = (TestClient(app, client=(f"2001:db8::{end}", 1)) for end in (1, 2))
+        theirs = answer(other, "/maps", at(0))["task"]["id"]
+        mine = [answer(one, "/maps", at(start))["task"]["id"] for start in (1, 2, 3)]
+        assert [one.get(f"/tasks/{task}").status_code for task in (theirs, *mine)] == [200, 404, 200, 200]
+        for start in (4, 5):
+            answer(neighbour, "/maps", at(start))
+        assert one.get(f"/tasks/{theirs}").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("host", "client", "headers", "token", "status"),
+    [
+        ("127.0.0.1", "127.0.0.1", {}, None, 200),
+        ("127.0.0.1", "127.0.0.1", {"Origin": "http://127.0.0.1", "Sec-Fetch-Site": "same-origin"}, None, 200),
+        ("127.0.0.1", "127.0.0.1", {"X-Forwarded-For": "192.0.2.1"}, None, 403),
+        ("0.0.0.0", "127.0.0.1", {}, None, 403),
+        ("0.0.0.0", "192.0.2.1", {}, None, 403),
+        ("0.0.0.0", "192.0.2.1", {"Authorization": "Bearer secret"}, "secret", 200),
+    ],
+)
+def test_maps_of_strangers_are_kept_only_if_a_setting_says_so(
+    host: str, client: str, headers: dict[str, str], token: str | None, status: int, tmp_path: Path
+) -> None:
+    closed = Settings(host=host, token=None if token is None else SecretStr(token), data=tmp_path / "closed")
+    opened = closed.model_copy(update={"maps": 10, "data": tmp_path / "opened"})
+    for settings, expected in ((closed, status), (opened, 200)):
+        with TestClient(create_app(settings), "http://127.0.0.1", client=(client, 1), headers=headers) as caller:
+            answered = caller.post("/maps", json=YARD)
+        assert answered.status_code == expected
+        if expected == 403:
+            assert answered.json()["code"] == "maps_off"
+            assert "this server keeps no drawn maps: save yours as a file" in answered.json()["detail"]

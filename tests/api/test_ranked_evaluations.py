@@ -1,9 +1,14 @@
 """Evaluations that lie in the data folder of a server: agents on the boards of language models."""
 
+import io
 import json
+import os
+import shutil
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
@@ -110,3 +115,122 @@ def test_of_many_maps_those_where_most_was_lost_are_listed(monkeypatch: pytest.M
         for seed, score in enumerate((0.9, 0.2, 0.8, 0.1))
     ]
     assert runs._listed(rows) == [rows[1], rows[3]]
+
+
+@pytest.fixture(scope="module")
+def damaged(tmp_path_factory: pytest.TempPathFactory) -> Generator[tuple[TestClient, Path], None, None]:
+    """A server with a whole evaluation and a whole run, and its data folder."""
+    data = tmp_path_factory.mktemp("damaged")
+    put_evaluation(data, "whole", "greedy", MAPS)
+    put_run(data, "whole", "WAIT", MAPS)
+    with TestClient(create_app(Settings(data=data))) as client:
+        yield client, data
+
+
+def bomb() -> bytes:
+    """A file of 0.3 MB whose array has 300 MB."""
+    file = io.BytesIO()
+    np.savez_compressed(file, scores=np.zeros(300 << 17))
+    return file.getvalue()
+
+
+def column(**columns: Any) -> Callable[[Path], None]:
+    """Other columns in a piece."""
+
+    def put(path: Path) -> None:
+        with np.load(path) as file:
+            held = dict(file)
+        np.savez(path, **held | columns)
+
+    return put
+
+
+def setting(**changes: Any) -> Callable[[Path], None]:
+    """Other settings in a configuration."""
+    return lambda path: path.write_text(json.dumps(json.loads(path.read_text()) | changes)) and None
+
+
+def written(content: bytes) -> Callable[[Path], None]:
+    return lambda path: path.write_bytes(content) and None
+
+
+def instead(make: Callable[[Path], object]) -> Callable[[Path], None]:
+    """Something else where a file should be."""
+
+    def put(path: Path) -> None:
+        path.unlink()
+        make(path)
+
+    return put
+
+
+ANYWHERE: dict[str, Callable[[Path], None]] = {
+    "nested": written(b"[" * 200_000),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:-20]) and None,
+    "bytes": written(bytes(range(256)) * 9),
+    "huge": lambda path: os.truncate(path, 1 << 33),
+    "pipe": instead(os.mkfifo),
+    "folder": instead(Path.mkdir),
+    "link to itself": instead(lambda path: path.symlink_to(path.name)),
+    "device": instead(lambda path: path.symlink_to("/dev/zero")),
+}
+CONFIGS = ANYWHERE | {
+    "a list": written(b"[]"),
+    "a long name": written(b'{"' + b"x" * 100_000 + b'": 1}'),
+    "text for seeds": setting(seeds="0:4"),
+    "too many seeds": setting(seeds=[0, 1 << 53], piece=1),
+    "endless seeds": written(b'{"format": "drone_env/evaluation", "seeds": [0, 1e999]}'),
+    "a long number": written(b'{"seeds": [0, 1' + b"0" * 9999 + b"]}"),
+    "no number": setting(piece=float("nan")),
+    "too many flights": setting(repeats={"greedy on easy_delivery": 1 << 60}),
+    "a digest of elsewhere": setting(agents={"greedy on easy_delivery": "../../../elsewhere"}),
+    "an agent of no task": setting(agents={"greedy": "0123456789abcdef"}),
+    "a task without a version": setting(tasks=["easy_delivery"]),
+}
+PIECES = ANYWHERE | {
+    "a bomb": written(bomb()),
+    "objects": column(scores=np.array([None] * 4)),
+    "texts": column(scores=np.array(["0.9"] * 4)),
+    "complex": column(scores=np.full(4, 0.5j)),
+    "no numbers": column(scores=np.full(4, np.nan)),
+    "endless": column(scores=np.full(4, np.inf)),
+    "a table": column(scores=np.full((4, 1), 0.5)),
+    "steps below zero": column(steps=np.full(4, -1, np.int32)),
+    "too many parcels": column(deliveries=np.full(4, 9, np.int32)),
+    "one more column": column(more=np.zeros(4)),
+}
+RUNS = ("run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl")
+
+
+@pytest.mark.parametrize(
+    ("file", "damage"),
+    [
+        *(pytest.param("evaluation.json", put, id=f"evaluation.json-{name}") for name, put in CONFIGS.items()),
+        *(pytest.param("pieces/*.npz", put, id=f"piece-{name}") for name, put in PIECES.items()),
+        *(pytest.param(file, put, id=f"{file}-{name}") for file in RUNS for name, put in ANYWHERE.items()),
+    ],
+)
+def test_what_is_damaged_is_named_and_stops_nothing(
+    file: str, damage: Callable[[Path], None], damaged: tuple[TestClient, Path]
+) -> None:
+    client, data = damaged
+    kind = "llm" if file in RUNS else "evaluations"
+    bad = data / kind / "bad"
+    shutil.copytree(data / kind / "whole", bad)
+    try:
+        (path,) = bad.glob(file)
+        damage(path)
+        answered = client.get("/leaderboard/easy/runs")
+        assert answered.status_code == 200, answered.text
+        told = answered.json()
+        assert [(row["kind"], row["run"]) for row in told["boards"][0]["rows"]] == [
+            ("agent", "whole"),
+            ("model", "whole"),
+        ]
+        (unranked,) = told["unranked"]
+        assert unranked["run"] == "bad"
+        assert unranked["reason"]
+        assert str(data) not in unranked["reason"]
+        assert len(unranked["reason"]) < 500
+    finally:
+        shutil.rmtree(bad)

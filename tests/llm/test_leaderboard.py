@@ -107,7 +107,7 @@ def test_an_evaluation_that_is_not_whole_is_not_ranked(tmp_path: Path, capsys: p
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"scores": np.full(4, 0.999)}, "greedy on easy_delivery: these are no scores, or not of these maps"),
+        ({"scores": np.full(4, 0.99)}, "greedy on easy_delivery: these are no scores, or not of these maps"),
         ({"optimal_scores": np.full(4, 0.9)}, "these are no scores, or not of these maps"),
         ({"seeds": np.arange(4)}, "is damaged"),
     ],
@@ -135,4 +135,4 @@ def test_an_evaluation_of_a_task_that_nobody_knows_is_not_ranked(
     assert refused["reason"].startswith("unknown task 'courier'")
     config.write_text(text.replace('"seeds"', '"seats"'))
     (refused,) = ranked(capsys, folder, status=1)["refused"]
-    assert "is not the configuration of an evaluation: KeyError('seeds')" in refused["reason"]
+    assert "is not the configuration of an evaluation: seeds: Field required" in refused["reason"]

@@ -3,6 +3,7 @@
 import resource
 import signal
 import threading
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,18 @@ def test_a_file_that_is_no_checkpoint_is_said_and_left_alone(tmp_path: Path) -> 
     with pytest.raises(CheckpointError, match=r"easy\.pth lacks 'online'; add --fresh"):
         run_in(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["easy.pth"]
+
+
+def test_a_checkpoint_that_unpacks_to_more_than_it_has_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.pth"
+    save_checkpoint(path, {"tensor": torch.zeros(1_000_000)})
+    with zipfile.ZipFile(path) as whole:
+        entries = {entry: whole.read(entry) for entry in whole.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, content in entries.items():
+            packed.writestr(name, content)
+    with pytest.raises(CheckpointError, match=r"cannot be read: cut short, or no checkpoint \(BadZipFile\)"):
+        load_checkpoint(path)
 
 
 def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tmp_path: Path) -> None:

@@ -1,9 +1,124 @@
-"""Files that are there whole or not at all."""
+"""Files that are written whole or not at all, and read only if they are files, and small."""
 
 import os
+import socket
+import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
+from drone_env.agents.network import load_network
+from drone_env.agents.tour_network import load_tour_network
+from drone_env.city.city_file import read_city
+from drone_env.city.movingai import read_movingai
+from drone_env.city.openstreetmap import extent
+from drone_env.cluster.sweep.folder import SweepFolder
+from drone_env.episodes.jsonl import read_records
+from drone_env.episodes.record import load_record
+from drone_env.errors import DroneEnvError
+from drone_env.evaluation.folder import kept_results
 from drone_env.files import write_text
+from drone_env.llm.prompt import read_prompt
+from drone_env.llm.run_folder import EpisodeIds, load_config, load_results
+from drone_env.llm.transcript import read_calls
+from drone_env.reward_file import load_reward_profile
+from drone_env.rl.checkpoint import load_checkpoint
+from drone_env.server.train_log import TrainLog
+
+PARSERS: dict[str, Callable[[Path], object]] = {
+    "city.toml": read_city,
+    "reward.toml": load_reward_profile,
+    "prompt.toml": read_prompt,
+    "arena.map": read_movingai,
+    "town.osm": extent,
+    "easy.npz": load_network,
+    "tournet.npz": load_tour_network,
+    "easy.pth": load_checkpoint,
+    "flight.json": load_record,
+    "flights of records.jsonl": lambda path: list(read_records(path)),
+    "calls.jsonl": lambda path: list(read_calls(path)),
+    "run.json": lambda path: load_config(path.parent),
+    "flights.jsonl": lambda path: load_results(path.parent),
+    "evaluation.json": lambda path: kept_results(path.parent),
+    "sweep.json": lambda path: SweepFolder(path.parent).config(),
+}
+"""What reads files that somebody else may have written, by the name of the file."""
+READERS = PARSERS | {
+    "train.log": lambda path: TrainLog(path.parent).curve(),
+    "ids of calls.jsonl": lambda path: EpisodeIds(path.parent),
+}
+
+
+def bind(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as opened:
+        os.chdir(path.parent)  # names of sockets are short
+        opened.bind(path.name)
+
+
+NO_FILES: dict[str, Callable[[Path], None]] = {
+    "pipe": os.mkfifo,
+    "device": lambda path: path.symlink_to("/dev/zero"),
+    "folder": Path.mkdir,
+    "socket": bind,
+    "link to itself": lambda path: path.symlink_to(path.name),
+}
+DAMAGE = {
+    "nested": b"[" * 200_000 + b"\n",
+    "objects": b'{"format":' * 50_000 + b"\n",
+    "number": b'{"format": 1' + b"0" * 100_000 + b"}\n",
+    "bytes": bytes(range(255, 127, -1)) * 100 + b"\n",
+    "list": b"[1, 2]\n",
+    "string": b'"text"\n',
+    "archive": b"PK\x03\x04" + bytes(100) + b"\n",
+}
+
+
+def refused(name: str, path: Path) -> str:
+    """What is said of a file that is not read."""
+    tracemalloc.start()
+    try:
+        with pytest.raises((DroneEnvError, OSError)) as raised:
+            READERS[name](path)
+        assert tracemalloc.get_traced_memory()[1] < 40_000_000
+    finally:
+        tracemalloc.stop()
+    said = str(raised.value)
+    assert path.name in said
+    assert len(said.splitlines()) == 1
+    assert len(said) < 500 + len(str(path))
+    return said
+
+
+@pytest.mark.parametrize("kind", NO_FILES)
+@pytest.mark.parametrize("name", READERS)
+def test_only_files_are_read(name: str, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / name.rpartition(" of ")[2]
+    NO_FILES[kind](path)
+    refused(name, path)
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("name", PARSERS)
+def test_what_is_damaged_is_refused_by_name(name: str, damage: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(DAMAGE[damage])
+    refused(name, path)
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_what_is_too_large_is_not_read(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    with path.open("wb") as file:
+        file.truncate(1 << 33)
+    refused(name, path)
+
+
+def test_a_link_to_a_file_is_read(tmp_path: Path) -> None:
+    (tmp_path / "link.toml").symlink_to("reward.toml")
+    (tmp_path / "reward.toml").write_text('id = "mine"')
+    assert load_reward_profile(tmp_path / "link.toml").id == "mine"
 
 
 def test_what_is_no_file_is_written_to_and_not_replaced(tmp_path: Path) -> None:

@@ -256,12 +256,12 @@ FIRST, METADATA = "head.0.weight.npy", "metadata.npy"
 HOSTILE: dict[str, tuple[Callable[[dict[str, bytes]], bytes], str]] = {
     "a bomb": (lambda parts: packed({**parts, FIRST: bytes(30_000_000)}), "unpacked it would have 30"),
     "a bomb that lies": (lying_bomb, ""),
-    "too large": (lambda parts: bytes(MOST_BYTES + 1), f"more than {MOST_BYTES} bytes"),
+    "too large": (lambda parts: bytes(MOST_BYTES + 1), f"at most {MOST_BYTES:,} bytes"),
     "cut short": (lambda parts: packed(parts)[:-30], "not a zip file"),
     "encrypted": (encrypted, "encrypted"),
     "packed otherwise": (lambda parts: packed(parts, zipfile.ZIP_LZMA), "packed in a way"),
     "an entry is missing": (lambda parts: packed({FIRST: parts[FIRST]}), "does not hold the parameters"),
-    "an entry too many": (lambda parts: packed({**parts, "more.npy": b""}), "and nothing else"),
+    "an entry too many": (lambda parts: packed({**parts, "more.npy": array(0)}), "and nothing else"),
     "more than there is": (lambda parts: packed({**parts, FIRST: claims(f"({10**15},)")}), "has 0"),
     "nested header": (lambda parts: packed({**parts, FIRST: header("-" * 9000 + "1\n")}), ""),
     "no array": (lambda parts: packed({**parts, FIRST: b"nothing"}), ""),
@@ -297,12 +297,6 @@ def test_a_hostile_file_is_refused_by_name_and_in_bounded_memory(
         assert tracemalloc.get_traced_memory()[1] < 8_000_000
     finally:
         tracemalloc.stop()
-
-
-def test_what_is_no_file_is_refused_without_waiting_for_it(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "net.npz")
-    with pytest.raises(CheckpointError, match="it is no file"):
-        load_network(tmp_path / "net.npz")
 
 
 def test_the_largest_weights_that_are_taken_do_not_overflow(tmp_path: Path, parts: dict[str, bytes]) -> None:

@@ -25,11 +25,13 @@ from pydantic_core import to_json
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.core.tasks import withdrawal
 from drone_env.errors import InvalidValueError, text_of
-from drone_env.files import is_begun, locked, write_text
+from drone_env.files import is_begun, locked, read_file, read_lines, write_text
 from drone_env.models import Count, Message
 
 CONFIG, STOPPED, STATE, PARTS = "sweep.json", "stopped.json", "trial.json", "parts.jsonl"
 LOCK_SECONDS = 60.0
+MOST_FILE = 16 << 20
+"""Bytes of one of its files."""
 
 
 class MapScores(Message):
@@ -154,7 +156,9 @@ class SweepFolder:
     def parts(self, trial: Trial) -> list[dict[str, Any]]:
         """Every time that the trial was taken up."""
         path = self.folder(trial) / PARTS
-        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+        if not path.exists():
+            return []
+        return [_parsed(path, line, TypeAdapter(dict[str, Any])) for line in read_lines(path, MOST_FILE)]
 
     def stopped(self) -> list[StoppedSettings]:
         """What was decided so far, one entry a rung.
@@ -175,7 +179,11 @@ def _write(path: Path, value: Message | Sequence[Message]) -> None:
 
 
 def _read(path: Path, kind: TypeAdapter[Any]) -> Any:
+    return _parsed(path, read_file(path, MOST_FILE), kind)
+
+
+def _parsed(path: Path, text: bytes, kind: TypeAdapter[Any]) -> Any:
     try:
-        return kind.validate_json(path.read_bytes())
+        return kind.validate_json(text)
     except ValidationError as error:
         raise InvalidValueError(f"{path} is damaged: {text_of(error)}") from None

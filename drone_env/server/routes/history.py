@@ -83,7 +83,7 @@ def history(shared: SharedParts, task_name: str, last: Annotated[int, Query(ge=1
     )
 
 
-@router.get("/logs")
+@router.get("/logs", responses=answers(503))
 def logs(shared: SharedParts) -> LogLines:
     """The last 50 lines of the training log, `train.log` in the data folder."""
     return LogLines(file=FILE_NAME, lines=TrainLog(shared.settings.data).tail(LINES))

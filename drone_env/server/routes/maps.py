@@ -6,18 +6,19 @@ from typing import Annotated, Literal
 import numpy as np
 from fastapi import APIRouter, Body, Path, Request, Response
 from pydantic import ConfigDict, Field
+from starlette.concurrency import run_in_threadpool
 from typing_extensions import Self
 
-from drone_env.city.city_file import TEXTS, City, city_text, parse_city
-from drone_env.city.city_task import task_of
+from drone_env.city.city_file import MAX_TEXT, TEXTS, City, city_text, parse_city
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.core.terrain import PLACED
 from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, Message, Position, Score
 from drone_env.planning.optimal import solve_episode
-from drone_env.server.drawn_maps import name_of
+from drone_env.server.drawn_maps import drawn_task, name_of
+from drone_env.server.local import stranger_address
 from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import answers
 from drone_env.server.routes.catalogue import describe
@@ -47,9 +48,9 @@ class DrawnMap(Message):
     numbers: dict[Number, int] = Field(
         default_factory=dict[Number, int], description="Numbers of the task that are not to be those of its size."
     )
-    attribution: str = Field(default="", description="Whose data its terrain is.")
-    licence: str = Field(default="", description="Under which licence that may be handed on.")
-    source: str = Field(default="", description="Name of the file that it was made from.")
+    attribution: str = Field(default="", max_length=MAX_TEXT, description="Whose data its terrain is.")
+    licence: str = Field(default="", max_length=MAX_TEXT, description="Under which licence that may be handed on.")
+    source: str = Field(default="", max_length=MAX_TEXT, description="Name of the file that it was made from.")
     cell: float | None = Field(default=None, description="Metres along the side of a cell.")
     bbox: list[float] | None = Field(
         default=None, min_length=4, max_length=4, description="West, south, east, north in degrees."
@@ -62,7 +63,7 @@ class DrawnMap(Message):
         Raises:
             InvalidTaskError: if the city is no task.
         """
-        drawn = cls.from_episode(Episode(task_of(city, "city"), seed=0))
+        drawn = cls.from_episode(Episode(drawn_task(city, "city"), seed=0))
         numbers = {name: number for name, number in city.numbers.items() if name in drawn.numbers}
         about = {name: getattr(city, name) for name in (*TEXTS, "cell")}
         whole = np.shape(drawn.cells) == city.grid.shape
@@ -155,12 +156,27 @@ async def worth(request: Request, shared: SharedParts, drawn: Annotated[DrawnMap
 
 
 @router.post("", responses=REFUSALS)
-def keep_map(shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
+async def keep_map(request: Request, shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
     """Keep a drawing as a task, whose name follows from what is drawn; its only map is number 0.
 
-    It is found by that name from then on, by all who know it; the lists of tasks do not name it.
+    It is found by that name from then on, by all who know it; the lists of tasks do not name it. If the server has no
+    room for another map, the one that was not used for longest is forgotten.
     """
-    return describe(shared.maps.keep(drawn.city()), shared)
+    settings = shared.settings
+    stranger = None if settings.token is not None else stranger_address(request.scope, settings.host)
+    text, task = await shared.work(request, _checked, drawn)
+
+    def keep() -> OneTask:
+        shared.maps.keep(text, task, stranger)
+        return describe(task, shared)
+
+    return await run_in_threadpool(keep)
+
+
+def _checked(drawn: DrawnMap) -> tuple[str, TaskConfig]:
+    city = drawn.city()
+    text = city_text(city)
+    return text, drawn_task(city, name_of(text.encode()))
 
 
 def _json(text: str) -> Response:
@@ -172,13 +188,13 @@ def _drawing(task_name: str, seed: int) -> str:
 
 
 def _file_as_map(toml: str) -> str:
-    return DrawnMap.of(parse_city(toml.encode())).model_dump_json()
+    return DrawnMap.of(parse_city(toml)).model_dump_json()
 
 
 def _worth(drawn: DrawnMap) -> str:
     city = drawn.city()
     text = city_text(city)
-    episode = Episode(task_of(city, "map"), seed=0)
+    episode = Episode(drawn_task(city, "map"), seed=0)
     optimum = between = None
     try:
         best = solve_episode(episode)

@@ -1,0 +1,69 @@
+"""TOML that is refused before it is parsed."""
+
+import random
+import sys
+from decimal import Decimal
+
+import pytest
+
+from drone_env.errors import InvalidValueError
+from drone_env.toml_text import parse_toml
+
+SIZE = 1 << 17
+HOSTILE = {
+    "dotted key": ("a." * 12_000 + "a = 1", "64 dots outside strings"),
+    "many headers": ("[a]\n[b]\n" * 10_000, "64 tables and lists"),
+    "keys below a deep header": ("[" + "a." * 60 + "a]\n" + "x = 1\n" * 9_000, "64 keys"),
+    "nested lists": ("x = " + "[" * SIZE, "64 tables and lists"),
+    "nested tables": ("x = " + "{a=" * 9_000, "64 keys"),
+    "dotted keys in tables": ("x = {" + "a.b.c=1," * 9_000, "64 dots"),
+    "a long list": ("x = [" + "1," * 60_000, "1024"),
+    "many strings": ("x = [" + "'', " * 30_000, "1024"),
+    "a long number": ("x = " + "9" * SIZE, "word of more than 64"),
+    "a long hexadecimal number": ("x = 0x" + "f" * SIZE, "word of more than 64"),
+    "a long string": ("x = '" + "a" * SIZE + "'", "string of more than 65536"),
+    "escapes": ('x = "' + "\\u00e9" * 20_000 + '"', "string of more than 65536"),
+    "many lines": ("\n" * SIZE, "4096 lines"),
+    "many comments": ("#\n" * (SIZE // 2), "4096"),
+    "an open string": ('x = "' + '\\"' * (SIZE // 2), "not closed"),
+    "an open long string": ('x = """' + 'a""' * (SIZE // 3), "not closed"),
+    "an exponent": ("x = 1e99999999999999999999", "exponent"),
+    "a lone surrogate": ("# \ud800", "surrogates not allowed"),
+    "no UTF-8": (b"x = '\xff'", "utf-8"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_would_be_expensive_is_refused(name: str) -> None:
+    text, why = HOSTILE[name]
+    with pytest.raises(InvalidValueError, match=rf"not TOML that can be read: .*{why}") as raised:
+        parse_toml(text, parse_float=Decimal)
+    assert len(str(raised.value)) < 200
+
+
+def test_strings_and_comments_hide_what_is_in_them() -> None:
+    hidden = "[a.b] = {,} # " * 20
+    text = f'x = "{hidden} \\" {hidden}" # {hidden}\ny = \'{hidden}\'\nz = """{hidden}\n"{hidden}"""""\n'
+    assert parse_toml(text) == {"x": f'{hidden} " {hidden}', "y": hidden, "z": f'{hidden}\n"{hidden}""'}
+
+
+def test_what_is_small_is_parsed_as_tomllib_does() -> None:
+    """Whatever the parser takes for a key is counted, also beside strings that end in strange ways."""
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+    lots, parsed = random.Random(0), 0
+    for _ in range(5_000):
+        quote = lots.choice(['"', "'", '"""', "'''"])
+        body = "".join(lots.choices(["a", "=", "'", '"', "\\\\", '\\"', "\n", "#", "[", "\\\n"], k=lots.randrange(8)))
+        end = lots.choice(["", "'", '"', '""', " # '"])
+        text = f"k = {quote}{body}{quote}{end}\n" + "x = 1\n" + "".join(f"y{i} = 1\n" for i in range(63))
+        try:
+            tomllib.loads(text)
+        except tomllib.TOMLDecodeError:
+            continue
+        parsed += 1
+        with pytest.raises(InvalidValueError, match="64 keys"):
+            parse_toml(text)
+    assert parsed > 500
