@@ -21,8 +21,10 @@ REQUEST_SECONDS = 30.0
 """Time for a whole request to arrive, also for the first one of a connection."""
 HEAD_BYTES, HEADERS = 16_384, 100
 """Most bytes of a request outside its body, and most headers; browsers and proxies send about a tenth of that."""
-PIECES = 256
-"""Most reads and chunks in which a request arrives: each costs the event loop some 20 microseconds."""
+SMALL, READS, CHUNKS = 512, 64, 1024
+"""Most small reads and small chunks of a request: one costs the event loop some 40 microseconds, the other 2."""
+HANDSHAKE_BYTES = 4096
+"""Most bytes of the `Sec-WebSocket-*` headers: lists in them are parsed in Python."""
 END_SECONDS = 4.0
 """Time for callers to read what was sent before the server ended."""
 END_OF_HEAD = b"\r\n\r\n"
@@ -46,7 +48,7 @@ class Http(HttpToolsProtocol):
         self._deadline: asyncio.TimerHandle | None = None
         self._unread = b""
         self._in_head = True
-        self._head_bytes = self._body_left = self._pieces = 0
+        self._head_bytes = self._body_left = self._reads = self._chunks = 0
         # This connection counts, so uvicorn's own check, which refuses requests, never applies.
         others = len(self.connections) - 1
         if self.limit_concurrency is not None and others >= self.limit_concurrency - 1:
@@ -64,7 +66,7 @@ class Http(HttpToolsProtocol):
     def data_received(self, data: bytes) -> None:
         """Parse what was sent, or keep it until the request before it is answered."""
         self._unread = self._unread + data if self._unread else data
-        self._pieces += 1
+        self._reads += len(data) < SMALL
         self._read()
 
     def on_header(self, name: bytes, value: bytes) -> None:
@@ -83,7 +85,10 @@ class Http(HttpToolsProtocol):
 
         Raises:
             ValueError: if the request does not name one host, or its body has an encoding other than chunks.
+            _HeadTooLargeError: if lists of subprotocols or extensions are too long.
         """
+        if sum([len(value) for name, value in self.headers if name.startswith(b"sec-websocket-")]) > HANDSHAKE_BYTES:
+            raise _HeadTooLargeError
         names, parser = [name for name, _ in self.headers], cast(Any, self.parser)
         if names.count(b"host") not in ((0, 1) if parser.get_http_version() == "1.0" else (1,)):
             raise ValueError("a request names one host")
@@ -100,15 +105,15 @@ class Http(HttpToolsProtocol):
             ValueError: if there are too many.
         """
         self._head_bytes -= len(body)
-        self._pieces += 1
-        if self._pieces > PIECES:
+        self._chunks += len(body) < SMALL
+        if self._chunks > CHUNKS:
             raise _MANY_PIECES
         super().on_body(body)
 
     def on_message_complete(self) -> None:
         """End the request."""
         self._in_head = True
-        self._head_bytes = self._body_left = self._pieces = 0
+        self._head_bytes = self._body_left = self._reads = self._chunks = 0
         super().on_message_complete()
 
     def on_response_complete(self) -> None:
@@ -141,7 +146,7 @@ class Http(HttpToolsProtocol):
                 end = min(end, start + HEAD_BYTES - self._head_bytes)
             if end == start:
                 self._refuse(_HeadTooLargeError())
-            elif self._pieces > PIECES:
+            elif self._reads > READS:
                 self._refuse(_MANY_PIECES)
             else:
                 self._head_bytes += end - start
@@ -199,7 +204,7 @@ class _HeadTooLargeError(Exception):
     """A request has too many headers, or too many bytes outside its body."""
 
 
-_MANY_PIECES = ValueError(f"a request arrives in at most {PIECES} pieces")
+_MANY_PIECES = ValueError(f"a request has at most {READS} reads and {CHUNKS} chunks of under {SMALL} bytes")
 
 
 class _OneRequest(FlowControl):

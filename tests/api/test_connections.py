@@ -199,10 +199,28 @@ BOUNDED = {
     "a header more": (WHOLE[:-2] + b"a: b\r\n" * protocols.HEADERS + b"\r\n", 431),
     "the longest head": (WHOLE[:-2] + b"a: " + b"b" * (protocols.HEAD_BYTES - len(WHOLE) - 5) + b"\r\n\r\n", 200),
     "a byte more": (WHOLE[:-2] + b"a: " + b"b" * (protocols.HEAD_BYTES - len(WHOLE) - 4) + b"\r\n\r\n", 431),
-    "the most chunks": (CHUNKED + ONES * (protocols.PIECES - 1) + b"0\r\n\r\n", 200),
-    "many chunks": (CHUNKED + ONES * protocols.PIECES + b"0\r\n\r\n", 400),
+    "the most chunks": (CHUNKED + ONES * protocols.CHUNKS + b"0\r\n\r\n", 200),
+    "a chunk more": (CHUNKED + ONES * (protocols.CHUNKS + 1) + b"0\r\n\r\n", 400),
+    "long lists of subprotocols": (WHOLE[:-2] + b"Sec-WebSocket-Protocol: " + b"a," * 3000 + b"\r\n\r\n", 431),
 }
 """Requests in one piece, and the status of the answer."""
+
+
+@pytest.mark.parametrize(("length", "status"), [(protocols.READS, 200), (protocols.READS + 1, 400)])
+def test_small_reads_of_a_request_are_bounded(monkeypatch: pytest.MonkeyPatch, length: int, status: int) -> None:
+    read = Http.data_received
+
+    def read_bytes(self: Http, data: bytes) -> None:
+        for byte in data:
+            if not self.transport.is_closing():
+                read(self, bytes([byte]))
+
+    monkeypatch.setattr(Http, "data_received", read_bytes)
+    with running(answer) as connect:
+        sock = connect()
+        for _ in range(2 if status == 200 else 1):  # each request has its own count
+            sock.sendall(WHOLE.replace(b"/", b"/".ljust(length + 1 - len(WHOLE), b"x"), 1))
+            assert sock.recv(1000).startswith(b"HTTP/1.1 %d " % status)
 
 
 @pytest.mark.parametrize("kind", BOUNDED)
@@ -379,21 +397,26 @@ def test_a_socket_takes_one_frame_in_turn_and_messages_arrive_whole(monkeypatch:
 
 
 def test_a_socket_that_never_answers_a_ping_is_closed_and_the_application_stops(
-    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     ended: list[BaseException] = []
+    closed = threading.Event()
+    close = WebSockets.keepalive_timeout
+    monkeypatch.setattr(WebSockets, "keepalive_timeout", lambda self: (close(self), closed.set()))
 
     async def app(scope: Scope, receive: Receive, send: Send) -> None:
         await send({"type": "websocket.accept"})
         try:
             while True:
-                await send({"type": "websocket.send", "text": "x"})
-                await asyncio.sleep(0.01)
+                await send({"type": "websocket.send", "text": "x" * 10_000})
         except OSError as error:
             ended.append(error)
 
     with running(app, ws_ping_interval=0.1, ws_ping_timeout=0.1) as connect:
-        assert everything(open_socket(connect())).endswith(b"keepalive ping timeout")
+        sock = open_socket(connect())
+        assert closed.wait(60)
+        # The application waits to send more, and is woken by this.
+        assert everything(sock).endswith(b"keepalive ping timeout")
     assert [type(error) for error in ended] == [ClientDisconnected]
     assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
 
