@@ -244,7 +244,8 @@ class WebSockets(WebSocketsSansIOProtocol):
     async def receive(self) -> Any:
         """The next message for the application."""
         message = await super().receive()
-        self._go_on()
+        if self._unread:
+            self._go_on()
         return message
 
     async def send(self, message: Any) -> None:
@@ -256,8 +257,10 @@ class WebSockets(WebSocketsSansIOProtocol):
         await self.writable.wait()
         if self.close_sent or self.transport.is_closing():
             raise ClientDisconnected
+        is_open = self.handshake_complete
         await super().send(message)
-        self._go_on()
+        if not is_open:
+            self._go_on()
 
     def send_receive_event_to_app(self) -> None:
         """Queue a message for the application; uvicorn would log a trace for a text that is not UTF-8."""
@@ -293,7 +296,7 @@ class WebSockets(WebSocketsSansIOProtocol):
 
     def _go_on(self) -> None:
         """Parse the next frame in its turn, read on, or wait for the application to take a message."""
-        if self.transport.is_closing():
+        if (self.read_paused and not self._unread) or self.transport.is_closing():
             return
         may_parse, is_whole = self._may_parse(), len(self._unread) >= self._frame_size()
         if may_parse and is_whole and self._turn is None:

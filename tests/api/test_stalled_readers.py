@@ -184,7 +184,7 @@ def test_followers_of_the_requests_share_what_is_written_and_skip_what_is_not_ke
         for _ in range(5 * KEPT):
             log.add("GET", "/later", 200, 0)
         followers[0].reads.set()
-        await followers[0].wait_for(log.count)
+        await asyncio.gather(*[follower.wait_for(log.count) for follower in followers])
         assert followers[0].numbers == [1, *range(log.count - KEPT + 1, log.count + 1)]
         for follower in followers:
             follower.task.cancel()
