@@ -36,7 +36,7 @@ CONNECTIONS = 1000
 STARTUP_FAILED = 3
 """Exit status where the application could not start, as uvicorn has it."""
 LINES, LINE_SECONDS = 10, 60.0
-"""Most lines that one place in the code logs in so many seconds: callers cause some of them."""
+"""Most lines that one place in the code logs within this time: callers cause some of them."""
 OTHER_FILES = 128
 """Files of a process that are no connections: the store, logs, what a request opens."""
 

@@ -7,7 +7,7 @@ read. They use httptools because h11 takes longer for a request than flying and 
 
 import asyncio
 import logging
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 import httptools
 from uvicorn.protocols.http.flow_control import FlowControl
@@ -25,12 +25,15 @@ SMALL, READS, CHUNKS = 512, 64, 1024
 """Most small reads and small chunks of a request: one costs the event loop some 40 microseconds, the other 2."""
 HANDSHAKE_BYTES = 4096
 """Most bytes of the `Sec-WebSocket-*` headers: lists in them are parsed in Python."""
+INVALID = 400, "this is not a valid HTTP request"
+TOO_LARGE = 431, f"a request has at most {HEADERS} headers and {HEAD_BYTES} bytes outside its body"
+TOO_MANY_PIECES = 400, f"a request has at most {READS} reads and {CHUNKS} chunks of under {SMALL} bytes"
 END_SECONDS = 4.0
 """Time for callers to read what was sent before the server ended."""
 END_OF_HEAD = b"\r\n\r\n"
 FRAGMENTS = 100
 """Most frames of a WebSocket message."""
-CONTROL_FRAMES, CONTROL_FRAMES_PER_SECOND = 100, 10
+CONTROL_FRAMES, CONTROL_FRAMES_PER_SECOND = 20, 2
 """Most pings and pongs at once, and in the long run; clients send one in 20 seconds."""
 INVALID_DATA, POLICY_VIOLATION = 1007, 1008
 LARGEST_FRAME_HEAD = 14
@@ -49,6 +52,7 @@ class Http(HttpToolsProtocol):
         self._unread = b""
         self._in_head = True
         self._head_bytes = self._body_left = self._reads = self._chunks = 0
+        self._refusal = INVALID
         # This connection counts, so uvicorn's own check, which refuses requests, never applies.
         others = len(self.connections) - 1
         if self.limit_concurrency is not None and others >= self.limit_concurrency - 1:
@@ -64,7 +68,7 @@ class Http(HttpToolsProtocol):
         return bool(self.pipeline) or (cycle is not None and not cycle.more_body and not cycle.response_complete)
 
     def data_received(self, data: bytes) -> None:
-        """Parse what was sent, or keep it until the request before it is answered."""
+        """Parse what was sent; during an answer, keep it."""
         self._unread = self._unread + data if self._unread else data
         self._reads += len(data) < SMALL
         self._read()
@@ -73,27 +77,27 @@ class Http(HttpToolsProtocol):
         """Add a header; trailers are ignored.
 
         Raises:
-            _HeadTooLargeError: if there are too many.
+            ValueError: if there are too many.
         """
         if self._in_head:
             if len(self.headers) >= HEADERS:
-                raise _HeadTooLargeError
+                self._refuse(TOO_LARGE)
             super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
         """Start to answer.
 
         Raises:
-            ValueError: if the request does not name one host, or its body has an encoding other than chunks.
-            _HeadTooLargeError: if lists of subprotocols or extensions are too long.
+            ValueError: if the request does not name one host, its body has an encoding other than chunks, or lists of
+                subprotocols or extensions are too long.
         """
         if sum([len(value) for name, value in self.headers if name.startswith(b"sec-websocket-")]) > HANDSHAKE_BYTES:
-            raise _HeadTooLargeError
+            self._refuse(TOO_LARGE)
         names, parser = [name for name, _ in self.headers], cast(Any, self.parser)
         if names.count(b"host") not in ((0, 1) if parser.get_http_version() == "1.0" else (1,)):
-            raise ValueError("a request names one host")
+            self._refuse((400, "a request names one host"))
         if [value.lower() for name, value in self.headers if name == b"transfer-encoding"] not in ([], [b"chunked"]):
-            raise ValueError("a body comes as it is or chunked")
+            self._refuse((400, "a body comes as it is or chunked"))
         self._in_head = False
         self._body_left = int(self.headers[names.index(b"content-length")][1]) if b"content-length" in names else 0
         super().on_headers_complete()
@@ -107,7 +111,7 @@ class Http(HttpToolsProtocol):
         self._head_bytes -= len(body)
         self._chunks += len(body) < SMALL
         if self._chunks > CHUNKS:
-            raise _MANY_PIECES
+            self._refuse(TOO_MANY_PIECES)
         super().on_body(body)
 
     def on_message_complete(self) -> None:
@@ -133,7 +137,7 @@ class Http(HttpToolsProtocol):
         self.loop.call_later(END_SECONDS, self.transport.abort)
 
     def _read(self) -> None:
-        """Parse up to the end of a request, and keep the rest until that is answered."""
+        """Parse up to the end of one request. Its answer starts the next."""
         data, start = self._unread, 0
         while start < len(data) and not self.answering:
             # The parser would go on to the next request, so it gets what one may end with, and no more.
@@ -145,9 +149,9 @@ class Http(HttpToolsProtocol):
                 end = len(data) if found < 0 else found + len(END_OF_HEAD)
                 end = min(end, start + HEAD_BYTES - self._head_bytes)
             if end == start:
-                self._refuse(_HeadTooLargeError())
+                self._end(*TOO_LARGE)
             elif self._reads > READS:
-                self._refuse(_MANY_PIECES)
+                self._end(*TOO_MANY_PIECES)
             else:
                 self._head_bytes += end - start
                 self._parse(data[start:end])
@@ -171,14 +175,13 @@ class Http(HttpToolsProtocol):
             else:
                 # The request is answered as if it asked for no upgrade. The parser reads no other after it.
                 self.cycle.keep_alive = False
-        except httptools.HttpParserError as error:
-            self._refuse(error.__context__)
+        except httptools.HttpParserError:
+            self._end(*self._refusal)
 
-    def _refuse(self, why: BaseException | None) -> None:
-        if isinstance(why, _HeadTooLargeError):
-            self._end(431, f"a request has at most {HEADERS} headers and {HEAD_BYTES} bytes outside its body")
-        else:
-            self._end(400, "this is not a valid HTTP request" if why is None else str(why))
+    def _refuse(self, refusal: tuple[int, str]) -> NoReturn:
+        """Make the parser stop: `_parse` then sends this."""
+        self._refusal = refusal
+        raise ValueError(refusal)
 
     def _end(self, status: int, text: str, header: bytes = b"") -> None:
         """Send a status, unless another answer has begun, and close the connection."""
@@ -198,13 +201,6 @@ class Http(HttpToolsProtocol):
         elif self._deadline is not None:
             self._deadline.cancel()
             self._deadline = None
-
-
-class _HeadTooLargeError(Exception):
-    """A request has too many headers, or too many bytes outside its body."""
-
-
-_MANY_PIECES = ValueError(f"a request has at most {READS} reads and {CHUNKS} chunks of under {SMALL} bytes")
 
 
 class _OneRequest(FlowControl):
@@ -310,7 +306,7 @@ class WebSockets(WebSocketsSansIOProtocol):
         return self.handshake_complete and not self.read_paused
 
     def _frame_size(self) -> int:
-        """Bytes of the first frame, as far as they are known; of one that is too large, those of its head."""
+        """Known size of the first frame. If it is too large, its head is enough for the parser to refuse it."""
         data = self._unread
         if len(data) < 2:
             return 2

@@ -3,10 +3,11 @@
     python tests/api/hostile_callers.py [--seconds 10] [--fuzzed 20000] [--seed 1]
 
 A process of its own asks for `/health` all the time, each time over a new connection. In turn come 20 callers that
-send 26 MB of requests and read nothing, 1,000 that send half a request, floods over WebSocket, callers that read slowly
-or not at all, fuzzed requests, and an end while nobody reads. It fails where `/health` took longer than 0.5 s, where
-the server had more than 300 MB, where half requests stay, and where anything was answered with a 5xx other than 503 or
-left a traceback.
+send 26 MB of requests and read nothing, 1,000 that send half a request, floods over WebSocket, requests with thousands
+of headers, floods of pings and of one-byte fragments, followers of the request log, callers that read slowly or not at
+all, fuzzed requests, and an end while nobody reads. It fails if `/health` took longer than 0.5 s or the event loop used
+more than 0.2 CPU seconds before it answered; if a request or connection cost the loop more than 5 ms; if the server had
+more than 300 MB; if half requests stay; if anything was answered with a 5xx other than 503 or left a traceback.
 
 The time of an answer is counted without that for which server or asker could have run while the machine was busy with
 others (`/proc/PID/task/*/schedstat`, Linux), but never as less than the server's own CPU time meanwhile. The whole time
@@ -34,7 +35,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.api.serving import Server, serving
 
-MOST_SECONDS, MOST_MEGABYTES = 0.5, 300
+MOST_SECONDS, MOST_LOOP_SECONDS, MOST_LOOP_SECONDS_EACH, MOST_MEGABYTES = 0.5, 0.2, 0.005, 300
 HEAD = "{} HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 UPGRADE = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: {}\r\nSec-WebSocket-Version: 13\r\n\r\n"
 PING, BEGIN, GO_ON = b"\x89\x80" + bytes(4), b"\x01\x81" + bytes(4) + b"x", b"\x00\x81" + bytes(4) + b"x"
@@ -119,6 +120,8 @@ class Campaign:
         print(f"{name:34} /health {times}, {most:4.0f} MB; {note}", flush=True)
         if worst > MOST_SECONDS:
             self.faults.append(f"{name}: /health took {worst:.2f} s")
+        if looped > MOST_LOOP_SECONDS:
+            self.faults.append(f"{name}: the event loop used {looped:.2f} CPU s before it answered /health")
         self.faults += [f"{name}: /health: {what}, {times} times" for what, times in wrong.items()]
 
     async def open(self, data: bytes = b"", limit: int = 1 << 16) -> Streams:
@@ -246,8 +249,10 @@ class Campaign:
                     done += acted
 
         await asyncio.gather(*[go_on() for _ in range(callers)])
-        cost = loop_seconds(process) - before
-        return f"{done:,} from {callers}, {cost / max(done, 1) * 1000:.3f} ms of the event loop each"
+        each = (loop_seconds(process) - before) / max(done, 1)
+        if each > MOST_LOOP_SECONDS_EACH:
+            self.faults.append(f"each of {done:,} cost the event loop {each * 1000:.1f} ms")
+        return f"{done:,} from {callers}, {each * 1000:.3f} ms of the event loop each"
 
     async def read_slowly(self) -> str:
         page = (HEAD.format("GET /") + "\r\n").encode() * 50

@@ -308,6 +308,20 @@ def test_requests_of_any_shape_are_understood_or_refused(shape: str) -> None:
     assert answered.count(b"ok") == outcome.count("200") * (shape != "without a body") + kept
 
 
+def test_an_invalid_request_after_one_that_was_refused_is_answered(caplog: pytest.LogCaptureFixture) -> None:
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            raise RuntimeError("h\xe9")
+        except RuntimeError:
+            await answer(scope, receive, send)
+
+    with running(app) as connect:
+        sock = connect()
+        sock.sendall(WHOLE + b"!\r\n\r\n")
+        assert re.findall(rb"HTTP/1\.1 (\d+)", everything(sock)) == [b"200", b"400"]
+    assert not caplog.messages
+
+
 def test_more_connections_than_allowed_are_refused_with_a_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
     with running(answer, connections=3) as connect:
         first, *_ = kept = [connect() for _ in range(3)]

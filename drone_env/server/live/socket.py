@@ -51,7 +51,7 @@ class LiveSocket:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one page until it goes."""
         socket = WebSocket(scope, receive, send)
-        # A client may go at any time, even before it is accepted.
+        # Clients may go at any time, even before the server accepts them.
         with suppress(WebSocketDisconnect, OSError):
             await socket.accept(PROTOCOL if PROTOCOL in scope.get("subprotocols", []) else None)
             if len(self.pages) >= self.shared.settings.capacity:

@@ -65,7 +65,7 @@ class OpenEnvSocket:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection to its end."""
         socket = WebSocket(scope, receive, send)
-        # A client may go at any time, even before it is accepted.
+        # Clients may go at any time, even before the server accepts them.
         with suppress(WebSocketDisconnect, OSError):
             await socket.accept()
             capacity = self.shared.settings.capacity
