@@ -1,12 +1,15 @@
 """The process of a server: its start, where it listens, how many connections it may have, and with whom it ends."""
 
+import asyncio
 import errno
+import logging
 import multiprocessing
 import os
 import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -32,8 +35,42 @@ CONNECTIONS = 1000
 """Connections of a process, beside one for each session that it may have."""
 STARTUP_FAILED = 3
 """Exit status where the application could not start, as uvicorn has it."""
+LINES, LINE_SECONDS = 10, 60.0
+"""Most lines that one place in the code logs within this time: callers cause some of them."""
 OTHER_FILES = 128
 """Files of a process that are no connections: the store, logs, what a request opens."""
+
+
+class BoundedLog(logging.Filter):
+    """Drops lines beyond `LINES` from one place in the code, and traces of work that the server's end cancels."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._places: dict[tuple[str, int], tuple[float, int]] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether to log a line; the first after some that were dropped shows their number."""
+        if record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError):
+            return False
+        place, now = (record.pathname, record.lineno), time.monotonic()
+        since, count = self._places.get(place, (now, 0))
+        if now - since >= LINE_SECONDS:
+            if count > LINES:
+                record.msg = f"{record.msg} ({count - LINES} such lines before this one were not logged)"
+            since, count = now, 0
+        self._places[place] = since, count + 1
+        return count < LINES
+
+
+LOGGING = {
+    "version": 1,
+    "disable_existing_loggers": False,
+    "formatters": {"line": {"format": "%(levelname)s: %(message)s"}},
+    "filters": {"bounded": {"()": BoundedLog}},
+    "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line", "filters": ["bounded"]}},
+    "root": {"handlers": ["stderr"]},
+}
+"""Standard error as the only log."""
 
 
 def run(
@@ -84,6 +121,7 @@ def run(
             http="drone_env.server.protocols:Http",
             ws="drone_env.server.protocols:WebSockets",
             workers=settings.workers,
+            log_config=LOGGING,
             access_log=False,
             # Below that uvicorn writes two lines for every WebSocket; `requests.log` has one, and is bounded.
             log_level="warning",

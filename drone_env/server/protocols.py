@@ -1,100 +1,123 @@
-"""How a process serves its connections: uvicorn's protocols, with an end for callers that never finish.
+"""Limits of each connection, on top of uvicorn's protocols.
 
-Requests are parsed by httptools: h11 takes longer for one than flying and storing a step does. But it hands on all that
-can be parsed: one caller that sends requests and reads no answers would fill the memory with them, and a header line
-may have any length. So it is given one request at a time, and a limited number of bytes before a body.
+uvicorn parses whatever has arrived: any number of headers, chunks, requests and frames, at once and ahead of the
+answers. These protocols parse one request or frame in turn, bound its parts, and stop reading from callers that do not
+read. They use httptools because h11 takes longer for a request than flying and storing a step does.
 """
 
 import asyncio
 import logging
-import time
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
+import httptools
 from uvicorn.protocols.http.flow_control import FlowControl
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
+from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 log = logging.getLogger(__name__)
 
 REQUEST_SECONDS = 30.0
-"""A request is here as a whole after so long, and a new connection has sent one."""
-HEAD_BYTES = 65_536
-"""The most of a request that is no body: its line and headers, or what stands between and after pieces of a body."""
+"""Time for a whole request to arrive, also for the first one of a connection."""
+HEAD_BYTES, HEADERS = 16_384, 100
+"""Most bytes of a request outside its body, and most headers; browsers and proxies send about a tenth of that."""
+SMALL, READS, CHUNKS = 512, 64, 1024
+"""Most small reads and small chunks of a request: one costs the event loop some 40 microseconds, the other 2."""
+HANDSHAKE_BYTES = 4096
+"""Most bytes of the `Sec-WebSocket-*` headers: lists in them are parsed in Python."""
+INVALID = 400, "this is not a valid HTTP request"
+TOO_LARGE = 431, f"a request has at most {HEADERS} headers and {HEAD_BYTES} bytes outside its body"
+TOO_MANY_PIECES = 400, f"a request has at most {READS} reads and {CHUNKS} chunks of under {SMALL} bytes"
 END_SECONDS = 4.0
-"""What callers have not read so long after the server was asked to end is thrown away."""
-WARNING_SECONDS = 60.0
+"""Time for callers to read what was sent before the server ended."""
 END_OF_HEAD = b"\r\n\r\n"
-TIMED_OUT = b"HTTP/1.1 408 Request Timeout\r\nconnection: close\r\ncontent-length: 0\r\n\r\n"
-REFUSED = b"HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\nretry-after: 5\r\ncontent-length: 0\r\n\r\n"
+FRAGMENTS = 100
+"""Most frames of a WebSocket message."""
+CONTROL_FRAMES, CONTROL_FRAMES_PER_SECOND = 20, 2
+"""Most pings and pongs at once, and in the long run; clients send one in 20 seconds."""
+INVALID_DATA, POLICY_VIOLATION = 1007, 1008
+LARGEST_FRAME_HEAD = 14
 
 
 class Http(HttpToolsProtocol):
-    """HTTP/1.1: one request at a time is read, within a time, from no more than `limit_concurrency` connections."""
+    """HTTP/1.1: reads one request at a time, of bounded size and time, on at most `limit_concurrency` connections."""
 
     request_seconds = REQUEST_SECONDS
-    _warned = -WARNING_SECONDS
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Serve it, or refuse it where there are too many."""
+        """Serve the connection, or refuse it if there are too many."""
         super().connection_made(transport)
         self.flow = _OneRequest(transport, self)
         self._deadline: asyncio.TimerHandle | None = None
         self._unread = b""
         self._in_head = True
-        self._head_bytes = 0
-        self._body_left = 0
-        # Counted with itself, so that uvicorn, which refuses requests from that number on, never gets there.
-        if self.limit_concurrency is not None and len(self.connections) > self.limit_concurrency - 1:
-            self._warn_once_in_a_while(self.limit_concurrency - 1)
-            transport.write(REFUSED)
-            transport.close()
+        self._head_bytes = self._body_left = self._reads = self._chunks = 0
+        self._refusal = INVALID
+        # This connection counts, so uvicorn's own check, which refuses requests, never applies.
+        others = len(self.connections) - 1
+        if self.limit_concurrency is not None and others >= self.limit_concurrency - 1:
+            log.warning("%d connections are open, and no more are allowed: others are refused", others)
+            self._end(503, "too many connections are open", b"retry-after: 5\r\n")
             return
         self._limit_time()
 
     @property
     def answering(self) -> bool:
-        """Whether a request is here as a whole and has not been answered."""
+        """Whether a whole request has arrived and has not been answered."""
         cycle: Any = self.cycle
         return bool(self.pipeline) or (cycle is not None and not cycle.more_body and not cycle.response_complete)
 
     def data_received(self, data: bytes) -> None:
-        """Take what was sent."""
+        """Parse what was sent; during an answer, keep it."""
         self._unread = self._unread + data if self._unread else data
+        self._reads += len(data) < SMALL
         self._read()
 
-    def on_headers_complete(self) -> None:
-        """Begin to answer.
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """Add a header; trailers are ignored.
 
         Raises:
-            ValueError: if it is not said once which host is meant, the head is too long, or the body is in a form that
-                nobody here reads; the parser has that answered with 400.
+            ValueError: if there are too many.
         """
-        if len(self.url) + sum([len(name) + len(value) for name, value in self.headers]) > HEAD_BYTES:
-            raise ValueError("a request has a head of bounded length")
+        if self._in_head:
+            if len(self.headers) >= HEADERS:
+                self._refuse(TOO_LARGE)
+            super().on_header(name, value)
+
+    def on_headers_complete(self) -> None:
+        """Start to answer.
+
+        Raises:
+            ValueError: if the request does not name one host, its body has an encoding other than chunks, or lists of
+                subprotocols or extensions are too long.
+        """
+        if sum([len(value) for name, value in self.headers if name.startswith(b"sec-websocket-")]) > HANDSHAKE_BYTES:
+            self._refuse(TOO_LARGE)
         names, parser = [name for name, _ in self.headers], cast(Any, self.parser)
         if names.count(b"host") not in ((0, 1) if parser.get_http_version() == "1.0" else (1,)):
-            raise ValueError("a request names one host")
+            self._refuse((400, "a request names one host"))
         if [value.lower() for name, value in self.headers if name == b"transfer-encoding"] not in ([], [b"chunked"]):
-            raise ValueError("a body comes as it is or chunked")
+            self._refuse((400, "a body comes as it is or chunked"))
         self._in_head = False
-        self._head_bytes = 0
         self._body_left = int(self.headers[names.index(b"content-length")][1]) if b"content-length" in names else 0
         super().on_headers_complete()
 
-    def on_header(self, name: bytes, value: bytes) -> None:
-        """Take a header; what stands after a body is nobody's to read."""
-        if self._in_head:
-            super().on_header(name, value)
-
     def on_body(self, body: bytes) -> None:
-        """Take a piece of a body."""
-        self._head_bytes = 0
+        """Add a piece of a body.
+
+        Raises:
+            ValueError: if there are too many.
+        """
+        self._head_bytes -= len(body)
+        self._chunks += len(body) < SMALL
+        if self._chunks > CHUNKS:
+            self._refuse(TOO_MANY_PIECES)
         super().on_body(body)
 
     def on_message_complete(self) -> None:
-        """Have the whole request."""
+        """End the request."""
         self._in_head = True
-        self._head_bytes = self._body_left = 0
+        self._head_bytes = self._body_left = self._reads = self._chunks = 0
         super().on_message_complete()
 
     def on_response_complete(self) -> None:
@@ -104,32 +127,35 @@ class Http(HttpToolsProtocol):
             self._read()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget it."""
+        """Forget the connection."""
         super().connection_lost(exc)
         self._limit_time()
 
     def shutdown(self) -> None:
-        """Close it when what is being answered is read, or after a while."""
+        """Close the connection when the current answer is read, or after a while."""
         super().shutdown()
         self.loop.call_later(END_SECONDS, self.transport.abort)
 
     def _read(self) -> None:
-        """Parse what is here, up to the end of a request; the rest when that is answered."""
+        """Parse up to the end of one request. Its answer starts the next."""
         data, start = self._unread, 0
         while start < len(data) and not self.answering:
-            # The parser goes on to the next request by itself: it is given what one may end with, and no more.
+            # The parser would go on to the next request, so it gets what one may end with, and no more.
             if self._body_left:
-                end = start + self._body_left
-                self._body_left = max(0, end - len(data))
+                end = min(start + self._body_left, len(data))
+                self._body_left -= end - start
             else:
                 found = data.find(END_OF_HEAD, start)
                 end = len(data) if found < 0 else found + len(END_OF_HEAD)
-            part = data[start:end]
+                end = min(end, start + HEAD_BYTES - self._head_bytes)
+            if end == start:
+                self._end(*TOO_LARGE)
+            elif self._reads > READS:
+                self._end(*TOO_MANY_PIECES)
+            else:
+                self._head_bytes += end - start
+                self._parse(data[start:end])
             start = end
-            self._head_bytes += len(part)
-            super().data_received(part)
-            if self._head_bytes > HEAD_BYTES and not self.transport.is_closing():
-                self.send_400_response(f"A request has at most {HEAD_BYTES} bytes beside its body.")
             if self.transport.is_closing() or self.transport.get_protocol() is not self:
                 start = len(data)
         self._unread = data[start:]
@@ -139,31 +165,46 @@ class Http(HttpToolsProtocol):
             self.flow.resume_reading()
         self._limit_time()
 
+    def _parse(self, part: bytes) -> None:
+        self._unset_keepalive_if_required()
+        try:
+            cast(Any, self.parser).feed_data(part)
+        except httptools.HttpParserUpgrade:
+            if self._should_upgrade():
+                self.handle_websocket_upgrade()
+            else:
+                # The request is answered as if it asked for no upgrade. The parser reads no other after it.
+                self.cycle.keep_alive = False
+        except httptools.HttpParserError:
+            self._end(*self._refusal)
+
+    def _refuse(self, refusal: tuple[int, str]) -> NoReturn:
+        """Make the parser stop: `_parse` then sends this."""
+        self._refusal = refusal
+        raise ValueError(refusal)
+
+    def _end(self, status: int, text: str, header: bytes = b"") -> None:
+        """Send a status, unless another answer has begun, and close the connection."""
+        cycle: Any = self.cycle
+        if cycle is None or cycle.response_complete or not cycle.response_started:
+            about = b"content-type: text/plain\r\ncontent-length: %d\r\nconnection: close\r\n" % len(text)
+            self.transport.write(STATUS_LINE[status] + about + header + b"\r\n" + text.encode("ascii"))
+        self.transport.close()
+
     def _limit_time(self) -> None:
-        """Have the deadline run as long as a request is awaited, other than between two: that is `keep_alive`."""
+        """Limit the time of a request; between two, uvicorn limits it (`timeout_keep_alive`)."""
         if self in self.connections and self.timeout_keep_alive_task is None and not self.answering:
             if self._deadline is None:
-                self._deadline = self.loop.call_later(self.request_seconds, self._end_late_request)
+                self._deadline = self.loop.call_later(
+                    self.request_seconds, self._end, 408, f"a request arrives within {self.request_seconds:g} s"
+                )
         elif self._deadline is not None:
             self._deadline.cancel()
             self._deadline = None
 
-    def _end_late_request(self) -> None:
-        cycle: Any = self.cycle
-        if cycle is None or cycle.response_complete or not cycle.response_started:
-            self.transport.write(TIMED_OUT)
-        self.transport.close()
-
-    @classmethod
-    def _warn_once_in_a_while(cls, most: int) -> None:
-        now = time.monotonic()
-        if now - Http._warned >= WARNING_SECONDS:
-            Http._warned = now
-            log.warning("%d connections are open, and no more are allowed: others are refused", most)
-
 
 class _OneRequest(FlowControl):
-    """Reads no further while a request is answered: `receive` would ask for more each time, and pile it up."""
+    """Stops reading while a request is answered: uvicorn's `receive` would read on, and collect what comes."""
 
     def __init__(self, transport: asyncio.Transport, protocol: Http) -> None:
         super().__init__(transport)
@@ -175,21 +216,115 @@ class _OneRequest(FlowControl):
 
 
 class WebSockets(WebSocketsSansIOProtocol):
-    """WebSockets: who does not read is not read from; each ping would add an answer."""
+    """WebSockets: parses one frame in turn, and bounds fragments and control frames."""
 
-    def pause_writing(self) -> None:
-        """Write no more for now."""
-        super().pause_writing()
-        if not self.transport.is_closing():
-            self.transport.pause_reading()
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Start with an empty buffer."""
+        super().connection_made(transport)
+        self._unread = bytearray()
+        self._turn: asyncio.Handle | None = None
+        self._control_frames = self._counted_at = 0.0
 
-    def resume_writing(self) -> None:
-        """Write on."""
-        super().resume_writing()
-        if not self.read_paused and not self.transport.is_closing():
-            self.transport.resume_reading()
+    def data_received(self, data: bytes) -> None:
+        """Parse the head of the request, which comes first and whole, or a frame."""
+        if self.handshake_initiated:
+            self._unread += data
+            if self._turn is None:
+                self._take_turn()
+            return
+        super().data_received(data)
+        if not self.handshake_initiated:  # the head has a body or a line of over 8 KB, which uvicorn would not answer
+            self.transport.write(b"".join(self.conn.data_to_send()))
+            self.transport.close()
+
+    async def receive(self) -> Any:
+        """The next message for the application."""
+        message = await super().receive()
+        if self._unread:
+            self._go_on()
+        return message
+
+    async def send(self, message: Any) -> None:
+        """Send a message of the application.
+
+        Raises:
+            ClientDisconnected: if the connection is being closed, such as for a ping without an answer.
+        """
+        await self.writable.wait()
+        if self.close_sent or self.transport.is_closing():
+            raise ClientDisconnected
+        is_open = self.handshake_complete
+        await super().send(message)
+        if not is_open:
+            self._go_on()
+
+    def send_receive_event_to_app(self) -> None:
+        """Queue a message for the application; uvicorn would log a trace for a text that is not UTF-8."""
+        if self.curr_msg_data_type == "text":
+            try:
+                b"".join(self.frames).decode()
+            except UnicodeDecodeError:
+                self._fail(INVALID_DATA, "a text is UTF-8")
+                return
+        super().send_receive_event_to_app()
 
     def shutdown(self) -> None:
-        """Say goodbye, and close it when that is read, or after a while."""
-        super().shutdown()
+        """Send a close frame, and close the connection when that is read, or after a while."""
+        if not self.transport.is_closing():
+            super().shutdown()
         self.loop.call_later(END_SECONDS, self.transport.abort)
+
+    def _take_turn(self) -> None:
+        """Parse one frame; others have their turn before the next."""
+        self._turn = None
+        size = self._frame_size()
+        if self._may_parse() and len(self._unread) >= size:
+            frame = bytes(self._unread[:size])
+            del self._unread[:size]
+            is_control, is_last = frame[0] & 0x08, frame[0] & 0x80
+            if is_control and not self._count_control_frame():
+                self._fail(POLICY_VIOLATION, f"at most {CONTROL_FRAMES_PER_SECOND} pings and pongs a second")
+            elif not (is_control or is_last) and len(self.frames) >= FRAGMENTS:
+                self._fail(POLICY_VIOLATION, f"a message has at most {FRAGMENTS} fragments")
+            else:
+                super().data_received(frame)
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Parse the next frame in its turn, read on, or wait for the application to take a message."""
+        if (self.read_paused and not self._unread) or self.transport.is_closing():
+            return
+        may_parse, is_whole = self._may_parse(), len(self._unread) >= self._frame_size()
+        if may_parse and is_whole and self._turn is None:
+            self._turn = self.loop.call_soon(self._take_turn)
+        if may_parse and not is_whole:
+            self.transport.resume_reading()
+        else:
+            self.transport.pause_reading()
+
+    def _may_parse(self) -> bool:
+        return self.handshake_complete and not self.read_paused
+
+    def _frame_size(self) -> int:
+        """Known size of the first frame. If it is too large, its head is enough for the parser to refuse it."""
+        data = self._unread
+        if len(data) < 2:
+            return 2
+        length = data[1] & 0x7F
+        more = {126: 2, 127: 8}.get(length, 0)
+        if len(data) < 2 + more:
+            return 2 + more
+        if more:
+            length = int.from_bytes(data[2 : 2 + more], "big")
+        size = 2 + more + (4 if data[1] & 0x80 else 0) + length
+        return size if length <= self.config.ws_max_size else min(size, LARGEST_FRAME_HEAD)
+
+    def _count_control_frame(self) -> bool:
+        now = self.loop.time()
+        left = self._control_frames - (now - self._counted_at) * CONTROL_FRAMES_PER_SECOND
+        self._control_frames, self._counted_at = max(left, 0.0) + 1, now
+        return self._control_frames <= CONTROL_FRAMES
+
+    def _fail(self, code: int, reason: str) -> None:
+        self.conn.fail(code, reason)
+        self.handle_parser_exception()

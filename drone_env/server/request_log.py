@@ -3,8 +3,10 @@
 An entry says when, what and how long, never a body, a query, a header or a session.
 """
 
+import asyncio
 import time
 from collections import deque
+from collections.abc import AsyncGenerator
 from datetime import datetime, timezone
 
 from pydantic import Field
@@ -14,6 +16,8 @@ from drone_env import models
 
 KEPT = 200
 LONGEST_PATH = 200
+BATCH_SECONDS = 0.25
+"""Followers receive the requests of this time together."""
 
 
 class LoggedRequest(models.Message):
@@ -33,6 +37,9 @@ class RequestLog:
     def __init__(self) -> None:
         self.recent: deque[LoggedRequest] = deque(maxlen=KEPT)
         self.count = 0
+        self.followers = 0
+        self._changed = asyncio.Event()
+        self._batch: tuple[int, int, bytes] = (0, 0, b"")
 
     def add(self, method: str, path: str, status: int, seconds: float) -> None:
         """Note one answer."""
@@ -46,10 +53,29 @@ class RequestLog:
             milliseconds=round(seconds * 1000, 3),
         )
         self.recent.append(entry)
+        self._changed.set()
 
     def since(self, number: int) -> list[LoggedRequest]:
         """What is kept of the requests after this one, oldest first."""
         return [entry for entry in self.recent if entry.number > number]
+
+    async def follow(self) -> AsyncGenerator[bytes, None]:
+        """Server-sent events of the requests, at first those that are kept."""
+        seen = 0
+        while True:
+            if seen == self.count:
+                self._changed.clear()
+                await self._changed.wait()
+                await asyncio.sleep(BATCH_SECONDS)
+            start, seen = seen, self.count
+            yield self._events(start)
+
+    def _events(self, start: int) -> bytes:
+        """The events after this number, written once for all followers that are equally far."""
+        if self._batch[:2] != (start, self.count):
+            lines = [f"id: {one.number}\r\ndata: {one.model_dump_json()}\r\n\r\n" for one in self.since(start)]
+            self._batch = start, self.count, "".join(lines).encode()
+        return self._batch[2]
 
 
 class LogRequests:

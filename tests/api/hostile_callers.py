@@ -3,10 +3,11 @@
     python tests/api/hostile_callers.py [--seconds 10] [--fuzzed 20000] [--seed 1]
 
 A process of its own asks for `/health` all the time, each time over a new connection. In turn come 20 callers that
-send 26 MB of requests and read nothing, 1,000 that send half a request, floods over WebSocket, callers that read slowly
-or not at all, fuzzed requests, and an end while nobody reads. It fails where `/health` took longer than 0.5 s, where
-the server had more than 300 MB, where half requests stay, and where anything was answered with a 5xx other than 503 or
-left a traceback.
+send 26 MB of requests and read nothing, 1,000 that send half a request, floods over WebSocket, requests with thousands
+of headers, floods of pings and of one-byte fragments, followers of the request log, callers that read slowly or not at
+all, fuzzed requests, and an end while nobody reads. It fails if `/health` took longer than 0.5 s or the event loop used
+more than 0.2 CPU seconds before it answered; if a request or connection cost the loop more than 5 ms; if the server had
+more than 300 MB; if half requests stay; if anything was answered with a 5xx other than 503 or left a traceback.
 
 The time of an answer is counted without that for which server or asker could have run while the machine was busy with
 others (`/proc/PID/task/*/schedstat`, Linux), but never as less than the server's own CPU time meanwhile. The whole time
@@ -25,7 +26,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -34,9 +35,11 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.api.serving import Server, serving
 
-MOST_SECONDS, MOST_MEGABYTES = 0.5, 300
+MOST_SECONDS, MOST_LOOP_SECONDS, MOST_LOOP_SECONDS_EACH, MOST_MEGABYTES = 0.5, 0.2, 0.005, 300
 HEAD = "{} HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 UPGRADE = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: {}\r\nSec-WebSocket-Version: 13\r\n\r\n"
+PING, BEGIN, GO_ON = b"\x89\x80" + bytes(4), b"\x01\x81" + bytes(4) + b"x", b"\x00\x81" + bytes(4) + b"x"
+"""Masked frames: a ping without payload, and one-byte fragments of a text."""
 Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
@@ -56,12 +59,21 @@ def scheduled(process: int) -> tuple[float, float]:
     return ran / 1e9, waited / 1e9
 
 
+def loop_seconds(process: int) -> float:
+    """CPU seconds of a process's first thread, which runs the event loop (Linux)."""
+    return int(Path(f"/proc/{process}/schedstat").read_text(encoding="utf-8").split()[0]) / 1e9
+
+
 def watch(port: int, process: int, told: Connection) -> None:
-    """Ask for its health until it is gone; tells when, seconds, seconds on a free machine, megabytes, what is wrong."""
+    """Ask for its health until it is gone, and send the figures of each answer.
+
+    They are: when, seconds, seconds on a free machine, CPU seconds of the event loop, megabytes, what is wrong.
+    """
     while True:
         wrong = ""
         try:
             (ran, waited), (_, own), began = scheduled(process), scheduled(os.getpid()), time.monotonic()
+            looped = loop_seconds(process)
             try:
                 asked = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
                 asked.request("GET", "/health")
@@ -69,11 +81,11 @@ def watch(port: int, process: int, told: Connection) -> None:
                 asked.close()
             except OSError as error:
                 wrong = repr(error)
-            took = time.monotonic() - began
+            took, looped = time.monotonic() - began, loop_seconds(process) - looped
             (ran_since, waited_since), (_, own_since) = scheduled(process), scheduled(os.getpid())
             # Threads wait side by side, so what they waited for together may be more than was lost.
             free = min(took, max(ran_since - ran, took - (waited_since - waited) - (own_since - own)))
-            told.send((began, took, free, megabytes(process, "VmRSS"), wrong))
+            told.send((began, took, free, looped, megabytes(process, "VmRSS"), wrong))
         except (OSError, IndexError):
             return
         time.sleep(0.02)
@@ -95,18 +107,21 @@ class Campaign:
         """Attack, and print how the server did."""
         note = await attack
         ended = time.monotonic()
-        samples: list[tuple[float, float, float, float, str]] = []
+        samples: list[tuple[float, float, float, float, float, str]] = []
         # Until one was asked after it: the last may still be on its way.
         while not samples or samples[-1][0] < ended:
             while not self.told.poll():
                 await asyncio.sleep(0.01)
             samples.append(self.told.recv())
-        _, slowest, worst, most, _ = (max(column) for column in zip(*samples, strict=True))
-        wrong = Counter(s[4] for s in samples if s[4])
+        _, slowest, worst, looped, most, _ = (max(column) for column in zip(*samples, strict=True))
+        wrong = Counter(s[5] for s in samples if s[5])
         times = f"{worst:6.3f} s at worst of {len(samples):4} ({slowest:6.3f} s with waits for a core)"
+        times += f", {looped:6.3f} CPU s of the loop"
         print(f"{name:34} /health {times}, {most:4.0f} MB; {note}", flush=True)
         if worst > MOST_SECONDS:
             self.faults.append(f"{name}: /health took {worst:.2f} s")
+        if looped > MOST_LOOP_SECONDS:
+            self.faults.append(f"{name}: the event loop used {looped:.2f} CPU s before it answered /health")
         self.faults += [f"{name}: /health: {what}, {times} times" for what, times in wrong.items()]
 
     async def open(self, data: bytes = b"", limit: int = 1 << 16) -> Streams:
@@ -174,6 +189,70 @@ class Campaign:
             task.cancel()
         abort(streams)
         return f"{sum(taken) / len(frame):,.0f} frames taken from 10"
+
+    async def send_long_heads(self) -> str:
+        """Send requests with 6,500 headers, from 128 callers."""
+        headers = b"".join([b"a%04d: x\r\n" % number for number in range(6500)])
+        request = HEAD.format("GET /health").encode() + headers + b"\r\n"
+
+        async def ask(_: float) -> int:
+            reader, writer = await self.open(request)
+            with contextlib.suppress(OSError):  # the server may close before it has read everything
+                await reader.readline()
+            writer.transport.abort()
+            return 1
+
+        return await self.repeat(128, ask)
+
+    async def send_small_frames(self, path: str, first: bytes, frame: bytes) -> str:
+        """Send as many frames as the server takes, from 64 callers that connect again when it closes."""
+
+        async def flood(until: float) -> int:
+            reader, writer = await self.open_socket(path)
+            reading = asyncio.create_task(swallow(reader))
+            writer.write(first)
+            await self.push(writer, frame * 500, 1_000_000, until)
+            writer.transport.abort()
+            await asyncio.gather(reading, return_exceptions=True)
+            return 1
+
+        return await self.repeat(64, flood)
+
+    async def follow_requests(self) -> str:
+        """Read the request log with 296 callers while 8 others call."""
+        request = (HEAD.format("GET /terminal_logs") + "Accept: text/event-stream\r\n\r\n").encode()
+        streams = [await self.open(request) for _ in range(296)]
+        statuses = Counter([(await reader.readline())[9:12].decode() for reader, _ in streams])
+        readers = [asyncio.create_task(swallow(reader)) for reader, _ in streams]
+
+        async def ask(_: float) -> int:
+            reader, writer = await self.open((HEAD.format("GET /x") + "\r\n").encode())
+            await reader.readline()
+            writer.transport.abort()
+            return 1
+
+        note = await self.repeat(8, ask)
+        abort(streams)
+        await asyncio.gather(*readers, return_exceptions=True)
+        return f"readers by status: {dict(statuses)}; requests: {note}"
+
+    async def repeat(self, callers: int, act: Callable[[float], Awaitable[int]]) -> str:
+        """Have callers act until the time is over: how often they did, and what that cost the event loop."""
+        process, until, done = self.server.process.pid, time.monotonic() + self.seconds, 0
+        before = loop_seconds(process)
+
+        async def go_on() -> None:
+            nonlocal done
+            while time.monotonic() < until:
+                with contextlib.suppress(OSError, asyncio.IncompleteReadError):
+                    acted = await act(until)
+                    done += acted
+
+        await asyncio.gather(*[go_on() for _ in range(callers)])
+        each = (loop_seconds(process) - before) / max(done, 1)
+        if each > MOST_LOOP_SECONDS_EACH:
+            self.faults.append(f"each of {done:,} cost the event loop {each * 1000:.1f} ms")
+        return f"{done:,} from {callers}, {each * 1000:.3f} ms of the event loop each"
 
     async def read_slowly(self) -> str:
         page = (HEAD.format("GET /") + "\r\n").encode() * 50
@@ -366,6 +445,11 @@ async def go(server: Server, given: argparse.Namespace) -> list[str]:
     await campaign.under("flood of frames, no answer read", campaign.flood(masked(b'{"type":"mcp"}'), False))
     await campaign.under("flood of frames of pages", campaign.flood(masked(b'{"type":"pause"}'), True, "/live"))
     await campaign.under("flood of pings, no answer read", campaign.flood(masked(b"x" * 100, 9), False))
+    await campaign.under("requests with 6,500 headers", campaign.send_long_heads())
+    for path in ("/ws", "/live"):
+        await campaign.under(f"pings to {path}", campaign.send_small_frames(path, PING, PING))
+        await campaign.under(f"one-byte fragments to {path}", campaign.send_small_frames(path, BEGIN, GO_ON))
+    await campaign.under("readers of the request log", campaign.follow_requests())
     await campaign.under("slow readers", campaign.read_slowly())
     await campaign.under(f"{given.fuzzed:,} fuzzed requests", campaign.fuzz(given.fuzzed, given.seed))
     await campaign.end()

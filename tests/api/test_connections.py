@@ -10,15 +10,18 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
+from typing import Any
 
 import pytest
 import uvicorn
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.utils import ClientDisconnected
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from drone_env.server import protocols
-from drone_env.server.process import OTHER_FILES, listen, most_connections
+from drone_env.server.process import LINE_SECONDS, LINES, OTHER_FILES, BoundedLog, listen, most_connections
 from drone_env.server.protocols import Http, WebSockets
 
 WHOLE = b"GET / HTTP/1.1\r\nHost: h\r\n\r\n"
@@ -35,11 +38,13 @@ async def answer(scope: Scope, receive: Receive, send: Send) -> None:
 
 
 @contextmanager
-def running(app: ASGIApp, connections: int = 100, http: type[Http] = Http) -> Generator[Callable[[], socket.socket]]:
+def running(
+    app: ASGIApp, connections: int = 100, http: type[Http] = Http, **more: Any
+) -> Generator[Callable[[], socket.socket]]:
     """A server of this application in a thread; opens connections to it."""
     (listening,) = listen("127.0.0.1", 0)
     config = uvicorn.Config(
-        app, http=http, ws=WebSockets, lifespan="off", log_config=None, limit_concurrency=connections + 1
+        app, http=http, ws=WebSockets, lifespan="off", log_config=None, limit_concurrency=connections + 1, **more
     )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, args=([listening],))
@@ -185,15 +190,52 @@ def test_what_is_no_body_has_an_end(request_: bytes) -> None:
             for _ in range(2 * protocols.HEAD_BYTES // 1024):
                 sock.sendall(b"x" * 1024)
         with suppress(ConnectionError):
-            assert everything(sock).startswith(b"HTTP/1.1 400 ")
+            assert everything(sock).startswith(b"HTTP/1.1 431 ")
 
 
-def test_a_head_that_comes_in_one_piece_has_no_other_bound() -> None:
+ONES = b"1\r\nx\r\n"
+BOUNDED = {
+    "the most headers": (WHOLE[:-2] + b"a: b\r\n" * (protocols.HEADERS - 1) + b"\r\n", 200),
+    "a header more": (WHOLE[:-2] + b"a: b\r\n" * protocols.HEADERS + b"\r\n", 431),
+    "the longest head": (WHOLE[:-2] + b"a: " + b"b" * (protocols.HEAD_BYTES - len(WHOLE) - 5) + b"\r\n\r\n", 200),
+    "a byte more": (WHOLE[:-2] + b"a: " + b"b" * (protocols.HEAD_BYTES - len(WHOLE) - 4) + b"\r\n\r\n", 431),
+    "the most chunks": (CHUNKED + ONES * protocols.CHUNKS + b"0\r\n\r\n", 200),
+    "a chunk more": (CHUNKED + ONES * (protocols.CHUNKS + 1) + b"0\r\n\r\n", 400),
+    "long lists of subprotocols": (WHOLE[:-2] + b"Sec-WebSocket-Protocol: " + b"a," * 3000 + b"\r\n\r\n", 431),
+}
+"""Requests in one piece, and the status of the answer."""
+
+
+@pytest.mark.parametrize(("length", "status"), [(protocols.READS, 200), (protocols.READS + 1, 400)])
+def test_small_reads_of_a_request_are_bounded(monkeypatch: pytest.MonkeyPatch, length: int, status: int) -> None:
+    read = Http.data_received
+
+    def read_bytes(self: Http, data: bytes) -> None:
+        for byte in data:
+            if not self.transport.is_closing():
+                read(self, bytes([byte]))
+
+    monkeypatch.setattr(Http, "data_received", read_bytes)
     with running(answer) as connect:
         sock = connect()
-        sock.sendall(b"GET / HTTP/1.1\r\nHost: x\r\nLong: " + b"x" * protocols.HEAD_BYTES + b"\r\n\r\n")
-        with suppress(ConnectionError):  # what it has not read when it closes resets the connection
-            assert everything(sock).startswith(b"HTTP/1.1 400 ")
+        for _ in range(2 if status == 200 else 1):  # each request has its own count
+            sock.sendall(WHOLE.replace(b"/", b"/".ljust(length + 1 - len(WHOLE), b"x"), 1))
+            assert sock.recv(1000).startswith(b"HTTP/1.1 %d " % status)
+
+
+@pytest.mark.parametrize("kind", BOUNDED)
+def test_the_parts_of_a_request_are_bounded(kind: str, caplog: pytest.LogCaptureFixture) -> None:
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        with suppress(ClientDisconnect):
+            await Request(scope, receive).body()
+            await answer(scope, receive, send)
+
+    request, status = BOUNDED[kind]
+    with running(app) as connect:
+        sock = connect()
+        sock.sendall(request)
+        assert sock.recv(1000).startswith(b"HTTP/1.1 %d " % status)
+    assert not caplog.messages
 
 
 def test_what_stands_after_a_body_is_no_header() -> None:
@@ -266,7 +308,21 @@ def test_requests_of_any_shape_are_understood_or_refused(shape: str) -> None:
     assert answered.count(b"ok") == outcome.count("200") * (shape != "without a body") + kept
 
 
-def test_more_connections_than_allowed_are_refused_with_one_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_invalid_request_after_one_that_was_refused_is_answered(caplog: pytest.LogCaptureFixture) -> None:
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            raise RuntimeError("h\xe9")
+        except RuntimeError:
+            await answer(scope, receive, send)
+
+    with running(app) as connect:
+        sock = connect()
+        sock.sendall(WHOLE + b"!\r\n\r\n")
+        assert re.findall(rb"HTTP/1\.1 (\d+)", everything(sock)) == [b"200", b"400"]
+    assert not caplog.messages
+
+
+def test_more_connections_than_allowed_are_refused_with_a_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
     with running(answer, connections=3) as connect:
         first, *_ = kept = [connect() for _ in range(3)]
         for sock in kept:
@@ -274,7 +330,7 @@ def test_more_connections_than_allowed_are_refused_with_one_line_in_the_log(capl
             assert sock.recv(1000).startswith(b"HTTP/1.1 200 ")
         for _ in range(5):
             assert everything(connect()).startswith(b"HTTP/1.1 503 ")
-        assert caplog.messages == ["3 connections are open, and no more are allowed: others are refused"]
+        assert set(caplog.messages) == {"3 connections are open, and no more are allowed: others are refused"}
         first.close()
         deadline = time.monotonic() + 60
         while True:  # until the server has noticed
@@ -284,6 +340,124 @@ def test_more_connections_than_allowed_are_refused_with_one_line_in_the_log(capl
                 break
             assert time.monotonic() < deadline
         assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
+
+
+UPGRADE = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+KEY = b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+PING, TEXT, MORE = b"\x89\x80" + bytes(4), b"\x01\x81" + bytes(4) + b"x", b"\x00\x81" + bytes(4) + b"x"
+
+
+async def echo(scope: Scope, receive: Receive, send: Send) -> None:
+    """Send each message back."""
+    await send({"type": "websocket.accept"})
+    await receive()
+    while (message := await receive())["type"] == "websocket.receive":
+        await send({"type": "websocket.send", "text": message["text"]})
+
+
+def open_socket(sock: socket.socket) -> socket.socket:
+    sock.sendall(WHOLE[:-2] + UPGRADE + KEY + b"\r\n")
+    head = b""
+    while not head.endswith(b"\r\n\r\n"):
+        head += sock.recv(1)
+    assert head.startswith(b"HTTP/1.1 101 ")
+    return sock
+
+
+@pytest.mark.parametrize(
+    ("frames", "code"),
+    [
+        (PING * 2 * protocols.CONTROL_FRAMES, 1008),
+        (TEXT + MORE * protocols.FRAGMENTS, 1008),
+        (b"\x81\x81" + bytes(4) + b"\xff", 1007),
+        (b"\x81\xff" + bytes(4) + b"\xff" * 8, 1009),
+    ],
+    ids=["pings", "fragments", "not UTF-8", "too large"],
+)
+def test_a_socket_that_is_abused_is_closed_without_a_line_in_the_log(
+    frames: bytes, code: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    with running(echo) as connect:
+        sock = open_socket(connect())
+        sock.sendall(frames)
+        sent = b""
+        while not re.search(rb"\x88.\x03" + bytes([code - 0x300]), sent):
+            sent += (piece := sock.recv(65_536))
+            assert piece, sent
+    assert not caplog.messages
+
+
+def test_a_socket_takes_one_frame_in_turn_and_messages_arrive_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed: list[bytes] = []
+    parse = WebSocketsSansIOProtocol.data_received
+    monkeypatch.setattr(
+        WebSocketsSansIOProtocol, "data_received", lambda self, data: (parsed.append(data), parse(self, data))
+    )
+    large = b"\x81\xfe\x03\xe8" + bytes(4) + b"y" * 1000
+    frames = [PING, TEXT, PING, *[MORE] * 20, b"\x80" + MORE[1:], large, b"\x81" + TEXT[1:]] * 4
+    expected = ([b"x" * 22, b"y" * 1000, b"x"]) * 4
+    data = b"".join(frames)
+    with running(echo) as connect:
+        for piece in (1, 7, len(data)):
+            sock = open_socket(connect())
+            parsed.clear()
+            for start in range(0, len(data), piece):
+                sock.sendall(data[start : start + piece])
+            told = b""
+            while told.count(b"x") + told.count(b"y") < sum(map(len, expected)):
+                told += sock.recv(65_536)
+            assert re.findall(rb"[xy]+", told) == expected
+            assert parsed == frames
+
+
+def test_a_socket_that_never_answers_a_ping_is_closed_and_the_application_stops(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    ended: list[BaseException] = []
+    closed = threading.Event()
+    close = WebSockets.keepalive_timeout
+    monkeypatch.setattr(WebSockets, "keepalive_timeout", lambda self: (close(self), closed.set()))
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        await send({"type": "websocket.accept"})
+        try:
+            while True:
+                await send({"type": "websocket.send", "text": "x" * 10_000})
+        except OSError as error:
+            ended.append(error)
+
+    with running(app, ws_ping_interval=0.1, ws_ping_timeout=0.1) as connect:
+        sock = open_socket(connect())
+        assert closed.wait(60)
+        # The application waits to send more, and is woken by this.
+        assert everything(sock).endswith(b"keepalive ping timeout")
+    assert [type(error) for error in ended] == [ClientDisconnected]
+    assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
+
+
+@pytest.mark.parametrize("header", [b"Content-Length: 1\r\n", b"a: " + b"x" * 9000 + b"\r\n"])
+def test_a_socket_whose_head_is_refused_is_closed(header: bytes) -> None:
+    with running(echo) as connect:
+        sock = connect()
+        sock.sendall(WHOLE[:-2] + header + UPGRADE + KEY + b"\r\nx")
+        with suppress(ConnectionError):
+            assert b" 101 " not in everything(sock)
+
+
+def test_a_place_in_the_code_logs_a_bounded_number_of_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr("drone_env.server.process.time.monotonic", lambda: now[0])
+    bounded, cancelled = BoundedLog(), (asyncio.CancelledError, asyncio.CancelledError(), None)
+
+    def logged(line: int, exc_info: Any = None) -> str | None:
+        record = logging.LogRecord("x", logging.ERROR, "file.py", line, "no %s", ("luck",), exc_info)
+        return record.getMessage() if bounded.filter(record) else None
+
+    assert [logged(1) for _ in range(LINES + 3)] == ["no luck"] * LINES + [None] * 3
+    assert logged(2) == "no luck"
+    now[0] += LINE_SECONDS
+    assert [logged(1) for _ in range(2)] == ["no luck (3 such lines before this one were not logged)", "no luck"]
+    assert logged(3, cancelled) is None
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no limit of open files")

@@ -1,6 +1,7 @@
 """Who may call, and with what."""
 
 import asyncio
+import re
 from pathlib import Path
 from typing import Any
 
@@ -238,6 +239,7 @@ class TestHeaders:
             assert policy.startswith("default-src 'self';")
             assert "unsafe" not in policy
             assert "http" not in policy.partition("frame-ancestors")[0]
+            assert not re.search(r"\bwss?:", policy)
 
 
 def test_an_unforeseen_failure_tells_no_trace(tmp_path: Path) -> None:

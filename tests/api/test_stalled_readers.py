@@ -3,18 +3,20 @@
 import asyncio
 import base64
 import json
+import re
 import select
 import socket
-from typing import Any
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx
 import pytest
 import websockets.sync.client
-from starlette.types import Message
+from starlette.types import ASGIApp, Message
 
 from drone_env.server.app import create_app
-from drone_env.server.request_log import KEPT
+from drone_env.server.request_log import KEPT, LoggedRequest, RequestLog
+from drone_env.server.routes.history import FOLLOWERS
 from drone_env.server.settings import Settings
 from tests.api.serving import Server
 
@@ -73,11 +75,6 @@ def test_requests_whose_answers_nobody_reads_are_not_piled_up(server: Server, re
         assert pushed(sock, request.encode()) < LITTLE
 
 
-def test_pings_whose_answers_nobody_reads_are_not_piled_up(server: Server) -> None:
-    with open_page(server) as page:
-        assert pushed(page, b"\x89\xe4" + bytes(4 + 100)) < LITTLE
-
-
 def flown_flights(server: Server) -> list[str]:
     """The sessions of a race of two that has ended, which is told in some 100 KB."""
     with websockets.sync.client.connect(server.url.replace("http", "ws") + "/live", open_timeout=60) as page:
@@ -129,43 +126,69 @@ def test_the_request_log_is_streamed(server: Server) -> None:
         assert (later["method"], later["status"]) == ("GET", 200)
 
 
-def test_a_listener_that_has_not_read_for_long_is_told_what_is_kept_and_no_more(tmp_path: Any) -> None:
+FOLLOW = {
+    "type": "http",
+    "method": "GET",
+    "path": "/terminal_logs",
+    "query_string": b"",
+    "headers": [(b"accept", b"text/event-stream")],
+}
+
+
+class Follower:
+    """A reader of the live request log; the server waits until `reads` is set."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.reads, self.stalled, self.status = asyncio.Event(), asyncio.Event(), 0
+        self.numbers: list[int] = []
+        self.task = asyncio.create_task(app(dict(FOLLOW), self._receive, self._send))
+
+    async def _receive(self) -> Message:
+        await asyncio.Event().wait()
+        raise AssertionError("nothing comes")
+
+    async def _send(self, message: Message) -> None:
+        self.status = message.get("status", self.status)
+        self.numbers += map(int, re.findall(rb"^id: (\d+)", message.get("body", b""), re.MULTILINE))
+        if self.numbers:
+            self.stalled.set()
+            await self.reads.wait()
+
+    async def wait_for(self, number: int) -> None:
+        while number not in self.numbers:
+            await asyncio.sleep(0.01)
+
+
+def test_followers_of_the_requests_share_what_is_written_and_skip_what_is_not_kept_any_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     app = create_app(Settings(data=tmp_path / "data"))
-    log = app.state.shared.requests
-    scope = {
-        "type": "http",
-        "method": "GET",
-        "path": "/terminal_logs",
-        "query_string": b"",
-        "headers": [(b"accept", b"text/event-stream")],
-    }
+    log: RequestLog = app.state.shared.requests
+    written: list[int] = []
+    write = LoggedRequest.model_dump_json
+    monkeypatch.setattr(LoggedRequest, "model_dump_json", lambda self: (written.append(self.number), write(self))[1])
 
-    async def listen() -> list[int]:
-        told: list[int] = []
-        stalled, going_on = asyncio.Event(), asyncio.Event()
-
-        async def receive() -> Message:
-            await asyncio.Event().wait()
-            raise AssertionError("nothing comes")
-
-        async def send(message: Message) -> None:
-            line = message.get("body", b"").decode()
-            if "data: " in line:
-                told.append(json.loads(line.partition("data: ")[2].partition("\n")[0])["number"])
-                stalled.set()
-                await going_on.wait()
-
+    async def follow() -> None:
         log.add("GET", "/first", 200, 0)
-        listening = asyncio.create_task(app(scope, receive, send))
-        await stalled.wait()
+        followers = [Follower(app) for _ in range(FOLLOWERS)]
+        for follower in followers:
+            await follower.stalled.wait()
+        refused = Follower(app)
+        await refused.task
+        assert (refused.status, followers[0].status) == (503, 200)
+        for follower in followers[1:]:
+            follower.reads.set()
+        log.add("GET", "/second", 200, 0)
+        await asyncio.gather(*[follower.wait_for(3) for follower in followers[1:]])
+        assert written == [1, 2, 3]  # the third is the refusal
         for _ in range(5 * KEPT):
             log.add("GET", "/later", 200, 0)
-        going_on.set()
-        while not told or told[-1] < 1 + 5 * KEPT:
-            await asyncio.sleep(0.01)
-        listening.cancel()
-        await asyncio.gather(listening, return_exceptions=True)
-        return told
+        followers[0].reads.set()
+        await asyncio.gather(*[follower.wait_for(log.count) for follower in followers])
+        assert followers[0].numbers == [1, *range(log.count - KEPT + 1, log.count + 1)]
+        for follower in followers:
+            follower.task.cancel()
+        await asyncio.gather(*[follower.task for follower in followers], return_exceptions=True)
+        assert log.followers == 0
 
-    told = asyncio.run(asyncio.wait_for(listen(), 60))
-    assert told == [1, *range(2 + 4 * KEPT, 2 + 5 * KEPT)]
+    asyncio.run(asyncio.wait_for(follow(), 60))

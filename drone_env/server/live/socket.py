@@ -51,9 +51,9 @@ class LiveSocket:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one page until it goes."""
         socket = WebSocket(scope, receive, send)
-        await socket.accept(PROTOCOL if PROTOCOL in scope.get("subprotocols", []) else None)
-        # Where the other side has gone there is nobody left to tell.
+        # Clients may go at any time, even before the server accepts them.
         with suppress(WebSocketDisconnect, OSError):
+            await socket.accept(PROTOCOL if PROTOCOL in scope.get("subprotocols", []) else None)
             if len(self.pages) >= self.shared.settings.capacity:
                 await socket.close(TRY_LATER, TOO_MANY_PAGES)
                 return

@@ -65,9 +65,9 @@ class OpenEnvSocket:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection to its end."""
         socket = WebSocket(scope, receive, send)
-        await socket.accept()
-        # Where the other side has gone there is nobody left to tell.
+        # Clients may go at any time, even before the server accepts them.
         with suppress(WebSocketDisconnect, OSError):
+            await socket.accept()
             capacity = self.shared.settings.capacity
             try:
                 if "session_id" in socket.query_params:

@@ -1,18 +1,17 @@
 """The routes that look back: finished episodes, their figures, and the logs."""
 
-import asyncio
-from collections.abc import AsyncGenerator
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import Field
 from sse_starlette import EventSourceResponse
+from starlette.types import Receive, Scope, Send
 
 from drone_env.core.tasks import get_task
 from drone_env.episodes.record import EpisodeRecord
 from drone_env.models import MAX_SEED, Message
-from drone_env.server.problems import answers
+from drone_env.server.problems import RequestError, answer_to, answers
 from drone_env.server.request_log import LoggedRequest, RequestLog
 from drone_env.server.schemas import (
     AnalysisAnswer,
@@ -28,7 +27,7 @@ router = APIRouter(tags=["history"])
 SUMMARIES = 5
 ROLLING = 20
 LINES = 50
-POLL_SECONDS = 0.25
+FOLLOWERS = 32
 
 
 class Requests(Message):
@@ -92,19 +91,32 @@ def logs(shared: SharedParts) -> LogLines:
 @router.get(
     "/terminal_logs",
     response_model=Requests,
-    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
+    responses=answers(503) | {200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
 )
 async def terminal_logs(request: Request, shared: SharedParts) -> Response:
     """The requests that this process answered: as JSON, or live with `Accept: text/event-stream`."""
     if "text/event-stream" in request.headers.get("accept", ""):
-        return EventSourceResponse(_live(shared.requests), ping=15)
+        return _LiveRequests(shared.requests)
     return JSONResponse(Requests(requests=shared.requests.since(0)).model_dump())
 
 
-async def _live(log: RequestLog) -> AsyncGenerator[dict[str, str], None]:
-    seen = 0
-    while True:
-        for entry in log.since(seen):
-            seen = entry.number
-            yield {"id": str(entry.number), "data": entry.model_dump_json()}
-        await asyncio.sleep(POLL_SECONDS)
+class _LiveRequests(EventSourceResponse):
+    """The requests as server-sent events, for a bounded number of callers: each request is written to all of them."""
+
+    def __init__(self, log: RequestLog) -> None:
+        super().__init__(log.follow(), ping=15)
+        self._log = log
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send them until the caller goes."""
+        if self._log.followers >= FOLLOWERS:
+            error = RequestError(503, "no_room", f"{FOLLOWERS} callers follow the requests, and no more may: try later")
+            await answer_to(error, scope)(scope, receive, send)
+            return
+        self._log.followers += 1
+        try:
+            await super().__call__(scope, receive, send)
+            # The server ends, or the caller has gone.
+            await send({"type": "http.response.body", "body": b"", "more_body": False})
+        finally:
+            self._log.followers -= 1
