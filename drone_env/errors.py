@@ -148,10 +148,10 @@ class WrongPart(NamedTuple):
 
 
 def wrong_parts(error: Invalid) -> list[WrongPart]:
-    """What is wrong, part by part."""
+    """The first 20 parts that are wrong."""
     return [
         WrongPart(".".join(map(str, part["loc"])), part["msg"].removeprefix("Value error, "), part["type"])
-        for part in error.errors()
+        for part in error.errors()[:20]
     ]
 
 

@@ -56,7 +56,6 @@ class Settings(BaseSettings):
         description="TOML files of reward profiles that callers may name beside those of the package; comma-separated.",
     )
     maps: int = Field(default=1000, ge=0, description="Drawn maps that are kept; another is refused.")
-    max_bytes: int = Field(default=131_072, ge=1024, description="Largest request body and WebSocket frame, in bytes.")
 
     @field_validator("allowed_origins", "allowed_hosts", "frame_ancestors", "reward_profiles", mode="before")
     @classmethod

@@ -8,6 +8,7 @@ from pydantic_core import to_json
 from drone_env.core.tasks import get_task
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import DIRECTIONS, DroneState
+from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.observation_json import flat_json, openenv_json
 from drone_env.server.predict import arrays_of
 from drone_env.server.problems import RequestError, answers
@@ -26,7 +27,7 @@ from drone_env.server.schemas import (
 )
 from drone_env.server.state import COOKIE, HEADER, SESSION_ERRORS, SHARED_HEADER, CallerOf, SharedParts, warm_up
 
-router = APIRouter(tags=["flight"])
+router = APIRouter(tags=["flight"], route_class=JsonRoute)
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
 OPENED: dict[str, Any] = {
     "headers": {
@@ -129,7 +130,7 @@ def solution(shared: SharedParts, caller: CallerOf, answer: Response) -> Solutio
     )
 
 
-@router.post("/predict", responses=SESSION_ERRORS | answers(400, 413, 415))
+@router.post("/predict", responses=SESSION_ERRORS | answers(400, 413, 415), openapi_extra=LARGE_BODY)
 def predict(shared: SharedParts, caller: CallerOf, answer: Response, body: PredictRequest | None = None) -> Prediction:
     """What the trained network would do: about the observation in the body, or, without one, about the session's."""
     if body is not None:

@@ -5,25 +5,26 @@ from typing import Annotated, Literal
 
 import numpy as np
 from fastapi import APIRouter, Body, Path
-from pydantic import ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 from typing_extensions import Self
 
 from drone_env.city.city_file import TEXTS, City, city_text, parse_city
 from drone_env.city.city_task import task_of
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import MAX_DELIVERIES, MAX_SIDE, get_task
 from drone_env.core.terrain import PLACED
 from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, Message, Position, Score
 from drone_env.planning.optimal import solve_episode
 from drone_env.server.drawn_maps import name_of
+from drone_env.server.incoming import LARGE_BODY, JsonRoute, few_keys
 from drone_env.server.problems import answers
 from drone_env.server.routes.catalogue import describe
 from drone_env.server.schemas import OneTask
 from drone_env.server.state import SharedParts
 
-router = APIRouter(prefix="/maps", tags=["maps"])
+router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
 REFUSALS = answers(400, 413, 415, 422, 503)
 Number = Literal["max_steps", "battery_capacity", "charge_rate"]
 Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
@@ -40,10 +41,14 @@ class DrawnMap(Message):
         }
     )
 
-    cells: list[list[int]] = Field(description=f"[y][x], kinds of the cells: {KINDS}.")
+    cells: list[Annotated[list[int], Field(fail_fast=True)]] = Field(
+        max_length=MAX_SIDE, fail_fast=True, description=f"[y][x], kinds of the cells: {KINDS}."
+    )
     start: Pair = Field(description="[x, y] where the drone starts, a road.")
-    parcels: list[Pair] = Field(min_length=1, description="[x, y] of each parcel, roads.")
-    numbers: dict[Number, int] = Field(
+    parcels: list[Pair] = Field(
+        min_length=1, max_length=MAX_DELIVERIES, fail_fast=True, description="[x, y] of each parcel, roads."
+    )
+    numbers: Annotated[dict[Number, int], BeforeValidator(few_keys)] = Field(
         default_factory=dict[Number, int], description="Numbers of the task that are not to be those of its size."
     )
     attribution: str = Field(default="", description="Whose data its terrain is.")
@@ -139,19 +144,19 @@ def drawn_map(task_name: str, seed: Annotated[int, Path(ge=0, le=MAX_SEED)]) -> 
     return DrawnMap.from_episode(Episode(get_task(task_name), seed=seed))
 
 
-@router.post("/file", responses=REFUSALS)
+@router.post("/file", responses=REFUSALS, openapi_extra=LARGE_BODY)
 def file_as_map(file: Annotated[CityFile, Body()]) -> DrawnMap:
     """The file of a city as a drawing; what it leaves to the seed is as on its map 0."""
     return DrawnMap.of(parse_city(file.toml.encode()))
 
 
-@router.post("/worth", responses=REFUSALS)
+@router.post("/worth", responses=REFUSALS, openapi_extra=LARGE_BODY)
 async def worth(shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> MapWorth:
     """What a drawing is worth: the best score that any flight over it can reach, and the text of its file."""
     return await shared.study(lambda: _worth(drawn.city()))
 
 
-@router.post("", responses=REFUSALS)
+@router.post("", responses=REFUSALS, openapi_extra=LARGE_BODY)
 def keep_map(shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
     """Keep a drawing as a task, whose name follows from what is drawn; its only map is number 0.
 
