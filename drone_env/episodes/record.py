@@ -47,7 +47,10 @@ class EpisodeRecord(Message):
     reward_profile: str = Field(max_length=100, description="What the steps paid.")
     actions: list[Direction] = Field(max_length=MAX_UNITS, fail_fast=True, description="The actions, in order.")
     rewards: list[float] | None = Field(
-        default=None, fail_fast=True, description="What each action paid, exactly; null in version 1 and only there."
+        default=None,
+        max_length=MAX_UNITS,
+        fail_fast=True,
+        description="What each action paid, exactly; null in version 1 and only there.",
     )
     deliveries: Count = Field(description="Parcels delivered.")
     success: bool = Field(description="Whether all parcels were delivered.")

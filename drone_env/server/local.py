@@ -1,10 +1,6 @@
-"""What comes from this machine: who reaches the server, and by which name."""
+"""Where a request comes from: which addresses and names mean this machine, and who shares a session."""
 
 import ipaddress
-import os
-import socket
-import stat
-from contextlib import suppress
 from functools import lru_cache
 from urllib.parse import urlsplit
 
@@ -14,12 +10,11 @@ from starlette.types import Scope
 FOREIGN_HEADERS = ("forwarded", "via", "x-real-ip", "origin", "sec-fetch-site")
 """What proxies add, and browsers."""
 FORWARDED = "x-forwarded-"
-OPEN_SOCKETS = "/dev/fd"
 
 
 @lru_cache(maxsize=1024)
 def is_local_name(host: str) -> bool:
-    """Whether a host name or an address, in lower case, is this machine's loopback wherever it is looked up."""
+    """Whether a host name or an address, in lower case, always means the loopback interface."""
     name = host.rstrip(".")
     if name == "localhost" or name.endswith(".localhost"):
         return True
@@ -30,33 +25,29 @@ def is_local_name(host: str) -> bool:
 
 
 def listens_on_loopback(scope: Scope, host: str) -> bool:
-    """Whether nobody but this machine reaches the server that got a request.
+    """Whether only programs on this machine can reach the server, as far as a request shows.
+
+    A request that arrives at another address proves the opposite. One that arrives at loopback does not prove it: a
+    server on all addresses gets it as well.
 
     Args:
-        scope: Of the request. Its `server` is the connection's end here: 127.0.0.1 also where a server that listens
-            on all addresses is called from this machine. So the sockets that listen are asked.
-        host: Where the settings have it listen; holds where no socket can be asked, as on Windows.
+        scope: The request; `server` is the local end of its connection.
+        host: The configured address. uvicorn started by hand may listen elsewhere.
     """
     server = scope.get("server")
-    if server is None or not is_local_name(server[0].lower()):
-        return False
-    listening = _listening(server[1])
-    return all(map(is_local_name, listening)) if listening else is_local_name(host.lower())
+    return server is not None and is_local_name(server[0].lower()) and not _is_wildcard(host)
 
 
-def local_address(scope: Scope, host: str) -> str | None:
-    """The address of a program on this machine that calls a server which nobody else reaches; None for all others.
+def shared_address(scope: Scope) -> str | None:
+    """The address whose callers share a session; None for browsers, and for requests through a proxy.
 
-    Browsers are none, nor is what comes through a proxy, which may bring strangers. HTTP/1.0 is what proxies speak
-    that add no header.
+    Browsers keep cookies. A proxy brings many callers under one address; those that add no header speak HTTP/1.0.
     """
-    client, headers = scope.get("client"), Headers(scope=scope)
-    if client is None or scope.get("http_version") == "1.0" or not is_local_name(client[0].lower()):
+    client = scope.get("client")
+    if client is None or scope.get("http_version") == "1.0":
         return None
-    if any(name in FOREIGN_HEADERS or name.startswith(FORWARDED) for name in headers):
-        return None
-    named = is_local_name(host_name(headers.get("host", "")))
-    return client[0] if named and listens_on_loopback(scope, host) else None
+    foreign = any(name in FOREIGN_HEADERS or name.startswith(FORWARDED) for name in Headers(scope=scope))
+    return None if foreign else client[0]
 
 
 @lru_cache(maxsize=1024)
@@ -68,19 +59,9 @@ def host_name(header: str) -> str:
         return ""
 
 
-@lru_cache(maxsize=16)
-def _listening(port: int) -> tuple[str, ...]:
-    """The addresses at which this process listens on a port; empty where the system does not say."""
-    if not os.path.isdir(OPEN_SOCKETS):
-        return ()
-    found: list[str] = []
-    for number in map(int, os.listdir(OPEN_SOCKETS)):
-        with suppress(OSError):  # another thread may close it meanwhile
-            if not stat.S_ISSOCK(os.fstat(number).st_mode):
-                continue
-            with socket.socket(fileno=os.dup(number)) as copy:
-                name = copy.getsockname()
-                listens = copy.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
-                if listens and copy.family in (socket.AF_INET, socket.AF_INET6) and name[1] == port:
-                    found.append(name[0])
-    return tuple(found)
+@lru_cache
+def _is_wildcard(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_unspecified
+    except ValueError:
+        return False

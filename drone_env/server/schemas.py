@@ -4,7 +4,7 @@ from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, JsonValue, create_model, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, JsonValue, create_model, model_validator
 from typing_extensions import Self
 
 from drone_env.core.actions import Event
@@ -26,7 +26,6 @@ from drone_env.models import (
     Score,
     Seed,
 )
-from drone_env.server.incoming import few_keys
 
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
 STAYING = (Event.WALL, Event.BLOCKED, Event.WAIT)
@@ -88,9 +87,7 @@ class StepRequest(Message):
     model_config = ConfigDict(json_schema_extra={"examples": STEPS})
 
     direction: Direction | None = Field(default=None, description="Where to fly; the answer is a `DroneObservation`.")
-    action: Annotated[WireAction, BeforeValidator(few_keys)] | None = Field(
-        default=None, description="The same for OpenEnv; the answer is a `StepResult`."
-    )
+    action: WireAction | None = Field(default=None, description="The same for OpenEnv; the answer is a `StepResult`.")
     timeout_s: float | None = Field(default=None, gt=0, description="OpenEnv's; a step takes microseconds.")
     request_id: str | None = Field(default=None, max_length=255, description="OpenEnv's; ignored.")
 
@@ -302,7 +299,6 @@ class PredictRequest(DroneObservation):
     cell_below: GroundName | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
         default=None, description="Kind of the cell below the drone; it may be left out in tasks without pads."
     )
-    legend: Annotated[dict[str, str], BeforeValidator(few_keys)] = Field(description="What each emoji means.")
     session_id: str | None = Field(default=None, max_length=255, description="Of a reset's answer; ignored.")
 
 

@@ -18,7 +18,7 @@ from drone_env.planning.optimal import best_of
 from drone_env.server.drawn_maps import DrawnMaps
 from drone_env.server.evaluations import Evaluations
 from drone_env.server.exact_values import ExactValues
-from drone_env.server.local import local_address
+from drone_env.server.local import shared_address
 from drone_env.server.map_values import MapValues
 from drone_env.server.model_runs import ModelRuns
 from drone_env.server.predict import Networks
@@ -143,7 +143,7 @@ async def shared_of(request: Request) -> Shared:
 
 
 class Caller(NamedTuple):
-    """Who sends a request: `named`, the session that it names, or `address`, of those here who name none."""
+    """Who sends a request: the session it `named`, or the `address` whose callers share one."""
 
     named: str | None
     address: str | None
@@ -152,10 +152,9 @@ class Caller(NamedTuple):
     def of(cls, request: Request) -> Self:
         """Who sends a request; an empty header or cookie names no session."""
         named = request.headers.get(HEADER) or request.cookies.get(COOKIE)
-        settings = request.app.state.shared.settings
-        if named or settings.token is not None:
+        if named or request.app.state.shared.settings.token is not None:
             return cls(None if named in ("", NEW) else named, None)
-        return cls(None, local_address(request.scope, settings.host))
+        return cls(None, shared_address(request.scope))
 
     def session(self, shared: Shared, answer: Response) -> str:
         """The session that is meant; where it is shared, the answer says so.

@@ -3,7 +3,6 @@
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import (
-    BeforeValidator,
     Field,
     TypeAdapter,
     ValidationError,
@@ -17,7 +16,7 @@ from typing_extensions import Self
 from drone_env.core.tasks import MAX_UNITS
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.models import MAX_SEED, Count, Direction, Message, Seed
-from drone_env.server.incoming import SMALL, few_keys, parse_json
+from drone_env.server.incoming import SMALL, parse_json
 from drone_env.server.schemas import AgentName
 from drone_env.server.state import LONGEST_ID
 
@@ -79,7 +78,7 @@ class Start(Message):
     pilots: Annotated[list[PilotName], WrapValidator(_say_how_many)] = Field(min_length=1, max_length=MOST_EPISODES)
     seed: MapNumber | None = None
     reward_profile: str | None = Field(default=None, max_length=100)
-    fork: Annotated[Fork, BeforeValidator(few_keys)] | None = None
+    fork: Fork | None = None
     step: int = Field(default=0, ge=0, le=MAX_UNITS)
     number: Number = None
 
@@ -143,7 +142,7 @@ def parse_command(data: bytes) -> Command:
     Raises:
         InvalidValueError: if it is none; the message says what is allowed.
     """
-    value: Any = few_keys(parse_json(data))
+    value: Any = parse_json(data)
     if len(data) > SMALL and not (isinstance(value, dict) and cast(dict[str, Any], value).get("type") == "start"):
         raise InvalidValueError(f"a command other than start may have {SMALL} bytes, got {len(data)}")
     try:

@@ -19,7 +19,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.errors import DroneEnvError, InvalidValueError, text_of, wrong_parts
-from drone_env.server.incoming import SMALL, TRY_LATER, few_keys, parse_json, received
+from drone_env.server.incoming import SMALL, TRY_LATER, parse_json, received
 from drone_env.server.observation_json import openenv_json
 from drone_env.server.openenv.session import Session
 from drone_env.server.schemas import ResetOptions, WireAction
@@ -121,7 +121,6 @@ class OpenEnvSocket:
             raise RefusedError("VALIDATION_ERROR", "a frame has `type` and `data`, an object, and nothing else")
         data = cast(dict[str, Any], data)
         try:
-            few_keys(data)
             if kind == "step":
                 return await self._step(session, data)
             if kind == "reset":
@@ -133,7 +132,7 @@ class OpenEnvSocket:
             parts = wrong_parts(error)
             errors = [{"loc": [part.where], "msg": part.why, "type": part.kind} for part in parts]
             raise RefusedError("VALIDATION_ERROR", f"Invalid message: {text_of(error)}", errors=errors) from None
-        except (LookupError, InvalidValueError) as error:
+        except LookupError as error:
             raise RefusedError("VALIDATION_ERROR", str(error)) from None
         except DroneEnvError as error:
             raise RefusedError("EXECUTION_ERROR", str(error)) from None

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from fastapi import APIRouter, Body, Path
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from typing_extensions import Self
 
 from drone_env.city.city_file import TEXTS, City, city_text, parse_city
@@ -18,7 +18,7 @@ from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, Message, Position, Score
 from drone_env.planning.optimal import solve_episode
 from drone_env.server.drawn_maps import name_of
-from drone_env.server.incoming import LARGE_BODY, JsonRoute, few_keys
+from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.problems import answers
 from drone_env.server.routes.catalogue import describe
 from drone_env.server.schemas import OneTask
@@ -41,14 +41,14 @@ class DrawnMap(Message):
         }
     )
 
-    cells: list[Annotated[list[int], Field(fail_fast=True)]] = Field(
+    cells: list[Annotated[list[int], Field(max_length=MAX_SIDE, fail_fast=True)]] = Field(
         max_length=MAX_SIDE, fail_fast=True, description=f"[y][x], kinds of the cells: {KINDS}."
     )
     start: Pair = Field(description="[x, y] where the drone starts, a road.")
     parcels: list[Pair] = Field(
         min_length=1, max_length=MAX_DELIVERIES, fail_fast=True, description="[x, y] of each parcel, roads."
     )
-    numbers: Annotated[dict[Number, int], BeforeValidator(few_keys)] = Field(
+    numbers: dict[Number, int] = Field(
         default_factory=dict[Number, int], description="Numbers of the task that are not to be those of its size."
     )
     attribution: str = Field(default="", description="Whose data its terrain is.")
