@@ -68,9 +68,8 @@ class SecurityHeaders:
 class AllowedCallers:
     """Answers what is addressed to the server's hosts, comes from no page of another origin, and carries the token.
 
-    A server that listens on loopback also answers for the names of this machine, and where `allowed_hosts` is empty for
-    them alone: otherwise any web page whose name is made to lead there could call it. Browsers name the origin of a
-    page in the `Origin` header; programs send none.
+    A server on loopback answers for the names of this machine and for `allowed_hosts` only: DNS rebinding would let any
+    web page call it. Browsers name the origin of a page in the `Origin` header; programs send none.
 
     Args:
         app: The application within.

@@ -43,9 +43,9 @@ class Settings(BaseSettings):
     )
     allowed_hosts: Listed = Field(
         default=(),
-        description="Values of the `Host` header that are answered, without port; comma-separated. Where empty, a "
-        "server that listens on loopback answers localhost, 127.0.0.0/8 and [::1], which it answers in any case, and "
-        "any other answers all.",
+        description="Values of the `Host` header that are answered, without port; comma-separated. A request that "
+        "arrives at loopback may always name localhost, 127.0.0.0/8 or [::1]. If empty, requests that arrive at other "
+        "addresses, or at a server on 0.0.0.0, may name any host.",
     )
     frame_ancestors: Listed = Field(
         default=("'self'", "https://huggingface.co", "https://*.hf.space"),

@@ -33,7 +33,7 @@ OPENED: dict[str, Any] = {
     "headers": {
         HEADER: {"description": "The session.", "schema": {"type": "string"}},
         SHARED_HEADER: {
-            "description": "Where it is shared with other callers who name none: their address.",
+            "description": "The address whose callers share it, if they do.",
             "schema": {"type": "string"},
         },
     },
@@ -55,7 +55,7 @@ def reset(
 ) -> Response:
     """Start an episode: in the session that the request names, or in a new one.
 
-    Programs on the server's own machine that name none share one, where nobody else reaches the server.
+    Callers that name none share the session of their address, unless the server has a token or a proxy.
 
     An empty body is the same as `{}`. The answer is a `DroneObservation` with the `session_id`; where the body has
     `episode_id`, as OpenEnv's clients send it, it is `{"observation", "reward", "done"}` with the `session_id`.
