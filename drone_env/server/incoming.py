@@ -24,7 +24,7 @@ SMALL = 8192
 LARGE = 131_072
 """Bytes of one that carries a record, an observation or a map; jiter parses the worst of that size in 3 ms."""
 LIMIT = "x-max-bytes"
-"""Where the OpenAPI description of a route says how many bytes its body may have."""
+"""Key of the limit in the OpenAPI description of a route."""
 LARGE_BODY = {LIMIT: LARGE}
 """`openapi_extra` of a route with a large body."""
 MOST_PARTS = 500

@@ -1,4 +1,4 @@
-"""Where a request comes from: which addresses and names mean this machine, and who shares a session."""
+"""The origin of a request: loopback names, and the address whose callers share a session."""
 
 import ipaddress
 from functools import lru_cache

@@ -143,7 +143,7 @@ async def shared_of(request: Request) -> Shared:
 
 
 class Caller(NamedTuple):
-    """Who sends a request: the session it `named`, or the `address` whose callers share one."""
+    """The session that a request `named`, or the `address` whose callers share one."""
 
     named: str | None
     address: str | None

@@ -4,7 +4,7 @@ import asyncio
 import json
 import time
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from fastapi import FastAPI
 from pydantic import TypeAdapter
@@ -16,8 +16,8 @@ from drone_env.server.openenv.socket import ALLOWED_TYPES
 from drone_env.server.schemas import ResetOptions, WireAction
 
 Schema = dict[str, Any]
-ITEMS = ("1", "[]", "{}", "[[]]", '""', "1e9", "NaN", '"\\ud800"')
-"""What long lists consist of."""
+ITEMS = ("1", "12345", "[]", "{}", "[[]]", '""', "1e9", "NaN", '"\\ud800"')
+"""Items of long lists. 12345 is wrong in most, and so long that no list has more items than the schemas allow."""
 
 
 class Hostile(NamedTuple):
@@ -82,13 +82,13 @@ def _values(size: int) -> Iterator[tuple[str, str]]:
 
 
 def _put(base: Any, where: tuple[str, ...], text: str) -> str:
-    """The JSON of a value with a text in a place of it; all before it on the way is a single item or key."""
+    """The JSON of a value in which a text replaces one part; lists on the way to it have one item."""
     if not where:
         return text
     key, rest = where[0], where[1:]
     if key == "[]":
         return "[" + _put(base[0] if isinstance(base, list) and base else None, rest, text) + "]"
-    known = base if isinstance(base, dict) else {}
+    known = cast(dict[str, Any], base) if isinstance(base, dict) else {}
     others = {name: value for name, value in known.items() if name != key}
     put = f"{json.dumps(key)}:{_put(known.get(key), rest, text)}"
     return "{" + ",".join([*(f"{json.dumps(name)}:{json.dumps(value)}" for name, value in others.items()), put]) + "}"
