@@ -198,7 +198,7 @@ class DroneEnvClient:
         Raises:
             ServerError: if there is no answer, one that tells a problem, or one that is not a JSON object.
         """
-        # On its own machine a server has callers share a session who name none.
+        # Callers that name no session share one.
         headers = {"X-Session-Id": self.session_id or "new", **(more or {})}
         try:
             try:

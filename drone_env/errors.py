@@ -165,12 +165,13 @@ class WrongPart(NamedTuple):
 
 
 def wrong_parts(error: Invalid) -> list[WrongPart]:
-    """What is wrong, part by part."""
-    found: list[WrongPart] = []
-    for part in error.errors():
-        where = ".".join(map(str, part["loc"]))[:LONGEST_NAME]
-        found.append(WrongPart(where, part["msg"].removeprefix("Value error, "), part["type"]))
-    return found
+    """The first 20 parts that are wrong."""
+    return [
+        WrongPart(
+            ".".join(map(str, part["loc"]))[:LONGEST_NAME], part["msg"].removeprefix("Value error, "), part["type"]
+        )
+        for part in error.errors()[:20]
+    ]
 
 
 def text_of(error: Invalid, name: Callable[[str], str] = str) -> str:

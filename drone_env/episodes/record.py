@@ -16,7 +16,7 @@ from typing_extensions import Self
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
-from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.files import read_file, write_text
 from drone_env.models import DIRECTIONS, Count, Direction, Message, Score
@@ -39,17 +39,20 @@ class EpisodeRecord(Message):
 
     format: Literal["drone_env/episode"] = "drone_env/episode"
     format_version: Literal[1, 2] = FORMAT_VERSION
-    task: str = Field(description="Id of the task.")
+    task: str = Field(max_length=100, description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
     terrain: str | None = Field(
         default=None, pattern=r"^[0-9a-f]{16}$", description="Digest of the city that was flown; null for other tasks."
     )
     seed: Count = Field(description="Number of the map.")
     agent: AgentLabel
-    reward_profile: str = Field(description="What the steps paid.")
-    actions: list[Direction] = Field(description="The actions, in order.")
+    reward_profile: str = Field(max_length=100, description="What the steps paid.")
+    actions: list[Direction] = Field(max_length=MAX_UNITS, fail_fast=True, description="The actions, in order.")
     rewards: list[float] | None = Field(
-        default=None, description="What each action paid, exactly; null in version 1 and only there."
+        default=None,
+        max_length=MAX_UNITS,
+        fail_fast=True,
+        description="What each action paid, exactly; null in version 1 and only there.",
     )
     deliveries: Count = Field(description="Parcels delivered.")
     success: bool = Field(description="Whether all parcels were delivered.")

@@ -1,10 +1,6 @@
-"""What comes from this machine: who reaches the server, and by which name."""
+"""The origin of a request: loopback names, and the address whose callers share a session."""
 
 import ipaddress
-import os
-import socket
-import stat
-from contextlib import suppress
 from functools import lru_cache
 from urllib.parse import urlsplit
 
@@ -13,12 +9,11 @@ from starlette.types import Scope
 
 PROXY_HEADERS, FORWARDED = ("forwarded", "via", "x-real-ip"), "x-forwarded-"
 BROWSER_HEADERS = ("origin", "sec-fetch-site")
-OPEN_SOCKETS = "/dev/fd"
 
 
 @lru_cache(maxsize=1024)
 def is_local_name(host: str) -> bool:
-    """Whether a host name or an address, in lower case, is this machine's loopback wherever it is looked up."""
+    """Whether a host name or an address, in lower case, always means the loopback interface."""
     name = host.rstrip(".")
     if name == "localhost" or name.endswith(".localhost"):
         return True
@@ -29,43 +24,38 @@ def is_local_name(host: str) -> bool:
 
 
 def listens_on_loopback(scope: Scope, host: str) -> bool:
-    """Whether nobody but this machine reaches the server that got a request.
+    """Whether only programs on this machine can reach the server, as far as a request shows.
+
+    A request that arrives at another address proves the opposite. One that arrives at loopback does not prove it: a
+    server on all addresses gets it as well.
 
     Args:
-        scope: Of the request. Its `server` is the connection's end here: 127.0.0.1 also where a server that listens
-            on all addresses is called from this machine. So the sockets that listen are asked.
-        host: Where the settings have it listen; holds where no socket can be asked, as on Windows.
+        scope: The request; `server` is the local end of its connection.
+        host: The configured address. uvicorn started by hand may listen elsewhere.
     """
     server = scope.get("server")
-    if server is None or not is_local_name(server[0].lower()):
-        return False
-    listening = _listening(server[1])
-    return all(map(is_local_name, listening)) if listening else is_local_name(host.lower())
+    return server is not None and is_local_name(server[0].lower()) and not _is_wildcard(host)
 
 
-def local_address(scope: Scope, host: str) -> str | None:
-    """The address of a program on this machine that calls a server which nobody else reaches; None for all others.
+def shared_address(scope: Scope) -> str | None:
+    """The address whose callers share a session; None for browsers, and for requests through a proxy.
 
-    Browsers are none.
+    Browsers keep cookies. A proxy brings many callers under one address.
     """
-    client, headers = scope.get("client"), Headers(scope=scope)
-    if client is None or any(name in BROWSER_HEADERS for name in headers):
+    client = scope.get("client")
+    if client is None or _comes_through_proxy(scope) or any(name in BROWSER_HEADERS for name in Headers(scope=scope)):
         return None
-    named = is_local_name(host_name(headers.get("host", "")))
-    return client[0] if named and stranger_address(scope, host) is None else None
+    return client[0]
 
 
 def stranger_address(scope: Scope, host: str) -> str | None:
     """The address of a caller of a server that strangers reach; None if nobody but this machine reaches it.
 
-    A proxy may bring strangers. HTTP/1.0 is what proxies speak that add no header. Of IPv6 the network of 64 bits
+    A proxy may bring strangers. Of IPv6 the network of 64 bits
     counts: whoever has one address has them all.
     """
     client = (scope.get("client") or ("unknown",))[0].lower()
-    headers = Headers(scope=scope)
-    proxied = any(name in PROXY_HEADERS or name.startswith(FORWARDED) for name in headers)
-    direct = scope.get("http_version") != "1.0" and not proxied
-    if direct and is_local_name(client) and listens_on_loopback(scope, host):
+    if not _comes_through_proxy(scope) and is_local_name(client) and listens_on_loopback(scope, host):
         return None
     try:
         address = ipaddress.ip_address(client)
@@ -77,6 +67,13 @@ def stranger_address(scope: Scope, host: str) -> str | None:
     return str(ipaddress.ip_network((address, 64), strict=False)) if mapped is None else str(mapped)
 
 
+def _comes_through_proxy(scope: Scope) -> bool:
+    """Whether a request shows a proxy: proxies that add no header speak HTTP/1.0."""
+    names = Headers(scope=scope).keys()
+    added = any(name in PROXY_HEADERS or name.startswith(FORWARDED) for name in names)
+    return added or scope.get("http_version") == "1.0"
+
+
 @lru_cache(maxsize=1024)
 def host_name(header: str) -> str:
     """The name in a `Host` header, without port, in lower case."""
@@ -86,19 +83,9 @@ def host_name(header: str) -> str:
         return ""
 
 
-@lru_cache(maxsize=16)
-def _listening(port: int) -> tuple[str, ...]:
-    """The addresses at which this process listens on a port; empty where the system does not say."""
-    if not os.path.isdir(OPEN_SOCKETS):
-        return ()
-    found: list[str] = []
-    for number in map(int, os.listdir(OPEN_SOCKETS)):
-        with suppress(OSError):  # another thread may close it meanwhile
-            if not stat.S_ISSOCK(os.fstat(number).st_mode):
-                continue
-            with socket.socket(fileno=os.dup(number)) as copy:
-                name = copy.getsockname()
-                listens = copy.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
-                if listens and copy.family in (socket.AF_INET, socket.AF_INET6) and name[1] == port:
-                    found.append(name[0])
-    return tuple(found)
+@lru_cache
+def _is_wildcard(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_unspecified
+    except ValueError:
+        return False

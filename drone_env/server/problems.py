@@ -109,11 +109,6 @@ def status_of(error: Exception, method: str) -> tuple[int, str]:
     return next(((status, code) for kind, status, code in STATUSES if isinstance(error, kind)), (500, "internal"))
 
 
-def printable(text: str) -> str:
-    """The text with lone surrogates, which JSON can escape but nobody can send, escaped again."""
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
-
-
 def answer_to(error: Exception, scope: Scope) -> JSONResponse:
     """The answer that says what went wrong with a request."""
     status, code, detail = 500, "internal", FAILED
@@ -121,8 +116,8 @@ def answer_to(error: Exception, scope: Scope) -> JSONResponse:
     errors: list[FieldProblem] = []
     if isinstance(error, RequestValidationError):
         status, code, detail = 422, "invalid_request", text_of(error)
-        parts = wrong_parts(error)[:20]
-        errors = [FieldProblem(where=printable(part.where), message=printable(part.why)) for part in parts]
+        parts = wrong_parts(error)
+        errors = [FieldProblem(where=part.where, message=part.why) for part in parts]
     elif isinstance(error, HTTPException):
         status, code, detail, headers = error.status_code, "http", str(error.detail), error.headers
     elif isinstance(error, DroneEnvError):
@@ -135,7 +130,7 @@ def answer_to(error: Exception, scope: Scope) -> JSONResponse:
             headers = error.headers
         if status == 503 and code not in ("no_network", "not_started"):  # where waiting helps
             headers = {"Retry-After": "5"}
-    problem = Problem(code=code, detail=printable(detail), errors=errors)
+    problem = Problem(code=code, detail=detail, errors=errors)
     return JSONResponse(problem.model_dump(), status, headers)
 
 

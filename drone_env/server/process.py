@@ -19,6 +19,7 @@ from drone_env import __version__
 from drone_env.envs.registry import register_reward_file
 from drone_env.episodes.store import Store
 from drone_env.errors import InvalidValueError, StoreError
+from drone_env.server.incoming import LARGE
 from drone_env.server.predict import Networks
 from drone_env.server.settings import load_settings, misspelt_variables
 
@@ -126,7 +127,7 @@ def run(
             # Below that uvicorn writes two lines for every WebSocket; `requests.log` has one, and is bounded.
             log_level="warning",
             server_header=False,
-            ws_max_size=settings.max_bytes,
+            ws_max_size=LARGE,
             ws_per_message_deflate=False,
             limit_concurrency=most_connections(CONNECTIONS + settings.capacity),
             timeout_graceful_shutdown=5,

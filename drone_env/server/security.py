@@ -1,7 +1,6 @@
 """Who may call, and with what: pure ASGI middlewares.
 
-From the outside in: `SecurityHeaders`, `AllowedCallers`, `JsonBodies`. What a body says is then found in the scope,
-under `BODY`.
+From the outside in: `SecurityHeaders`, `AllowedCallers`. `incoming.JsonRoute` reads the bodies.
 """
 
 import base64
@@ -11,11 +10,8 @@ from collections.abc import Collection
 
 from fastapi import FastAPI
 from starlette.datastructures import Headers
-from starlette.requests import ClientDisconnect, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from drone_env.errors import InvalidValueError
-from drone_env.server.incoming import parse_json
 from drone_env.server.local import host_name, is_local_name, listens_on_loopback
 from drone_env.server.page_files import is_file
 from drone_env.server.problems import RequestError, answer_to
@@ -25,8 +21,6 @@ OPEN_PATHS = {"/health", "/"}
 """Answered without a token, as the files of the page: programs that watch the process have none, and the page asks."""
 POLICY_VIOLATION = 1008
 OFFER = "bearer."
-BODY = "drone_env.body"
-"""Where a scope has the value of its request's body, once `JsonBodies` has let that through."""
 
 
 class SecurityHeaders:
@@ -75,9 +69,8 @@ class SecurityHeaders:
 class AllowedCallers:
     """Answers what is addressed to the server's hosts, comes from no page of another origin, and carries the token.
 
-    A server that listens on loopback also answers for the names of this machine, and where `allowed_hosts` is empty for
-    them alone: otherwise any web page whose name is made to lead there could call it. Browsers name the origin of a
-    page in the `Origin` header; programs send none.
+    A server on loopback answers for the names of this machine and for `allowed_hosts` only: DNS rebinding would let any
+    web page call it. Browsers name the origin of a page in the `Origin` header; programs send none.
 
     Args:
         app: The application within.
@@ -151,69 +144,7 @@ def _offered_token(scope: Scope) -> bytes:
     return b""
 
 
-class JsonBodies:
-    """Lets through bodies that are small, declared as JSON, and JSON; or empty.
-
-    Args:
-        app: The application within.
-        max_bytes: The largest body.
-    """
-
-    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
-        self.app = app
-        self.max_bytes = max_bytes
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Read the body, and pass it on if it is fit."""
-        headers = Headers(scope=scope) if scope["type"] == "http" else Headers()
-        if headers.get("content-length") in (None, "0") and "transfer-encoding" not in headers:
-            await self.app(scope, receive, send)
-            return
-        body = bytearray()
-        try:
-            async for piece in Request(scope, receive).stream():
-                body += piece
-                if len(body) > self.max_bytes:
-                    detail = f"a body may have {self.max_bytes} bytes"
-                    raise RequestError(413, "too_large", detail, {"Connection": "close"})
-            if body:
-                scope[BODY] = _parsed(body, headers)
-        except ClientDisconnect:
-            return
-        except RequestError as error:
-            await answer_to(error, scope)(scope, receive, send)
-            return
-        await self.app(scope, _replayed(bytes(body), receive), send)
-
-
-def _parsed(body: bytearray, headers: Headers) -> object:
-    kind = headers.get("content-type", "").partition(";")[0].strip().lower()
-    if kind != "application/json":
-        raise RequestError(
-            415, "content_type", f"a body must be declared as Content-Type: application/json, got {kind!r}"
-        )
-    try:
-        return parse_json(body.decode("utf-8"))
-    except UnicodeDecodeError:
-        raise RequestError(400, "not_json", "the body is not UTF-8") from None
-    except InvalidValueError as error:
-        raise RequestError(400, "not_json", str(error)) from None
-
-
-def _replayed(body: bytes, receive: Receive) -> Receive:
-    """`receive` with the body that was read already at its start."""
-    pending = [body]
-
-    async def replay() -> Message:
-        if pending:
-            return {"type": "http.request", "body": pending.pop(), "more_body": False}
-        return await receive()
-
-    return replay
-
-
 def protect(app: FastAPI, settings: Settings) -> None:
     """Put the middlewares around an application."""
-    app.add_middleware(JsonBodies, max_bytes=settings.max_bytes)
     app.add_middleware(AllowedCallers, settings=settings)
     app.add_middleware(SecurityHeaders, frame_ancestors=settings.frame_ancestors)

@@ -43,9 +43,9 @@ class Settings(BaseSettings):
     )
     allowed_hosts: Listed = Field(
         default=(),
-        description="Values of the `Host` header that are answered, without port; comma-separated. Where empty, a "
-        "server that listens on loopback answers localhost, 127.0.0.0/8 and [::1], which it answers in any case, and "
-        "any other answers all.",
+        description="Values of the `Host` header that are answered, without port; comma-separated. A request that "
+        "arrives at loopback may always name localhost, 127.0.0.0/8 or [::1]. If empty, requests that arrive at other "
+        "addresses, or at a server on 0.0.0.0, may name any host.",
     )
     frame_ancestors: Listed = Field(
         default=("'self'", "https://huggingface.co", "https://*.hf.space"),
@@ -69,7 +69,6 @@ class Settings(BaseSettings):
         ge=32,
         description="Memory that it may take; a map of 64 x 64 cells with 8 parcels and 8 pads takes 800 to be solved.",
     )
-    max_bytes: int = Field(default=131_072, ge=1024, description="Largest request body and WebSocket frame, in bytes.")
 
     @field_validator("allowed_origins", "allowed_hosts", "frame_ancestors", "reward_profiles", mode="before")
     @classmethod

@@ -13,7 +13,7 @@ from drone_env.core.tasks import FINDERS
 from drone_env.episodes.store import Store
 from drone_env.files import MAPS, RUNS
 from drone_env.server.drawn_maps import DrawnMaps
-from drone_env.server.local import local_address
+from drone_env.server.local import shared_address
 from drone_env.server.model_runs import ModelRuns
 from drone_env.server.predict import Networks
 from drone_env.server.problems import WHAT_TO_DO, RequestError, answers
@@ -152,7 +152,7 @@ async def shared_of(request: Request) -> Shared:
 
 
 class Caller(NamedTuple):
-    """Who sends a request: `named`, the session that it names, or `address`, of those here who name none."""
+    """The session that a request `named`, or the `address` whose callers share one."""
 
     named: str | None
     address: str | None
@@ -161,10 +161,9 @@ class Caller(NamedTuple):
     def of(cls, request: Request) -> Self:
         """Who sends a request; an empty header or cookie names no session."""
         named = request.headers.get(HEADER) or request.cookies.get(COOKIE)
-        settings = request.app.state.shared.settings
-        if named or settings.token is not None:
+        if named or request.app.state.shared.settings.token is not None:
             return cls(None if named in ("", NEW) else named, None)
-        return cls(None, local_address(request.scope, settings.host))
+        return cls(None, shared_address(request.scope))
 
     def session(self, shared: Shared, answer: Response) -> str:
         """The session that is meant; where it is shared, the answer says so.

@@ -9,6 +9,8 @@ all, fuzzed requests, and an end while nobody reads. It fails if `/health` took 
 more than 0.2 CPU seconds before it answered; if a request or connection cost the loop more than 5 ms; if the server had
 more than 300 MB; if half requests stay; if anything was answered with a 5xx other than 503 or left a traceback.
 
+Before that, in this process, the most expensive bodies and frames of each kind: none may take 5 ms of the event loop.
+
 The time of an answer is counted without that for which server or asker could have run while the machine was busy with
 others (`/proc/PID/task/*/schedstat`, Linux), but never as less than the server's own CPU time meanwhile. The whole time
 is shown beside it, and a quiet server's for comparison.
@@ -33,6 +35,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from drone_env.server.app import create_app
+from drone_env.server.settings import Settings
+from tests.api.hostile_bodies import costs_of_routes, costs_of_sockets
 from tests.api.serving import Server, serving
 
 MOST_SECONDS, MOST_LOOP_SECONDS, MOST_LOOP_SECONDS_EACH, MOST_MEGABYTES = 0.5, 0.2, 0.005, 300
@@ -314,6 +319,23 @@ class Campaign:
             self.faults.append(f"tracebacks in the log: {told[told.index('Traceback') :][:3000]}")
 
 
+async def measure_bodies(data: Path) -> list[str]:
+    """The CPU time that the event loop spends on the most expensive bodies and frames, in a server in this process."""
+    faults: list[str] = []
+    app = create_app(Settings(data=data))
+    async with app.router.lifespan_context(app):
+        # Twice, since whatever is first made then is counted the first time.
+        runs = [await costs_of_routes(app) | await costs_of_sockets(app) for _ in range(2)]
+    for path, first in runs[0].items():
+        costs = [min(pair) for pair in zip(first, runs[1][path], strict=True)]
+        worst = max(costs)
+        note = f"{1000 * worst.seconds:6.2f} ms at worst of {len(costs):4}, for {worst.name}"
+        print(f"{path:34} {note}", flush=True)
+        if worst.seconds > MOST_LOOP_SECONDS_EACH:
+            faults.append(f"{path}: {note}")
+    return faults
+
+
 def masked(payload: bytes, opcode: int = 1) -> bytes:
     """A frame as clients send it, masked with zeros."""
     return bytes([0x80 | opcode, 0x80 | len(payload)]) + bytes(4) + payload
@@ -463,8 +485,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     print(f"load of the machine before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    with tempfile.TemporaryDirectory() as folder:
+        faults = asyncio.run(measure_bodies(Path(folder) / "here"))
     with tempfile.TemporaryDirectory() as folder, serving(Path(folder) / "data") as server:
-        faults = asyncio.run(go(server, given))
+        faults += asyncio.run(go(server, given))
     for fault in faults:
         print(f"FAULT: {fault}")
     return 1 if faults else 0

@@ -89,7 +89,7 @@ def frames(source: random.Random) -> Iterator[str | bytes]:
         elif pick < 0.15:
             text = text.replace("null", source.choice(["NaN", "Infinity", "-Infinity"]))
         elif pick < 0.17:
-            text = "[" * source.randrange(20_000)
+            text = "[" * source.randrange(8_000)
         elif pick < 0.2:
             yield os.urandom(source.randrange(50))
             continue

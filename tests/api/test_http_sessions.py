@@ -24,6 +24,7 @@ from tests.api.conftest import Clock
 from tests.api.test_flight import flown
 
 Header = dict[str, str]
+NEW = {"X-Session-Id": "new"}
 UP = {"direction": "UP"}
 
 
@@ -91,10 +92,8 @@ class TestSessions:
     def test_one_session_more_than_there_is_room_for_is_refused(self, tmp_path: Path) -> None:
         with TestClient(create_app(Settings(data=tmp_path, capacity=2))) as client:
             first = client.post("/reset").json()["session_id"]
-            client.cookies.clear()
-            assert client.post("/reset").status_code == 200
-            client.cookies.clear()
-            full = client.post("/reset")
+            assert client.post("/reset", headers=NEW).status_code == 200
+            full = client.post("/reset", headers=NEW)
             assert (full.status_code, full.json()["code"]) == (503, "no_room")
             assert full.headers["Retry-After"] == "5"
             assert client.post("/reset", headers={"X-Session-Id": first}).status_code == 200
@@ -155,9 +154,8 @@ class TestSessions:
         monkeypatch.setattr(time, "time", lambda: machine() + ahead)
         with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
             session = {"X-Session-Id": client.post("/reset").json()["session_id"]}
-            client.cookies.clear()
             ahead = 3600.0
-            assert client.post("/reset").status_code == 503
+            assert client.post("/reset", headers=NEW).status_code == 503
             assert client.post("/step", json=UP, headers=session).status_code == 200
 
     def test_a_session_is_there_after_a_restart(self, tmp_path: Path) -> None:
@@ -195,12 +193,11 @@ class TestEndOfSession:
     def test_a_session_that_is_ended_is_gone_and_its_place_free(self, tmp_path: Path) -> None:
         with TestClient(create_app(Settings(data=tmp_path, capacity=1))) as client:
             header = {"X-Session-Id": client.post("/reset").json()["session_id"]}
-            client.cookies.clear()
-            assert client.post("/reset").status_code == 503
+            assert client.post("/reset", headers=NEW).status_code == 503
             assert client.delete("/session", headers=header).status_code == 204
             assert client.delete("/session", headers=header).status_code == 410
             assert client.get("/state", headers=header).status_code == 410
-            assert client.post("/reset").status_code == 200
+            assert client.post("/reset", headers=NEW).status_code == 200
 
     def test_the_cookie_goes_with_it(self, tmp_path: Path) -> None:
         with TestClient(create_app(Settings(data=tmp_path))) as client:
@@ -222,15 +219,14 @@ class TestEndOfSession:
         with TestClient(create_app(Settings(data=tmp_path, capacity=2), clock)) as client:
             sessions: list[dict[str, str]] = []
             for _ in range(2):
-                client.cookies.clear()
-                sessions.append({"X-Session-Id": client.post("/reset", json={"seed": 7}).json()["session_id"]})
+                opened = client.post("/reset", json={"seed": 7}, headers=NEW)
+                sessions.append({"X-Session-Id": opened.json()["session_id"]})
             while not client.post("/step", headers=sessions[0], json={"direction": "WAIT"}).json()["done"]:
                 pass
-            client.cookies.clear()
             clock.now += 29
-            assert client.post("/reset").status_code == 503  # its owner may still ask for the score
+            assert client.post("/reset", headers=NEW).status_code == 503  # its owner may still ask for the score
             clock.now += 1
-            assert client.post("/reset").status_code == 200
+            assert client.post("/reset", headers=NEW).status_code == 200
             assert client.get("/state", headers=sessions[0]).status_code == 410
             assert client.get("/state", headers=sessions[1]).status_code == 200
 

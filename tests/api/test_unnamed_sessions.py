@@ -1,4 +1,4 @@
-"""Sessions of those who name none: shared on the server's own machine, refused elsewhere."""
+"""Callers that name no session share that of their address, unless a token is set or a proxy is visible."""
 
 from collections.abc import Callable, Generator
 from contextlib import ExitStack
@@ -9,7 +9,7 @@ from starlette.testclient import TestClient
 
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.server.app import create_app
-from drone_env.server.local import local_address
+from drone_env.server.local import shared_address
 from drone_env.server.settings import Settings
 from tests.api.conftest import NoCookies
 
@@ -18,7 +18,7 @@ UP = {"direction": "UP"}
 
 
 class TestUnnamed:
-    """Programs on the server's own machine that name no session: curl without a jar, `requests.post`."""
+    """Programs that name no session: curl without a cookie jar, `requests.post`."""
 
     HERE = "127.0.0.1"
 
@@ -95,14 +95,13 @@ class TestUnnamed:
             {"Forwarded": "for=127.0.0.1"},
             {"X-Real-IP": "127.0.0.1"},
             {"Via": "1.1 proxy"},
-            {"Host": "drone.example"},
             {"Origin": "http://127.0.0.1:8000"},
             {"Sec-Fetch-Site": "none"},
             {"X-Session-Id": "new"},
         ],
     )
-    def test_what_comes_from_elsewhere_has_to_name_one(self, start: Callable[..., TestClient], header: Header) -> None:
-        client = start(allowed_hosts=("drone.example",))
+    def test_browsers_and_what_comes_through_a_proxy_have_to_name_one(self, plain: TestClient, header: Header) -> None:
+        client = plain
         client.post("/reset")
         assert client.post("/step", json=UP).status_code == 200
         refused = client.post("/step", json=UP, headers=header)
@@ -112,22 +111,24 @@ class TestUnnamed:
         assert "X-Session-Shared" not in opened.headers
         assert client.get("/state").json()["step_count"] == 1, "it has a session of its own"
 
-    @pytest.mark.parametrize(
-        "public",
-        [{"server": "10.0.0.1"}, {"caller": "10.0.0.2"}, {"host": "0.0.0.0"}, {"token": "secret"}],
-    )
-    def test_on_a_server_that_others_reach_everybody_has_to(
-        self, start: Callable[..., TestClient], public: dict[str, Any]
-    ) -> None:
-        client = start(**public)
-        token = {"Authorization": "Bearer secret"}
+    @pytest.mark.feature("H2", "H3", "H4", "H6")
+    def test_wherever_the_server_listens_each_address_has_its_own(self, start: Callable[..., TestClient]) -> None:
+        callers = [start("drone.example", caller, host="0.0.0.0") for caller in ("10.0.0.2", "10.0.0.3", self.HERE)]
+        sessions = {client.post("/reset", json={"seed": 7}).json()["session_id"] for client in callers}
+        assert len(sessions) == 3
+        for client in callers:
+            assert [client.post("/step", json=UP).json()["step_count"] for _ in range(2)] == [1, 2]
+            for path in ("/state", "/grade/easy", "/path_history"):
+                assert client.get(path).status_code == 200
+
+    def test_with_a_token_everybody_has_to_name_one(self, start: Callable[..., TestClient]) -> None:
+        client, token = start(token="secret"), {"Authorization": "Bearer secret"}
         assert "X-Session-Shared" not in client.post("/reset", headers=token).headers
         assert client.post("/step", json=UP, headers=token).status_code == 409
 
     def test_what_speaks_http_1_0_is_taken_for_a_proxy(self) -> None:
-        scope: dict[str, Any] = {"server": (self.HERE, 8000), "client": (self.HERE, 5000)}
-        scope["headers"] = [(b"host", b"localhost:8000")]
-        asked = {version: local_address(scope | {"http_version": version}, self.HERE) for version in ("1.1", "1.0")}
+        scope: dict[str, Any] = {"client": (self.HERE, 5000), "headers": []}
+        asked = {version: shared_address(scope | {"http_version": version}) for version in ("1.1", "1.0")}
         assert asked == {"1.1": self.HERE, "1.0": None}
 
     def test_they_take_no_more_places_than_there_are(self, start: Callable[..., TestClient]) -> None:

@@ -22,5 +22,5 @@ from drone_env.server.live.commands import parse_command
 )
 def test_what_is_wrong_is_told_without_the_name_of_the_command(change: dict[str, Any], says: str) -> None:
     with pytest.raises(InvalidValueError) as refused:
-        parse_command(json.dumps({"type": "start", "task": "easy", "pilots": ["greedy"], **change}))
+        parse_command(json.dumps({"type": "start", "task": "easy", "pilots": ["greedy"], **change}).encode())
     assert str(refused.value) == says

@@ -2,14 +2,21 @@
 
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import Field, TypeAdapter, ValidationError, ValidatorFunctionWrapHandler, WrapValidator, model_validator
+from pydantic import (
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 from typing_extensions import Self
 
 from drone_env.core.tasks import MAX_UNITS
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.models import MAX_SEED, Count, Direction, Message, Seed
-from drone_env.server.incoming import parse_json
+from drone_env.server.incoming import SMALL, parse_json
 from drone_env.server.schemas import AgentName
 from drone_env.server.state import LONGEST_ID
 
@@ -37,6 +44,7 @@ Number = Annotated[
     int | None,
     Field(ge=0, le=MAX_SEED, description="The answer repeats it."),
 ]
+PilotName = Annotated[str, Field(max_length=100)]
 FlightNumber = Annotated[int, Field(ge=0, lt=MOST_EPISODES)]
 Topic = Literal["requests", "training", "episodes"]
 
@@ -44,7 +52,7 @@ Topic = Literal["requests", "training", "episodes"]
 class Fork(Message):
     """A moment of a flight, and the moves from there on."""
 
-    actions: list[Direction] = Field(max_length=MAX_UNITS, description="From the start of the map on.")
+    actions: list[Direction] = Field(max_length=MAX_UNITS, fail_fast=True, description="From the start of the map on.")
     step: Count = Field(
         description="How many of them are of the flight that it forks from; 0 for a flight of one's own."
     )
@@ -67,7 +75,7 @@ class Start(Message):
 
     type: Literal["start"]
     task: str = Field(max_length=100)
-    pilots: Annotated[list[str], WrapValidator(_say_how_many)] = Field(min_length=1, max_length=MOST_EPISODES)
+    pilots: Annotated[list[PilotName], WrapValidator(_say_how_many)] = Field(min_length=1, max_length=MOST_EPISODES)
     seed: MapNumber | None = None
     reward_profile: str | None = Field(default=None, max_length=100)
     fork: Fork | None = None
@@ -128,13 +136,15 @@ Command = Start | Attach | Play | Plain | Fly | ByHand | Subscribe
 _COMMAND: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discriminator="type")])
 
 
-def parse_command(text: str) -> Command:
+def parse_command(data: bytes) -> Command:
     """The command in a frame.
 
     Raises:
         InvalidValueError: if it is none; the message says what is allowed.
     """
-    value: Any = parse_json(text)
+    value: Any = parse_json(data)
+    if len(data) > SMALL and not (isinstance(value, dict) and cast(dict[str, Any], value).get("type") == "start"):
+        raise InvalidValueError(f"a command other than start may have {SMALL} bytes, got {len(data)}")
     try:
         return _COMMAND.validate_python(value)
     except ValidationError as error:

@@ -19,12 +19,12 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from drone_env.errors import TooLargeError, UnknownNameError
 from drone_env.server.frames import Frame
-from drone_env.server.incoming import TRY_LATER, received
+from drone_env.server.incoming import LARGE, TRY_LATER, received
 from drone_env.server.live.commands import Attach, ByHand, Fly, Plain, Play, Start, Subscribe, parse_command
 from drone_env.server.live.episodes import LeftError, LiveEpisode
 from drone_env.server.live.feeds import Feed
 from drone_env.server.live.start import Opened, attach, end_all, open_flights
-from drone_env.server.problems import FAILED, printable, status_of
+from drone_env.server.problems import FAILED, status_of
 from drone_env.server.state import Shared, caller_address
 
 log = logging.getLogger(__name__)
@@ -104,8 +104,8 @@ class Page:
                 live.leave()
 
     async def _listen(self) -> None:
-        async for text in received(self._socket, self._shared.settings.max_bytes):
-            await self._answering(self._obey, text or "")
+        async for data in received(self._socket, LARGE):
+            await self._answering(self._obey, data or b"")
         self._tasks.cancel_scope.cancel()
 
     async def _answering(self, act: Callable[..., Any], *arguments: Any, silent: bool = False) -> bool:
@@ -118,8 +118,8 @@ class Page:
             return False
         return True
 
-    async def _obey(self, text: str) -> None:
-        command = parse_command(text)
+    async def _obey(self, data: bytes) -> None:
+        command = parse_command(data)
         async with self._flying:
             match command:
                 case Subscribe(topics=topics):
@@ -289,4 +289,4 @@ def _problem(error: Exception) -> dict[str, str]:
     if status == 500:
         # Unforeseen: a page that lost its connection for it would come back and meet it again, forever.
         log.error("/live failed", exc_info=error)
-    return {"code": code, "detail": FAILED if status == 500 else printable(str(error))}
+    return {"code": code, "detail": FAILED if status == 500 else str(error)}

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from drone_env import __version__
 from drone_env.models import DroneState, Message
+from drone_env.server.incoming import JsonRoute
 from drone_env.server.openenv.session import DESCRIPTION, ENV_NAME, WireObservation
 from drone_env.server.openenv.socket import mcp_answer
 from drone_env.server.openenv.task_api import SplitInfo, TaskApi, TaskSpec
@@ -21,8 +22,8 @@ async def _check_name(
         raise RequestError(404, "unknown_name", f"unknown environment {env_name!r}; there is {ENV_NAME!r}")
 
 
-router = APIRouter(tags=["openenv"])
-named = APIRouter(prefix="/{env_name}", dependencies=[Depends(_check_name)])
+router = APIRouter(tags=["openenv"], route_class=JsonRoute)
+named = APIRouter(prefix="/{env_name}", dependencies=[Depends(_check_name)], route_class=JsonRoute)
 BODY_ERRORS = answers(400, 404, 413, 415, 422)
 api = TaskApi()
 

@@ -19,10 +19,9 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.errors import DroneEnvError, InvalidValueError, text_of, wrong_parts
-from drone_env.server.incoming import TRY_LATER, parse_json, received
+from drone_env.server.incoming import SMALL, TRY_LATER, parse_json, received
 from drone_env.server.observation_json import openenv_json
 from drone_env.server.openenv.session import Session
-from drone_env.server.problems import printable
 from drone_env.server.schemas import ResetOptions, WireAction
 from drone_env.server.sessions import ANONYMOUS
 from drone_env.server.state import Shared
@@ -44,7 +43,7 @@ class RefusedError(Exception):
 
     def __init__(self, code: str, message: str, **more: object) -> None:
         super().__init__(message)
-        data = {"message": printable(message), "code": code, **more}
+        data = {"message": message, "code": code, **more}
         self.frame = _frame("error", to_json(data).decode())
 
 
@@ -86,14 +85,14 @@ class OpenEnvSocket:
 
     async def _serve(self, socket: WebSocket) -> None:
         session = Session()
-        async for text in received(socket, self.shared.settings.max_bytes):
+        async for data in received(socket, SMALL):
             if socket not in self.touched:
                 return  # closed as idle
             self.touched[socket] = self._clock()
             try:
-                if text is None:
+                if data is None:
                     raise RefusedError("INVALID_JSON", "send text frames with JSON")
-                answer = await self._answer(session, text)
+                answer = await self._answer(session, data)
             except RefusedError as refusal:
                 answer = refusal.frame
             if answer is None:
@@ -104,14 +103,14 @@ class OpenEnvSocket:
             await socket.send_text(answer)
             self.touched[socket] = self._clock()
 
-    async def _answer(self, session: Session, text: str) -> str | None:
+    async def _answer(self, session: Session, received: bytes) -> str | None:
         """The answer to a frame, None where it asks to close.
 
         Raises:
             RefusedError: if the frame cannot be answered.
         """
         try:
-            frame = parse_json(text)
+            frame = parse_json(received)
         except InvalidValueError as error:
             raise RefusedError("INVALID_JSON", str(error)) from None
         if not isinstance(frame, dict):
@@ -130,8 +129,8 @@ class OpenEnvSocket:
             if kind == "state":
                 return _frame("state", session.state().model_dump_json())
         except ValidationError as error:
-            parts = wrong_parts(error)[:20]
-            errors = [{"loc": [printable(part.where)], "msg": part.why, "type": part.kind} for part in parts]
+            parts = wrong_parts(error)
+            errors = [{"loc": [part.where], "msg": part.why, "type": part.kind} for part in parts]
             raise RefusedError("VALIDATION_ERROR", f"Invalid message: {text_of(error)}", errors=errors) from None
         except LookupError as error:
             raise RefusedError("VALIDATION_ERROR", str(error)) from None
@@ -177,8 +176,7 @@ def mcp_answer(request: Any) -> dict[str, Any]:
     asked = cast(dict[str, Any], request) if isinstance(request, dict) else {}
     valid = asked.get("jsonrpc") == "2.0" and isinstance(asked.get("method"), str)
     number = asked.get("id")
-    echoed = printable(number) if isinstance(number, str) else number if isinstance(number, int) else None
-    answer: dict[str, Any] = {"jsonrpc": "2.0", "id": echoed}
+    answer: dict[str, Any] = {"jsonrpc": "2.0", "id": number if isinstance(number, str | int) else None}
     if not valid:
         message = 'a request has "jsonrpc": "2.0" and a method'
         return answer | {"error": {"code": -32600, "message": f"Invalid Request: {message}"}}

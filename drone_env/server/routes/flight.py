@@ -9,6 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import DIRECTIONS, DroneState
+from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.map_choice import is_registered
 from drone_env.server.observation_json import flat_json, openenv_json
 from drone_env.server.predict import arrays_of
@@ -28,13 +29,13 @@ from drone_env.server.schemas import (
 )
 from drone_env.server.state import COOKIE, HEADER, SESSION_ERRORS, SHARED_HEADER, CallerOf, SharedParts
 
-router = APIRouter(tags=["flight"])
+router = APIRouter(tags=["flight"], route_class=JsonRoute)
 IN_SESSION = ("step", "state", "grade", "path_history", "solution", "predict")
 OPENED: dict[str, Any] = {
     "headers": {
         HEADER: {"description": "The session.", "schema": {"type": "string"}},
         SHARED_HEADER: {
-            "description": "Where it is shared with other callers who name none: their address.",
+            "description": "The address whose callers share it, if they do.",
             "schema": {"type": "string"},
         },
     },
@@ -56,7 +57,7 @@ def reset(
 ) -> Response:
     """Start an episode: in the session that the request names, or in a new one.
 
-    Programs on the server's own machine that name none share one, where nobody else reaches the server.
+    Callers that name none share the session of their address, unless the server has a token or a proxy.
 
     An empty body is the same as `{}`. The answer is a `DroneObservation` with the `session_id`; where the body has
     `episode_id`, as OpenEnv's clients send it, it is `{"observation", "reward", "done"}` with the `session_id`.
@@ -132,7 +133,7 @@ async def solution(request: Request, shared: SharedParts, caller: CallerOf, answ
     )
 
 
-@router.post("/predict", responses=SESSION_ERRORS | answers(400, 413, 415))
+@router.post("/predict", responses=SESSION_ERRORS | answers(400, 413, 415), openapi_extra=LARGE_BODY)
 def predict(shared: SharedParts, caller: CallerOf, answer: Response, body: PredictRequest | None = None) -> Prediction:
     """What the trained network would do: about the observation in the body, or, without one, about the session's."""
     if body is not None:

@@ -12,12 +12,13 @@ from typing_extensions import Self
 from drone_env.city.city_file import MAX_TEXT, TEXTS, City, city_text, parse_city
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
-from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.core.tasks import MAX_DELIVERIES, MAX_SIDE, TaskConfig, get_task
 from drone_env.core.terrain import PLACED
 from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, Message, Position, Score
 from drone_env.planning.optimal import solve_episode
 from drone_env.server.drawn_maps import drawn_task, name_of
+from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.local import stranger_address
 from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import answers
@@ -25,7 +26,7 @@ from drone_env.server.routes.catalogue import describe
 from drone_env.server.schemas import OneTask
 from drone_env.server.state import SharedParts
 
-router = APIRouter(prefix="/maps", tags=["maps"])
+router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
 REFUSALS = answers(400, 413, 415, 422, 503)
 Number = Literal["max_steps", "battery_capacity", "charge_rate"]
 Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
@@ -42,9 +43,13 @@ class DrawnMap(Message):
         }
     )
 
-    cells: list[list[int]] = Field(description=f"[y][x], kinds of the cells: {KINDS}.")
+    cells: list[Annotated[list[int], Field(max_length=MAX_SIDE, fail_fast=True)]] = Field(
+        max_length=MAX_SIDE, fail_fast=True, description=f"[y][x], kinds of the cells: {KINDS}."
+    )
     start: Pair = Field(description="[x, y] where the drone starts, a road.")
-    parcels: list[Pair] = Field(min_length=1, description="[x, y] of each parcel, roads.")
+    parcels: list[Pair] = Field(
+        min_length=1, max_length=MAX_DELIVERIES, fail_fast=True, description="[x, y] of each parcel, roads."
+    )
     numbers: dict[Number, int] = Field(
         default_factory=dict[Number, int], description="Numbers of the task that are not to be those of its size."
     )
@@ -143,19 +148,19 @@ async def drawn_map(
     return _json(await shared.work(request, _drawing, task_name, seed, quick=is_registered(task_name)))
 
 
-@router.post("/file", response_model=DrawnMap, responses=REFUSALS)
+@router.post("/file", response_model=DrawnMap, responses=REFUSALS, openapi_extra=LARGE_BODY)
 async def file_as_map(request: Request, shared: SharedParts, file: Annotated[CityFile, Body()]) -> Response:
     """The file of a city as a drawing; what it leaves to the seed is as on its map 0."""
     return _json(await shared.work(request, _file_as_map, file.toml))
 
 
-@router.post("/worth", response_model=MapWorth, responses=REFUSALS)
+@router.post("/worth", response_model=MapWorth, responses=REFUSALS, openapi_extra=LARGE_BODY)
 async def worth(request: Request, shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> Response:
     """What a drawing is worth: the best score that any flight over it can reach, and the text of its file."""
     return _json(await shared.work(request, _worth, drawn))
 
 
-@router.post("", responses=REFUSALS)
+@router.post("", responses=REFUSALS, openapi_extra=LARGE_BODY)
 async def keep_map(request: Request, shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> OneTask:
     """Keep a drawing as a task, whose name follows from what is drawn; its only map is number 0.
 

@@ -15,12 +15,13 @@ from drone_env.evaluation.analysis import Label, analyse_flight
 from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, Position, Score
 from drone_env.planning.optimal import Solution, solve_episode
 from drone_env.server.frames import Opening, ShownEpisode, frame_of
+from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.jobs import bench
 from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.state import SharedParts
 
-router = APIRouter(tags=["replay"])
+router = APIRouter(tags=["replay"], route_class=JsonRoute)
 RECORD_ERRORS = answers(400, 413, 415, 422, 503)
 RECORD = record_of(Episode("easy_delivery", ORIGINAL_PROFILE, 7).fly([Action.UP]), "me")
 NEEDED = [name for name, field in EpisodeRecord.model_fields.items() if field.is_required()]
@@ -78,7 +79,7 @@ class AnalysedFlight(Message):
     optimal_path: list[Position] = Field(description="[x, y] of the drone on it, from its start on.")
 
 
-@router.post("/replay", response_model=ShownEpisode, responses=RECORD_ERRORS)
+@router.post("/replay", response_model=ShownEpisode, responses=RECORD_ERRORS, openapi_extra=LARGE_BODY)
 async def replay_record(request: Request, shared: SharedParts, record: Record) -> Response:
     """Fly a record again, check every reward and the score, and show it frame by frame."""
     found = await shared.work(request, _replayed, record, quick=is_registered(record.task))
@@ -94,7 +95,9 @@ def _replayed(record: EpisodeRecord) -> str:
     return ShownEpisode(opening=opening, frames=frames).model_dump_json()
 
 
-@router.post("/annotate", response_model=AnalysedFlight, responses=RECORD_ERRORS | answers(409))
+@router.post(
+    "/annotate", response_model=AnalysedFlight, responses=RECORD_ERRORS | answers(409), openapi_extra=LARGE_BODY
+)
 async def annotate(request: Request, shared: SharedParts, record: Record) -> Response:
     """What each move of a finished flight gave away, and a best flight over its map. Large maps take seconds."""
     if not record.ended:

@@ -7,15 +7,16 @@ from pydantic import ConfigDict, Field
 
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE
-from drone_env.core.tasks import get_task
+from drone_env.core.tasks import MAX_UNITS, get_task
 from drone_env.episodes.record import fly_directions
 from drone_env.models import Direction, Message, Seed
+from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.map_choice import is_registered
 from drone_env.server.map_values import ValuesAnswer, values_json
 from drone_env.server.problems import answers
 from drone_env.server.state import SharedParts
 
-router = APIRouter(tags=["replay"])
+router = APIRouter(tags=["replay"], route_class=JsonRoute)
 
 
 class FlightSoFar(Message):
@@ -31,7 +32,12 @@ class FlightSoFar(Message):
     reward_profile: str | None = Field(
         default=None, max_length=100, description="As in a record; no value depends on it."
     )
-    actions: list[Direction] = Field(default_factory=list[Direction], description="The actions so far, in order.")
+    actions: list[Direction] = Field(
+        default_factory=list[Direction],
+        max_length=MAX_UNITS,
+        fail_fast=True,
+        description="The actions so far, in order.",
+    )
 
     def episode(self) -> Episode:
         """The episode that has flown so far.
@@ -46,7 +52,9 @@ class FlightSoFar(Message):
         return episode
 
 
-@router.post("/values", response_model=ValuesAnswer, responses=answers(400, 413, 415, 422, 503))
+@router.post(
+    "/values", response_model=ValuesAnswer, responses=answers(400, 413, 415, 422, 503), openapi_extra=LARGE_BODY
+)
 async def values(request: Request, shared: SharedParts, flight: Annotated[FlightSoFar, Body()]) -> Response:
     """The best score still possible from a moment of a flight: by each action, and from every cell of the map.
 
