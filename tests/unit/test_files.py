@@ -44,7 +44,7 @@ PARSERS: dict[str, Callable[[Path], object]] = {
     "sweep.json": lambda path: SweepFolder(path.parent).config(),
 }
 """Readers of files that somebody else may have written, by the name of the file."""
-READERS = PARSERS | {
+READERS: dict[str, Callable[[Path], object]] = PARSERS | {
     "train.log": lambda path: TrainLog(path.parent).curve(),
     "ids of calls.jsonl": lambda path: EpisodeIds(path.parent),
 }
