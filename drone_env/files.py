@@ -55,7 +55,7 @@ def _require_regular(path: str | Path, status: os.stat_result) -> None:
 
 
 def read_file(path: str | Path, most: int) -> bytes:
-    """The bytes of a regular file; one of more than `most` bytes is not read.
+    """Read a regular file of at most `most` bytes.
 
     Raises:
         OSError: if it cannot be read.

@@ -30,7 +30,7 @@ MOST = {
     "comma": (1024, "commas"),
     "other": (8192, "signs"),
 }
-"""How many tokens of each kind a file may have, and what people call them: about twice what the largest city has."""
+"""Maximum number of tokens of each kind, about twice that of the largest city, and their plural."""
 TOKEN = re.compile(
     r"""(?P<string>
             \"{3} [^"\\]* (?: (?: \\. | "{1,2}(?!") ) [^"\\]* )* "{3,5}
@@ -57,7 +57,7 @@ def parse_toml(content: str | bytes, parse_float: Callable[[str], Any] = float) 
 
     Args:
         content: The text, or its UTF-8.
-        parse_float: What makes a number of a text with a dot or an exponent.
+        parse_float: Converts the text of a number with a dot or an exponent.
 
     Raises:
         InvalidValueError: if it is not TOML, or more complex than the files of this package are.

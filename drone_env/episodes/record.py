@@ -23,7 +23,7 @@ from drone_env.models import DIRECTIONS, Count, Direction, Message, Score
 
 FORMAT_VERSION = 2
 LONGEST_RECORD = 4 << 20
-"""Bytes of a record: one of 32,000 steps, the most that there are, has about 1.3 MB."""
+"""Bytes of a record. The longest flight, of 32,000 steps, takes about 1.3 MB."""
 AgentLabel = Annotated[
     str,
     Field(

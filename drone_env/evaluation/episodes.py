@@ -93,7 +93,7 @@ COLUMNS: dict[str, type[np.generic]] = {
     "optimal_scores": np.float64,
     "optimal_steps": np.int32,
 }
-"""What there is of each episode, and the type of its array."""
+"""The columns of the results, and the types of their arrays."""
 AVERAGED = ("scores", "success", "steps")
 """What differs from flight to flight over a map."""
 

@@ -21,18 +21,18 @@ from drone_env.server.problems import RequestError
 log = logging.getLogger(__name__)
 NAME = re.compile("(?:drone_env.graders:grade_)?(drawn_[0-9a-f]{12})")
 STEPS_PER_SIDE = 20
-"""Bound of steps and battery units: so many for each column and row, four times the steps that a map has by default.
+"""Bound of steps and battery units per column and row: four times the steps that a map has by default.
 
-What a flight costs a server grows with its steps: they are kept, sent and copied.
+A flight costs memory and traffic for each of its steps, which the server stores, sends and copies.
 """
 USUAL = 1000
 """Maps that are kept unless the settings say another number."""
 SHARE = 10
-"""A stranger's part of the places: one in so many."""
+"""A stranger may keep this fraction of the maps: 1 / SHARE."""
 REMEMBERED = 128
 """Tasks that stay in memory."""
 USED_SECONDS = 60.0
-"""How exactly the last use of a map is kept: its file is not touched more often."""
+"""Precision of the time of the last use: a file is not touched more often."""
 
 
 def name_of(content: bytes) -> str:
@@ -71,7 +71,7 @@ class DrawnMaps:
         self._folder, self._most = folder, most
         self._known: OrderedDict[str, tuple[TaskConfig, float]] = OrderedDict()
         self._strangers: dict[str, str] = {}
-        """Which stranger has drawn a map, by its name. Known to this process alone, while it runs."""
+        """Address of the stranger who drew a map, by its name. This process alone knows it, while it runs."""
         self._lock = threading.RLock()
 
     def keep(self, text: str, task: TaskConfig, stranger: str | None) -> None:

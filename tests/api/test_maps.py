@@ -164,7 +164,7 @@ def test_the_map_that_was_not_used_for_longest_makes_room_and_is_unknown_from_th
             assert (refused.status_code, refused.json()["code"]) == (422, "unknown_name"), path
             assert second in refused.json()["detail"]
         assert again.get("/state", headers=session).status_code == 404
-        # Whoever draws it again gets it back, and the session with it.
+        # Drawing it again brings it back, and the session with it.
         assert answer(again, "/maps", at(1))["task"]["id"] == second
         assert again.post("/step", json={"direction": "UP"}, headers=session).status_code == 200
     # What a hand has changed is another map, which is not flown by the name of this one.

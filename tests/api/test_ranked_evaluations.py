@@ -174,7 +174,7 @@ ANYWHERE: dict[str, Callable[[Path], None]] = {
     "link to itself": instead(lambda path: path.symlink_to(path.name)),
     "device": instead(lambda path: path.symlink_to("/dev/zero")),
 }
-CONFIGS = ANYWHERE | {
+CONFIGS: dict[str, Callable[[Path], None]] = ANYWHERE | {
     "a list": written(b"[]"),
     "a long name": written(b'{"' + b"x" * 100_000 + b'": 1}'),
     "text for seeds": setting(seeds="0:4"),
@@ -187,7 +187,7 @@ CONFIGS = ANYWHERE | {
     "an agent of no task": setting(agents={"greedy": "0123456789abcdef"}),
     "a task without a version": setting(tasks=["easy_delivery"]),
 }
-PIECES = ANYWHERE | {
+PIECES: dict[str, Callable[[Path], None]] = ANYWHERE | {
     "a bomb": written(bomb()),
     "objects": column(scores=np.array([None] * 4)),
     "texts": column(scores=np.array(["0.9"] * 4)),

@@ -150,3 +150,15 @@ def test_what_is_typed_stays_while_the_server_answers_and_a_drag_outside_draws_n
             page.mouse.down()
     page.mouse.up()
     assert drawn(page, "easy 3") == [*cells[:9], [8, *cells[9][1:13], 8]]
+
+
+def test_the_page_says_that_a_map_of_a_stranger_is_not_kept(shared: Tabs) -> None:
+    shared.forget()
+    # A proxy adds this header; its callers may be strangers.
+    page = shared.open("/?view=draw", extra_http_headers={"X-Forwarded-For": "192.0.2.1"})
+    expect(page.locator("#map-note")).to_have_text("The parcel in 22 steps")
+    shared.expect("403")
+    page.get_by_role("button", name="Fly it").click()
+    expect(page.locator("#toasts")).to_contain_text("this server keeps no drawn maps: save yours as a file")
+    page.close()
+    assert shared.unexpected() == []

@@ -43,8 +43,8 @@ PARSERS: dict[str, Callable[[Path], object]] = {
     "evaluation.json": lambda path: kept_results(path.parent),
     "sweep.json": lambda path: SweepFolder(path.parent).config(),
 }
-"""What reads files that somebody else may have written, by the name of the file."""
-READERS = PARSERS | {
+"""Readers of files that somebody else may have written, by the name of the file."""
+READERS: dict[str, Callable[[Path], object]] = PARSERS | {
     "train.log": lambda path: TrainLog(path.parent).curve(),
     "ids of calls.jsonl": lambda path: EpisodeIds(path.parent),
 }
@@ -75,7 +75,7 @@ DAMAGE = {
 
 
 def refused(name: str, path: Path) -> str:
-    """What is said of a file that is not read."""
+    """The error message of a file that is refused."""
     tracemalloc.start()
     try:
         with pytest.raises((DroneEnvError, OSError)) as raised:

@@ -1,4 +1,4 @@
-"""TOML that is refused before it is parsed."""
+"""Expensive TOML is refused before parsing."""
 
 import random
 import sys
@@ -48,7 +48,7 @@ def test_strings_and_comments_hide_what_is_in_them() -> None:
 
 
 def test_what_is_small_is_parsed_as_tomllib_does() -> None:
-    """Whatever the parser takes for a key is counted, also beside strings that end in strange ways."""
+    """The scanner finds the same strings as the parser, so it counts every key."""
     if sys.version_info >= (3, 11):
         import tomllib
     else:
