@@ -51,11 +51,13 @@ export function mountStrip(root, context, fleet, acts) {
     setText(next, `Next: ${title(after.short_name)}`);
     if (said === track) return;
     said = track;
-    more.open = false;
-    if (track.done && (track.live || track.episode)) announce(`${outcome(last)}. Score ${points(last.score)}.`);
+    const flownHere = track.done && Boolean(track.live || track.episode);
+    if (flownHere && more.open) fill();
+    more.open = flownHere;
+    if (flownHere) announce(`${outcome(last)}. Score ${points(last.score)}.`);
   }
 
-  /** What most visits never unfold is loaded once somebody does. */
+  /** Asks for the analysis of the task: when a flight ends here, or when somebody unfolds it. */
   async function fill() {
     try {
       const { unfold } = await import("./strip_more.js");
