@@ -6,6 +6,7 @@ worker process under limits of CPU time and memory (`drone_env.server.jobs`). A 
 """
 
 import asyncio
+import logging
 import multiprocessing
 import os
 import signal
@@ -14,6 +15,7 @@ import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
@@ -26,6 +28,7 @@ from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import FAILED, RequestError
 from drone_env.server.settings import Settings
 
+log = logging.getLogger(__name__)
 PROCESSES = max(2, (os.cpu_count() or 1) // 2)
 """Worker processes. The first takes quick jobs alone, so that nobody's map delays the flights of others."""
 WAITING = 64
@@ -98,13 +101,21 @@ class Workers:
             queue.setdefault(caller, deque()).append(job)
             if not self._threads:
                 self._threads = [
-                    threading.Thread(target=self._serve, args=(not number,), name=f"drone_env-worker-{number}")
+                    threading.Thread(
+                        target=self._serve, args=(not number,), name=f"drone_env-worker-{number}", daemon=True
+                    )
                     for number in range(PROCESSES)
                 ]
                 for thread in self._threads:
                     thread.start()
             self._condition.notify_all()
         return job
+
+    def warm_up(self) -> None:
+        """Start the first worker, if there is none: that takes a second or two, which no visitor should wait for."""
+        if not self._threads:
+            with suppress(RequestError):
+                self.submit(os.getpid, caller="", quick=True)
 
     async def run(
         self, function: Callable[..., Result], *arguments: object, caller: str, quick: bool = False
@@ -166,6 +177,9 @@ class Workers:
             except (EOFError, OSError):
                 result, error = None, self._error_of(process, job)
                 process = None
+            except Exception:  # such as what cannot be pickled; the next job must still run
+                log.exception("%s failed", job.function)
+                result, error = None, RequestError(500, "internal", FAILED)
             with self._condition:
                 self._running.remove(job)
                 self._reserved_is_busy &= not reserved
@@ -245,8 +259,9 @@ class _Process:
 
     def end(self) -> int | None:
         """End it, and return its exit status; minus the number of a signal."""
-        self._connection.close()
-        self._process.join(0 if self._process.exitcode is None else None)
-        self._process.kill()
-        self._process.join()
+        self._connection.close()  # which ends it, unless it is busy
+        self._process.join(1)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
         return self._process.exitcode

@@ -93,6 +93,9 @@ def test_a_result_and_an_error_come_back(pool: Workers) -> None:
     with pytest.raises(RequestError, match="the server failed") as failed:
         pool.submit(fail, KeyError("unforeseen"), caller="a").result()
     assert failed.value.status == 500
+    with pytest.raises(RequestError, match="the server failed"):
+        pool.submit(abs, lambda: 3, caller="a").result()  # it cannot be pickled
+    assert pool.submit(abs, -3, caller="a").result() == 3
 
 
 def test_too_much_time_and_memory_are_refused_and_the_next_job_runs(pool: Workers) -> None:
@@ -116,9 +119,12 @@ def test_a_worker_that_dies_fails_one_job(pool: Workers) -> None:
     assert pool.submit(abs, -3, caller="a").result() == 3
 
 
-def test_callers_take_turns_and_dropped_jobs_do_not_run(pool: Workers, gate: Path, tmp_path: Path) -> None:
+def test_callers_take_turns_and_dropped_jobs_do_not_run(
+    pool: Workers, gate: Path, tmp_path: Path, eventually: Callable[[Callable[[], bool]], None]
+) -> None:
     notes = tmp_path / "notes"
     first = pool.submit(wait_at, gate, caller="a")
+    eventually(first.running)
     submitted: dict[str, Job] = {
         text: pool.submit(note, notes, text, caller=text[0]) for text in ("a1", "a2", "a3", "b1", "c1", "b2")
     }

@@ -28,6 +28,7 @@ ABOUT = "A drone delivers parcels on a generated city grid. Fly it, race a netwo
 @router.get("/", include_in_schema=False)
 def page(request: Request, shared: SharedParts) -> Response:
     """The page; where its address asks for nothing, with a flight that moves before any script has run."""
+    shared.workers.warm_up()
     html = (PAGE / "index.html").read_text(encoding="utf-8").replace('="static/', f'="static/v-{edition()}/')
     html = html.replace("<!-- link -->", _head(request, shared))
     if not request.url.query:
