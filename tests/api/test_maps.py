@@ -150,7 +150,7 @@ def at(start: int) -> dict[str, Any]:
 def test_the_map_that_was_not_used_for_longest_makes_room_and_is_unknown_from_then_on(
     settings: dict[str, Any],
 ) -> None:
-    few = Settings(**settings | {"maps": 2})
+    few = Settings(data=settings["data"], maps=2)
     with TestClient(create_app(few), "http://127.0.0.1", client=("127.0.0.1", 1)) as client:
         first, second = (answer(client, "/maps", at(start))["task"]["id"] for start in (0, 1))
         session = {"X-Session-Id": answer(client, "/reset", {"task_name": second, "seed": 0})["session_id"]}
@@ -174,7 +174,7 @@ def test_the_map_that_was_not_used_for_longest_makes_room_and_is_unknown_from_th
 
 
 def test_one_stranger_keeps_a_tenth_of_the_maps(settings: dict[str, Any]) -> None:
-    app = create_app(Settings(**settings | {"maps": 20}))
+    app = create_app(Settings(data=settings["data"], maps=20))
     with TestClient(app, client=("192.0.2.1", 1)) as one:
         other, neighbour = (TestClient(app, client=(f"2001:db8::{end}", 1)) for end in (1, 2))
         theirs = answer(other, "/maps", at(0))["task"]["id"]

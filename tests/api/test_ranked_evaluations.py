@@ -134,7 +134,7 @@ def bomb() -> bytes:
     return file.getvalue()
 
 
-def column(**columns: Any) -> Callable[[Path], None]:
+def column(**columns: Any) -> Callable[[Path], object]:
     """Other columns in a piece."""
 
     def put(path: Path) -> None:
@@ -145,16 +145,16 @@ def column(**columns: Any) -> Callable[[Path], None]:
     return put
 
 
-def setting(**changes: Any) -> Callable[[Path], None]:
+def setting(**changes: Any) -> Callable[[Path], object]:
     """Other settings in a configuration."""
-    return lambda path: path.write_text(json.dumps(json.loads(path.read_text()) | changes)) and None
+    return lambda path: path.write_text(json.dumps(json.loads(path.read_text()) | changes))
 
 
-def written(content: bytes) -> Callable[[Path], None]:
-    return lambda path: path.write_bytes(content) and None
+def written(content: bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(content)
 
 
-def instead(make: Callable[[Path], object]) -> Callable[[Path], None]:
+def instead(make: Callable[[Path], object]) -> Callable[[Path], object]:
     """Something else where a file should be."""
 
     def put(path: Path) -> None:
@@ -164,9 +164,9 @@ def instead(make: Callable[[Path], object]) -> Callable[[Path], None]:
     return put
 
 
-ANYWHERE: dict[str, Callable[[Path], None]] = {
+ANYWHERE: dict[str, Callable[[Path], object]] = {
     "nested": written(b"[" * 200_000),
-    "cut": lambda path: path.write_bytes(path.read_bytes()[:-20]) and None,
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:-20]),
     "bytes": written(bytes(range(256)) * 9),
     "huge": lambda path: os.truncate(path, 1 << 33),
     "pipe": instead(os.mkfifo),
@@ -174,7 +174,8 @@ ANYWHERE: dict[str, Callable[[Path], None]] = {
     "link to itself": instead(lambda path: path.symlink_to(path.name)),
     "device": instead(lambda path: path.symlink_to("/dev/zero")),
 }
-CONFIGS: dict[str, Callable[[Path], None]] = ANYWHERE | {
+CONFIGS: dict[str, Callable[[Path], object]] = {
+    **ANYWHERE,
     "a list": written(b"[]"),
     "a long name": written(b'{"' + b"x" * 100_000 + b'": 1}'),
     "text for seeds": setting(seeds="0:4"),
@@ -187,7 +188,8 @@ CONFIGS: dict[str, Callable[[Path], None]] = ANYWHERE | {
     "an agent of no task": setting(agents={"greedy": "0123456789abcdef"}),
     "a task without a version": setting(tasks=["easy_delivery"]),
 }
-PIECES: dict[str, Callable[[Path], None]] = ANYWHERE | {
+PIECES: dict[str, Callable[[Path], object]] = {
+    **ANYWHERE,
     "a bomb": written(bomb()),
     "objects": column(scores=np.array([None] * 4)),
     "texts": column(scores=np.array(["0.9"] * 4)),
@@ -211,7 +213,7 @@ RUNS = ("run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl")
     ],
 )
 def test_what_is_damaged_is_named_and_stops_nothing(
-    file: str, damage: Callable[[Path], None], damaged: tuple[TestClient, Path]
+    file: str, damage: Callable[[Path], object], damaged: tuple[TestClient, Path]
 ) -> None:
     client, data = damaged
     kind = "llm" if file in RUNS else "evaluations"

@@ -44,7 +44,8 @@ PARSERS: dict[str, Callable[[Path], object]] = {
     "sweep.json": lambda path: SweepFolder(path.parent).config(),
 }
 """Readers of files that somebody else may have written, by the name of the file."""
-READERS: dict[str, Callable[[Path], object]] = PARSERS | {
+READERS: dict[str, Callable[[Path], object]] = {
+    **PARSERS,
     "train.log": lambda path: TrainLog(path.parent).curve(),
     "ids of calls.jsonl": lambda path: EpisodeIds(path.parent),
 }
@@ -56,7 +57,7 @@ def bind(path: Path) -> None:
         opened.bind(path.name)
 
 
-NO_FILES: dict[str, Callable[[Path], None]] = {
+NO_FILES: dict[str, Callable[[Path], object]] = {
     "pipe": os.mkfifo,
     "device": lambda path: path.symlink_to("/dev/zero"),
     "folder": Path.mkdir,
