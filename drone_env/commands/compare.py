@@ -11,7 +11,8 @@ from drone_env.commands.contest import JsonFile, TaskNames, cells_of, fly_cells,
 from drone_env.commands.kept import Kept, kept
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.reports.tables import Table, percent, print_table, with_interval
+from drone_env.evaluation.statistics import with_interval
+from drone_env.reports.tables import Table, percent, print_table
 
 if TYPE_CHECKING:
     from drone_env.episodes.by_map import FlownMap

@@ -11,7 +11,8 @@ from drone_env.commands.contest import EngineName, JsonFile, TaskNames, cells_of
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
 from drone_env.evaluation.episodes import summarise
-from drone_env.reports.tables import Table, number, percent, print_table, with_interval
+from drone_env.evaluation.statistics import with_interval
+from drone_env.reports.tables import Table, number, percent, print_table
 
 CHOICE = "|".join(NETWORK_AGENTS)
 

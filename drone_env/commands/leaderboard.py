@@ -9,7 +9,8 @@ import tyro
 from drone_env.commands.kept import judged_once
 from drone_env.commands.printing import print_json
 from drone_env.errors import InvalidValueError
-from drone_env.reports.tables import Table, number, percent, print_table, with_interval
+from drone_env.evaluation.statistics import with_interval
+from drone_env.reports.tables import Table, number, percent, print_table
 
 if TYPE_CHECKING:
     from drone_env.evaluation.leaderboard import Board

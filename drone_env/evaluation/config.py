@@ -23,7 +23,7 @@ class EvaluationConfig(Message):
     piece: int = Field(ge=1, le=MOST_PIECES)
     split: Name
     seeds: list[Annotated[int, Field(ge=0, le=N_SEEDS)]] = Field(min_length=2, max_length=2)
-    repeats: dict[Name, Annotated[int, Field(ge=2, le=MOST_PIECES)]]
+    repeats: dict[Name, Annotated[int, Field(ge=2, le=MOST_PIECES)]] = Field(default_factory=dict)
     tasks: list[Name]
     agents: dict[Name, Annotated[str, Field(pattern="^[0-9a-f]{16}$")]]
 

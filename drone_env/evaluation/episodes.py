@@ -22,7 +22,7 @@ from drone_env.core.rollout import rollout
 from drone_env.core.seeds import N_SEEDS, SPLITS, check_seed, map_key, split_of, split_seeds, task_key
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
-from drone_env.evaluation.statistics import SCORES, ci95
+from drone_env.evaluation.statistics import SCORES, ci95, with_interval
 
 if TYPE_CHECKING:
     from drone_env.agents.together import Ends
@@ -72,14 +72,14 @@ class EpisodeResults:
         """The figures in three lines of at most 80 columns."""
         figures, key = summarise(self), self.key
         mean, interval, optimum = figures["mean_score"], figures["score_ci95"], figures["mean_optimal_score"]
-        margin = "" if interval is None else f" ± {interval[1] - mean:.4f} (95 %)"
+        score = with_interval(mean, interval) + ("" if interval is None else " (95 %)")
         best = "unknown" if optimum is None else f"{optimum:.4f}"
         what = f" on {key.task} v{key.version}"
         room = 80 - len(what)
         return (
             f"{key.agent if len(key.agent) <= room else f'…{key.agent[1 - room :]}'}{what}\n"
             f"maps {key.seeds[0]} to {key.seeds[1] - 1} ({len(self.seeds)}, split {key.split})\n"
-            f"score {mean:.4f}{margin}, optimum {best}, "
+            f"score {score}, optimum {best}, "
             f"success {figures['success_rate']:.1%}, steps {figures['mean_steps']:.1f}"
         )
 

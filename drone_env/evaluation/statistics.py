@@ -91,3 +91,13 @@ def student(freedom: float) -> float:
         (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
     )
     return z + sum(term / freedom**power for power, term in enumerate(series, 1))
+
+
+def with_interval(mean: float | None, interval: Sequence[float] | None, form: str = ".4f") -> str:
+    """Write a mean with half the width of its interval; with both ends if the range of the figure cuts one off."""
+    if mean is None or interval is None:
+        return "-" if mean is None else format(mean, form)
+    low, high = interval
+    if abs(low + high - 2 * mean) > 1e-9:
+        return f"{mean:{form}} [{low:{form}}, {high:{form}}]"
+    return f"{mean:{form}} ± {high - mean:{form}}"

@@ -5,9 +5,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from drone_env.evaluation.statistics import DIFFERENCES, ci95
+from drone_env.evaluation.statistics import DIFFERENCES, ci95, with_interval
 from drone_env.llm.report_tables import maps_line, unusable_of
-from drone_env.reports.tables import Table, number, percent, with_interval
+from drone_env.reports.tables import Table, number, percent
 
 
 def paired(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -32,16 +32,6 @@ def percent(value: float | None) -> str:
     return number(value, ".1%")
 
 
-def with_interval(mean: float | None, interval: Sequence[float] | None, form: str = ".4f") -> str:
-    """A mean and half the width of its interval; both ends where the range of the figure cuts one of them off."""
-    if mean is None or interval is None:
-        return number(mean, form)
-    low, high = interval
-    if abs(low + high - 2 * mean) > 1e-9:
-        return f"{mean:{form}} [{low:{form}}, {high:{form}}]"
-    return f"{mean:{form}} ± {high - mean:{form}}"
-
-
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table in Markdown; the cells stand in it as they are."""
     lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in (head, *rows)]

@@ -103,7 +103,6 @@ def test_a_bad_drawing_is_refused_with_what_is_allowed(
     [
         ("format = 2", "format must be 1, got 2"),
         ("a." * 12_000 + "a = 1", "not TOML that can be read: it has more than 64 dots outside strings"),
-        ("# \ud800", "surrogates not allowed"),
         (f"{HALF}\n[task]\nmax_steps = 121", "max_steps must be at most 120 on a drawn map of 3 x 3 cells"),
     ],
 )

@@ -27,9 +27,11 @@ def flown(task: str, seed: int, agent: str, label: str | None = None, profile: s
 
 
 def fill(folder: Path, flights: list[EpisodeRecord]) -> list[str]:
-    """Store flights, oldest first, and return their ids."""
+    """Store flights, oldest first, with the optima of their maps, and return their ids."""
     with Store(folder) as store:
-        return [store.add_episode(flight) for flight in flights]
+        ids = [store.add_episode(flight) for flight in flights]
+        store.listed(len(ids), patience=100)
+        return ids
 
 
 def put_evaluation(data: Path, name: str, agent: str, maps: range, task: str = "easy", repeats: int = 1) -> Path:

@@ -254,7 +254,7 @@ def test_a_task_that_is_none_is_told_and_another_can_be_chosen(page: Page, share
     show(page, "/?view=compare&task=nowhere")
     problem = page.locator("#view-compare").get_by_role("alert")
     expect(problem).to_contain_text("nowhere")
-    expect(problem).to_contain_text("easy_delivery")
+    expect(problem).to_contain_text("easy, hard")
     page.get_by_role("combobox", name="Task").select_option("medium")
     expect(problem).to_be_hidden()
     expect(rows(page, "Leaderboard")).to_have_count(1)

@@ -68,7 +68,7 @@ def test_axe_finds_nothing_serious_in_any_view_dark_or_light(page: Page) -> None
     page.keyboard.press("Escape")
     show(page, FLIGHT)
     fly(page)
-    ended(page)
+    ended(page).get_by_text("Efficiency, and all flights of this task").click()
     expect(page.get_by_text("Success rate")).to_be_visible()
     expect(page.get_by_role("button", name=re.compile("^Step 1, "))).to_be_visible()
     found += findings(page, ".fly")

@@ -59,7 +59,7 @@ def test_it_never_scrolls_sideways(phone: Page) -> None:
     expect(phone.locator("#standings tbody tr")).to_have_count(2)
     wide = {"Fly": too_wide(phone)}
     fly(phone)
-    ended(phone)
+    ended(phone).get_by_text("Efficiency, and all flights of this task").click()
     expect(phone.get_by_text("Success rate")).to_be_visible()
     wide["its end"] = too_wide(phone)
     phone.get_by_text("Hard · map 14 · PathQNet, Greedy").click()

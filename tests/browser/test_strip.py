@@ -11,6 +11,8 @@ from tests.browser.flights import flown, frames, posted
 from tests.browser.stage import ended, expect_frame, fixed, fly, over, percent, pilot, points
 from tests.browser.tabs import Tabs
 
+MORE = "Efficiency, and all flights of this task"
+
 
 def expect_efficiency(page: Page, done: float, battery: float, steps: float) -> None:
     """The strip shows three shares, and their sum by weight."""
@@ -43,10 +45,16 @@ def test_success_shows_the_optimum_the_worst_move_efficiency_and_all_flights(pag
     expect(page.locator("#announcer")).to_have_text(f"All parcels delivered. Score {score}.")
     for gauge, told in (("Battery", percent(1 - last["step"] / 60)), ("Steps", f"step {last['step']}")):
         expect(page.get_by_role("meter", name=gauge)).to_have_attribute("aria-valuetext", told)
+    # Without a click: what all flights of the task come to.
+    analysis = server.client.get("/analyse/easy").json()
+    counted = strip.locator(".strip-analysis")
+    expect(counted).to_contain_text(f"of Easy here: mean reward {fixed(analysis['average_reward'])}, success")
+    for action, share in analysis["action_distribution"].items():
+        expect(counted).to_contain_text(f"{action} {percent(share)}")
+    strip.get_by_text(MORE).click()
     # Each of the 60 steps takes one of the 60 units of the battery.
     left = 1 - last["step"] / 60
     expect_efficiency(page, 1, left, left)
-    analysis = server.client.get("/analyse/easy").json()
     trend = analysis["success_trend"] * 100
     expect(strip).to_contain_text(f"All {analysis['episodes']} flights of Easy here")
     expect(strip).to_contain_text(f"Success rate{percent(analysis['success_rate'])}")
@@ -76,12 +84,14 @@ def test_failure_says_why_and_no_dialog_opens(page: Page) -> None:
     expect(strip.get_by_role("heading", name="Random: Battery empty.")).to_be_visible()
     expect(strip).to_contain_text("0 of 1 parcels, 60 steps")
     expect(page.get_by_role("dialog")).to_be_hidden()
+    strip.get_by_text(MORE).click()
     expect_efficiency(page, 0, 0, 0)
     # Of several flights it tells of the one that is looked at.
     page.keyboard.press("2")
     expect(strip.get_by_role("heading", name="Optimal: All parcels delivered.")).to_be_visible()
     expect(strip).to_contain_text("nothing lost")
     expect(strip.get_by_role("button", name=re.compile("^Worst move"))).to_be_hidden()
+    expect(strip.get_by_role("group", name="Efficiency", exact=True)).to_be_hidden()
 
 
 @pytest.mark.feature("D3")

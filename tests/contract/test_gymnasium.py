@@ -229,7 +229,7 @@ def test_an_action_that_does_not_exist_is_refused(action: object) -> None:
 def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:
     with pytest.raises(InvalidValueError, match="ansi, rgb_array, human"):
         DroneDeliveryEnv(render_mode="png")
-    with pytest.raises(UnknownNameError, match="easy_delivery"):
+    with pytest.raises(UnknownNameError, match="easy, hard"):
         DroneDeliveryEnv(task="extreme")
     with pytest.raises(UnknownNameError, match="aligned, composite, score, tiered"):
         DroneDeliveryEnv(reward_profile="generous")

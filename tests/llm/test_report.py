@@ -221,9 +221,10 @@ def test_the_leaderboard_says_which_folders_hold_no_flights(
     assert f"drone-env: {told}" in capfd.readouterr().err
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").touch()
-    for folder in (tmp_path / "nowhere", tmp_path / "empty", tmp_path / "file"):
+    for name, why in (("nowhere", "no such folder"), ("empty", "no results in it"), ("file", "no such folder")):
+        folder = tmp_path / name
         assert main(["leaderboard", str(folder)]) == 1
-        told = f"not ranked: {folder}: this is not the folder of a run: there is no run.json in it\n"
+        told = f"not ranked: {folder}: {why}; give a folder of evaluate --out or infer --out\n"
         assert capfd.readouterr().err == told
 
 

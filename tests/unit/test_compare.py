@@ -11,8 +11,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.evaluation.comparison import Pairing, flown_maps, paired, standings
 from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.evaluation.reliable import contest, interquartile_mean, profile, shares_of_optimum
-from drone_env.evaluation.statistics import SCORES, interval, student
-from drone_env.reports.tables import with_interval
+from drone_env.evaluation.statistics import SCORES, interval, student, with_interval
 
 A, B = np.array([0.9, 0.5, 0.7, 0.2, 0.9]), np.array([0.6, 0.5, 0.8, 0.1, 0.1])
 

@@ -91,6 +91,7 @@ def test_closing_stops_the_solving(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             store.add_episode(flown("hard", seed, "4"), "someone")
         with monkeypatch.context() as slow:
             slow.setattr(optima, "best_of", best_of)
+            slow.setattr(optima, "SOLVE_SECONDS", 0)
             store.analysis("hard", patience=0)
             eventually(lambda: len(solved) == 3)
             close = store._optima._closing.set
@@ -109,7 +110,7 @@ def test_what_is_known_is_told_where_optima_cannot_be_kept(store: Store, caplog:
     assert (listed.id, listed.solved, listed.optimal_score) == (store.latest(1)[0].id, False, None)
     analysis = store.analysis("easy", patience=240)
     assert (analysis.episodes, analysis.regret_episodes, analysis.mean_regret) == (1, 0, None)
-    assert caplog.text.count("optima of easy_delivery could not be solved or kept: store ") == 2
+    assert caplog.text.count("optima of easy_delivery could not be solved or stored: store ") == 2
     with store._database.writing() as connection:
         connection.execute("DROP TRIGGER full")
     assert store.listed(9, patience=240)[0].optimal_score == solve("easy", 7).score

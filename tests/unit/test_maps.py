@@ -245,7 +245,7 @@ class TestGenerators:
             generate_city_map("easy", junk)
 
     def test_unknown_task_is_refused(self) -> None:
-        with pytest.raises(UnknownNameError, match="easy_delivery"):
+        with pytest.raises(UnknownNameError, match="easy, hard"):
             generate_city_map("expert", 1)
 
 

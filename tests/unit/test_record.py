@@ -152,7 +152,7 @@ def test_rewards_are_finite(number: str) -> None:
 @pytest.mark.parametrize(
     ("fields", "error", "message"),
     [
-        ({"task": "extreme"}, UnknownNameError, "easy_delivery"),
+        ({"task": "extreme"}, UnknownNameError, "easy, hard"),
         ({"task_version": 9}, UnknownNameError, "allowed: 1"),
         ({"task": "skyline_easy"}, WithdrawnError, "version 1 of task 'skyline_easy' is withdrawn"),
         ({"reward_profile": "mine"}, UnknownNameError, "tiered"),

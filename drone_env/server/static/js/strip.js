@@ -1,6 +1,6 @@
 // Under the map once the flight that is looked at has ended: how it went, its worst move, and what comes next.
 import { announce, copyText, el, setText } from "./dom.js";
-import { isLost, outcome, points, title } from "./format.js";
+import { fixed, isLost, outcome, percent, points, signed, title } from "./format.js";
 import { linkOf } from "./router.js";
 
 /**
@@ -24,11 +24,12 @@ export function mountStrip(root, context, fleet, acts) {
   const next = el("button.button.small.primary", { id: "next", press: () => goOn(context, fleet, acts) });
   const copy = el("button.button.small", { text: "Copy result", press: () => copyText(result(stage), "Result copied.") });
   const share = el("button.button.small", { text: "Copy link", press: () => context.router.copy() });
+  const analysis = el("p.note.strip-analysis");
   const more = el("details.strip-more", el("summary", { text: "Efficiency, and all flights of this task" }));
   const body = el("div.strip-body");
   more.append(body);
   more.addEventListener("toggle", () => more.open && fill());
-  root.append(el("div.strip-words", head, " ", why), worstLine, el("div.strip-actions", next, copy, share), more);
+  root.append(el("div.strip-words", head, " ", why), worstLine, el("div.strip-actions", next, copy, share), analysis, more);
   root.hidden = true;
   let said = null;
 
@@ -51,13 +52,24 @@ export function mountStrip(root, context, fleet, acts) {
     setText(next, `Next: ${title(after.short_name)}`);
     if (said === track) return;
     said = track;
-    const flownHere = track.done && Boolean(track.live || track.episode);
-    if (flownHere && more.open) fill();
-    more.open = flownHere;
-    if (flownHere) announce(`${outcome(last)}. Score ${points(last.score)}.`);
+    more.open = false;
+    analysis.hidden = Boolean(track.past);
+    if (!track.past) analyse(stage.world.task);
+    if (track.done && (track.live || track.episode)) announce(`${outcome(last)}. Score ${points(last.score)}.`);
   }
 
-  /** Asks for the analysis of the task: when a flight ends here, or when somebody unfolds it. */
+  /** Shows what all flights of the task come to, this one among them. */
+  async function analyse(task) {
+    setText(analysis, "Counting the flights of this task …");
+    try {
+      const figures = await context.api.get(`analyse/${encodeURIComponent(task.id)}`);
+      if (stage.world.task === task) setText(analysis, inWords(figures, task));
+    } catch (error) {
+      setText(analysis, `The flights of this task could not be counted: ${error.message}`);
+    }
+  }
+
+  /** What most visits never unfold is loaded once somebody does. */
   async function fill() {
     try {
       const { unfold } = await import("./strip_more.js");
@@ -91,6 +103,14 @@ function result({ tracks, world }) {
   if (best) flown.push(`optimum ${best.optimal_steps}`);
   const map = linkOf({ task: world.task.short_name, seed: world.seed });
   return `${flown.join(", ")} · ${title(world.task.short_name)}, map ${world.seed} · ${map}`;
+}
+
+function inWords(figures, task) {
+  const trend = figures.success_trend === null ? "" : ` (trend ${signed(figures.success_trend * 100, 0)} points)`;
+  const shares = Object.entries(figures.action_distribution).map(([action, share]) => `${action} ${percent(share)}`);
+  const flights = figures.episodes === 1 ? "1 flight" : `${figures.episodes} flights`;
+  const success = `success ${percent(figures.success_rate)}${trend}`;
+  return `${flights} of ${title(task.short_name)} here: mean reward ${fixed(figures.average_reward)}, ${success}, ${shares.join(", ")}.`;
 }
 
 /** Easy, Medium, Hard, Easy; every family goes round. */
