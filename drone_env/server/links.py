@@ -18,6 +18,8 @@ from drone_env.server.state import LONGEST_ID
 
 LETTERS: dict[str, Direction] = {direction[0]: direction for direction in DIRECTIONS}
 """The actions of a fork, as an address has them."""
+MAX_ACTIONS = 8192
+"""Actions in an address: the server takes no longer ones."""
 
 
 class Link(BaseModel):
@@ -34,7 +36,7 @@ class Link(BaseModel):
     fork: int | None = Field(default=None, description="The step from which the last of them flies another flight on.")
     actions: str | None = Field(
         default=None,
-        max_length=MAX_UNITS,
+        max_length=MAX_ACTIONS,
         description=f"What that fork, or without one a person, has flown from the start of the map on, a letter of "
         f"{', '.join(LETTERS)} each.",
     )
