@@ -13,6 +13,8 @@ from multiprocessing.connection import Connection
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES, RewardProfile
 from drone_env.core.tasks import FINDERS, PACKAGE_TASKS, TASKS, TaskConfig
@@ -112,6 +114,8 @@ def serve(connection: Connection, others: Connection, settings: Settings, enviro
         with suppress(OSError):
             os.nice(10)  # flying has priority
     prepare(settings)
+    # OpenBLAS allocates its buffer with the first large product. If it cannot, it ends the process.
+    _ = np.ones((512, 512)) @ np.ones((512, 512))
     limits = Limits(settings)
     while True:
         try:

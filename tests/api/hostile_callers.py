@@ -3,11 +3,12 @@
     python tests/api/hostile_callers.py [--seconds 10] [--fuzzed 20000] [--seed 1]
 
 A process of its own asks for `/health` all the time, each time over a new connection. In turn come 20 callers that
-send 26 MB of requests and read nothing, 1,000 that send half a request, floods over WebSocket, requests with thousands
-of headers, floods of pings and of one-byte fragments, followers of the request log, callers that read slowly or not at
-all, fuzzed requests, and an end while nobody reads. It fails if `/health` took longer than 0.5 s or the event loop used
-more than 0.2 CPU seconds before it answered; if a request or connection cost the loop more than 5 ms; if the server had
-more than 300 MB; if half requests stay; if anything was answered with a 5xx other than 503 or left a traceback.
+send 26 MB of requests and read nothing, 1,000 that send half a request, floods over WebSocket, requests with
+thousands of headers, floods of pings and of one-byte fragments, followers of the request log, callers that read
+slowly or not at all, 100 addresses that draw maps while eight people fly, fuzzed requests, and an end while nobody
+reads. It fails if `/health` took longer than 0.5 s or the event loop used more than 0.2 CPU seconds before it
+answered; if a request or connection cost the loop more than 5 ms; if the server had more than 300 MB, or 400 MB with
+its worker processes; if half requests stay; if anything was answered with a 5xx other than 503 or left a traceback.
 
 Before that, in this process, the most expensive bodies and frames of each kind: none may take 5 ms of the event loop.
 
@@ -38,9 +39,11 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.hostile_bodies import costs_of_routes, costs_of_sockets
+from tests.api.hostile_maps import crowd
 from tests.api.serving import Server, serving
 
-MOST_SECONDS, MOST_LOOP_SECONDS, MOST_LOOP_SECONDS_EACH, MOST_MEGABYTES = 0.5, 0.2, 0.005, 300
+MOST_SECONDS, MOST_LOOP_SECONDS, MOST_LOOP_SECONDS_EACH = 0.5, 0.2, 0.005
+MOST_MEGABYTES, MOST_MEGABYTES_IN_ALL = 300, 400
 HEAD = "{} HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 UPGRADE = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: {}\r\nSec-WebSocket-Version: 13\r\n\r\n"
 PING, BEGIN, GO_ON = b"\x89\x80" + bytes(4), b"\x01\x81" + bytes(4) + b"x", b"\x00\x81" + bytes(4) + b"x"
@@ -295,6 +298,16 @@ class Campaign:
         await asyncio.gather(*[go_on() for _ in range(16)])
         return ", ".join(f"{status}: {number}" for status, number in sorted(seen.items()))
 
+    async def draw_maps(self) -> str:
+        before, during, most, seen = await crowd(self.server.url, self.server.process.pid, 2 * self.seconds)
+        times = [1000 * sorted(took)[int(0.99 * len(took))] for took in (before, during)]
+        answers = ", ".join(f"{what}: {number}" for what, number in sorted(seen.items()))
+        self.faults += [f"{what}, {number} times" for what, number in seen.items() if what.endswith(" 500")]
+        if most > MOST_MEGABYTES_IN_ALL:
+            self.faults.append(f"the server and its worker processes had {most:.0f} MB")
+        frames = f"a live frame takes {times[0]:.0f} ms before and {times[1]:.0f} ms meanwhile (p99)"
+        return f"{frames}; {most:.0f} MB with worker processes; {answers}"
+
     async def end(self) -> None:
         """End it while nobody reads."""
         streams = [await self.open((HEAD.format("GET /openapi.json") + "\r\n").encode() * 200) for _ in range(100)]
@@ -473,6 +486,7 @@ async def go(server: Server, given: argparse.Namespace) -> list[str]:
         await campaign.under(f"one-byte fragments to {path}", campaign.send_small_frames(path, BEGIN, GO_ON))
     await campaign.under("readers of the request log", campaign.follow_requests())
     await campaign.under("slow readers", campaign.read_slowly())
+    await campaign.under("100 draw maps while 8 people fly", campaign.draw_maps())
     await campaign.under(f"{given.fuzzed:,} fuzzed requests", campaign.fuzz(given.fuzzed, given.seed))
     await campaign.end()
     return campaign.faults
