@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest
 # What was compiled once is kept: the tests start many processes, each of which would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo serve test test-long coverage check adapters lowest python $(PYTHONS) mutants verify bench bench-server bench-training bench-planners bench-peers bench-agents bench-unseen bench-ablations bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features kept bench-capacity bench-cluster
+.PHONY: demo serve test test-long coverage check adapters lowest python $(PYTHONS) mutants verify bench bench-server bench-training bench-planners bench-peers bench-agents bench-unseen bench-ablations bench-dashboard evidence docs-data screenshots image image-check space format clean bench-install wheels-check docs features bench-capacity bench-cluster
 .DEFAULT_GOAL := demo
 
 $(VENV)/.base: pyproject.toml
@@ -201,10 +201,6 @@ image-check: $(VENV)/.dev
 # Stage the folder that becomes a Hugging Face Space, in build/space.
 space: $(VENV)/.base
 	$(BIN)/python tools/stage_space.py $(ARGS)
-
-# What every later version has to read, made by this one, in tests/kept; once at each release.
-kept: $(VENV)/.dev
-	$(BIN)/python -m tests.kept.make $(ARGS)
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .

@@ -34,6 +34,7 @@ PROCESSES = max(2, (os.cpu_count() or 1) // 2)
 WAITING = 64
 """Jobs that may wait in all."""
 WAITING_PER_CALLER = 16
+END_SECONDS = 2
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 """Workers are forked from one process that has imported everything: they start in milliseconds and share its memory."""
 PRELOADED = ["__main__", "drone_env.server.preloaded"]
@@ -158,7 +159,7 @@ class Workers:
                 job.cancel()
             self._condition.notify_all()
         for thread in self._threads:
-            thread.join()
+            thread.join(END_SECONDS)  # one that is starting a process may take longer; it ends with this one
 
     def _serve(self, reserved: bool) -> None:
         process: _Process | None = None

@@ -202,7 +202,7 @@ def test_uv_sync_brings_all_but_pytorch(tmp_path: Path, endpoint: Callable) -> N
 
     status, said = clone.type(TRAIN)
     assert status == 2, said
-    assert "run uv sync --extra train --inexact in the clone" in said
+    assert "type: uv sync --extra train --inexact" in said
     key, pilot = "HF_TOKEN=hf_your_token_here", endpoint(pilot="able")
     status, said = clone.type(f"{key} API_BASE_URL={pilot.url} python inference.py")
     assert (status, "[END] success=true" in said) == (0, True), said
