@@ -24,6 +24,8 @@ STARTING = {
     "RAY_USAGE_STATS_ENABLED": "0",
     # Ray's own is 15: on a machine that has other things to do its workers would hardly start.
     "RAY_worker_niceness": "0",
+    # Nodes import functions of the tests, wherever the tests run.
+    "PYTHONPATH": str(Path(__file__).parents[2]),
 }
 ENDING_SECONDS = 60.0
 
