@@ -99,7 +99,7 @@ python: $(PYTHONS)
 $(PYTHONS): python-%: $(VENV)/.dev
 	python=$$($(BIN)/python -m tests.tools $*) && $$python -m venv $(VENV)/$*
 	$(BIN)/uv pip install --quiet --python $(VENV)/$*/bin/python --editable '.[llm,server,test]'
-	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$*/bin/python -m pytest -n auto --dist worksteal $(addprefix --ignore tests/,browser cluster container docs package)
+	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$*/bin/python -m pytest -n auto --dist worksteal $(addprefix --ignore tests/,browser cluster container docs package parity property)
 
 # Deliberate faults, one at a time: does a test of `make test` notice each?
 mutants: $(VENV)/.dev
