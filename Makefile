@@ -93,13 +93,14 @@ $(LOWEST)/.made: $(VENV)/.dev
 lowest: $(LOWEST)/.made
 	$(LOWEST)/bin/python -m pytest -W default -n auto --dist worksteal
 
-# Most tests on the lowest and the highest Python, without PyTorch and what needs it: tests that need those are skipped.
+# Tests on the lowest and the highest Python, without PyTorch: those that need it are skipped. llm, parity and property
+# would take CI over its five minutes for them; the other folders need a browser, a cluster or programs of this Python.
 PYTHONS := python-3.10 python-3.13
 python: $(PYTHONS)
 $(PYTHONS): python-%: $(VENV)/.dev
 	python=$$($(BIN)/python -m tests.tools $*) && $$python -m venv $(VENV)/$*
 	$(BIN)/uv pip install --quiet --python $(VENV)/$*/bin/python --editable '.[llm,server,test]'
-	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$*/bin/python -m pytest -n auto --dist worksteal $(addprefix --ignore tests/,browser cluster container docs package)
+	env -u DRONE_ENV_REQUIRE_TOOLS $(VENV)/$*/bin/python -m pytest -n auto --dist worksteal $(addprefix --ignore tests/,browser cluster container docs llm package parity property)
 
 # Deliberate faults, one at a time: does a test of `make test` notice each?
 mutants: $(VENV)/.dev
