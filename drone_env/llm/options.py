@@ -8,8 +8,9 @@ import tyro
 
 from drone_env.errors import InvalidValueError
 
-Number = Annotated[float | None, tyro.conf.arg(metavar="X")]
-Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
+OPTIONAL = tyro.conf.arg(help_behavior_hint="(optional)")
+Number = Annotated[float | None, tyro.conf.arg(metavar="X"), OPTIONAL]
+Whole = Annotated[int | None, tyro.conf.arg(metavar="N"), OPTIONAL]
 
 
 @dataclass(frozen=True)
@@ -67,8 +68,8 @@ class Options:
     max_cost: Number = None
     price_prompt: Number = None
     price_completion: Number = None
-    cache: Path | None = None
-    server: str | None = None
+    cache: Annotated[Path | None, OPTIONAL] = None
+    server: Annotated[str | None, OPTIONAL] = None
 
     def __post_init__(self) -> None:
         for name in ("max_calls", "max_tokens", "max_seconds", "max_cost"):
