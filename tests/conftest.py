@@ -16,6 +16,7 @@ from drone_env.agents import AGENTS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS
+from drone_env.episodes import store
 from drone_env.graders import GRADERS
 from tests.feature_table import FEATURES, FeatureTable
 from tests.tools import install_command, missing_in, missing_package
@@ -51,6 +52,12 @@ def registered() -> Generator[None, None, None]:
             names.update(kept)
     if os.environ.get(PLUGINS) != plugins:
         os.environ.pop(PLUGINS) if plugins is None else os.environ.update({PLUGINS: plugins})
+
+
+@pytest.fixture(scope="session", autouse=True)
+def patience() -> None:
+    """Have servers in this process wait for optima however busy the machine is."""
+    store.PATIENCE = 60
 
 
 @pytest.fixture

@@ -48,6 +48,8 @@ from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, U
 FILE_NAME = "drone_env.sqlite3"
 VIEW_NAME = "memory.json"
 PAGE = 100
+PATIENCE = 0.5
+"""Seconds to wait for optima, where a caller does not say."""
 MOST_ROWS = 1 << 31
 NEWEST = "ORDER BY number DESC LIMIT ?"
 COUNT = "SELECT count(*) FROM sessions"
@@ -176,7 +178,7 @@ class Store:
         after: int | None = None,
         episode_id: str | None = None,
         seed: int | None = None,
-        patience: float = 0.25,
+        patience: float | None = None,
     ) -> list[EpisodeSummary]:
         """The last `n` finished episodes with the optima of their maps, newest first.
 
@@ -190,7 +192,7 @@ class Store:
             after: Only those that were stored after the one of this number.
             episode_id: Only the one of this id.
             seed: Only those over the map of this number.
-            patience: For how many seconds to wait for optima.
+            patience: Seconds to wait for optima; None for `PATIENCE`.
 
         Raises:
             UnknownNameError: if there is no such task.
@@ -200,9 +202,13 @@ class Store:
         where, values = selection(task, agent, before, after, episode_id, seed)
         chosen = f"{where} {NEWEST}", (*values, _at_most(n))
         found = self._rows(*chosen)
-        return self._rows(*chosen) if self._optima.solve_maps_of(found, patience) else found
+        return (
+            self._rows(*chosen)
+            if self._optima.solve_maps_of(found, PATIENCE if patience is None else patience)
+            else found
+        )
 
-    def by_map(self, task: str | TaskConfig, patience: float = 0.25) -> list[FlownMap]:
+    def by_map(self, task: str | TaskConfig, patience: float | None = None) -> list[FlownMap]:
         """All finished episodes of a task, those by one agent over one map put together; optima as for `listed`.
 
         Raises:
@@ -212,7 +218,11 @@ class Store:
         where, values = selection(task)
         chosen = SELECT_BY_MAP.format(where=where), values
         found = [flown_map(row) for row in self._read(*chosen)]
-        return [flown_map(row) for row in self._read(*chosen)] if self._optima.solve_maps_of(found, patience) else found
+        return (
+            [flown_map(row) for row in self._read(*chosen)]
+            if self._optima.solve_maps_of(found, PATIENCE if patience is None else patience)
+            else found
+        )
 
     def kept(self, episode_ids: Iterable[str]) -> set[str]:
         """Those of these ids that the store has."""
@@ -230,7 +240,7 @@ class Store:
             yield from (stored for _, stored in page)
             number = page[-1][0]
 
-    def analysis(self, task: str | TaskConfig, last: int = 1000, patience: float = 0.25) -> Analysis:
+    def analysis(self, task: str | TaskConfig, last: int = 1000, patience: float | None = None) -> Analysis:
         """Figures of the last episodes of a task.
 
         Optima are solved once per map, in a thread of the store's, and kept; this waits `patience` seconds for them.

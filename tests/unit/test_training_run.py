@@ -366,7 +366,7 @@ def test_interrupted_the_run_saves_and_ends_cleanly(
     flown = state["counters"][2]
     assert f"stopped after {flown} episodes, saved as data/easy.pth\n" in captured.err
     # What it says to type goes on, and does not start again.
-    typed = re.search(r"to go on, type: \S+drone-env (.+)\n", captured.err)[1].split()
+    typed = re.search(r"to go on, type: \S*drone-env (.+)\n", captured.err)[1].split()
     assert typed == [*TRAIN, "--episodes", "20000"]
     monkeypatch.setattr("drone_env.rl.run.log_line", lambda line: signal.raise_signal(signal.SIGINT) or log_line(line))
     assert main(typed) == 130
