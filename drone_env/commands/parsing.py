@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from difflib import get_close_matches
 from functools import partial, wraps
-from inspect import signature
+from inspect import get_annotations, signature
 from itertools import dropwhile, takewhile
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 import tyro
 
@@ -31,7 +31,7 @@ def parsed(command: Callable[..., int | None], program: str, arguments: Sequence
         InvalidValueError: if an option is unknown or missing, or has no such value.
         UnknownNameError: if an option takes one of some words, and this is none of them.
     """
-    hints = get_type_hints(command, include_extras=True)
+    hints = get_annotations(command, eval_str=True)
     optional = tyro.conf.arg(help_behavior_hint="(optional)")  # instead of "(default: None)"
     unset = [name for name, parameter in signature(command).parameters.items() if parameter.default is None]
 

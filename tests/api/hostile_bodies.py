@@ -152,7 +152,10 @@ class Cost(NamedTuple):
 async def costs_of_routes(app: FastAPI) -> dict[str, list[Cost]]:
     """The CPU time of the event loop for each body, by route; the application runs."""
     description = app.openapi()
-    return {path: [await _body_cost(app, path, body) for body in bodies] for path, bodies in of_routes(description)}
+    costs: dict[str, list[Cost]] = {}
+    for path, bodies in of_routes(description):
+        costs[path] = [await _body_cost(app, path, body) for body in bodies]
+    return costs
 
 
 async def costs_of_sockets(app: FastAPI) -> dict[str, list[Cost]]:
