@@ -60,7 +60,7 @@ class Clone:
         self.folder = folder
         copy_tracked(folder)
         self.port = reserved_port()
-        ours = ("VIRTUAL_ENV", "PYTHONPATH", "UV_PROJECT_ENVIRONMENT")
+        ours = ("VIRTUAL_ENV", "PYTHONPATH", "UV_PROJECT_ENVIRONMENT", "DRONE_ENV_REQUIRE_TOOLS", "PYTEST_ADDOPTS")
         self.environment = {name: value for name, value in os.environ.items() if name not in ours}
         if programs:
             self.environment["PATH"] = f"{programs}{os.pathsep}{os.environ['PATH']}"
