@@ -49,7 +49,7 @@ FILE_NAME = "drone_env.sqlite3"
 VIEW_NAME = "memory.json"
 PAGE = 100
 PATIENCE = 0.5
-"""Seconds to wait for optima, where a caller does not say."""
+"""Default time to wait for optima, in seconds."""
 MOST_ROWS = 1 << 31
 NEWEST = "ORDER BY number DESC LIMIT ?"
 COUNT = "SELECT count(*) FROM sessions"

@@ -51,8 +51,7 @@ def shared_address(scope: Scope) -> str | None:
 def stranger_address(scope: Scope, host: str) -> str | None:
     """The address of a caller of a server that strangers reach; None if nobody but this machine reaches it.
 
-    A proxy may bring strangers. Of IPv6 the network of 64 bits
-    counts: whoever has one address has them all.
+    A proxy may bring strangers. For IPv6 it is the network of 64 bits: whoever has one of its addresses has them all.
     """
     client = (scope.get("client") or ("unknown",))[0].lower()
     if not _comes_through_proxy(scope) and is_local_name(client) and listens_on_loopback(scope, host):
