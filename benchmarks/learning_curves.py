@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 
 ROOT = Path(__file__).resolve().parent.parent
 TASKS = ("skyline_easy", "skyline_medium", "skyline_hard")

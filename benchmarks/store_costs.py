@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from drone_env.core.tasks import get_task
-from drone_env.episodes.store import FILE_NAME, Store
+from drone_env.results.store import FILE_NAME, Store
 
 STEPS = 20
 """Flown in each session before anything is measured: a flight of the standard tasks lasts 7 to 160."""

@@ -25,8 +25,8 @@ from drone_env.agents.pathqnet import shipped_network
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
 from drone_env.files import replacing
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.config import preset
 from drone_env.rl.run import TrainingRun
 from drone_env.rl.tour_config import TourConfig

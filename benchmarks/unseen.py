@@ -9,7 +9,7 @@ from dataclasses import replace
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.envs.registry import register_task
-from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 
 LARGE = {"width": 20, "height": 20, "buildings": 125, "trees": 37, "obstacles": 22, "pads": 7, "deliveries": 6}
 CHANGES = {

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from drone_env.core.seeds import SPLITS, next_seed, split_seeds
     from drone_env.core.tasks import TASKS, TaskConfig, get_task
     from drone_env.envs.registry import register_city, register_reward_profile, register_task
-    from drone_env.evaluation.episodes import episodes_key, evaluate, run_episodes, summarise
     from drone_env.graders import GRADERS
     from drone_env.models import DroneAction, DroneObservation, DroneState
     from drone_env.planning.optimal import Solution, solve
+    from drone_env.results.evaluate import episodes_key, evaluate, run_episodes, summarise
 
 __version__ = "0.5.0"
 
@@ -35,7 +35,7 @@ _HOMES = {
     "core.seeds": ("SPLITS", "next_seed", "split_seeds"),
     "core.tasks": ("TASKS", "TaskConfig", "get_task"),
     "envs.registry": ("register_city", "register_reward_profile", "register_task"),
-    "evaluation.episodes": ("episodes_key", "evaluate", "run_episodes", "summarise"),
+    "results.evaluate": ("episodes_key", "evaluate", "run_episodes", "summarise"),
     "graders": ("GRADERS",),
     "models": ("DroneAction", "DroneObservation", "DroneState"),
     "planning.optimal": ("Solution", "solve"),

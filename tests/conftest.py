@@ -16,8 +16,8 @@ from drone_env.agents import AGENTS
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS
-from drone_env.episodes import store
 from drone_env.graders import GRADERS
+from drone_env.results import store
 from tests.feature_table import FEATURES, FeatureTable
 from tests.tools import install_command, missing_in, missing_package
 

@@ -13,8 +13,8 @@ from starlette.testclient import TestClient
 import drone_env
 from drone_env import DroneObservation, DroneState
 from drone_env.core.episode import Episode
-from drone_env.episodes.record import record_of
-from drone_env.episodes.store import Store
+from drone_env.results.record import record_of
+from drone_env.results.store import Store
 from drone_env.server.app import create_app
 from drone_env.server.routes.replay import RECORD
 from drone_env.server.settings import Settings

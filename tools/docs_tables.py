@@ -14,7 +14,7 @@ from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm.settings import InferenceSettings, models_table
-from drone_env.reports.tables import markdown_table, settings_table
+from drone_env.results.tables import markdown_table, settings_table
 from drone_env.server.settings import Settings
 
 DOCS = Path(__file__).parents[1] / "docs"

@@ -12,7 +12,7 @@ import ray
 from drone_env.agents import elsewhere, file_of
 from drone_env.cluster.jobs import run_jobs
 from drone_env.errors import ClusterError
-from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, run_episodes
+from drone_env.results.evaluate import EpisodeResults, EpisodesKey, run_episodes
 
 TRIES = 11
 """How often a piece is flown whose node dies."""

@@ -15,7 +15,7 @@ from drone_env.core.rollout import rollout
 from drone_env.errors import InvalidValueError
 
 if TYPE_CHECKING:
-    from drone_env.evaluation.analysis import FlightAnalysis
+    from drone_env.results.analysis import FlightAnalysis
 
 File = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
@@ -53,8 +53,8 @@ def analyse_flight(
         json: Print JSON instead: positions are [x, y].
     """
     # These load Pydantic and Numba, which nobody should wait for who does not need them.
-    from drone_env.episodes.record import load_record
-    from drone_env.evaluation import analysis
+    from drone_env.results import analysis
+    from drone_env.results.record import load_record
 
     if file is not None and task is None:
         if agent is not None or seed is not None:

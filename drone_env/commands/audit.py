@@ -13,7 +13,7 @@ from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-from drone_env.reports.tables import Table, number, print_table, table_console
+from drone_env.results.tables import Table, number, print_table, table_console
 
 
 def audit(
@@ -49,8 +49,8 @@ def audit(
         jobs: Maps at a time; as many as the machine has cores if nothing is said.
     """
     # These load a compiler, which other commands should not wait for.
-    from drone_env.episodes.record import record_of, save_record
     from drone_env.planning.audit import MapAudit, audit_maps, audited_profile, summarise_audits
+    from drone_env.results.record import record_of, save_record
 
     config = get_task(task)
     profile = audited_profile(reward, gamma, shaping_gamma)

@@ -17,7 +17,7 @@ from drone_env.core.terrain import pieces
 from drone_env.envs.registry import check_names
 from drone_env.errors import InvalidTaskError, InvalidValueError
 from drone_env.files import replacing
-from drone_env.reports.tables import Table, percent, print_table
+from drone_env.results.tables import Table, percent, print_table
 
 Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 Box = Annotated[

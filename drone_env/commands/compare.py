@@ -11,11 +11,11 @@ from drone_env.commands.contest import JsonFile, TaskNames, cells_of, fly_cells,
 from drone_env.commands.kept import Kept, kept
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation.statistics import with_interval
-from drone_env.reports.tables import Table, percent, print_table
+from drone_env.results.interval import with_interval
+from drone_env.results.tables import Table, percent, print_table
 
 if TYPE_CHECKING:
-    from drone_env.episodes.by_map import FlownMap
+    from drone_env.results.by_map import FlownMap
 
 Contenders = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar=f"{AGENT}|DIR...")]
 Plot = Annotated[Path | None, tyro.conf.arg(metavar="FILE.svg|FILE.png")]
@@ -54,9 +54,9 @@ def compare(
             the optimum. Needs the extra `train`.
     """
     # These load Pydantic, which nobody should wait for who does not need it.
-    from drone_env.evaluation.comparison import flown_maps
-    from drone_env.evaluation.profiles import check_plot, draw_profiles
-    from drone_env.evaluation.reliable import compared, shares_of_optimum
+    from drone_env.results.comparison import flown_maps
+    from drone_env.results.profiles import check_plot, draw_profiles
+    from drone_env.results.reliable import compared, shares_of_optimum
 
     folders = {agent: kept(Path(agent)) for agent in agents if Path(agent).is_dir()}
     contenders = len(agents) - len(folders) + sum(len({one.name for one in of}) for of in folders.values())

@@ -14,10 +14,10 @@ from drone_env.commands.arguments import TASK, say_trusted
 from drone_env.commands.printing import print_json, progress_bar
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, UnsupportedTaskError
-from drone_env.evaluation.episodes import EpisodeResults, EpisodesKey, episodes_key, repeats_of
-from drone_env.evaluation.folder import Engine, ResultsFolder, evaluate_keys, local_engine
 from drone_env.files import write_json
 from drone_env.planning.optimal import require_solvable
+from drone_env.results.evaluate import EpisodeResults, EpisodesKey, episodes_key, repeats_of
+from drone_env.results.folder import Engine, ResultsFolder, evaluate_keys, local_engine
 
 TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{TASK}")]
 EngineName = Literal["local", "ray"]

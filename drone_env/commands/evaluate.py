@@ -10,9 +10,9 @@ from drone_env.commands.arguments import AgentNames, ClusterAddress, SeedRange, 
 from drone_env.commands.contest import EngineName, JsonFile, TaskNames, cells_of, fly_cells, give_json, json_file
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation.episodes import summarise
-from drone_env.evaluation.statistics import with_interval
-from drone_env.reports.tables import Table, number, percent, print_table
+from drone_env.results.evaluate import summarise
+from drone_env.results.interval import with_interval
+from drone_env.results.tables import Table, number, percent, print_table
 
 CHOICE = "|".join(NETWORK_AGENTS)
 

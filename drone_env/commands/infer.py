@@ -106,8 +106,8 @@ def infer(
     """
     import asyncio
 
-    from drone_env.episodes.store import Store
     from drone_env.files import data_folder
+    from drone_env.results.store import Store
 
     with needs("llm"):
         from drone_env.llm import run_folder, runner

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, needs
-from drone_env.evaluation import folder as evaluation
+from drone_env.results import folder as evaluation
 
 if TYPE_CHECKING:
-    from drone_env.episodes.by_map import FlownMap
-    from drone_env.evaluation.leaderboard import Judged, Refused
+    from drone_env.results.by_map import FlownMap
+    from drone_env.results.leaderboard import Judged, Refused
 
 
 RUN = "run.json"
@@ -36,7 +36,7 @@ def judged(path: Path) -> "list[Judged | Refused]":
     Raises:
         MissingPackageError: if there is a run of a language model, and the extra `llm` is not installed.
     """
-    from drone_env.evaluation.leaderboard import Refused, judge_evaluation
+    from drone_env.results.leaderboard import Refused, judge_evaluation
 
     if (path / evaluation.CONFIG).exists():
         return judge_evaluation(path)
@@ -67,8 +67,8 @@ def kept(path: Path) -> list[Kept]:
         InvalidValueError: if it is not ranked on a leaderboard; the message says why.
         MissingPackageError: as `judged` does.
     """
-    from drone_env.evaluation.comparison import kept_maps
-    from drone_env.evaluation.leaderboard import Refused
+    from drone_env.results.comparison import kept_maps
+    from drone_env.results.leaderboard import Refused
 
     found: list[Kept] = []
     for one in judged(path):

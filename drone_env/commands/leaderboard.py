@@ -9,11 +9,11 @@ import tyro
 from drone_env.commands.kept import judged_once
 from drone_env.commands.printing import print_json
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation.statistics import with_interval
-from drone_env.reports.tables import Table, number, percent, print_table
+from drone_env.results.interval import with_interval
+from drone_env.results.tables import Table, number, percent, print_table
 
 if TYPE_CHECKING:
-    from drone_env.evaluation.leaderboard import Board
+    from drone_env.results.leaderboard import Board
 
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 
@@ -31,7 +31,7 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
         folders: The folders, or those that several runs lie in; one that is named twice counts once.
         json: Print JSON instead of tables.
     """
-    from drone_env.evaluation.leaderboard import Judged, Refused, boards_of
+    from drone_env.results.leaderboard import Judged, Refused, boards_of
 
     if not folders:
         raise InvalidValueError("leaderboard takes the folders of one run or evaluation, or more")

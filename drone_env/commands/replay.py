@@ -15,7 +15,7 @@ from drone_env.envs.ansi import draw_text
 from drone_env.errors import InvalidValueError, StoreError, UnknownNameError
 
 if TYPE_CHECKING:
-    from drone_env.episodes.record import EpisodeRecord
+    from drone_env.results.record import EpisodeRecord
 
 Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|ID")]
 
@@ -47,7 +47,7 @@ def replay(
             file with one. The rewards of another profile than the record's are not compared.
     """
     # Loads Pydantic, which only records need.
-    from drone_env.episodes import record as records
+    from drone_env.results import record as records
 
     profile = None if reward is None else get_reward_profile(reward)
     prepare_film(video)
@@ -90,11 +90,11 @@ def _show(episode: Episode, actions: Iterable[int]) -> None:
 
 def _records(source: str) -> Iterator[tuple[str, "EpisodeRecord"]]:
     """Each record with what to call it."""
-    from drone_env.episodes.jsonl import numbered_records
-    from drone_env.episodes.record import load_record
-    from drone_env.episodes.sessions import EPISODE_ID
-    from drone_env.episodes.store import FILE_NAME, Store
     from drone_env.files import data_folder
+    from drone_env.results.jsonl import numbered_records
+    from drone_env.results.record import load_record
+    from drone_env.results.sessions import EPISODE_ID
+    from drone_env.results.store import FILE_NAME, Store
 
     path = Path(source)
     if EPISODE_ID.fullmatch(source) and not path.exists():

@@ -11,7 +11,7 @@ from rich.console import Console
 from drone_env.commands.arguments import TaskName
 from drone_env.errors import InvalidValueError, MissingPackageError
 from drone_env.files import data_folder
-from drone_env.reports.tables import number
+from drone_env.results.tables import number
 
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
 Values = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(name="set", metavar="NAME=VALUE,VALUE...")]

@@ -85,7 +85,7 @@ def _write(
 def _card(config: DatasetConfig, formats: tuple[str, ...], rows: int) -> str:
     """The page that says what the data set holds: Markdown with the front matter that data set hubs read."""
     with needs("data"):
-        from drone_env.reports.pages import render
+        from drone_env.results.pages import render
 
     return render(
         "dataset.md",

@@ -15,7 +15,6 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
-from drone_env.episodes.record import record_of
 from drone_env.errors import InvalidValueError, needs
 from drone_env.llm.answers import Answer, Reading, Unusable, read_answer
 from drone_env.llm.gate import LimitReachedError
@@ -26,6 +25,7 @@ from drone_env.llm.run_folder import PilotedRecord
 from drone_env.llm.runner import MOST_ERRORED, log_text
 from drone_env.llm.transcript import CallKey
 from drone_env.planning.optimal import best_of
+from drone_env.results.record import record_of
 
 with needs("inspect"):
     import anyio

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from drone_env.errors import DroneEnvError, WithdrawnError
-from drone_env.evaluation.leaderboard import Judged, Refused
 from drone_env.llm.report import report
 from drone_env.llm.run_folder import RESULTS, load_config
 from drone_env.llm.verify import verified_run
+from drone_env.results.leaderboard import Judged, Refused
 
 
 def judge(path: Path) -> Judged | Refused:

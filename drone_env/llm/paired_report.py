@@ -5,9 +5,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from drone_env.evaluation.statistics import DIFFERENCES, ci95, with_interval
 from drone_env.llm.report_tables import maps_line, unusable_of
-from drone_env.reports.tables import Table, number, percent
+from drone_env.results.interval import DIFFERENCES, ci95, with_interval
+from drone_env.results.tables import Table, number, percent
 
 
 def paired(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def write_paired_report(folder: Path, runs: Sequence[dict[str, Any]]) -> list[st
     Raises:
         OSError: if they cannot be written.
     """
-    from drone_env.reports.pages import render, write_pages
+    from drone_env.results.pages import render, write_pages
 
     figures = paired(runs)
     config = figures["config"]

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, TooLargeError, UnsupportedTaskError
-from drone_env.evaluation.analysis import analyse_flight
-from drone_env.evaluation.episodes import episodes_key, run_episodes
-from drone_env.evaluation.statistics import SCORES, ci95
 from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
 from drone_env.llm.options import Prices
 from drone_env.llm.run_folder import PilotedRecord
 from drone_env.llm.runner import mean_over_maps, verdict_of
 from drone_env.llm.verify import VerifiedRun
+from drone_env.results.analysis import analyse_flight
+from drone_env.results.evaluate import episodes_key, run_episodes
+from drone_env.results.interval import SCORES, ci95
 
 if TYPE_CHECKING:
     from drone_env.planning.solver import Solver
@@ -28,7 +28,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
     """The figures of a run, as JSON values; what is not known is null.
 
     Flights over one map are averaged first, then the maps, so that each map counts as much as for the other agents.
-    `score_ci95` (`evaluation.statistics`) is null for one map. `normalised` is (score - random) / (optimal - random) of
+    `score_ci95` (`results.interval`) is null for one map. `normalised` is (score - random) / (optimal - random) of
     the means over the same maps. `unusable` counts the answers that no repair made usable; the run is marked if they
     are more than 5 %.
 
@@ -182,7 +182,7 @@ def write_report(run: VerifiedRun, figures: dict[str, Any]) -> None:
     """
     from drone_env.llm.report_plots import plots
     from drone_env.llm.report_tables import page_values
-    from drone_env.reports.pages import render, write_pages
+    from drone_env.results.pages import render, write_pages
 
     values = page_values(figures)
     page = render("llm.html", **values, plots=plots(figures))

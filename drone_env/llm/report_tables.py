@@ -3,9 +3,9 @@
 import json
 from typing import Any
 
-from drone_env.evaluation.statistics import with_interval
 from drone_env.llm.answers import Unusable
-from drone_env.reports.tables import Table, number, percent
+from drone_env.results.interval import with_interval
+from drone_env.results.tables import Table, number, percent
 
 
 def page_values(figures: dict[str, Any]) -> dict[str, Any]:

@@ -9,8 +9,6 @@ from pathlib import Path
 from pydantic import Field
 from typing_extensions import Self
 
-from drone_env.episodes.record import record_of
-from drone_env.episodes.store import Store
 from drone_env.errors import InvalidValueError
 from drone_env.files import is_begun, locked, read_file, read_lines, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind
@@ -18,6 +16,8 @@ from drone_env.llm.config import RunConfig
 from drone_env.llm.pilot import PilotedEpisode, Status
 from drone_env.llm.transcript import LONGEST_CALL
 from drone_env.models import Count, Message, Score
+from drone_env.results.record import record_of
+from drone_env.results.store import Store
 
 CONFIG, TRANSCRIPT, EPISODES, RESULTS = "run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl"
 MOST_CONFIG, LONGEST_RESULT = 1 << 20, 1 << 16

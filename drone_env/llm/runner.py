@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 from drone_env.core.actions import Action
-from drone_env.episodes.log_lines import end_line, start_line, step_line
 from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
 from drone_env.llm.caller import Caller
 from drone_env.llm.config import RunConfig
@@ -19,6 +18,7 @@ from drone_env.llm.gate import Gate, StoppedError
 from drone_env.llm.pilot import PilotedEpisode, fly_one
 from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
 from drone_env.llm.transcript import Transcript
+from drone_env.results.log_lines import end_line, start_line, step_line
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MOST_ERRORED = 0.05

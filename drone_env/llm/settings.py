@@ -11,7 +11,7 @@ from pydantic import Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drone_env.errors import InvalidValueError, text_of
-from drone_env.reports.tables import markdown_table
+from drone_env.results.tables import markdown_table
 
 HUGGING_FACE = "https://router.huggingface.co/v1"
 OPENAI = "https://api.openai.com/v1"

@@ -4,8 +4,6 @@ import asyncio
 from dataclasses import dataclass
 from pathlib import Path
 
-from drone_env.episodes.jsonl import read_records
-from drone_env.episodes.record import EpisodeRecord, record_of, replay
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Reading, read_answer
 from drone_env.llm.config import RunConfig, digest
@@ -16,6 +14,8 @@ from drone_env.llm.messages import ChatMessage
 from drone_env.llm.pilot import fly_one
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, PilotedRecord, load_config, load_results
 from drone_env.llm.transcript import Call, CallKey, read_calls
+from drone_env.results.jsonl import read_records
+from drone_env.results.record import EpisodeRecord, record_of, replay
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ import numpy as np
 from drone_env.agents.named import as_agent
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation.episodes import EpisodeResults, evaluate, summarise
 from drone_env.files import replacing
 from drone_env.installer import pip
+from drone_env.results.evaluate import EpisodeResults, evaluate, summarise
 
 try:
     from stable_baselines3.common.callbacks import BaseCallback, EventCallback

@@ -3,9 +3,9 @@
 import os
 from pathlib import Path
 
-from drone_env.evaluation.folder import CONFIG, PIECES
-from drone_env.evaluation.leaderboard import Judged, Refused, judge_evaluation
 from drone_env.files import stamp
+from drone_env.results.folder import CONFIG, PIECES
+from drone_env.results.leaderboard import Judged, Refused, judge_evaluation
 
 MOST_MAPS = 10_000
 """Of one evaluation are looked at: `random` and the optimum are flown over them while somebody waits."""

@@ -17,7 +17,7 @@ import numpy as np
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
-from drone_env.episodes.record import EpisodeRecord, replay
+from drone_env.results.record import EpisodeRecord, replay
 from drone_env.server.links import Link
 from drone_env.server.page_files import ART, PAGE
 from drone_env.server.pilots import HUMAN, PILOTS

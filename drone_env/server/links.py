@@ -8,9 +8,9 @@ from typing_extensions import Self
 
 from drone_env.core.rewards import ORIGINAL_PROFILE, get_reward_profile
 from drone_env.core.tasks import MAX_UNITS, get_task
-from drone_env.episodes.finished import check_agent
 from drone_env.errors import InvalidValueError, UnknownNameError, text_of
 from drone_env.models import DIRECTIONS, Direction
+from drone_env.results.finished import check_agent
 from drone_env.server.live.commands import MOST_EPISODES, Fork, MapNumber
 from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.pilots import HUMAN, PILOTS, Credit, called

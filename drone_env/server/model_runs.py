@@ -11,10 +11,10 @@ from drone_env.errors import DroneEnvError
 from drone_env.files import stamp
 
 if TYPE_CHECKING:
-    from drone_env.evaluation.leaderboard import Judged, Refused
     from drone_env.llm.config import RunConfig
     from drone_env.llm.run_folder import PilotedRecord
     from drone_env.llm.transcript import Call
+    from drone_env.results.leaderboard import Judged, Refused
 
 MOST_FLIGHTS = 100_000
 """Of one run are looked at: a file may say that there are 2^53."""
@@ -57,7 +57,7 @@ class ModelRuns:
         try:
             stamps = [stamp(path / name) for name in (CONFIG, TRANSCRIPT, EPISODES, RESULTS)]
         except OSError as error:
-            from drone_env.evaluation.leaderboard import Refused
+            from drone_env.results.leaderboard import Refused
 
             return Refused(path, str(error), damaged=True)
         known = self._judged.get(path)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import choices
 from drone_env.core.tasks import get_task
-from drone_env.episodes.record import EpisodeRecord, fly_directions, replay_steps
 from drone_env.planning.optimal import best_of
+from drone_env.results.record import EpisodeRecord, fly_directions, replay_steps
 from drone_env.server.jobs import bench
 from drone_env.server.links import Link
 from drone_env.server.pilots import PILOTS, Credit, agent_of, called

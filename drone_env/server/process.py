@@ -17,8 +17,8 @@ from typing import Any
 
 from drone_env import __version__
 from drone_env.envs.registry import register_reward_file
-from drone_env.episodes.store import Store
 from drone_env.errors import InvalidValueError, StoreError
+from drone_env.results.store import Store
 from drone_env.server.incoming import LARGE
 from drone_env.server.predict import Networks
 from drone_env.server.settings import load_settings, misspelt_variables

@@ -11,8 +11,6 @@ from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES, RewardProfile, tabulate_rewards
 from drone_env.core.tasks import TaskConfig
-from drone_env.episodes.finished import EpisodeSummary, check_agent
-from drone_env.episodes.statistics import Analysis
 from drone_env.models import (
     MAX_SEED,
     Count,
@@ -26,6 +24,8 @@ from drone_env.models import (
     Score,
     Seed,
 )
+from drone_env.results.finished import EpisodeSummary, check_agent
+from drone_env.results.summary import Analysis
 
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
 STAYING = (Event.WALL, Event.BLOCKED, Event.WAIT)

@@ -10,10 +10,10 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 
 from drone_env.core.episode import Episode
-from drone_env.episodes.sessions import SessionRow, flight_of
-from drone_env.episodes.store import Store
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import DroneAction
+from drone_env.results.sessions import SessionRow, flight_of
+from drone_env.results.store import Store
 from drone_env.server.map_choice import start_episode
 from drone_env.server.observation_json import flat_json
 from drone_env.server.schemas import ResetOptions

@@ -10,8 +10,8 @@ from starlette.requests import HTTPConnection
 from typing_extensions import Self
 
 from drone_env.core.tasks import FINDERS
-from drone_env.episodes.store import Store
 from drone_env.files import MAPS, RUNS
+from drone_env.results.store import Store
 from drone_env.server.drawn_maps import DrawnMaps
 from drone_env.server.local import shared_address
 from drone_env.server.model_runs import ModelRuns

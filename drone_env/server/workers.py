@@ -21,8 +21,8 @@ from typing import Any, TypeVar
 
 from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES
 from drone_env.core.tasks import PACKAGE_TASKS, TASKS, TaskConfig
-from drone_env.episodes.optima import solve_maps
 from drone_env.errors import DroneEnvError, TooLargeError
+from drone_env.results.optima import solve_maps
 from drone_env.server.jobs import serve, too_long
 from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import FAILED, RequestError

@@ -10,9 +10,9 @@ import pytest
 
 import drone_env
 from drone_env.core.seeds import SPLITS
-from drone_env.episodes.record import EpisodeRecord, replay
-from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.planning.optimal import solve
+from drone_env.results.evaluate import episodes_key, run_episodes
+from drone_env.results.record import EpisodeRecord, replay
 from tests.llm.conftest import Endpoint, environment
 
 Start = Callable[..., Endpoint]

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from drone_env.episodes.store import Store
-from drone_env.evaluation.statistics import DIFFERENCES, REGRETS, SCORES, SHARES, Range, ci95
 from drone_env.llm.run_folder import EPISODES
 from drone_env.llm.transcript import read_calls
 from drone_env.planning.optimal import solve
+from drone_env.results.interval import DIFFERENCES, REGRETS, SCORES, SHARES, Range, ci95
+from drone_env.results.store import Store
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.browser.flights import fill, flown

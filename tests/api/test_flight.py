@@ -7,13 +7,13 @@ from starlette.testclient import TestClient
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.episodes.finished import check_agent
-from drone_env.episodes.record import replay
-from drone_env.episodes.store import Store
 from drone_env.errors import InvalidValueError
 from drone_env.graders import GRADERS
 from drone_env.models import DroneObservation, DroneState
 from drone_env.planning.optimal import solve
+from drone_env.results.finished import check_agent
+from drone_env.results.record import replay
+from drone_env.results.store import Store
 from drone_env.server.schemas import FlatReset, PathHistory, ResetResult, SolutionAnswer, StepResult
 
 Header = dict[str, str]

@@ -10,9 +10,9 @@ from drone_env.agents import make_agent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import rollout
-from drone_env.episodes.record import record_of
-from drone_env.evaluation.analysis import analyse_flight
 from drone_env.models import DIRECTIONS, Direction
+from drone_env.results.analysis import analyse_flight
+from drone_env.results.record import record_of
 from tests.api.live_page import Message, Page
 
 MOVES: list[Direction] = ["LEFT", "LEFT", "UP", "WAIT", "DOWN", "RIGHT", "RIGHT", "UP"]

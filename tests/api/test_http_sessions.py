@@ -13,9 +13,9 @@ from starlette.testclient import TestClient
 from drone_env.client import DroneEnvClient
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.models import DroneAction, DroneObservation
 from drone_env.planning.optimal import solve
+from drone_env.results.store import FILE_NAME, Store
 from drone_env.server.app import create_app
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.sessions import Sessions

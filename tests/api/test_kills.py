@@ -13,9 +13,9 @@ import websockets.sync.client
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.episodes.record import replay
-from drone_env.episodes.store import Store
 from drone_env.planning.optimal import solve
+from drone_env.results.record import replay
+from drone_env.results.store import Store
 from tests.api.serving import Server
 from tests.tools import reserved_port
 

@@ -97,6 +97,6 @@ def test_a_frame_passes_ten_files_of_the_server_and_the_store(passed: set[str], 
         passed.clear()
         page.send(**command)
         page.until("frames")
-        files = sorted(path for path in passed if path.startswith(("server/", "episodes/")))
+        files = sorted(path for path in passed if path.startswith(("server/", "results/")))
     assert len(files) <= 10, files
     assert "server/live/episodes.py" in files

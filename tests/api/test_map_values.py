@@ -15,11 +15,11 @@ from drone_env.core.episode import Episode
 from drone_env.core.score import score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.episodes.record import record_of
-from drone_env.evaluation.analysis import analyse_flight
 from drone_env.models import DIRECTIONS, Direction
 from drone_env.planning import solvers
 from drone_env.planning.elsewhere import battery_range, charging_pads
+from drone_env.results.analysis import analyse_flight
+from drone_env.results.record import record_of
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.networks import put_network, put_tour, put_trained

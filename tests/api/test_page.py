@@ -15,8 +15,8 @@ from drone_env.core.episode import Episode
 from drone_env.core.rollout import rollout
 from drone_env.core.tasks import get_task
 from drone_env.envs.rendering import draw_card
-from drone_env.episodes.record import EpisodeRecord, record_of, replay
 from drone_env.planning.optimal import solve
+from drone_env.results.record import EpisodeRecord, record_of, replay
 from drone_env.server.app import create_app
 from drone_env.server.hello import hello
 from drone_env.server.page_files import PAGE

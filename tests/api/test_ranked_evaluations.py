@@ -13,8 +13,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.cli import main
-from drone_env.episodes.by_map import FlownMap
-from drone_env.evaluation.leaderboard import Refused
+from drone_env.results.by_map import FlownMap
+from drone_env.results.leaderboard import Refused
 from drone_env.server import evaluations
 from drone_env.server.app import create_app
 from drone_env.server.routes import runs

@@ -15,9 +15,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.episodes.store import FILE_NAME
 from drone_env.models import observation_fields
 from drone_env.planning.optimal import solve
+from drone_env.results.store import FILE_NAME
 from drone_env.server.app import create_app
 from drone_env.server.incoming import SMALL
 from drone_env.server.observation_json import openenv_json

@@ -15,8 +15,8 @@ import pytest
 from drone_env import client
 from drone_env.cli import main as command_line
 from drone_env.core.tasks import get_task
-from drone_env.episodes.database import MIGRATIONS
-from drone_env.episodes.store import FILE_NAME, Store
+from drone_env.results.database import MIGRATIONS
+from drone_env.results.store import FILE_NAME, Store
 from drone_env.server import app
 from tests.api.networks import put_trained
 from tests.api.serving import ROOT, Server, serving

@@ -6,7 +6,7 @@ from typing import Any
 
 from playwright.sync_api import Locator, Page, expect
 
-from drone_env.episodes.record import EpisodeRecord
+from drone_env.results.record import EpisodeRecord
 
 FASTEST = "60"
 """Steps per second, the last choice."""

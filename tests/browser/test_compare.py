@@ -8,7 +8,7 @@ from typing import Any
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Locator, Page, expect
 
-from drone_env.episodes.store import Store
+from drone_env.results.store import Store
 from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, SEEDS
 from tests.browser.flights import fill, flown

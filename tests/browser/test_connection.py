@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect
 
-from drone_env.episodes.store import Store
+from drone_env.results.store import Store
 from drone_env.server.incoming import TRY_LATER
 from drone_env.server.live.socket import TOO_MANY_PAGES
 from tests.api.serving import Server, serving

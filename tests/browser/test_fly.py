@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, WebSocketRoute, expect
 
-from drone_env.episodes.record import parse_record
+from drone_env.results.record import parse_record
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, posted
 from tests.browser.stage import (

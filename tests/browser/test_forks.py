@@ -9,9 +9,9 @@ from playwright.sync_api import Locator, Page, expect
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.episodes.record import record_of
-from drone_env.evaluation.analysis import analyse_flight
 from drone_env.models import DIRECTIONS
+from drone_env.results.analysis import analyse_flight
+from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames
 from tests.browser.stage import at_its_end, expect_frame, over, painted, pictures, points, show, step

@@ -11,9 +11,9 @@ from playwright.sync_api import Page, Route, expect
 from drone_env.core.actions import Action, Outcome
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
-from drone_env.episodes.record import record_of
-from drone_env.evaluation.analysis import analyse_flight
 from drone_env.planning.optimal import solve
+from drone_env.results.analysis import analyse_flight
+from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames
 from tests.browser.stage import fixed, points, view

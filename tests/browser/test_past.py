@@ -9,7 +9,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.episodes.record import EpisodeRecord, parse_record, record_of
+from drone_env.results.record import EpisodeRecord, parse_record, record_of
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, posted
 from tests.browser.stage import dropped, expect_frame, opened, over, points, show, slider

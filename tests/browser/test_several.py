@@ -4,7 +4,7 @@ import re
 
 from playwright.sync_api import Locator, Page, Route, expect
 
-from drone_env.episodes.record import parse_record
+from drone_env.results.record import parse_record
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, possible, posted
 from tests.browser.stage import along, fly, over, painted, pictures, pilot, points, step

@@ -7,7 +7,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.episodes.record import record_of
+from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import frames
 from tests.browser.stage import along, counter, ended, expect_frame, fly, over, pictures, pilot

@@ -20,8 +20,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 from drone_env import run_episodes, split_seeds, summarise
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
 from drone_env.errors import CheckpointError, InvalidValueError, UnknownNameError
-from drone_env.evaluation.episodes import episodes_key
 from drone_env.installer import pip
+from drone_env.results.evaluate import episodes_key
 from drone_env.rl.sb3 import ScoreEvalCallback
 
 MAPS = 20

@@ -20,7 +20,7 @@ from drone_env.core.rollout import choices, rollout
 from drone_env.core.tasks import get_task
 from drone_env.envs.sb3 import FORMS, DroneDeliveryVecEnv
 from drone_env.errors import CheckpointError, InvalidValueError, UnknownNameError
-from drone_env.evaluation.episodes import episodes_key, repeats_of, run_episodes
+from drone_env.results.evaluate import episodes_key, repeats_of, run_episodes
 
 MAPS = range(100, 116)
 NETWORK: Any = {"policy_kwargs": {"net_arch": [8]}, "seed": 3, "device": "cpu"}

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import get_task, own_rules
-from drone_env.episodes.store import Store
 from drone_env.files import RUNS
 from drone_env.llm.answers import Answer, Reading, read_answer
 from drone_env.llm.config import RunConfig, Sampling, digest
@@ -18,6 +17,7 @@ from drone_env.llm.pilot import PilotedEpisode, fly_one
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
 from drone_env.llm.transcript import Call, CallKey, Transcript
+from drone_env.results.store import Store
 from tests.llm.scripted_server import reply
 
 

@@ -9,10 +9,10 @@ from decimal import Decimal
 import pytest
 
 from drone_env.core.seeds import SPLITS
-from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.llm.endpoint import POOLS
 from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
+from drone_env.results.evaluate import episodes_key, run_episodes
 
 from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines
 from .log_lines import blocks, verified

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drone_env.cli import main
-from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from tests.llm.kept_run import put_run
 
 MAPS = ("--task", "easy", "--seeds", "14:18")

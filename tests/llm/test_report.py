@@ -10,14 +10,14 @@ import pytest
 from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import SPLITS
-from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation.episodes import episodes_key, run_episodes
-from drone_env.evaluation.statistics import SCORES, ci95
 from drone_env.llm.options import Prices
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import verified_run
+from drone_env.results.evaluate import episodes_key, run_episodes
+from drone_env.results.interval import SCORES, ci95
+from drone_env.results.record import EpisodeRecord, record_of
 
 from .conftest import Endpoint
 

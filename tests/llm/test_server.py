@@ -14,9 +14,9 @@ from starlette.testclient import TestClient
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.errors import InvalidValueError, StoreError
 from drone_env.llm.image import ServerSession
+from drone_env.results.store import FILE_NAME, Store
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.serving import Server

@@ -11,7 +11,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.llm.config import Sampling
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.settings import InferenceSettings, load_settings, models_table, token_for
-from drone_env.reports.tables import settings_table
+from drone_env.results.tables import settings_table
 from tests.environment import SETTINGS
 
 from .conftest import ROOT

@@ -26,7 +26,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "drone_env.llm.inspect_task": ("inspect",),
     "drone_env.llm.trl_environment": ("trl",),
     "drone_env.openenv_client": ("server",),
-    "drone_env.reports.pages": ("llm",),
+    "drone_env.results.pages": ("llm",),
     "drone_env.rl": ("train",),
     "drone_env.server": ("server",),
 }

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from drone_env.episodes.store import Store
+from drone_env.results.store import Store
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import os
 import random
 import sys
 
-from drone_env.episodes.store import Store
+from drone_env.results.store import Store
 
 
 def say(value: object) -> None:

@@ -9,9 +9,9 @@ from typing import Any
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import TASKS, TaskConfig
-from drone_env.episodes.sessions import SessionRow
-from drone_env.episodes.store import Store, StoredEpisode
 from drone_env.planning.optimal import solve
+from drone_env.results.sessions import SessionRow
+from drone_env.results.store import Store, StoredEpisode
 
 
 def flown(task: str = "easy", seed: int = 7, actions: str | None = None, profile: str = "tiered") -> Episode:

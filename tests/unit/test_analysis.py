@@ -11,9 +11,10 @@ from drone_env.agents import make_agent
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.episodes.record import EpisodeRecord, record_of
 from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError
-from drone_env.evaluation.analysis import (
+from drone_env.planning.exact import ExactSolver
+from drone_env.planning.optimal import solve, solve_episode
+from drone_env.results.analysis import (
     LABELS,
     FlightAnalysis,
     analyse_actions,
@@ -21,8 +22,7 @@ from drone_env.evaluation.analysis import (
     label_of,
     parcel_value,
 )
-from drone_env.planning.exact import ExactSolver
-from drone_env.planning.optimal import solve, solve_episode
+from drone_env.results.record import EpisodeRecord, record_of
 from tests.toy import toy_episode
 from tests.which_tasks import SMALL
 

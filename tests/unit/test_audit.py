@@ -15,10 +15,10 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.episodes.record import load_record, replay
 from drone_env.errors import InvalidTaskError, InvalidValueError, TooLargeError, UnknownNameError
 from drone_env.planning.audit import HACKS, audit_map, audited_profile
 from drone_env.planning.optimal import solve
+from drone_env.results.record import load_record, replay
 from drone_env.reward_file import chosen_profile, load_reward_profile
 from tests.which_tasks import SMALL
 

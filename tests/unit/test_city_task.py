@@ -20,10 +20,10 @@ from drone_env.cluster.sweep.config import SweepConfig, make_config
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS, load_plugins, register_city, task_argument
-from drone_env.episodes.store import Store
 from drone_env.errors import CheckpointError, InvalidTaskError, InvalidValueError, StoreError
 from drone_env.graders import GRADERS
 from drone_env.llm.config import RunConfig
+from drone_env.results.store import Store
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.learner import require_same
 from drone_env.rl.tour_config import TourConfig

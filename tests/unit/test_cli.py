@@ -23,9 +23,9 @@ from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import TooLargeError
-from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
-from drone_env.evaluation.statistics import with_interval
 from drone_env.planning.optimal import solve
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
+from drone_env.results.interval import with_interval
 
 STEP = re.compile(r"\[STEP\] step=(\d+) action=([A-Z]+) reward=(\d\.\d\d) done=(true|false) error=null")
 

@@ -8,10 +8,10 @@ import pytest
 
 from drone_env.cli import main
 from drone_env.core.episode import Episode
-from drone_env.episodes.jsonl import read_records
-from drone_env.episodes.record import load_record, record_of, save_record
-from drone_env.episodes.store import Store
-from drone_env.evaluation.analysis import analyse_flight
+from drone_env.results.analysis import analyse_flight
+from drone_env.results.jsonl import read_records
+from drone_env.results.record import load_record, record_of, save_record
+from drone_env.results.store import Store
 from drone_env.reward_file import load_reward_profile
 
 

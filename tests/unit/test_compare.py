@@ -8,10 +8,10 @@ import pytest
 
 from drone_env.cli import main
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation.comparison import Pairing, flown_maps, paired, standings
-from drone_env.evaluation.episodes import episodes_key, run_episodes
-from drone_env.evaluation.reliable import contest, interquartile_mean, profile, shares_of_optimum
-from drone_env.evaluation.statistics import SCORES, interval, student, with_interval
+from drone_env.results.comparison import Pairing, flown_maps, paired, standings
+from drone_env.results.evaluate import episodes_key, run_episodes
+from drone_env.results.interval import SCORES, interval, student, with_interval
+from drone_env.results.reliable import contest, interquartile_mean, profile, shares_of_optimum
 
 A, B = np.array([0.9, 0.5, 0.7, 0.2, 0.9]), np.array([0.6, 0.5, 0.8, 0.1, 0.1])
 

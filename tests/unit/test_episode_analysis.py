@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 from drone_env.core.tasks import TaskConfig
-from drone_env.episodes import optima
-from drone_env.episodes.finished import EpisodeSummary
-from drone_env.episodes.statistics import analyse
-from drone_env.episodes.store import Store
 from drone_env.models import OutcomeName
 from drone_env.planning.optimal import Solution, solve
+from drone_env.results import optima
+from drone_env.results.finished import EpisodeSummary
+from drone_env.results.store import Store
+from drone_env.results.summary import analyse
 from tests.unit.stores import eventually, flown
 
 

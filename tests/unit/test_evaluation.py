@@ -13,7 +13,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.evaluation.episodes import (
+from drone_env.results.evaluate import (
     EpisodeResults,
     concatenate,
     episodes_key,
@@ -21,7 +21,7 @@ from drone_env.evaluation.episodes import (
     run_episodes,
     summarise,
 )
-from drone_env.evaluation.folder import ResultsFolder
+from drone_env.results.folder import ResultsFolder
 
 
 def test_results_are_the_same_whole_or_in_pieces() -> None:

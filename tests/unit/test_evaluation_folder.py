@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from drone_env.cli import main
-from drone_env.evaluation import folder as results_folder
+from drone_env.results import folder as results_folder
 
 
 def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,14 +14,14 @@ from drone_env.city.city_file import read_city
 from drone_env.city.movingai import read_movingai
 from drone_env.city.openstreetmap import extent
 from drone_env.cluster.sweep.folder import SweepFolder
-from drone_env.episodes.jsonl import read_records
-from drone_env.episodes.record import load_record
 from drone_env.errors import DroneEnvError
-from drone_env.evaluation.folder import kept_results
 from drone_env.files import write_text
 from drone_env.llm.prompt import read_prompt
 from drone_env.llm.run_folder import EpisodeIds, load_config, load_results
 from drone_env.llm.transcript import read_calls
+from drone_env.results.folder import kept_results
+from drone_env.results.jsonl import read_records
+from drone_env.results.record import load_record
 from drone_env.reward_file import load_reward_profile
 from drone_env.rl.checkpoint import load_checkpoint
 from drone_env.server.train_log import TrainLog

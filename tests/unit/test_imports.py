@@ -28,13 +28,14 @@ ALLOWED_IN_CORE = {"numpy", "numba", "llvmlite", "platformdirs", *sys.stdlib_mod
 
 # Each floor may import from the floors below it, and from its own.
 FLOORS = [
-    {"errors", "files", "installer", "npz", "reports", "toml_text"},
+    {"errors", "files", "installer", "npz", "toml_text"},
     {"core"},
     {"city", "planning", "models", "reward_file"},
-    {"graders", "episodes"},
+    {"graders"},
     {"envs"},
     {"agents"},
-    {"datasets", "evaluation", "rl"},
+    {"results"},
+    {"datasets", "rl"},
     {"client", "openenv_client"},
     {"llm"},
     {"server"},

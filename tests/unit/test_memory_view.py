@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from drone_env.episodes.memory_view import MemoryView
-from drone_env.episodes.store import FILE_NAME, Store, StoredEpisode
+from drone_env.results.memory_view import MemoryView
+from drone_env.results.store import FILE_NAME, Store, StoredEpisode
 from tests.unit.stores import eventually, finish_in, flown, opened, view
 
 

@@ -26,7 +26,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import CheckpointError, InvalidValueError, UnsupportedTaskError
-from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.checkpoint import export_network
 from drone_env.rl.model import MapEncoder, PathQNet
 from drone_env.server.app import create_app

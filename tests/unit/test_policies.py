@@ -15,7 +15,7 @@ from drone_env.agents import GreedyAgent, elsewhere, file_of
 from drone_env.cli import main
 from drone_env.core.tasks import get_task
 from drone_env.errors import AgentError, InvalidValueError, UnknownNameError
-from drone_env.evaluation.episodes import episodes_key, repeats_of, run_episodes
+from drone_env.results.evaluate import episodes_key, repeats_of, run_episodes
 
 MODULE = """
 import random

@@ -11,9 +11,9 @@ import pytest
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
-from drone_env.episodes.jsonl import RecordWriter, numbered_records, read_records
-from drone_env.episodes.record import EpisodeRecord, load_record, parse_record, record_of, replay, save_record
 from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError, WithdrawnError
+from drone_env.results.jsonl import RecordWriter, numbered_records, read_records
+from drone_env.results.record import EpisodeRecord, load_record, parse_record, record_of, replay, save_record
 
 VERSION_1 = """{
   "format": "drone_env/episode",

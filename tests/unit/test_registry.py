@@ -20,10 +20,10 @@ from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.envs.registry import register_reward_profile, register_task
 from drone_env.errors import InvalidTaskError, InvalidValueError
-from drone_env.evaluation.episodes import episodes_key, run_episodes
 from drone_env.graders import GRADERS
 from drone_env.models import DroneState
 from drone_env.planning.optimal import solve
+from drone_env.results.evaluate import episodes_key, run_episodes
 
 PLUGIN = """
 from dataclasses import replace

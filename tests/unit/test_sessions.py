@@ -9,9 +9,6 @@ from typing import Any
 import pytest
 
 from drone_env.core.episode import Episode
-from drone_env.episodes.record import record_of
-from drone_env.episodes.sessions import steady_clock
-from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.errors import (
     CapacityError,
     EpisodeError,
@@ -22,6 +19,9 @@ from drone_env.errors import (
     UnknownNameError,
 )
 from drone_env.planning.optimal import solve
+from drone_env.results.record import record_of
+from drone_env.results.sessions import steady_clock
+from drone_env.results.store import FILE_NAME, Store
 from tests.unit.stores import finish_in, flown, flying, opened
 
 

@@ -13,9 +13,6 @@ import pytest
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
-from drone_env.episodes.database import APPLICATION_ID, MIGRATIONS, migrate
-from drone_env.episodes.record import EpisodeRecord, parse_record, record_of, replay
-from drone_env.episodes.store import FILE_NAME, Store
 from drone_env.errors import (
     EpisodeError,
     InvalidValueError,
@@ -23,6 +20,9 @@ from drone_env.errors import (
     UnknownNameError,
 )
 from drone_env.files import data_folder
+from drone_env.results.database import APPLICATION_ID, MIGRATIONS, migrate
+from drone_env.results.record import EpisodeRecord, parse_record, record_of, replay
+from drone_env.results.store import FILE_NAME, Store
 from tests.unit.stores import flown, flying, mine, opened, unlike, view
 
 # Finished episodes

@@ -10,8 +10,8 @@ import sys
 import threading
 from pathlib import Path
 
-from drone_env.episodes.record import replay
-from drone_env.episodes.store import FILE_NAME, Store
+from drone_env.results.record import replay
+from drone_env.results.store import FILE_NAME, Store
 from tests.unit.stores import eventually, opened, view
 
 EXAMPLES = int(os.environ.get("DRONE_ENV_EXAMPLES", "200"))

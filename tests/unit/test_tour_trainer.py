@@ -13,7 +13,7 @@ from torch import nn
 
 from drone_env.core.seeds import split_of, split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.checkpoint import export_network
 from drone_env.rl.lessons import Lessons, Teacher
 from drone_env.rl.tour_config import SHARES, TourConfig, randomise, variant

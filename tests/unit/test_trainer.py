@@ -16,7 +16,7 @@ from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import SPLITS, split_of, split_seeds
 from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
-from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.checkpoint import export_network, load_checkpoint, save_checkpoint
 from drone_env.rl.model import PathQNet
 from drone_env.rl.trainer import Trainer

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
-from drone_env.evaluation.episodes import episodes_key, run_episodes, summarise
-from drone_env.evaluation.statistics import SCORES, SHARES, Range, crossed
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
+from drone_env.results.interval import SCORES, SHARES, Range, crossed
 
 
 def sweep_report(folder: SweepFolder, config: SweepConfig) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def write_report(folder: SweepFolder, figures: dict[str, Any]) -> None:
         OSError: if they cannot be written.
     """
     from drone_env.cluster.sweep.plots import draw_plots
-    from drone_env.reports.pages import render, write_pages
+    from drone_env.results.pages import render, write_pages
 
     draw_plots(figures, folder.path)
     write_pages(folder.path, figures, {"report.md": render("sweep.md", **figures)})

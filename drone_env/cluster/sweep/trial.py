@@ -17,7 +17,7 @@ from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import MapScores, SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation.episodes import episodes_key, run_episodes
+from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.rl.run import TrainingRun
 from drone_env.rl.trainer import Progress, Trainer
 

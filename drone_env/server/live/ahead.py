@@ -9,9 +9,9 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rollout import rollout
 from drone_env.core.tasks import TaskConfig
-from drone_env.episodes.record import fly_directions
 from drone_env.errors import EpisodeError
 from drone_env.models import Direction
+from drone_env.results.record import fly_directions
 from drone_env.server.frames import Frame, frame_of, shows_values
 from drone_env.server.jobs import bench
 from drone_env.server.pilots import Credit, agent_of

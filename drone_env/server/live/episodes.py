@@ -8,11 +8,11 @@ from typing import Any, TypeVar
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.episodes.finished import check_agent
-from drone_env.episodes.record import record_of
-from drone_env.episodes.sessions import SessionRow
 from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import DIRECTIONS, Direction
+from drone_env.results.finished import check_agent
+from drone_env.results.record import record_of
+from drone_env.results.sessions import SessionRow
 from drone_env.server.frames import Frame, frame_of, shows_values
 from drone_env.server.live.ahead import MapOf, plan, values_along
 from drone_env.server.map_choice import is_registered

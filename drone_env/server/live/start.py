@@ -11,8 +11,8 @@ from starlette.concurrency import run_in_threadpool
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
-from drone_env.episodes.finished import check_agent
 from drone_env.models import DIRECTIONS, Direction
+from drone_env.results.finished import check_agent
 from drone_env.server.frames import Opening
 from drone_env.server.live.ahead import MapOf, frames_json, plan
 from drone_env.server.live.commands import Start

@@ -6,10 +6,10 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 
 from drone_env.core.tasks import get_task
-from drone_env.episodes.by_map import FlownMap
 from drone_env.errors import UnknownNameError
-from drone_env.evaluation.comparison import AgentMap, Pairing, Standing, agent_map, paired, standings
 from drone_env.models import Count, Message
+from drone_env.results.by_map import FlownMap
+from drone_env.results.comparison import AgentMap, Pairing, Standing, agent_map, paired, standings
 from drone_env.server.pilots import HUMAN, PILOTS, Credit, called
 from drone_env.server.problems import answers
 from drone_env.server.state import Shared, SharedParts

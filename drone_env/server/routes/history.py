@@ -9,8 +9,8 @@ from sse_starlette import EventSourceResponse
 from starlette.types import Receive, Scope, Send
 
 from drone_env.core.tasks import get_task
-from drone_env.episodes.record import EpisodeRecord
 from drone_env.models import MAX_SEED, Message
+from drone_env.results.record import EpisodeRecord
 from drone_env.server.problems import RequestError, answer_to, answers
 from drone_env.server.request_log import LoggedRequest, RequestLog
 from drone_env.server.schemas import (

@@ -10,10 +10,10 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import TaskConfig
-from drone_env.episodes.record import EpisodeRecord, record_of, replay_steps
-from drone_env.evaluation.analysis import Label, analyse_flight
 from drone_env.models import DIRECTIONS, Count, Direction, EventName, Message, Position, Score
 from drone_env.planning.optimal import Solution, solve_episode
+from drone_env.results.analysis import Label, analyse_flight
+from drone_env.results.record import EpisodeRecord, record_of, replay_steps
 from drone_env.server.frames import Opening, ShownEpisode, frame_of
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.jobs import bench

@@ -10,12 +10,12 @@ from starlette.concurrency import run_in_threadpool
 
 from drone_env.agents.named import sb3_elsewhere, sb3_file
 from drone_env.core.tasks import get_task
-from drone_env.episodes.by_map import FlownMap
 from drone_env.errors import InvalidValueError
-from drone_env.evaluation.comparison import AgentMap, Bounds, agent_map, kept_maps
 from drone_env.llm.messages import ChatMessage
 from drone_env.llm.transcript import Failure
 from drone_env.models import Count, Message
+from drone_env.results.by_map import FlownMap
+from drone_env.results.comparison import AgentMap, Bounds, agent_map, kept_maps
 from drone_env.server.jobs import bench
 from drone_env.server.model_runs import newest
 from drone_env.server.problems import RequestError, answers
@@ -124,7 +124,7 @@ def _runs_of(task: str) -> list[Path]:
 
 def _judge_run(path: Path) -> list[str]:
     """The ids under which a store may have its flights."""
-    from drone_env.evaluation.leaderboard import Judged
+    from drone_env.results.leaderboard import Judged
 
     judged = bench().runs.judge(path)
     return [id_ for id_, _ in bench().runs.flights(path)] if isinstance(judged, Judged) else []
@@ -139,7 +139,7 @@ def _judge_evaluation(path: Path, task: str) -> None:
 
 
 def _boards(task: str, kept: set[str]) -> str:
-    from drone_env.evaluation.leaderboard import Judged, Refused, boards_of
+    from drone_env.results.leaderboard import Judged, Refused, boards_of
 
     judged = [bench().runs.judge(path) for path in _runs_of(task)]
     for path in _evaluations():

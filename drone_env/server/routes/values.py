@@ -8,8 +8,8 @@ from pydantic import ConfigDict, Field
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE
 from drone_env.core.tasks import MAX_UNITS, get_task
-from drone_env.episodes.record import fly_directions
 from drone_env.models import Direction, Message, Seed
+from drone_env.results.record import fly_directions
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.map_choice import is_registered
 from drone_env.server.map_values import ValuesAnswer, values_json

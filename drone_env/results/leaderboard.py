@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drone_env.errors import DroneEnvError, InvalidValueError, TooLargeError, UnknownNameError
-from drone_env.evaluation.episodes import EpisodeResults, episodes_key, run_episodes, summarise
-from drone_env.evaluation.folder import NotWholeError, kept_results
+from drone_env.results.evaluate import EpisodeResults, episodes_key, run_episodes, summarise
+from drone_env.results.folder import NotWholeError, kept_results
 
 
 class Refused(NamedTuple):

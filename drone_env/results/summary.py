@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pydantic import Field
 
 from drone_env.core.actions import Action
-from drone_env.episodes.finished import EpisodeSummary
+from drone_env.results.finished import EpisodeSummary
 from drone_env.models import Count, Direction, Message
 
 

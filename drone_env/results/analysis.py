@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast, get_args
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.episodes.record import EpisodeRecord, replay
+from drone_env.results.record import EpisodeRecord, replay
 
 if TYPE_CHECKING:
     from drone_env.planning.solver import Solver

@@ -15,9 +15,9 @@ from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.episodes.by_map import SELECT_BY_MAP, FlownMap, flown_map
-from drone_env.episodes.database import BUSY_SECONDS, Database
-from drone_env.episodes.finished import (
+from drone_env.results.by_map import SELECT_BY_MAP, FlownMap, flown_map
+from drone_env.results.database import BUSY_SECONDS, Database
+from drone_env.results.finished import (
     SELECT_ROWS,
     SELECT_STORED,
     EpisodeSummary,
@@ -27,10 +27,10 @@ from drone_env.episodes.finished import (
     selection,
     stored_episode,
 )
-from drone_env.episodes.memory_view import MemoryView
-from drone_env.episodes.optima import Optima, Solve, solve_maps
-from drone_env.episodes.record import EpisodeRecord, replay
-from drone_env.episodes.sessions import (
+from drone_env.results.memory_view import MemoryView
+from drone_env.results.optima import Optima, Solve, solve_maps
+from drone_env.results.record import EpisodeRecord, replay
+from drone_env.results.sessions import (
     EPISODE_ID,
     SessionRow,
     end_finished,
@@ -42,7 +42,7 @@ from drone_env.episodes.sessions import (
     steady_clock,
     update_session,
 )
-from drone_env.episodes.statistics import Analysis, analyse
+from drone_env.results.summary import Analysis, analyse
 from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, UnknownNameError
 
 FILE_NAME = "drone_env.sqlite3"

@@ -12,7 +12,7 @@ from drone_env.agents import network_file
 from drone_env.core.score import HIGHEST, LOWEST
 from drone_env.core.tasks import WITHDRAWN, get_task, withdrawal
 from drone_env.errors import InvalidValueError, TooLargeError, shown
-from drone_env.evaluation.episodes import (
+from drone_env.results.evaluate import (
     COLUMNS,
     PIECE,
     EpisodeResults,
@@ -25,7 +25,7 @@ from drone_env.files import differences, is_begun, read_file, replacing, write_j
 from drone_env.npz import unpack_arrays
 
 if TYPE_CHECKING:
-    from drone_env.evaluation.config import EvaluationConfig
+    from drone_env.results.config import EvaluationConfig
 
 Engine = Callable[[Sequence[EpisodesKey]], Iterator[EpisodeResults]]
 """Brings the results of all keys, in any order; bringing one twice does no harm."""
@@ -217,7 +217,7 @@ def evaluate_keys(
 
 
 def _config(keys: Sequence[EpisodesKey]) -> "EvaluationConfig":
-    from drone_env.evaluation.config import EvaluationConfig  # loads Pydantic, which most commands do without
+    from drone_env.results.config import EvaluationConfig  # loads Pydantic, which most commands do without
 
     first = keys[0]
     return EvaluationConfig(
@@ -237,7 +237,7 @@ def _label(key: EpisodesKey) -> str:
 
 
 def _read_config(path: Path) -> "EvaluationConfig":
-    from drone_env.evaluation.config import EvaluationConfig  # as above
+    from drone_env.results.config import EvaluationConfig  # as above
 
     return EvaluationConfig.read(read_file(path, MOST_BYTES), f"{path} is not the configuration of an evaluation")
 

@@ -10,7 +10,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from drone_env.files import write_json, write_text
-from drone_env.reports.tables import Table, markdown_table, number, percent
+from drone_env.results.tables import Table, markdown_table, number, percent
 
 TEMPLATES = Path(__file__).with_name("templates")
 ENTITIES = {letter: f"&#{ord(letter)};" for letter in "|`*\\"} | {"&": "&amp;", "<": "&lt;"}

@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Protocol
 
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.episodes.database import Database
+from drone_env.results.database import Database
 from drone_env.errors import DroneEnvError, UnknownNameError
 from drone_env.planning.optimal import best_of
 

@@ -22,7 +22,7 @@ from drone_env.core.rollout import rollout
 from drone_env.core.seeds import N_SEEDS, SPLITS, check_seed, map_key, split_of, split_seeds, task_key
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
-from drone_env.evaluation.statistics import SCORES, ci95, with_interval
+from drone_env.results.interval import SCORES, ci95, with_interval
 
 if TYPE_CHECKING:
     from drone_env.agents.together import Ends

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from drone_env.episodes.by_map import FlownMap
-from drone_env.evaluation.episodes import EpisodeResults
-from drone_env.evaluation.statistics import DIFFERENCES, REGRETS, SCORES, SHARES, ci95
+from drone_env.results.by_map import FlownMap
+from drone_env.results.evaluate import EpisodeResults
+from drone_env.results.interval import DIFFERENCES, REGRETS, SCORES, SHARES, ci95
 from drone_env.models import Count, Message, Seed
 
 Bounds = list[float] | None
@@ -197,7 +197,7 @@ def kept_maps(agent: str, figures: Mapping[str, Any]) -> list[FlownMap]:
 
     Args:
         agent: What to call who flew.
-        figures: As `Judged` of `drone_env.evaluation.leaderboard` holds them.
+        figures: As `Judged` of `drone_env.results.leaderboard` holds them.
     """
     config = figures["config"]
     return [

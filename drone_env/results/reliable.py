@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.episodes.by_map import FlownMap
-from drone_env.evaluation.comparison import SAME, Pairing, paired
-from drone_env.evaluation.statistics import DIFFERENCES, SCORES, SHARES, Interval, error_of, interval, of_errors
+from drone_env.results.by_map import FlownMap
+from drone_env.results.comparison import SAME, Pairing, paired
+from drone_env.results.interval import DIFFERENCES, SCORES, SHARES, Interval, error_of, interval, of_errors
 
 Floats = npt.NDArray[np.float64]
 LEAST_EFFECT = 1.96 + 0.84

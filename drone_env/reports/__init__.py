@@ -1,1 +1,0 @@
-"""Reports: tables and pages, for runs of language models, sweeps, commands and the documentation."""

@@ -1,0 +1,1 @@
+"""Results of flights: records, the store, evaluation, statistics, comparison."""
