@@ -2,7 +2,7 @@
 
 import copy
 import secrets
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, SupportsIndex
 
@@ -13,7 +13,7 @@ from drone_env.core import rules
 from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome, check_action
 from drone_env.core.observation import Observation, open_actions, write_telemetry
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, get_reward_profile, interpreted_rewards
-from drone_env.core.score import EFFICIENCY_WEIGHTS, score
+from drone_env.core.rules import EFFICIENCY_WEIGHTS, score
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tables import (
     BATTERY,
@@ -261,7 +261,7 @@ class Episode:
 
     @property
     def efficiency_shares(self) -> tuple[float, float, float]:
-        """The value of each part of the efficiency, 0 to 1, in the order of `score.EFFICIENCY_WEIGHTS`."""
+        """The value of each part of the efficiency, 0 to 1, in the order of `rules.EFFICIENCY_WEIGHTS`."""
         return self.deliveries_done / self.task.deliveries, self.battery, 1 - self.steps / self.task.max_steps
 
     @property
@@ -382,3 +382,18 @@ class Episode:
 
     def _xy(self, cell: int) -> tuple[int, int]:
         return self.tables.columns[cell], self.tables.rows[cell]
+
+
+Act = Callable[[Observation], SupportsIndex]
+"""Chooses an action, as `act` of an agent does."""
+
+
+def choices(episode: Episode, act: Act) -> Iterator[SupportsIndex]:
+    """Yield the actions to the end of an episode; the caller flies each before it asks for the next."""
+    while not episode.ended:
+        yield act(episode.observation())
+
+
+def rollout(episode: Episode, act: Act) -> Episode:
+    """Fly an episode to its end and return it."""
+    return episode.fly(choices(episode, act))

@@ -207,22 +207,19 @@ def _city_tables(task: TaskConfig) -> dict[str, Any]:
     counts, spacing, cells = task.cell_counts(), task.street_spacing, task.width * task.height
     if task.terrain is not None:
         return _terrain_tables(task, task.terrain)
-    no_terrain = {
+    tables: dict[str, Any] = {
+        "blocks": 0,
+        "city_grids": np.zeros(0, np.uint8),
+        "city_cells": np.zeros(0, np.uint16),
         "windows": np.zeros(0, np.int64),
         "window_cells": np.zeros(0, np.int64),
         "window_pads": np.zeros(0, np.int64),
         "fixed": np.zeros(0, np.uint16),
+        "drawn_kinds": np.array([kind for kind, count in counts.items() for _ in range(count)], np.uint8),
+        "drawn_between": 0,
     }
     if spacing == 0:
-        kinds = [kind for kind, count in counts.items() for _ in range(count)]
-        return {
-            "blocks": 0,
-            "city_grids": np.zeros(0, np.uint8),
-            "city_cells": np.zeros(0, np.uint16),
-            **no_terrain,
-            "drawn_kinds": np.array(kinds, np.uint8),
-            "drawn_between": 0,
-        }
+        return tables
     numbers, way = np.arange(cells), np.arange(spacing**2)[:, None]
     across, down = numbers % task.width % spacing, numbers // task.width % spacing
     on_street = (across == way % spacing) | (down == way // spacing)
@@ -238,11 +235,10 @@ def _city_tables(task: TaskConfig) -> dict[str, Any]:
         cover, *others = sorted(placed, key=lambda kind: (-placed[kind], kind))
         covers.append(cover)
         kinds += [kind for kind in others for _ in range(placed[kind])]
-    return {
+    return tables | {
         "blocks": blocks,
         "city_grids": np.ravel(np.where(on_street, covers[1], covers[0])).astype(np.uint8),
         "city_cells": np.ravel(np.argsort(on_street, axis=1, kind="stable")).astype(np.uint16),
-        **no_terrain,
         "drawn_kinds": np.array(kinds, np.uint8),
         "drawn_between": blocks - between[covers[0]],
     }

@@ -20,7 +20,7 @@ from types import ModuleType
 import gymnasium
 
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
-from drone_env.core.tasks import PAST_TASKS, TASKS, TaskConfig
+from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import InvalidTaskError, InvalidValueError
 
 PLUGINS = "DRONE_ENV_PLUGINS"
@@ -28,7 +28,7 @@ PLUGINS = "DRONE_ENV_PLUGINS"
 
 def register_envs() -> None:
     """Register each task and version with Gymnasium that is not registered yet, such as `DroneDelivery-Easy-v1`."""
-    for task in (*TASKS.values(), *PAST_TASKS):
+    for task in TASKS.values():
         if task.gym_id not in gymnasium.registry:
             gymnasium.register(
                 id=task.gym_id,
@@ -73,7 +73,7 @@ def check_names(task: TaskConfig) -> None:
         InvalidTaskError: if one has.
     """
     names = {task.id, task.short_name, task.grader}
-    for other in (*TASKS.values(), *PAST_TASKS):
+    for other in TASKS.values():
         taken = sorted(names & {other.id, other.short_name, other.grader})
         if taken and other != task:
             raise InvalidTaskError(f"task {task.id!r}: {', '.join(taken)} already names the task {other.id!r}")

@@ -8,20 +8,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba.extending import register_jitable  # pyright: ignore
 
-from drone_env.core import compiled
 from drone_env.core.actions import FLYING
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, Cell
-from drone_env.core.compile_cache import compiled_once
-from drone_env.core.drone import distance
+from drone_env.core.compiled import jitable, kernel
 from drone_env.core.episode import Episode
 from drone_env.core.observation import write_telemetry
 from drone_env.core.rewards import Rewards, tabulate_rewards
-from drone_env.core.rules import choose_target, deliver, outcome, step
+from drone_env.core.rules import choose_target, deliver, manhattan, outcome, step
 from drone_env.core.tables import (
     BATTERY,
     CELL,
+    DELIVERIES_DONE,
     DISTANCE,
     N_MOVES,
     NOWHERE,
@@ -32,7 +30,7 @@ from drone_env.core.tables import (
     Tables,
     tabulate,
 )
-from drone_env.planning.map_graph import UNPAID, put_drone, state_arrays
+from drone_env.planning.states import UNPAID, put_drone, state_arrays
 
 UNREACHED = -1
 
@@ -55,20 +53,18 @@ class Places(NamedTuple):
         return self.states[:, OUTCOME] == FLYING
 
 
+@jitable
 def place_drone(tables: Tables, grid: Any, state: Any, cell: int) -> None:
     """Put the drone over a cell of a grid that has none; a parcel that waits there is delivered."""
     put_drone(tables, grid, state, cell, state[STEPS], state[BATTERY])
     if state[UNDER] == DELIVERY_CELL:
         deliver(tables, state)
-        state[OUTCOME] = outcome(tables, state)
+        state[OUTCOME] = outcome(tables, state[DELIVERIES_DONE], state[BATTERY], state[STEPS])
     if state[TARGET] != NOWHERE:
-        state[DISTANCE] = distance(tables, cell, state[TARGET])
+        state[DISTANCE] = manhattan(tables, cell, state[TARGET])
 
 
-register_jitable(**compiled.OPTIONS)(place_drone)
-
-
-@compiled_once(nogil=True, **compiled.OPTIONS)
+@kernel
 def places_kernel(tables: Tables, grid: Any, state: Any, places: Places) -> None:
     """Write the grids, states and telemetry of a flight with its drone at each of N cells.
 
@@ -107,7 +103,7 @@ def places_of(episode: Episode) -> Places:
     return places
 
 
-@compiled_once(nogil=True, **compiled.OPTIONS)
+@kernel
 def range_kernel(
     tables: Tables, rewards: Rewards, ground: Any, begun: Any, most: Any, grid: Any, state: Any, reached: Any
 ) -> None:

@@ -35,7 +35,7 @@ def greedy_actions(
     """
     if task.uniform:
         return straight(telemetry.T)
-    from drone_env.planning.cheapest_path import cheapest_actions  # compiles, which only these tasks are worth
+    from drone_env.planning.paths import cheapest_actions  # Imported lazily: compiling takes seconds.
 
     return cheapest_actions(task, grids, drone_positions(task, grids, telemetry))
 

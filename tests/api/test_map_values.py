@@ -12,7 +12,7 @@ from starlette.testclient import TestClient
 from drone_env.agents.tournet import TournetAgent
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
-from drone_env.core.score import score_of
+from drone_env.core.rules import score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.models import DIRECTIONS, Direction
@@ -203,7 +203,6 @@ HEAD = {"task": "easy", "seed": 7, "actions": ["UP"]}
     [
         ({"task": "nowhere"}, "nowhere"),
         ({"task_version": 9}, "version of task 'easy_delivery'"),
-        ({"task": "skyline_easy", "task_version": 1}, "withdrawn"),
         ({"reward_profile": "generous"}, "generous"),
         ({"seed": -1}, "greater than or equal to 0"),
         ({"seed": 1 << 53}, "less than or equal to"),

@@ -14,7 +14,7 @@ from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.observation import open_actions, write_telemetry
 from drone_env.core.rewards import REWARD_PROFILES, get_reward_profile, interpreted_rewards
-from drone_env.core.score import score
+from drone_env.core.rules import score
 from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.tables import DELIVERIES_DONE, OUTCOME, interpreted, state_size
 from drone_env.core.tables import STEPS as STEPS_TAKEN

@@ -15,10 +15,8 @@ from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning import optimal
-from drone_env.planning.exact import ExactSolver
 from drone_env.planning.legs import LegSolver, covers
-from drone_env.planning.solver import Solver
-from tests import most_battery
+from drone_env.planning.solver import ExactSolver, Solver
 from tests.brute_force import BruteForce
 from tests.property.test_episode import BLOCKING, DRAINED
 from tests.toy import TOY
@@ -150,8 +148,6 @@ def test_every_planner_flies_what_brute_force_finds_from_the_start_and_from_any_
         before = episode.get_state()
         for solver in solvers_of(episode):
             assert episode.copy().fly(solver.best_actions()).counted_score() == best
-        if task.efficiency_needs_all:
-            assert flown(episode, most_battery.best_actions(episode)) == best
         solution = optimal.solve_episode(episode)
         assert flown(episode, solution.actions) == solution.score == best
         assert episode.get_state() == before

@@ -9,10 +9,10 @@ import pytest
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
-from drone_env.core.standing import standing_episode
 from drone_env.core.tables import BATTERY, EVENT, OUTCOME, STEPS
 from drone_env.planning.elsewhere import UNREACHED, Places, battery_range, charging_pads, places_of
-from drone_env.planning.solvers import solver_of
+from drone_env.planning.from_observation import episode_from_fields
+from drone_env.planning.optimal import solver_of
 from tests.toy import fly, toy_episode
 
 TOUR = "RRDDLLDRRRUUUURDDLLLUURRDDDLLUURRRDD"
@@ -82,7 +82,7 @@ def test_the_value_of_a_place_is_that_of_an_episode_that_begins_there(task: str)
         ground = ground_of(flight)
         if ground[cell] == Cell.DELIVERY:
             ground[cell] = Cell.DELIVERED
-        begun = standing_episode(flight.task, ground, cell, flight.battery_units, flight.steps, parcels)
+        begun = episode_from_fields(flight.task, ground, cell, flight.battery_units, flight.steps, parcels)
         assert values.tolist() == solver_of(begun).q_values(begun).tolist()
 
 
@@ -101,7 +101,7 @@ def slow_range(episode: Episode, cell: int, units: int) -> list[int]:
             below = ground.copy()
             if below[at] == Cell.DELIVERY:
                 below[at] = Cell.DELIVERED
-            begun = standing_episode(task, below, at, battery, steps, [(parcel, parcel == at) for parcel in parcels])
+            begun = episode_from_fields(task, below, at, battery, steps, [(parcel, parcel == at) for parcel in parcels])
             for move in (Action.UP, Action.DOWN, Action.LEFT, Action.RIGHT):
                 flown = begun.copy().fly([move])
                 reached.add((flown.cell, flown.battery_units))
@@ -115,7 +115,7 @@ def slow_range(episode: Episode, cell: int, units: int) -> list[int]:
 def test_the_range_is_what_flying_every_move_finds(task: str, steps: int) -> None:
     for seed in (1, 2):
         flight = Episode(task, seed=seed)
-        waited = standing_episode(
+        waited = episode_from_fields(
             flight.task,
             ground_of(flight),
             flight.cell,

@@ -16,13 +16,11 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tables import BATTERY
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError
-from drone_env.planning import map_graph
-from drone_env.planning.exact import ExactSolver
+from drone_env.planning import states
 from drone_env.planning.from_observation import episode_of
 from drone_env.planning.legs import LegSolver
 from drone_env.planning.optimal import best_actions, solve, solve_episode
-from drone_env.planning.solver import Solver
-from tests import most_battery
+from drone_env.planning.solver import ExactSolver, Solver
 from tests.toy import fly, toy_episode
 from tests.which_tasks import SMALL
 
@@ -57,7 +55,6 @@ def scores_of(episode: Episode) -> list[float]:
     plans = [ExactSolver(episode).best_actions(), best_actions(episode)]
     if episode.task.efficiency_needs_all:
         scores.append(LegSolver(episode).value(episode))
-        plans.append(most_battery.best_actions(episode))
     for plan in plans:
         flight = Episode(episode.task, episode.reward_profile)
         flight.set_state(episode.get_state())
@@ -117,11 +114,11 @@ class TestByHand:
     def test_charging_does_not_fill_more_than_the_battery_holds(self) -> None:
         # Two steps to the pad leave 3; one charge of 9 makes 5, and four more steps leave 1.
         episode = toy_episode(["@.P...0", "......."], max_steps=20, battery_capacity=5, charge_rate=9, **NEEDS_ALL)
-        assert scores_of(episode) == pytest.approx([0.8 + 0.1 * 1 / 5 + 0.1 * 13 / 20] * 6)
+        assert scores_of(episode) == pytest.approx([0.8 + 0.1 * 1 / 5 + 0.1 * 13 / 20] * 5)
 
     def test_beyond_the_reach_of_a_full_battery_a_parcel_stays(self) -> None:
         episode = toy_episode(["@.P...0", "......."], max_steps=30, battery_capacity=3, charge_rate=2, **NEEDS_ALL)
-        assert scores_of(episode) == [0.01] * 6
+        assert scores_of(episode) == [0.01] * 5
 
     @pytest.mark.parametrize(
         ("units", "plan"),
@@ -154,13 +151,13 @@ class TestByHand:
 
     def test_a_parcel_behind_a_wall_cannot_be_had(self) -> None:
         episode = toy_episode(["@.OO", "..O0", "1.OO"], impassable=frozenset({Cell.OBSTACLE}), max_steps=6, **NEEDS_ALL)
-        assert scores_of(episode) == [0.4] * 6
+        assert scores_of(episode) == [0.4] * 5
         assert solve_episode(episode).order == ((0, 2),)
 
     def test_a_building_that_drains_nothing_is_the_way(self) -> None:
         free = {"drain": ((Cell.BUILDING, 0), (Cell.DELIVERY, 0)), "max_steps": 20, "battery_capacity": 1}
         episode = toy_episode(["@B.", "BB0"], **free, **NEEDS_ALL)
-        assert scores_of(episode) == pytest.approx([0.8 + 0.1 + 0.1 * 17 / 20] * 6)
+        assert scores_of(episode) == pytest.approx([0.8 + 0.1 + 0.1 * 17 / 20] * 5)
         assert letters(best_actions(episode)) in ("RDR", "DRR")
 
     @pytest.mark.parametrize(
@@ -175,10 +172,10 @@ class TestByHand:
             battery_capacity=20,
             **NEEDS_ALL,
         )
-        for actions in (best_actions(episode), ExactSolver(episode).best_actions(), most_battery.best_actions(episode)):
+        for actions in (best_actions(episode), ExactSolver(episode).best_actions()):
             assert letters(actions) == plan
         score = 0.8 + 0.1 * (20 - spent) / 20 + 0.1 * (20 - len(plan)) / 20
-        assert scores_of(episode) == pytest.approx([score] * 6)
+        assert scores_of(episode) == pytest.approx([score] * 5)
 
 
 def test_of_equally_good_actions_the_lowest_number_is_flown() -> None:
@@ -283,7 +280,7 @@ class TestRefusals:
 
     def test_more_memory_than_is_allowed(self, make: MakeSolver, monkeypatch: pytest.MonkeyPatch) -> None:
         episode = reset("skyline_easy", 0)
-        monkeypatch.setattr(map_graph, "MAX_BYTES", 50_000)
+        monkeypatch.setattr(states, "MAX_BYTES", 50_000)
         with pytest.raises(TooLargeError, match="'skyline_easy' would take"):
             make(episode)
         with pytest.raises(TooLargeError, match="'skyline_easy' would take"):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from drone_env.core.episode import Episode
-from drone_env.core.score import score_of
+from drone_env.core.rules import score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS
 from tests.toy import TOY, fly, toy_episode

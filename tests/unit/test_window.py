@@ -13,8 +13,8 @@ from gymnasium.error import DependencyNotInstalled
 
 from drone_env.core.episode import Episode
 from drone_env.envs.ansi import draw_text
+from drone_env.envs.drone_delivery import Window
 from drone_env.envs.rendering import draw_picture
-from drone_env.envs.window import Window
 from drone_env.installer import install_command
 
 
