@@ -118,24 +118,6 @@ def test_values_equal_brute_force_along_random_flights_and_in_any_state(number: 
 
 @thorough
 @given(NUMBERS)
-def test_a_solver_made_in_the_middle_of_a_flight_equals_brute_force(number: int) -> None:
-    draw = random.Random(number)
-    episode = small_episode(number)
-    whole = BruteForce(episode)
-    for _ in range(20):
-        episode.set_state(whole.state(draw.randrange(whole.size)))
-        if episode.deliveries_done:
-            break
-    solvers, reference = solvers_of(episode), BruteForce(episode)
-    assert reference.q_values(episode).tolist() == whole.q_values(episode).tolist()
-    while not episode.ended:
-        for solver in solvers:
-            assert_equal_values(solver, reference, episode)
-        episode.step(draw.choice((draw.randrange(5), int(reference.q_values(episode).argmax()))))
-
-
-@thorough
-@given(NUMBERS)
 def test_every_planner_flies_what_brute_force_finds_from_the_start_and_from_any_state(number: int) -> None:
     draw = random.Random(number)
     episode = small_episode(number)

@@ -1,24 +1,11 @@
 """Drain and charge, by hand."""
 
-import pytest
-
 from drone_env.core.actions import Event, Outcome
 from drone_env.core.cells import Cell
 from tests.toy import fly, toy_episode
 
 
 class TestBattery:
-    @pytest.mark.parametrize("action", "UDLRW")
-    def test_every_step_costs_one_unit_wait_and_bumps_too(self, action: str) -> None:
-        episode = toy_episode(["@..", "..0"])
-        fly(episode, action)
-        assert (episode.steps, episode.battery_units, episode.battery) == (1, 9, 0.9)
-
-    def test_blocked_step_costs_one_unit(self) -> None:
-        episode = toy_episode(["@B0", "..."], impassable=frozenset({Cell.BUILDING}))
-        fly(episode, "R")
-        assert (episode.steps, episode.battery_units) == (1, 9)
-
     def test_drain_is_that_of_the_kind_below_after_the_move(self) -> None:
         episode = toy_episode(["@T.0", "...."], drain=((Cell.TREE, 3), (Cell.ROAD, 2)))
         fly(episode, "R")
@@ -43,11 +30,6 @@ class TestBattery:
         fly(episode, "R")
         assert (episode.battery_units, episode.outcome) == (0, Outcome.BATTERY_DEAD)
 
-    def test_drain_may_be_nothing(self) -> None:
-        episode = toy_episode(["@..0", "...."], drain=((Cell.ROAD, 0),))
-        fly(episode, "RW")
-        assert (episode.steps, episode.battery_units) == (2, 10)
-
     def test_wait_on_a_pad_charges_without_drain_up_to_the_capacity(self) -> None:
         episode = toy_episode(["@P0", "..."], charge_rate=3)
         fly(episode, "RDUWW")
@@ -58,11 +40,6 @@ class TestBattery:
         episode = toy_episode(["@P0", "..."], charge_rate=3)
         fly(episode, "RU")
         assert (episode.event, episode.battery_units) == (Event.WALL, 8)
-
-    def test_wait_beside_a_pad_does_not_charge(self) -> None:
-        episode = toy_episode(["@P0", "..."], charge_rate=3)
-        fly(episode, "W")
-        assert episode.battery_units == 9
 
     def test_pad_without_charge_rate_drains_like_road(self) -> None:
         episode = toy_episode(["@P0", "..."])

@@ -50,23 +50,6 @@ class TestEnd:
         fly(episode, "RR")
         assert episode.outcome == Outcome.DELIVERED
 
-    @pytest.mark.parametrize("task", STANDARD)
-    def test_standard_task_ends_by_its_battery_at_max_steps(self, task: str) -> None:
-        episode = Episode(task)
-        episode.reset(0)
-        while not episode.ended:
-            episode.step(Action.WAIT)
-        assert (episode.steps, episode.outcome) == (TASKS[task].max_steps, Outcome.BATTERY_DEAD)
-
-    @pytest.mark.parametrize("task", SKYLINE)
-    def test_the_battery_of_a_skyline_task_does_not_last_for_its_steps(self, task: str) -> None:
-        episode = Episode(task)
-        episode.reset(0)
-        while not episode.ended:
-            episode.step(Action.WAIT)
-        assert (episode.steps, episode.outcome) == (TASKS[task].battery_capacity, Outcome.BATTERY_DEAD)
-        assert episode.steps < TASKS[task].max_steps
-
     @pytest.mark.parametrize(
         ("drawing", "actions", "outcome"),
         [

@@ -118,14 +118,3 @@ def test_the_command_line_imports_the_modules_it_is_told(tmp_path: Path) -> None
     assert missing.returncode == 2
     assert missing.stderr.startswith("drone-env: DRONE_ENV_PLUGINS takes modules")
     assert "'nowhere'" in missing.stderr
-
-
-def test_the_server_knows_a_registered_task(courier: TaskConfig, tmp_path: Path) -> None:
-    from starlette.testclient import TestClient
-
-    from drone_env.server.app import create_app
-    from drone_env.server.settings import Settings
-
-    with TestClient(create_app(Settings(data=tmp_path))) as client:
-        assert "courier" in [task["id"] for task in client.get("/tasks").json()["tasks"]]
-        assert client.post("/reset", json={"task_name": "courier", "seed": 7}).json()["grid_width"] == 8

@@ -15,7 +15,6 @@ from drone_env.core.tables import tabulate
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.core.terrain import Terrain, terrain_text
 from drone_env.errors import InvalidTaskError
-from drone_env.planning.optimal import solve
 from tools.city_data import FOLDER, city_data
 
 R, B, T, X, P = (int(kind) for kind in (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.PAD))
@@ -106,12 +105,6 @@ def test_each_map_of_a_larger_terrain_is_a_window_and_those_of_two_splits_share_
     assert {split: sorted((y, x) for x, y in corners) for split, corners in standing.items()} == {
         split: sorted(corners) for split, corners in lying.items()
     }
-
-
-def test_the_best_flight_goes_round_obstacles() -> None:
-    wall = bytes([R, X, R, R, R, R, X, R, X, R, R, R, R, X, R])
-    flight = solve(task(wall, start=(0, 0), parcels=((2, 0), (4, 2))), 0)
-    assert (flight.steps, flight.order) == (10, ((2, 0), (4, 2)))
 
 
 def test_the_terrain_is_part_of_what_the_task_is() -> None:
