@@ -104,16 +104,6 @@ def test_where_no_planner_knows_the_optimum_it_is_none() -> None:
     assert [info[name] for name in ("optimal_score", "optimal_steps", "regret")] == [None] * 3
 
 
-def test_the_environment_itself_solves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drone_env.planning.optimal.best_actions", lambda _: pytest.fail("it was solved"))
-    env = make(IDS[2]).unwrapped
-    env.reset(seed=31)
-    terminated = False
-    while not terminated:
-        *_, terminated, _, info = env.step(4)
-    assert set(info) == {"seed", "score", "action_mask", "event", "outcome"}
-
-
 def test_what_a_specification_says_is_made_again() -> None:
     env = FlatObservation(make(IDS[2], reward_profile="score"))
     twin = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
@@ -164,14 +154,6 @@ def test_steps_outside_an_episode_need_a_reset() -> None:
     env.step(0)
     with pytest.raises(ResetNeeded, match="nothing to show"):
         DroneDeliveryEnv(render_mode="ansi").render()
-
-
-@pytest.mark.parametrize("action", [5, -1, 1.0, "UP", None])
-def test_an_action_that_does_not_exist_is_refused(action: object) -> None:
-    env = DroneDeliveryEnv()
-    env.reset(seed=1)
-    with pytest.raises(InvalidValueError, match="0 UP, 1 DOWN, 2 LEFT, 3 RIGHT, 4 WAIT"):
-        env.step(action)
 
 
 def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:

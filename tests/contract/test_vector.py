@@ -238,17 +238,6 @@ def test_options_that_do_not_exist_are_refused_with_what_is_allowed() -> None:
         env.reset(options={"seed": 1})
 
 
-@pytest.mark.parametrize("dtype", [np.int8, np.uint8, np.int32, np.int64, np.uint64])
-def test_actions_of_any_integer_type(dtype: type) -> None:
-    env, reference = make(), make()
-    env.reset(seed=3)
-    reference.reset(seed=3)
-    for step in range(5):
-        assert np.array_equal(
-            env.step(actions_of(step).astype(dtype))[0]["grid"], reference.step(actions_of(step))[0]["grid"]
-        )
-
-
 @pytest.mark.parametrize("wrapper", [OneHotPlanes, FlatObservation])
 def test_a_wrapper_is_for_plain_observations_of_many(wrapper: Any) -> None:
     name, many = wrapper.__name__, getattr(vector, wrapper.__name__)

@@ -69,23 +69,6 @@ def files(chosen: Path) -> list[Path]:
     return sorted(file for file in chosen.rglob("*") if file.is_file())
 
 
-def test_one_function_with_two_sets_of_options(tmp_path: Path) -> None:
-    source = """
-from drone_env.core.compile_cache import compiled_once
-
-def divide(x, y):
-    return x / y
-
-strict, lax = compiled_once()(divide), compiled_once(error_model="numpy")(divide)
-"""
-    for place, expected in (("here", (0, 1)), ("there", (1, 0))):
-        module = load(tmp_path / place, source)
-        assert module.lax(1.0, 0.0) == float("inf")
-        with pytest.raises(ZeroDivisionError):
-            module.strict(1.0, 0.0)
-        assert counts(module.lax) == counts(module.strict) == expected
-
-
 def test_settings_of_numba_that_change_the_code(tmp_path: Path) -> None:
     source = KERNEL.replace("2 * x", "x[5]")
     array = import_module("numpy").zeros(1)
@@ -108,30 +91,6 @@ def test_only_functions_of_a_module() -> None:
     for function in (local, lambda x: x, ModuleType.__repr__):
         with pytest.raises(InvalidValueError, match="functions of a module"):
             compiled_once()(function)
-
-
-def test_a_checkout_and_its_copy_share_and_a_change_does_not(tmp_path: Path, chosen: Path) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    shutil.copytree(PACKAGE, elsewhere / "drone_env", ignore=shutil.ignore_patterns("static", "weights", "__pycache__"))
-    code = (
-        "import numpy; from drone_env.core import batch; batch.all_exist(numpy.zeros(3, int));"
-        "print(batch.__file__, sum(batch.all_exist.stats.cache_hits.values()))"
-    )
-
-    def hits(root: Path) -> int:
-        environment = {**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
-        command = [sys.executable, "-c", code]
-        file, loaded = subprocess.check_output(command, cwd=tmp_path, env=environment, text=True).split()
-        assert Path(file) == root / "drone_env" / "core" / "batch.py"
-        return int(loaded)
-
-    assert hits(PACKAGE.parent) == 0
-    kept = files(chosen)
-    assert hits(elsewhere) == 1
-    assert files(chosen) == kept
-    with (elsewhere / "drone_env" / "core" / "rules.py").open("a") as source:
-        source.write("\n")
-    assert hits(elsewhere) == 0
 
 
 def test_the_digest_is_of_all_sources_and_of_nothing_else(tmp_path: Path) -> None:

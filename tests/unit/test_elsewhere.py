@@ -58,11 +58,6 @@ def test_a_place_looks_as_if_the_drone_had_just_flown_there(task: str) -> None:
             break
 
 
-def test_only_where_the_target_is_delivered_there_is_another() -> None:
-    # Parcel 0 is the target, and from parcel 1 another is nearer.
-    assert_places_follow_steps(toy_episode(["1@0", "2.."]))
-
-
 def test_where_the_last_parcel_waits_the_flight_is_over_and_the_drone_cannot_be_where_it_cannot_enter() -> None:
     places = places_of(toy_episode(["@O0", "B.T"], impassable=frozenset({Cell.OBSTACLE})))
     assert places.cells.tolist() == [0, 2, 3, 4, 5]

@@ -244,17 +244,6 @@ def test_planners_leave_the_episode_as_it_is(task: str) -> None:
     assert episode.get_state() == before
 
 
-@pytest.mark.parametrize("task", STANDARD)
-def test_the_values_of_a_standard_task_are_those_of_the_shortest_tour(task: str) -> None:
-    for seed in split_seeds("test", MAPS if task != "hard_delivery" or MAPS >= 1000 else 5):
-        episode = reset(task, seed)
-        solver = ExactSolver(episode)
-        assert solver.value(episode) == solve(task, seed).score
-        for action in (0, 0, 3, 3, 4):
-            episode.step(action)
-        assert solver.value(episode) == solve_episode(episode).score
-
-
 @pytest.mark.parametrize("task", SMALL)
 def test_whoever_flies_nothing_but_optimal_actions_scores_the_optimum(task: str) -> None:
     draw = random.Random(task)

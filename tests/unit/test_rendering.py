@@ -120,18 +120,6 @@ class TestPicture:
             for b in looks:
                 assert a == b or np.abs(looks[a] - looks[b]).mean() > 5, f"{a.name} looks like {b.name}"
 
-    def test_drone_is_where_it_has_flown_to(self) -> None:
-        episode = fresh(EMPTY)
-        x, y = episode.position
-        action, to_x = (Action.RIGHT, x + 1) if x < 5 else (Action.LEFT, x - 1)
-        before = draw_picture(episode)
-        assert count(cell_of(before, episode, x, y), "hull") > 50
-        assert count(cell_of(before, episode, to_x, y), "hull") == 0
-        episode.step(action)
-        after = draw_picture(episode)
-        assert count(cell_of(after, episode, x, y), "hull") == 0
-        assert count(cell_of(after, episode, to_x, y), "hull") > 50
-
     def test_target_is_marked_and_only_while_there_is_one(self) -> None:
         episode = fresh()
         layout = rendering._layout(EASY, 720)
@@ -169,15 +157,6 @@ class TestPicture:
             column, row = (round(value) for value in layout.centre(x, y))
             corner = np.s_[row - layout.cell * 2 // 5 : row, column : column + layout.cell * 2 // 5]
             assert np.array_equal(before[corner], after[corner]) == (kind != Cell.BUILDING)
-
-    @pytest.mark.parametrize(("used", "colour"), [(10, "good"), (70, "fair"), (90, "low")])
-    def test_battery_gauge_has_the_colour_of_its_level(self, used: int, colour: str) -> None:
-        task = replace(EMPTY, max_steps=100, battery_capacity=100)
-        episode = fresh(task)
-        for _ in range(used):
-            episode.step(Action.WAIT)
-        panel = panel_of(draw_picture(episode), episode)
-        assert {name for name in ("good", "fair", "low") if count(panel, name) > 200} == {colour}
 
     @pytest.mark.parametrize("deliveries", [1, 16])
     @pytest.mark.parametrize("size", [480, 720])
