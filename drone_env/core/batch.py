@@ -27,7 +27,7 @@ from drone_env.errors import EpisodeError, InvalidValueError
 DELIVERED = int(Event.DELIVERY)
 prefetch = compiled.prefetch
 ACTION_BITS = 7
-"""Changes no action from 0 to 4, and tells the compiler that none is below zero."""
+"""Changes no action from 0 to 4; with it the compiler assumes that none is negative."""
 OWN_CACHE = 3 << 19
 """Bytes of grids from which on a core's own cache no longer holds them between two steps (of 2 MiB, by measurement)."""
 AHEAD, ONE = np.uint64(16), np.uint64(1)
@@ -65,7 +65,7 @@ class Buffers(NamedTuple):
 
 
 def begin(tables: Tables, buffers: Buffers, i: int) -> None:
-    """Begin episode `i` on the map that stands in `seeds`."""
+    """Begin episode `i` on the map of its entry in `seeds`."""
     grid, state = buffers.grids[i], buffers.states[i]
     reset_episode(tables, grid, state, buffers.seeds[i])
     write_telemetry(tables, state, buffers.telemetry[i])
@@ -96,7 +96,7 @@ def keep_final_observation(tables: Tables, buffers: Buffers, i: int, k: int) -> 
 
 @compiled.kernel
 def reset_kernel(tables: Tables, buffers: Buffers, chosen: Any) -> None:
-    """Begin the episodes whose numbers are in `chosen`, on the maps that stand in `seeds`."""
+    """Begin the episodes whose numbers are in `chosen`, on the maps in `seeds`."""
     for i in chosen:
         begin(tables, buffers, i)
         buffers.rewards[i] = 0.0
@@ -135,7 +135,7 @@ def step_kernel(
         if state[EVENT] == DELIVERED:
             write_target_telemetry(tables, state, buffers.telemetry[i])
         buffers.open_actions[i] = open_actions(tables, buffers.grids[i], state)
-    # What is rare follows in loops of its own: between the steps it would cost them registers.
+    # Rare work has separate loops: between the steps it would cost them registers.
     for k in range(start, start + n_ended):
         keep_final(tables, buffers, buffers.ended[k], k)
         if same_step:

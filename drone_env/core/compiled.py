@@ -1,6 +1,6 @@
 """The functions of the rules, compiled by Numba: the same source, not a second copy. Compiling takes the first call.
 
-Also what only compiled code needs: memory fetched before it is used, and threads.
+It also contains the prefetching of memory, and a check of threads after a fork.
 """
 
 import os

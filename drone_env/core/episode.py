@@ -64,7 +64,7 @@ class EpisodeState:
 
 
 class _NoEpisode:
-    """Stands for the state before the first reset: a reader gets an error."""
+    """The state before the first reset: reading it raises an error."""
 
     def __getitem__(self, index: object) -> Any:
         raise EpisodeError(NOT_STARTED)
@@ -136,7 +136,7 @@ class Episode:
         return chosen
 
     def step(self, action: SupportsIndex) -> float:
-        """Fly one action and return its reward. After the end it changes nothing, pays 0, and `message` says so.
+        """Fly one action and return its reward. After the end it changes nothing and pays 0, and `message` explains it.
 
         Raises:
             InvalidValueError: if the action is not an integer from 0 to 4; the state is left as it was.
@@ -153,17 +153,17 @@ class Episode:
         return reward
 
     def fly(self, actions: Iterable[SupportsIndex]) -> "Episode":
-        """Fly actions one after another and return the episode. Each is asked for when the one before is flown."""
+        """Fly actions in order and return the episode. The next one is requested after the previous one was flown."""
         for action in actions:
             self.step(action)
         return self
 
     def copy(self) -> "Episode":
-        """An episode of its own that stands where this one does."""
+        """An independent copy."""
         return copy.copy(self)
 
     def waited_out(self) -> "Episode":
-        """A copy of it that has waited to its end."""
+        """A copy that has waited to its end."""
         return self.copy().fly([Action.WAIT] * (self.task.max_steps - self.steps))
 
     @property
@@ -185,7 +185,7 @@ class Episode:
 
     @property
     def outcome(self) -> Outcome:
-        """How the episode stands."""
+        """The outcome so far."""
         return Outcome(self._state[OUTCOME])
 
     @property
@@ -281,7 +281,7 @@ class Episode:
 
     @property
     def last_step(self) -> PathStep | None:
-        """The last step flown, None before the first: what stands at the end of `path`, without the rest."""
+        """The last entry of `path`, None before the first step."""
         return self._path_step(self._path[-1]) if self._path else None
 
     @property
@@ -310,7 +310,7 @@ class Episode:
         return self.waited_out().score
 
     def observation(self) -> Observation:
-        """What an agent sees now, as arrays of its own."""
+        """The current observation, as new arrays."""
         telemetry = np.zeros(self.tables.telemetry_size, np.float32)
         write_telemetry(self.tables, self._state, view(telemetry))
         return {"grid": self.grid(), "telemetry": telemetry}

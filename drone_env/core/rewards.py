@@ -13,12 +13,12 @@ from drone_env.core.tasks import MAX_SIDE, TaskConfig
 from drone_env.errors import InvalidTaskError, UnknownNameError
 
 DEFAULT_PROFILE = "aligned"
-"""What steps pay where nobody says it: in `Episode`, Gymnasium, training, data sets, `play`, `audit`, Inspect, TRL."""
+"""The default in `Episode`, Gymnasium, training, datasets, `play`, `audit`, Inspect and TRL."""
 ORIGINAL_PROFILE = "tiered"
-"""The same where the project's first version set it: over HTTP and OpenEnv, in `fly`, `infer` and `inference.py`."""
+"""The default over HTTP and OpenEnv, in `fly`, `infer` and `inference.py`, as in the original project."""
 
 STRIDE = 2 * MAX_SIDE
-"""Entries of a potential's table per number of deliveries: a distance is below it."""
+"""Entries of a potential's table per number of deliveries; distances are smaller."""
 MAX_REWARD = 1_000_000
 MAX_PLACES = 400
 """Decimal places of the numbers of a profile: more than any float has, and few enough to calculate with exactly."""
@@ -26,7 +26,7 @@ MAX_PLACES = 400
 
 @dataclass(frozen=True)
 class RewardProfile:
-    """What a step pays: the sum of the parts that are switched on. Immutable and hashable.
+    """The reward of a step: the sum of the parts that are switched on. Immutable and hashable.
 
     Attributes:
         id: Unique name.

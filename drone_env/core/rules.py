@@ -33,7 +33,7 @@ DELIVERED, BATTERY_DEAD = int(Outcome.DELIVERED), int(Outcome.BATTERY_DEAD)
 OUT_OF_STEPS = int(Outcome.OUT_OF_STEPS)
 
 DELTA_BITS = 3
-"""Changes no number from 0 to 2, and tells the compiler that none is negative."""
+"""Changes no number from 0 to 2; with it the compiler assumes that none is negative."""
 LOWEST, HIGHEST = 0.01, 0.99
 """Bounds of the graded score."""
 EFFICIENCY_WEIGHTS = {"parcels delivered": 75, "battery left": 15, "steps left": 10}

@@ -34,8 +34,8 @@ RANGES = (
 """The lowest and highest values of a task's numbers, both allowed."""
 
 TERRAIN = (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERY, Cell.DELIVERED, Cell.PAD)
-"""The kinds that can lie under the drone. The order is frozen: telemetry tells a kind by its place here, and networks
-and data sets depend on it."""
+"""The kinds of cell that can be under the drone. The order is frozen: telemetry encodes a kind by its index here, and
+networks and datasets depend on it."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class TaskConfig:
 
     @cached_property
     def windows(self) -> dict[str, list[Window]]:
-        """What maps are drawn on, by split; nothing without fixed terrain.
+        """The windows that maps are drawn on, by split; empty without fixed terrain.
 
         Raises:
             InvalidTaskError: if there is too little room on the terrain.
@@ -240,14 +240,14 @@ class TaskConfig:
         )
 
     def rules(self) -> dict[str, Any]:
-        """All that decides how the task is flown, as JSON values by name: what hashes and data sets say of it."""
+        """Everything that determines how the task is flown, as JSON values by name: hashes and datasets contain it."""
         numbers = {name: value for name, value in asdict(self).items() if name not in ("family", "terrain")}
         fixed = {} if self.terrain is None else {"terrain": self.terrain.digest()}
         return numbers | {"impassable": sorted(self.impassable)} | fixed
 
     @cached_property
     def digest(self) -> str:
-        """What tells its rules from those of any other task, 16 hex digits; a field of a later version changes none."""
+        """A hash of its rules, 16 hex digits; a new field with its default changes none."""
         usual: dict[str, Any] = {one.name: one.default for one in fields(self)} | {"impassable": []}
         own = {name: value for name, value in self.rules().items() if value != usual.get(name, MISSING)}
         return sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
@@ -269,7 +269,7 @@ class TaskConfig:
         return f"DroneDelivery-{name}-v{self.version}"
 
     def cell_counts(self) -> dict[Cell, int]:
-        """How many cells of each terrain kind a map holds, in the order in which they are placed."""
+        """The number of cells of each kind of terrain, in the order in which they are placed."""
         return {
             Cell.BUILDING: self.buildings,
             Cell.TREE: self.trees,
@@ -283,7 +283,7 @@ OVER_CITIES: dict[str, Any] = {
     "impassable": frozenset({Cell.OBSTACLE}),
     "efficiency_needs_all": True,
 }
-"""What flying costs over a city, drawn or real, and what its score asks for."""
+"""Costs of flying over a city, drawn or real, and its rule of the score."""
 
 
 def _rewards(r_delivery: float, r_other: float) -> dict[str, Any]:
@@ -326,7 +326,7 @@ def _skyline(level: str, *numbers: Any, **others: Any) -> TaskConfig:
 
 
 def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
-    """A task over the terrain of a place: what flying costs is as in skyline.
+    """A task over the terrain of a place, with the costs of skyline.
 
     Args:
         terrain: The terrain.
@@ -391,11 +391,11 @@ PACKAGE_TASKS = frozenset(TASKS)
 """Those of the package itself: their names and versions say all."""
 
 FINDERS: list[Callable[[str], TaskConfig | None]] = []
-"""Who is asked, in order, for a task that is none of these: as a server that keeps the maps drawn on its page."""
+"""Functions that find further tasks by name, such as the maps that a server stores; called in order."""
 
 
 def own_rules(*tasks: TaskConfig) -> dict[str, str]:
-    """The digests of those tasks that are none of the package's: what has to be kept, as their names tell no more."""
+    """The digests of the tasks that are not in the package: their names do not identify their rules."""
     return {f"rules of {task.id}": task.digest for task in tasks if task.id not in PACKAGE_TASKS}
 
 

@@ -1,4 +1,4 @@
-"""The figures that stand on maps, as small pictures of one cell, and the shapes that all pictures share.
+"""The figures of maps, as small pictures of one cell, and the shapes that all pictures share.
 
 `tools/draw_figures.py` draws the figures as sprites from the sheet `figures.svg`, from which the page draws too.
 """

@@ -1,4 +1,4 @@
-"""What is known by name: tasks under their Gymnasium ids, and tasks and reward profiles from outside the package.
+"""Registration of tasks, under their Gymnasium ids too, and of reward profiles from outside the package.
 
 A module registers its own when it is imported:
 
@@ -32,7 +32,7 @@ def register_envs() -> None:
         if task.gym_id not in gymnasium.registry:
             gymnasium.register(
                 id=task.gym_id,
-                # A function, not `additional_wrappers`: those cannot stand beside a vector_entry_point.
+                # A function, not `additional_wrappers`: those cannot be combined with a vector_entry_point.
                 entry_point="drone_env.envs.wrappers:make",
                 vector_entry_point="drone_env.envs.vector:DroneDeliveryVectorEnv",
                 kwargs={"task": task.id, "version": task.version, "gym_id": task.gym_id},
@@ -101,7 +101,7 @@ def _register_city(path: str | Path) -> TaskConfig:
 
 
 def task_argument(task: TaskConfig) -> str:
-    """What names a task on the command line: its short name; of a city its file, where that is known."""
+    """The name of a task on the command line: its short name, or the file of a city if that is known."""
     files = [Path(name.strip()) for name in plugin_names().split(",") if name.strip().endswith(".toml")]
     named = [file for file in files if file.stem == task.id] if task.terrain is not None else []
     if not named:

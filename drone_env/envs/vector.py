@@ -26,7 +26,7 @@ from drone_env.reward_file import chosen_profile
 
 Observations = dict[str, npt.NDArray[Any]]
 SIZE = 360
-"""Height of each picture in pixels: half of that of a single environment, as many stand side by side."""
+"""Height of each picture in pixels: half of that of a single environment, because several are shown together."""
 
 
 class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]]):
@@ -241,7 +241,7 @@ def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 class Pictures:
-    """Pictures of the episodes of a batch, which keeps no trails itself: each is flown along in plain Python.
+    """Pictures of the episodes of a batch. It stores no trails, so each episode is also flown in plain Python.
 
     Args:
         batch: The batch; call `follow` after each of its resets and steps.
@@ -255,7 +255,7 @@ class Pictures:
         """Bring the episodes to where the batch is.
 
         Args:
-            actions: What the batch has just flown, integer[N]; None after a reset.
+            actions: The actions of the last step, integer[N]; None after a reset.
         """
         seeds, steps = self.batch.seeds.tolist(), self.batch.get_state()["states"][:, STEPS].tolist()
         flown = [0] * len(seeds) if actions is None else actions.tolist()

@@ -1,4 +1,4 @@
-"""From a state to its score: the one formula of `core.score`, behind every grader."""
+"""From a state to its score: the one formula of `core.rules`, behind every grader."""
 
 from collections.abc import Callable, Mapping
 from functools import partial

@@ -1,4 +1,4 @@
-"""What a reward makes of its learner: the exact return-maximising policy of a map, and what that policy scores.
+"""Audit of rewards: the exact return-maximising policy of a map, and the score of that policy.
 
 Dynamic programming backwards over (steps, battery, delivered set, current target, cell), with the compiled `step`
 itself flown from every state, so that no reward is worked out a second time. Among actions with the same return the
@@ -45,7 +45,7 @@ NOISE = 1e-14
 
 @jitable
 def number_of(state: Any, parcels: Any, cell: int) -> int:
-    """Which of the parcels lies on a cell."""
+    """The number of the parcel on a cell."""
     for i in range(len(parcels)):
         if state[parcels[i]] == cell:
             return i

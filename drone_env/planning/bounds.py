@@ -24,11 +24,11 @@ from drone_env.planning.tours import UNREACHED, held_karp
 
 register_jitable(held_karp)
 AHEAD = 4
-"""Of so many parcels, the nearest, is the best flight planned, time and again."""
+"""The best flight is planned over this many of the nearest parcels, again after each delivery."""
 
 
 class Bounds(NamedTuple):
-    """What the best score that can still be reached lies between, both ends included."""
+    """Bounds of the best score that can still be reached, both included."""
 
     lower: float
     """The score of a flight that was flown."""
@@ -71,7 +71,7 @@ def _plan_part(flight: Episode) -> list[Action]:
     ground[state[entries]] = Cell.DELIVERED
     for n in range(min(AHEAD, len(waiting)), 0, -1):
         near = waiting[:n]
-        # One of its own: no map of it is drawn.
+        # A task of this part alone: no map of it is generated.
         bare = {"terrain": None, "buildings": 0, "trees": 0, "obstacles": 0, "street_spacing": 0}
         task = replace(flight.task, deliveries=n, **bare)
         ground[near] = Cell.DELIVERY
@@ -143,15 +143,15 @@ def tour_kernel(first: Any, legs: Any, budget: int, lengths: Any, order: Any) ->
 
 
 def _costs_from(tables: Tables, ground: Any, starts: Sequence[int], costs: Sequence[int]) -> list[int]:
-    """What the cheapest way to each cell costs, `UNREACHED` where nothing leads.
+    """The cost of the cheapest path to each cell, `UNREACHED` without one.
 
     Dijkstra, "A note on two problems in connexion with graphs", 1959.
 
     Args:
         tables: The task's tables.
         ground: uint8[cells], without the drone.
-        starts: Where ways may begin.
-        costs: What a move onto each kind of cell costs.
+        starts: Cells where paths may begin.
+        costs: The cost of a move onto each kind of cell.
     """
     grid = view(ground)
     found = [UNREACHED] * tables.cells

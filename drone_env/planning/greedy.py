@@ -1,6 +1,6 @@
 """The nearest-target rule: fly straight to the current target, which is the nearest parcel when it is chosen.
 
-Where terrain costs or blocks, the nearest target is the one that is cheapest to reach. Nothing else is heeded: neither
+If terrain costs or blocks, the nearest target is the one that is cheapest to reach. Nothing else is heeded: neither
 what the battery still holds nor where it could be charged.
 """
 

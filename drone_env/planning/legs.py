@@ -1,12 +1,12 @@
 """The exact value of every decision of a map, by legs: dynamic programming over (set delivered, stop, battery, steps).
 
-All that matters on a flight is in which order it stops at parcels and pads, and by which path it flies from one to the
-next. Between two stops only the undominated paths of `paths` can be part of a best flight; a parcel that still waits
-ends a leg, since it is delivered there. So the values of the stops are enough: that of any other cell follows from the
-paths that begin there. (Bellman, "Dynamic Programming", 1957; Held and Karp 1962 for the sets.)
+A flight is an order of stops at parcels and pads, and a path from each stop to the next. Only Pareto-optimal paths can
+be part of a best flight. A waiting parcel ends a leg, because it is delivered there. So the solver stores the values of
+the stops; the value of any other cell follows from the paths that start there. (Bellman, "Dynamic Programming", 1957;
+Held and Karp 1962 for the sets.)
 
-It covers the tasks where a mission that fails is worth its parcels alone, and those where every step costs the same.
-A value is kept as the rank of a score among all scores that the task knows, as in `exact`.
+It covers the tasks in which a failed mission scores its parcels alone, and those in which every step costs the same.
+A value is stored as the rank of a score among all scores of the task, as in `solver`.
 """
 
 from collections.abc import Sequence
@@ -40,9 +40,9 @@ from drone_env.planning.states import UNPAID, delivered_set, require_memory, sta
 
 WAIT = int(Action.WAIT)
 MAX_BETWEEN_PADS = 32 << 30
-"""What a map may take: sets delivered, times pads, stops, battery units and steps. A billion take a second or less."""
+"""Limit of (sets delivered) * pads * stops * (battery units) * steps. A billion take a second or less."""
 CHUNK = 64
-"""States that are looked at at a time: between two chunks other threads go on."""
+"""States per call: other threads run between two chunks."""
 
 
 def covers(task: TaskConfig) -> bool:
@@ -63,7 +63,7 @@ class Legs(NamedTuple):
     stop_at: Any
     """int32[cells], the number of the stop at each cell, or `NO_STOP`."""
     parcels: Any
-    """How many of the stops are parcels, n."""
+    """The number of stops that are parcels, n."""
     most: Any
     """The most units that count."""
     ranks: Any
@@ -75,13 +75,13 @@ class Legs(NamedTuple):
 
 @jitable
 def end_row(legs: Legs, done: int, units: int) -> int:
-    """The row of ends with so many parcels delivered."""
+    """The row of ends with `done` parcels delivered."""
     return done * (legs.most + 1) + units
 
 
 @jitable
 def row_of(legs: Legs, delivered: int, stop: int, units: int) -> int:
-    """The row of a drone that stands at a pad, or at a parcel of the set delivered."""
+    """The row of a drone at a pad, or at a parcel of the set delivered."""
     n = legs.parcels
     if stop < n:
         others = delivered >> (stop + 1) << stop | delivered & (1 << stop) - 1
@@ -104,7 +104,7 @@ def mark_delivered(legs: Legs, delivered: int) -> int:
 
 @jitable
 def arrives(legs: Legs, stop: int, units: int) -> bool:
-    """Whether a drone flies on at a pad, or delivers a parcel, that a path reaches with so many units left.
+    """Whether a drone that reaches a stop with these units left flies on (at a pad) or delivers (a parcel).
 
     A parcel is delivered if some are left before the step to it, even if that drains more: `units` is below 0 then.
     """
@@ -113,7 +113,7 @@ def arrives(legs: Legs, stop: int, units: int) -> bool:
 
 @jitable
 def row_after(legs: Legs, delivered: int, done: int, stop: int, units: int) -> int:
-    """The row of a drone that `arrives` at a stop with so many units left."""
+    """The row of a drone that `arrives` at a stop with these units left."""
     if stop >= legs.parcels:
         return row_of(legs, delivered, stop, units)
     units = max(units, 0)
@@ -124,7 +124,7 @@ def row_after(legs: Legs, delivered: int, done: int, stop: int, units: int) -> i
 
 @jitable
 def raise_row(ranks: Any, row: int, after: int, steps: int) -> None:
-    """Raise a row to what another promises so many steps later."""
+    """Raise a row to the values of another row, `steps` steps later."""
     if steps >= ranks.shape[1]:
         return
     # Slices, for indices that may be below zero are not vectorised: that is five times slower.
@@ -138,7 +138,7 @@ def raise_row(ranks: Any, row: int, after: int, steps: int) -> None:
 def raise_by_paths(
     legs: Legs, delivered: int, done: int, paths: ParetoPaths, base: int, units: int, row: int, first: int, behind: int
 ) -> None:
-    """Raise the row of a drone with so many units by the paths to the stops from `first` on and before `behind`."""
+    """Raise the row of a drone with these units by the paths to the stops in [first, behind)."""
     for stop in range(first, behind):
         if stop < legs.parcels and delivered >> stop & 1:
             continue
@@ -151,7 +151,7 @@ def raise_by_paths(
 
 @jitable
 def begin_row(legs: Legs, done: int, units: int, row: int) -> None:
-    """Let a row stand for a flight that does nothing more."""
+    """Set a row to the values of a flight that does nothing more."""
     end = end_row(legs, done, units)
     for left in range(legs.ranks.shape[1]):
         legs.ranks[row, left] = legs.ranks[end, left]
@@ -159,7 +159,7 @@ def begin_row(legs: Legs, done: int, units: int, row: int) -> None:
 
 @jitable
 def sum_at_pads(legs: Legs, delivered: int) -> int:
-    """The sum of all ranks of drones that stand at pads: it changes when any of them is raised."""
+    """The sum of all ranks of drones at pads: it changes when any of them is raised."""
     first, behind = row_of(legs, delivered, legs.parcels, 0), row_of(legs, delivered, len(legs.stops), 0)
     total = 0
     for row in range(first, behind):
@@ -170,7 +170,7 @@ def sum_at_pads(legs: Legs, delivered: int) -> int:
 
 @jitable
 def find_stops(legs: Legs, cell: int, units: int, paths: ParetoPaths, base: int, workspace: Workspace) -> None:
-    """Find the Pareto-optimal paths of a drone with so many units from a cell to every stop."""
+    """Find the Pareto-optimal paths of a drone with these units from a cell to every stop."""
     find_paths(legs.tables, legs.ground, cell, units, legs.counts, legs.stop_at, paths, base, workspace)
 
 
@@ -275,7 +275,7 @@ def flight_kernel(
 ) -> int:
     """Fly a best flight by the rules, write its actions, int64[steps], and return how many there are.
 
-    Of all best flights it is one that takes the fewest steps.
+    Among all best flights it has the fewest steps.
 
     Args:
         legs: The map, its ranks filled in.
@@ -305,7 +305,7 @@ def flight_kernel(
 
 
 def clock(task: TaskConfig, battery: Any, left: Any) -> tuple[Any, Any]:
-    """Units and steps left as the kernels count them, of a drone with so many of the battery and so many steps left.
+    """Units and steps left as the kernels count them, from the battery units and the steps left of a drone.
 
     The two may be numbers or arrays of them.
     """
@@ -313,7 +313,7 @@ def clock(task: TaskConfig, battery: Any, left: Any) -> tuple[Any, Any]:
 
 
 def require_room(task: TaskConfig, parcels: int, pads: int, units: int, steps: int) -> int:
-    """How many rows of ranks a map takes.
+    """The number of rows of ranks for a map.
 
     Raises:
         TooLargeError: if they would take more memory than `states.MAX_BYTES`, or the paths between many pads more
@@ -341,7 +341,7 @@ def make_legs(
         task: The task.
         ground: uint8[cells], the kind of each cell, without the drone.
         parcels: The cells of the parcels that wait.
-        done: How many others have been delivered.
+        done: The number of parcels that have been delivered.
         battery: Units left.
         left: Steps left.
 
@@ -366,7 +366,7 @@ def make_legs(
         ends[:n] = ranked[done : done + n, 0, task.max_steps][:, None, None]
         ends[n] = ranked[task.deliveries][:, task.max_steps - later]
     else:
-        # What battery and steps left differ by stays as it is.
+        # The difference between battery and steps left is constant.
         ends[:n] = ranked[done : done + n, battery - steps, task.max_steps - left + steps][:, None, None]
         ends[n] = ranked[task.deliveries, battery - steps + later, task.max_steps - left + steps - later]
     tables = tabulate(task)

@@ -47,13 +47,13 @@ def solve(task: str | TaskConfig, seed: int) -> Solution:
     Raises:
         UnknownNameError: if there is no such task.
         InvalidValueError: if the seed is not in [0, 2^53).
-        TooLargeError: if the solution would take too much memory; `bounds` knows then what it lies between.
+        TooLargeError: if the solution would take too much memory; `bounds` still gives bounds of it.
     """
     return solve_episode(Episode(task, seed=seed))
 
 
 def best_of(task: TaskConfig, seed: int) -> Solution | None:
-    """The optimum of a map, None where it is too large to be solved."""
+    """The optimum of a map, None if it is too large to be solved."""
     try:
         return solve(task, seed)
     except TooLargeError:
@@ -61,7 +61,7 @@ def best_of(task: TaskConfig, seed: int) -> Solution | None:
 
 
 def require_solvable(task: TaskConfig) -> None:
-    """See that maps of a task are not too large to be solved, before any is.
+    """Check that maps of a task are not too large to be solved.
 
     Raises:
         TooLargeError: if they are.
@@ -77,7 +77,7 @@ def solve_episode(episode: Episode, solver: "Solver | None" = None) -> Solution:
 
     Args:
         episode: The episode.
-        solver: Of just this episode, where there is one; None to make one if need be.
+        solver: A solver of this episode; None to make one if necessary.
 
     Raises:
         TooLargeError: if the solution would take too much memory.

@@ -63,7 +63,7 @@ def make_paths(task: TaskConfig, stops: int) -> ParetoPaths:
 
 
 def most_paths(task: TaskConfig) -> int:
-    """How many Pareto-optimal paths to one stop there can be."""
+    """The largest number of Pareto-optimal paths to one stop."""
     # Of n paths each takes a step more and a unit less than the one before.
     return min(task.battery_capacity + 1, task.width * task.height) if counts_units(task) else 1
 

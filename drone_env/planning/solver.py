@@ -122,8 +122,8 @@ class Solver(ABC):
         """V* of N states in flight that can have come from the one that was solved, float64[N].
 
         Args:
-            states: int64[N, 4]: set delivered, cell, battery units and steps left. Bit i of the set stands for the i-th
-                parcel that was waiting in the state that was solved.
+            states: int64[N, 4]: set delivered, cell, battery units and steps left. Bit i of the set is the i-th parcel
+                that was waiting in the state that was solved.
         """
 
     def q_values(self, episode: Episode) -> npt.NDArray[np.float64]:

@@ -67,7 +67,7 @@ def put_drone(tables: Tables, grid: Any, state: Any, cell: int, steps: int, batt
 
 @jitable
 def delivered_set(state: Any, parcels: Any) -> int:
-    """Which of the parcels are delivered, bit i for parcel i."""
+    """The set of delivered parcels, bit i for parcel i."""
     delivered = 0
     for i in range(len(parcels)):
         if state[parcels[i]] >= DELIVERED_FLAG:
@@ -89,7 +89,7 @@ def state_arrays(episode: Episode) -> tuple[npt.NDArray[np.uint8], npt.NDArray[n
 
 
 def require_memory(what: str, task: TaskConfig, size: int) -> None:
-    """Refuse what would not fit; `what` names it in the message.
+    """Check that something fits into memory; `what` names it in the message.
 
     Raises:
         TooLargeError: if `size`, in bytes, is above `MAX_BYTES`.
@@ -108,7 +108,7 @@ def drain_range(task: TaskConfig) -> tuple[int, int]:
 
 
 def battery_ranges(episode: Episode) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """What the battery can hold after each of the T steps that are left to an episode, as long as it goes on.
+    """The range of the battery after each of the T steps left, for episodes that have not ended.
 
     Returns:
         int64[T + 1], the lowest number of units above 0; and int64[T], how many numbers from there on.

@@ -18,7 +18,7 @@ from drone_env.planning.elsewhere import battery_range, places_of
 from drone_env.planning.optimal import solver_of
 
 SOLVERS = (
-    "elsewhere.places_kernel", "elsewhere.range_kernel", "legs.flight_kernel", "legs.rank_kernel", "legs.value_kernel",
+    "elsewhere.range_kernel", "legs.flight_kernel", "legs.rank_kernel", "legs.value_kernel",
     "solver.score_kernel", "solver.step_kernel",
 )  # fmt: skip
 TOURNET = ("paths.cheapest_kernel", "tour_network.gather", "tour_network.match", "tour_viewer.view_kernel")

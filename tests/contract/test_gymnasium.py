@@ -115,8 +115,7 @@ def test_what_a_specification_says_is_made_again() -> None:
 
 @pytest.mark.parametrize("profile", REWARD_PROFILES)
 def test_the_reward_profile_is_an_option_of_make_and_of_reset(profile: str) -> None:
-    episode = Episode("easy", profile)
-    episode.reset(5)
+    episode = Episode("easy", profile, 5)
     for action in solve("easy", 5).actions:
         episode.step(action)
     assert fly_optimally(make(reward_profile=profile), "easy", 5)[0] == episode.reward_total

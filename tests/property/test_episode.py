@@ -81,9 +81,7 @@ PARCELS_ALONE = TASK.map(lambda task: replace(task, efficiency_needs_all=True))
 
 
 def started(task: TaskConfig, seed: int, profile: str = "tiered") -> Episode:
-    episode = Episode(task, profile)
-    episode.reset(seed)
-    return episode
+    return Episode(task, profile, seed)
 
 
 def finish(episode: Episode, actions: list[int]) -> None:
@@ -96,75 +94,51 @@ def finish(episode: Episode, actions: list[int]) -> None:
 
 @thorough
 @given(TASK, SEEDS, ACTIONS)
-def test_the_drone_stays_on_the_grid_and_off_impassable_cells(task: TaskConfig, seed: int, actions: list[int]) -> None:
+def test_what_holds_at_every_step(task: TaskConfig, seed: int, actions: list[int]) -> None:
     episode = started(task, seed)
+    city = episode.grid()
+    city[episode.position[::-1]] = Cell.ROAD
+    order = ("road", "building", "tree", "obstacle", "delivery", "delivered", "pad") if task.pads else ()
     for action in actions:
-        before = episode.position
-        episode.step(action)
-        x, y = episode.position
-        assert 0 <= x < task.width
-        assert 0 <= y < task.height
-        assert abs(x - before[0]) + abs(y - before[1]) <= 1
-        assert episode.under not in task.impassable
-        grid = episode.grid()
-        assert grid[y, x] == Cell.DRONE
-        assert np.count_nonzero(grid == Cell.DRONE) == 1
-
-
-@thorough
-@given(TASK, SEEDS, ACTIONS)
-def test_steps_count_up_by_one_and_the_battery_rises_only_by_waiting_on_a_pad(
-    task: TaskConfig, seed: int, actions: list[int]
-) -> None:
-    episode = started(task, seed)
-    for action in actions:
-        ended, steps, battery = episode.ended, episode.steps, episode.battery_units
-        episode.step(action)
-        assert episode.steps == steps + (not ended)
-        assert 0 <= episode.battery_units <= task.battery_capacity
-        if episode.battery_units > battery:
-            assert action == Action.WAIT
-            assert episode.under == Cell.PAD
-            assert episode.battery_units - battery <= task.charge_rate
-        elif task.uniform:
-            assert battery - episode.battery_units == (not ended)
-
-
-@thorough
-@given(TASK, SEEDS, ACTIONS)
-def test_delivered_stays_delivered(task: TaskConfig, seed: int, actions: list[int]) -> None:
-    episode = started(task, seed)
-    for action in actions:
+        mask, at, target, parcels = episode.action_mask(), episode.position, episode.target, episode.parcels
+        steps, battery = episode.steps, episode.battery_units
+        assert mask[Action.WAIT] == 1
         if episode.ended:
             break
-        before = episode.parcels
         episode.step(action)
-        for (*was_at, was_done), (*now_at, now_done) in zip(before, episode.parcels, strict=True):
-            assert now_at == was_at
-            assert now_done or not was_done
-            assert now_done == (was_done or tuple(now_at) == episode.position)
-        assert episode.deliveries_done == sum(done for *_, done in episode.parcels)
-        assert (episode.event == Event.DELIVERY) == (episode.parcels != before)
 
-
-@thorough
-@given(TASK, SEEDS, ACTIONS)
-def test_the_target_is_undelivered_and_changes_only_when_it_has_been_delivered(
-    task: TaskConfig, seed: int, actions: list[int]
-) -> None:
-    episode = started(task, seed)
-    for action in actions:
-        before = episode.target
-        episode.step(action)
+        # The drone moves by one cell where the mask allows it, and nowhere else.
         x, y = episode.position
-        far = {(px, py): abs(px - x) + abs(py - y) for px, py, done in episode.parcels if not done}
-        if before in far:
-            assert episode.target == before
-        elif far:
-            assert episode.target == min(far, key=far.__getitem__)  # the first of the nearest
-        else:
-            assert episode.target is None
-        assert episode.distance_to_target == (None if episode.target is None else far[episode.target])
+        assert abs(x - at[0]) + abs(y - at[1]) == (action != Action.WAIT and mask[action])
+        assert episode.under not in task.impassable
+        assert (episode.grid() == Cell.DRONE).nonzero() == (y, x)
+        bumps = (Event.WALL, Event.BLOCKED)
+        assert mask[action] or episode.event in (*bumps, Event.BATTERY_DEAD)
+        assert not mask[action] or episode.event not in bumps
+
+        # A step costs battery, unless it charges.
+        assert episode.steps == steps + 1
+        assert 0 <= episode.battery_units <= task.battery_capacity
+        if episode.battery_units > battery:
+            assert (action, episode.under) == (Action.WAIT, Cell.PAD)
+            assert episode.battery_units - battery <= task.charge_rate
+        elif task.uniform:
+            assert battery - episode.battery_units == 1
+
+        # Parcels are delivered where the drone is; the target changes only when it has been delivered.
+        assert episode.parcels == [(px, py, done or (px, py) == (x, y)) for px, py, done in parcels]
+        assert episode.deliveries_done == sum(done for *_, done in episode.parcels)
+        assert (episode.event == Event.DELIVERY) == (episode.parcels != parcels)
+        distances = {(px, py): abs(px - x) + abs(py - y) for px, py, done in episode.parcels if not done}
+        expected = target if target in distances else min(distances, key=distances.__getitem__, default=None)
+        assert episode.target == expected
+        assert episode.distance_to_target == (None if expected is None else distances[expected])
+
+        # The kind of the cell below is known.
+        below = "delivered" if (x, y, True) in episode.parcels else Cell(city[y, x]).name.lower()
+        assert observation_fields(episode)["cell_below"] == below
+        assert episode.observation()["telemetry"][6:].tolist() == [float(name == below) for name in order]
+    assert episode_of(task, episode.observation()).under == episode.under
 
 
 @thorough
@@ -241,41 +215,6 @@ def test_where_a_step_costs_one_unit_or_parcels_alone_count_stopping_never_beats
     stopped = episode.counted_score()
     finish(episode, further)
     assert stopped <= episode.score
-
-
-@thorough
-@given(TASK, SEEDS, ACTIONS)
-def test_action_mask_agrees_with_what_a_step_does(task: TaskConfig, seed: int, actions: list[int]) -> None:
-    episode = started(task, seed)
-    for action in actions:
-        mask, before = episode.action_mask(), episode.position
-        assert mask[Action.WAIT] == 1
-        if episode.ended:
-            break
-        episode.step(action)
-        if action != Action.WAIT:
-            assert mask[action] == (episode.position != before)
-        if mask[action]:
-            assert episode.event not in (Event.WALL, Event.BLOCKED)
-        else:
-            assert episode.event in (Event.WALL, Event.BLOCKED, Event.BATTERY_DEAD)
-
-
-@thorough
-@given(TASK, SEEDS, ACTIONS)
-def test_what_is_told_to_lie_below_the_drone_lies_there(task: TaskConfig, seed: int, actions: list[int]) -> None:
-    episode = started(task, seed)
-    city = episode.grid()
-    city[episode.position[::-1]] = Cell.ROAD
-    for action in actions:
-        x, y = episode.position
-        below = "delivered" if (x, y, True) in episode.parcels else Cell(city[y, x]).name.lower()
-        assert observation_fields(episode)["cell_below"] == below
-        told = episode.observation()["telemetry"][6:].tolist()
-        order = ("road", "building", "tree", "obstacle", "delivery", "delivered", "pad") if task.pads else ()
-        assert told == [float(name == below) for name in order]
-        episode.step(action)
-    assert episode_of(task, episode.observation()).under == episode.under
 
 
 @thorough

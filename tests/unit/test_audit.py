@@ -48,8 +48,7 @@ def tiny_task(rng: random.Random) -> TaskConfig:
 
 def every_flight(task: TaskConfig, seed: int, profile: RewardProfile, gamma: float) -> tuple[float, float]:
     """The highest return of all action sequences, and the lowest score that comes with it."""
-    episode = Episode(task, profile)
-    episode.reset(seed)
+    episode = Episode(task, profile, seed)
     ends: list[tuple[float, float]] = []
 
     def fly_on(state: object, earned: float, discount: float) -> None:
@@ -75,8 +74,7 @@ def test_the_maximiser_is_the_best_of_all_flights(profile: str, seed: int) -> No
     highest, lowest_score = every_flight(task, seed, REWARD_PROFILES[profile], gamma)
     assert audited.maximum == pytest.approx(highest, abs=1e-9)
     assert audited.score == lowest_score
-    episode = Episode(task, profile)
-    episode.reset(seed)
+    episode = Episode(task, profile, seed)
     earned = sum(gamma**t * episode.step(action) for t, action in enumerate(audited.actions))
     assert episode.ended
     assert (earned, episode.score) == (pytest.approx(highest, abs=1e-9), audited.score)
@@ -198,25 +196,18 @@ def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
         ("summary = 'x'", "id is missing"),
         ("id = 'x'\nbonus = 1", "unknown key 'bonus'; allowed: id, summary"),
         ("id = 'x'\nshaping = 'much'", "shaping must be a number"),
-        ("id = 'x'\nshaping = true", "shaping must be a number"),
         ("id = 'x'\npays_score = 1", "pays_score must be true or false"),
-        ("id = 'x'\nclamp = [1]", r"clamp must be \[lowest, highest\]"),
         ("id = 'x'\nclamp = [2, 1]", "no room"),
         ("id = 'x'\nshaping = nan", "from -1000000 to 1000000"),
-        ("id = 'x'\nshaping = 1e400", "from -1000000 to 1000000"),
         ("id = 'x'\nshaping = 1e999999999", "from -1000000 to 1000000"),
         ("id = 'x'\nshaping = 1e99999999999999999999", "exponent of a number is too large"),
         ("id = 'x'\nshaping_gamma = 1e-999999999", "400 decimal places at most"),
-        ("id = 'x'\n[events]\nstep = 0e-999999999", "400 decimal places at most"),
         (f"id = 'x'\nshaping = 0.{'1' * 5001}", "a word of more than 64 characters"),
-        (f"id = 'x'\nshaping = {'1' * 5001}", "a word of more than 64 characters"),
         (f"id = 0x{'f' * 5001}", "a word of more than 64 characters"),
         (f"id = 'x'\nclamp = {'[' * 9999}", "not TOML"),
         ("id = 'score'", "taken by a profile of the package"),
-        ("id = 'a\x1b'", "not TOML"),
         ('id = "a\\u001b"', "must be printable"),
         ("id = 'x'\n[events]\ncrash = 1", "unknown event 'crash'; allowed: delivery"),
-        ("id = 'x'\n[events]\nstep = 'x'", "events.step must be a number"),
     ],
 )
 def test_a_file_that_is_no_reward_profile_says_why(tmp_path: Path, text: str, message: str) -> None:

@@ -73,8 +73,7 @@ class TestTelemetry:
 
     @pytest.mark.parametrize("task", SKYLINE)
     def test_has_the_steps_left_and_the_cell_below_in_the_skyline_tasks(self, task: str) -> None:
-        episode = Episode(task)
-        episode.reset(0)
+        episode = Episode(task, seed=0)
         for steps in range(3):
             values = episode.observation()["telemetry"]
             assert (values.shape, values.dtype) == ((13,), np.float32)

@@ -50,8 +50,7 @@ class TestReset:
 
     @pytest.mark.parametrize("arguments", [(2, "no_such"), (-1, "score")])
     def test_a_refused_reset_keeps_the_episode_and_its_profile(self, arguments: tuple[int, str]) -> None:
-        episode = Episode("easy", "tiered")
-        episode.reset(1)
+        episode = Episode("easy", "tiered", 1)
         before = episode.get_state()
         with pytest.raises(DroneEnvError):
             episode.reset(*arguments)
@@ -87,8 +86,7 @@ class TestState:
     def test_a_snapshot_of_another_task_or_profile_is_refused(self, task: str, profile: str) -> None:
         other = Episode(task, profile)
         other.reset(1)
-        episode = Episode("easy", "tiered")
-        episode.reset(2)
+        episode = Episode("easy", "tiered", 2)
         before = episode.get_state()
         with pytest.raises(InvalidValueError, match=f"{task}_delivery.*{profile}.*easy_delivery.*tiered"):
             episode.set_state(other.get_state())

@@ -40,9 +40,7 @@ NEEDS_ALL: dict[str, Any] = {"efficiency_needs_all": True}
 
 
 def reset(task: str | TaskConfig, seed: int) -> Episode:
-    episode = Episode(task, "score")
-    episode.reset(seed)
-    return episode
+    return Episode(task, "score", seed)
 
 
 def letters(actions: Sequence[Action]) -> str:
@@ -263,13 +261,7 @@ def test_an_episode_is_rebuilt_from_its_observation(task: str) -> None:
         while not episode.ended:
             rebuilt = episode_of(episode.task, episode.observation())
             assert np.array_equal(rebuilt.grid(), episode.grid())
-            assert (rebuilt.under, rebuilt.position, rebuilt.steps, rebuilt.battery_units, rebuilt.deliveries_done) == (
-                episode.under,
-                episode.position,
-                episode.steps,
-                episode.battery_units,
-                episode.deliveries_done,
-            )
+            for name in ("under", "position", "steps", "battery_units", "deliveries_done", "score"):
+                assert getattr(rebuilt, name) == getattr(episode, name), name
             assert sorted(rebuilt.parcels) == sorted(episode.parcels)
-            assert rebuilt.score == episode.score
             episode.step(draw.randrange(5))

@@ -56,8 +56,7 @@ def test_a_registered_task_is_known_everywhere(courier: TaskConfig) -> None:
 def test_its_grader_can_be_imported_by_its_id(courier: TaskConfig) -> None:
     from drone_env.graders import grade_courier  # type: ignore[attr-defined]
 
-    episode = Episode("courier")
-    episode.reset(7)
+    episode = Episode("courier", seed=7)
     for action in solve("courier", 7).actions:
         episode.step(action)
     assert grade_courier(DroneState.of(episode)) == GRADERS["courier"](DroneState.of(episode)) == episode.score
@@ -79,8 +78,7 @@ def test_a_registered_profile_pays_by_its_name() -> None:
     profile = RewardProfile(id="parcels", summary="a parcel pays", events=((Event.DELIVERY, Decimal(3)),))
     try:
         assert drone_env.register_reward_profile(profile) is profile
-        episode = Episode("easy", "parcels")
-        episode.reset(14)
+        episode = Episode("easy", "parcels", 14)
         assert [episode.step(action) for action in solve("easy", 14).actions] == [0, 0, 3]
         with pytest.raises(InvalidTaskError, match="another one of this name"):
             register_reward_profile(replace(profile, summary="another"))

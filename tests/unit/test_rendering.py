@@ -36,9 +36,7 @@ Picture = npt.NDArray[np.uint8]
 
 
 def fresh(task: str | TaskConfig = "easy", seed: int = 7) -> Episode:
-    episode = Episode(task)
-    episode.reset(seed)
-    return episode
+    return Episode(task, seed=seed)
 
 
 def fly(episode: Episode, steps: int = 1000) -> Episode:

@@ -23,14 +23,12 @@ class TestScore:
 
     @pytest.mark.parametrize("task", STANDARD)
     def test_is_provisionally_020_at_reset_and_counts_001(self, task: str) -> None:
-        episode = Episode(task)
-        episode.reset(0)
+        episode = Episode(task, seed=0)
         assert (episode.score, episode.counted_score()) == (0.20, 0.01)
 
     @pytest.mark.parametrize("task", SKYLINE)
     def test_is_001_at_reset_where_efficiency_needs_all(self, task: str) -> None:
-        episode = Episode(task)
-        episode.reset(0)
+        episode = Episode(task, seed=0)
         assert (episode.score, episode.counted_score()) == (0.01, 0.01)
 
     def test_where_efficiency_needs_all_it_counts_from_the_last_delivery_on(self) -> None:

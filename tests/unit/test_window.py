@@ -17,9 +17,7 @@ from drone_env.installer import install_command
 
 
 def fresh() -> Episode:
-    episode = Episode("easy")
-    episode.reset(7)
-    return episode
+    return Episode("easy", seed=7)
 
 
 @pytest.fixture
