@@ -15,7 +15,7 @@ from drone_env.core.actions import N_ACTIONS, Event
 from drone_env.core.batch import Batch
 from drone_env.core.cells import Cell
 from drone_env.core.rewards import get_reward_profile, tabulate_rewards
-from drone_env.core.score import HIGHEST, LOWEST
+from drone_env.core.rules import HIGHEST, LOWEST
 from drone_env.core.tables import NOWHERE, tabulate
 
 FAR_AWAY = 1 << 30

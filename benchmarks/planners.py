@@ -22,14 +22,14 @@ from drone_env.core.tasks import TASKS
 from drone_env.errors import TooLargeError
 from drone_env.planning.bounds import bounds
 from drone_env.planning.elsewhere import places_of
-from drone_env.planning.exact import ExactSolver
-from drone_env.planning.legs import Legs, LegSolver, begin_row, mark_delivered, raise_by_ways, row_of
+from drone_env.planning.legs import Legs, LegSolver, begin_row, mark_delivered, raise_by_paths, row_of
 from drone_env.planning.optimal import solve_episode
-from drone_env.planning.ways import Rounds, Ways, find_ways
+from drone_env.planning.paths import ParetoPaths, Workspace, find_paths
+from drone_env.planning.solver import ExactSolver
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
-def every_cell_kernel(legs: Legs, ways: Ways, rounds: Rounds) -> None:
+def every_cell_kernel(legs: Legs, paths: ParetoPaths, workspace: Workspace) -> None:
     """Work out the values of every cell with each set delivered, units and steps left. They are not kept."""
     spare = row_of(legs, 0, 0, 0)
     for delivered in range((1 << legs.parcels) - 1):
@@ -39,10 +39,10 @@ def every_cell_kernel(legs: Legs, ways: Ways, rounds: Rounds) -> None:
                 0 <= legs.stop_at[cell] < legs.parcels and not delivered >> legs.stop_at[cell] & 1
             ):
                 continue
-            find_ways(legs.tables, legs.ground, cell, legs.most, legs.counts, legs.stop_at, ways, 0, rounds)
+            find_paths(legs.tables, legs.ground, cell, legs.most, legs.counts, legs.stop_at, paths, 0, workspace)
             for units in range(1, legs.most + 1):
                 begin_row(legs, done, units, spare)
-                raise_by_ways(legs, delivered, done, ways, 0, units, spare, 0, len(legs.stops))
+                raise_by_paths(legs, delivered, done, paths, 0, units, spare, 0, len(legs.stops))
 
 
 def milliseconds(run: Callable[[Episode], object], episodes: Iterable[Episode]) -> float:
@@ -62,7 +62,7 @@ def row_of_task(task: str, maps: int, few: int) -> list[str]:
 
     def every_cell(episode: Episode) -> None:
         solver = solvers[episode.seed]
-        every_cell_kernel(solver.legs, solver.ways, solver.rounds)
+        every_cell_kernel(solver.legs, solver.paths, solver.workspace)
 
     exact = ExactSolver(episodes[0])
     return [

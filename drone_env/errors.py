@@ -2,7 +2,6 @@
 
     DroneEnvError
     ├── UnknownNameError      (also a LookupError)  a task, profile, agent or split that does not exist
-    │   └── WithdrawnError                          a version of a task that is withdrawn
     ├── InvalidValueError     (also a ValueError)   a seed, action or option outside what is allowed
     │   └── InvalidTaskError                        a TaskConfig or RewardProfile that contradicts itself
     ├── EpisodeError          (also a RuntimeError) a call that does not fit the episode's state
@@ -61,14 +60,6 @@ class UnknownNameError(DroneEnvError, LookupError):
         meant = f"did you mean {close[0]!r}? " if close else ""
         known = f"unknown {kind} {given!r}; {meant}allowed: {', '.join(self.allowed)}"
         super().__init__(known if self.allowed else f"there is no {kind} {given!r}")
-
-
-class WithdrawnError(UnknownNameError):
-    """A version of a task that there was and that is withdrawn; the message names the one that replaces it."""
-
-    def __init__(self, kind: str, given: object, allowed: Iterable[str], message: str) -> None:
-        super().__init__(kind, given, allowed)
-        self.args = (message,)
 
 
 class InvalidValueError(DroneEnvError, ValueError):

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core import compiled, score
+from drone_env.core import compiled, rules
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.episode import Episode, EpisodeState
@@ -23,7 +23,7 @@ def fly_every_action(
         next_grids[k] = grids[k // N_ACTIONS]
         next_states[k] = states[k // N_ACTIONS]
         compiled.step(tables, rewards, next_grids[k], next_states[k], k % N_ACTIONS)
-        scores[k] = score.score(tables, next_states[k])
+        scores[k] = rules.score(tables, next_states[k])
 
 
 class BruteForce:

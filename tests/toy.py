@@ -7,8 +7,8 @@ import numpy as np
 
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
-from drone_env.core.standing import standing_episode
 from drone_env.core.tasks import TaskConfig
+from drone_env.planning.from_observation import episode_from_fields
 
 DRONE = "@"
 KINDS = {".": Cell.ROAD, "B": Cell.BUILDING, "T": Cell.TREE, "O": Cell.OBSTACLE, "P": Cell.PAD, DRONE: Cell.ROAD}
@@ -66,7 +66,7 @@ def toy_episode(drawing: list[str], profile: str = "tiered", **changes: Any) -> 
     task, letters = toy_task(drawing, **changes), "".join(drawing)
     ground = np.array([Cell.DELIVERY if letter.isdigit() else KINDS[letter] for letter in letters], np.uint8)
     parcels = [(letters.index(str(i)), False) for i in range(task.deliveries)]
-    return standing_episode(
+    return episode_from_fields(
         task, ground, letters.index(DRONE), task.battery_capacity, steps=0, parcels=parcels, reward_profile=profile
     )
 

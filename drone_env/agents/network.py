@@ -97,7 +97,7 @@ def load_network(path: Path) -> Network:
 
     Raises:
         OSError: if the file cannot be read.
-        CheckpointError: if it is not an exported network, or of what is withdrawn; the message says why.
+        CheckpointError: if it is not an exported network; the message says why.
     """
     return Network(read_weights(path, PATHQNET, _shapes))
 

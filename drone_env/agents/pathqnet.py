@@ -28,8 +28,7 @@ class PathQNetAgent:
 
     Raises:
         OSError: if the file cannot be read.
-        CheckpointError: if it holds no network, or one that takes other telemetry than the task has, or that was
-            trained on a version of a task that is withdrawn.
+        CheckpointError: if it holds no network, or one that takes other telemetry than the task has.
         UnsupportedTaskError: if no network is shipped with the task.
     """
 

@@ -13,12 +13,16 @@ from drone_env.core.actions import FLYING, Action
 from drone_env.core.cells import DELIVERY_CELL, PAD_CELL
 from drone_env.core.compile_cache import compiled_once
 from drone_env.core.rewards import Rewards, get_reward_profile, tabulate_rewards
-from drone_env.core.rules import step
-from drone_env.core.score import score
+from drone_env.core.rules import score, step
 from drone_env.core.seeds import MASK32, map_key, mix64, next_key, task_key
 from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways
+from drone_env.planning.paths import NO_STOP, counts_units
+from drone_env.planning.paths import ParetoPaths as Ways
+from drone_env.planning.paths import Workspace as Rounds
+from drone_env.planning.paths import find_paths as find_ways
+from drone_env.planning.paths import make_paths as make_ways
+from drone_env.planning.paths import make_workspace as make_rounds
 
 WAIT = int(Action.WAIT)
 KEY = task_key("agent/tournet-search", 1)

@@ -1,8 +1,8 @@
 """What the tour network sees of a state: tokens, the edges between them, and the options to choose from.
 
 Token 0 is the drone; then come the parcels that wait and the pads. An option is one undominated way to one of them
-(`planning.ways`), or one WAIT on the pad below. All features are ratios of units to the battery's capacity and of steps
-to `max_steps`: no coordinates, so that maps of any size look alike.
+(`planning.paths`), or one WAIT on the pad below. All features are ratios of units to the battery's capacity and of
+steps to `max_steps`: no coordinates, so that maps of any size look alike.
 """
 
 from typing import Any, NamedTuple
@@ -13,9 +13,12 @@ from numba.extending import register_jitable  # pyright: ignore
 from drone_env.core import compiled
 from drone_env.core.actions import N_ACTIONS, Action
 from drone_env.core.cells import PAD_CELL
-from drone_env.core.drone import units_left
+from drone_env.core.rules import units_left
 from drone_env.core.tables import Tables
-from drone_env.planning.ways import UNREACHED, Rounds, Ways, find_ways
+from drone_env.planning.paths import UNREACHED
+from drone_env.planning.paths import ParetoPaths as Ways
+from drone_env.planning.paths import Workspace as Rounds
+from drone_env.planning.paths import find_paths as find_ways
 
 WAIT = int(Action.WAIT)
 FAR = 1.5

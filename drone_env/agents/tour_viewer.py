@@ -23,8 +23,13 @@ from drone_env.core.tables import Tables, tabulate
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.errors import InvalidValueError
 from drone_env.planning.from_observation import drone_positions, hidden_kind
-from drone_env.planning.map_graph import require_memory
-from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways
+from drone_env.planning.paths import NO_STOP, counts_units
+from drone_env.planning.paths import ParetoPaths as Ways
+from drone_env.planning.paths import Workspace as Rounds
+from drone_env.planning.paths import find_paths as find_ways
+from drone_env.planning.paths import make_paths as make_ways
+from drone_env.planning.paths import make_workspace as make_rounds
+from drone_env.planning.states import require_memory
 
 CHUNK = 256
 """Views at a time, so that what is worked on stays in the cache."""

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.tasks import withdrawal
 from drone_env.errors import CheckpointError, shown
 from drone_env.files import read_file
 from drone_env.npz import unpack_arrays
@@ -54,8 +53,7 @@ def read_weights(path: Path, network: str, shapes_of: Callable[[dict[str, Any]],
 
     Raises:
         OSError: if the file cannot be read.
-        CheckpointError: if it is not such a file, or was trained on a version of a task that is withdrawn; the message
-            says why.
+        CheckpointError: if it is not such a file; the message says why.
     """
     arrays, metadata, digest = _read(path)
     try:
@@ -65,12 +63,6 @@ def read_weights(path: Path, network: str, shapes_of: Callable[[dict[str, Any]],
         parameters = _parameters(arrays, shapes_of(metadata))
     except (ValueError, TypeError) as error:
         raise _refused(path, error) from None
-    several = metadata.get("tasks")
-    trained_on: dict[Any, Any] = cast(dict[Any, Any], several) if isinstance(several, dict) else {}
-    for task, version in ((metadata.get("task"), metadata.get("task_version")), *trained_on.items()):
-        withdrawn = withdrawal(task, version)
-        if withdrawn is not None:
-            raise CheckpointError(f"{path} was trained on what there is no more: {withdrawn}")
     return Weights(parameters, metadata, digest)
 
 

@@ -10,8 +10,7 @@ from rich.text import Text
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
 from drone_env.commands.arguments import ChosenAgent, ChosenTask, Seed, say_trusted
-from drone_env.core.episode import Episode
-from drone_env.core.rollout import rollout
+from drone_env.core.episode import Episode, rollout
 from drone_env.errors import InvalidValueError
 
 if TYPE_CHECKING:

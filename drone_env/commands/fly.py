@@ -7,9 +7,8 @@ from drone_env.agents import make_agent
 from drone_env.agents.base import begin
 from drone_env.commands.arguments import AgentName, ProfileName, Seed, TaskName, say_trusted
 from drone_env.commands.flights import film, log_flight, prepare_file, prepare_film
-from drone_env.core.episode import Episode
+from drone_env.core.episode import Episode, choices
 from drone_env.core.rewards import ORIGINAL_PROFILE
-from drone_env.core.rollout import choices
 from drone_env.errors import InvalidValueError
 
 

@@ -1,4 +1,4 @@
-"""What the drone can do, what can happen to it, and how an episode can end."""
+"""Actions, events and outcomes."""
 
 import operator
 from enum import IntEnum
@@ -49,7 +49,7 @@ def check_action(action: object) -> int:
 
 
 class Event(IntEnum):
-    """What happened in a step. Of several that hold, the first in this order is the step's event."""
+    """The event of a step: the first in this order that holds."""
 
     DELIVERY = 0
     BATTERY_DEAD = 1
@@ -68,7 +68,7 @@ N_EVENTS = len(Event)
 
 
 class Outcome(IntEnum):
-    """How an episode stands. Everything but FLYING has ended it, and ended it as part of the task (`terminated`)."""
+    """The outcome of an episode. All but FLYING end it, as part of the task (`terminated`)."""
 
     FLYING = 0
     DELIVERED = 1
@@ -77,7 +77,7 @@ class Outcome(IntEnum):
 
 
 FLYING = int(Outcome.FLYING)
-"""A plain integer, as compiled code takes it; so are those of `cells` and `obstacles`."""
+"""A plain integer, as compiled code takes it; so are those of `cells` and `rules`."""
 
 
 MESSAGES = {
@@ -100,4 +100,4 @@ ENDINGS = {
     Outcome.BATTERY_DEAD: " The mission is over.",
     Outcome.OUT_OF_STEPS: " Out of steps: the mission is over.",
 }
-"""What is said after it."""
+"""Added to the message at the end."""

@@ -14,21 +14,20 @@ from numba.extending import register_jitable  # pyright: ignore
 from drone_env.core import compiled
 from drone_env.core.actions import ALLOWED_ACTIONS, FLYING, N_ACTIONS, Event, integer
 from drone_env.core.compile_cache import compiled_once, tell_before_compiling
-from drone_env.core.fetching import fetch_early
 from drone_env.core.observation import open_actions, write_own_telemetry, write_target_telemetry, write_telemetry
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, Rewards, get_reward_profile, tabulate_rewards
 from drone_env.core.rules import reset as reset_episode
+from drone_env.core.rules import score
 from drone_env.core.rules import step as step_episode
-from drone_env.core.score import score
 from drone_env.core.seeds import N_SEEDS, next_seed
 from drone_env.core.tables import CELL, DELIVERIES_DONE, EVENT, OUTCOME, STEPS, Tables, state_size, tabulate
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.core.threads import require_threads
 from drone_env.errors import EpisodeError, InvalidValueError
 
 DELIVERED = int(Event.DELIVERY)
+prefetch = compiled.prefetch
 ACTION_BITS = 7
-"""Changes no action from 0 to 4, and tells the compiler that none is below zero."""
+"""Changes no action from 0 to 4; with it the compiler assumes that none is negative."""
 OWN_CACHE = 3 << 19
 """Bytes of grids from which on a core's own cache no longer holds them between two steps (of 2 MiB, by measurement)."""
 AHEAD, ONE = np.uint64(16), np.uint64(1)
@@ -66,7 +65,7 @@ class Buffers(NamedTuple):
 
 
 def begin(tables: Tables, buffers: Buffers, i: int) -> None:
-    """Begin episode `i` on the map that stands in `seeds`."""
+    """Begin episode `i` on the map of its entry in `seeds`."""
     grid, state = buffers.grids[i], buffers.states[i]
     reset_episode(tables, grid, state, buffers.seeds[i])
     write_telemetry(tables, state, buffers.telemetry[i])
@@ -95,16 +94,16 @@ def keep_final_observation(tables: Tables, buffers: Buffers, i: int, k: int) -> 
     write_telemetry(tables, buffers.states[i], buffers.final_telemetry[k])
 
 
-@compiled_once(nogil=True, **compiled.OPTIONS)
+@compiled.kernel
 def reset_kernel(tables: Tables, buffers: Buffers, chosen: Any) -> None:
-    """Begin the episodes whose numbers are in `chosen`, on the maps that stand in `seeds`."""
+    """Begin the episodes whose numbers are in `chosen`, on the maps in `seeds`."""
     for i in chosen:
         begin(tables, buffers, i)
         buffers.rewards[i] = 0.0
         buffers.terminated[i] = False
 
 
-@compiled_once(nogil=True, **compiled.OPTIONS)
+@compiled.kernel
 def step_kernel(
     tables: Tables, rewards: Rewards, buffers: Buffers, actions: Any, start: int, stop: int, same_step: bool
 ) -> int:
@@ -114,11 +113,11 @@ def step_kernel(
     """
     n_ended = 0
     n_begun = 0
-    fetching = (stop - start) * tables.cells > OWN_CACHE
+    prefetching = (stop - start) * tables.cells > OWN_CACHE
     for i in range(start, stop):
-        if fetching:
+        if prefetching:
             ahead = min(i + AHEAD, stop - ONE)
-            fetch_early(buffers.grids, ahead, buffers.states[ahead, CELL])
+            prefetch(buffers.grids, ahead, buffers.states[ahead, CELL])
         state = buffers.states[i]
         if state[OUTCOME] != FLYING:
             buffers.begun[start + n_begun] = i
@@ -136,7 +135,7 @@ def step_kernel(
         if state[EVENT] == DELIVERED:
             write_target_telemetry(tables, state, buffers.telemetry[i])
         buffers.open_actions[i] = open_actions(tables, buffers.grids[i], state)
-    # What is rare follows in loops of its own: between the steps it would cost them registers.
+    # Rare work has separate loops: between the steps it would cost them registers.
     for k in range(start, start + n_ended):
         keep_final(tables, buffers, buffers.ended[k], k)
         if same_step:
@@ -157,7 +156,7 @@ def step_kernel_threads(
         n_ended[t] = step_kernel(tables, rewards, buffers, actions, bounds[t], bounds[t + 1], same_step)
 
 
-@compiled_once(nogil=True, **compiled.OPTIONS)
+@compiled.kernel
 def all_exist(actions: Any) -> bool:
     """Whether all of the actions, int64[N], are from 0 to 4."""
     allowed = True
@@ -304,7 +303,7 @@ class Batch:
         if len(self._bounds) == 2:
             self._n_ended[0] = self._step(*tables, *self._all, self.same_step)
         else:
-            require_threads(self.num_threads)
+            compiled.require_threads(self.num_threads)
             self._step(*tables, self._bounds, self.same_step, self._n_ended)
 
     def get_state(self) -> dict[str, npt.NDArray[Any]]:

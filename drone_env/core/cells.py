@@ -1,11 +1,11 @@
-"""What can stand in a cell of the grid. The ids are frozen: networks and replays depend on them."""
+"""Kinds of cells. The ids are frozen: networks and replays depend on them."""
 
 from enum import IntEnum
 from typing import NamedTuple
 
 
 class Cell(IntEnum):
-    """Cell ids as they stand in grids; new kinds are added at the end."""
+    """Cell ids of grids; new kinds are added at the end."""
 
     ROAD = 0
     BUILDING = 1
@@ -39,7 +39,7 @@ CELL_KINDS: dict[Cell, CellKind] = {
 }
 N_CELL_KINDS = len(CELL_KINDS)
 SYMBOLS = {int(cell): "· " if cell == Cell.ROAD else kind.emoji for cell, kind in CELL_KINDS.items()}
-"""What stands for each cell id in text; each takes two columns of a terminal. A road's is quieter than its emoji, of
-which a city has too many."""
+"""The symbol of each cell id in text, two columns of a terminal wide. A road has a quieter one than its emoji, because
+a city has many roads."""
 ROAD_CELL, DELIVERY_CELL, PAD_CELL = int(Cell.ROAD), int(Cell.DELIVERY), int(Cell.PAD)
 DELIVERED_CELL, DRONE_CELL = int(Cell.DELIVERED), int(Cell.DRONE)

@@ -2,7 +2,7 @@
 
 import copy
 import secrets
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, SupportsIndex
 
@@ -13,7 +13,7 @@ from drone_env.core import rules
 from drone_env.core.actions import ENDINGS, MESSAGES, N_ACTIONS, Action, Event, Outcome, check_action
 from drone_env.core.observation import Observation, open_actions, write_telemetry
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile, get_reward_profile, interpreted_rewards
-from drone_env.core.score import EFFICIENCY_WEIGHTS, score
+from drone_env.core.rules import EFFICIENCY_WEIGHTS, score
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
 from drone_env.core.tables import (
     BATTERY,
@@ -64,7 +64,7 @@ class EpisodeState:
 
 
 class _NoEpisode:
-    """Stands for the state before the first reset: a reader gets an error."""
+    """The state before the first reset: reading it raises an error."""
 
     def __getitem__(self, index: object) -> Any:
         raise EpisodeError(NOT_STARTED)
@@ -136,7 +136,7 @@ class Episode:
         return chosen
 
     def step(self, action: SupportsIndex) -> float:
-        """Fly one action and return its reward. After the end it changes nothing, pays 0, and `message` says so.
+        """Fly one action and return its reward. After the end it changes nothing and pays 0, and `message` explains it.
 
         Raises:
             InvalidValueError: if the action is not an integer from 0 to 4; the state is left as it was.
@@ -153,17 +153,17 @@ class Episode:
         return reward
 
     def fly(self, actions: Iterable[SupportsIndex]) -> "Episode":
-        """Fly actions one after another and return the episode. Each is asked for when the one before is flown."""
+        """Fly actions in order and return the episode. The next one is requested after the previous one was flown."""
         for action in actions:
             self.step(action)
         return self
 
     def copy(self) -> "Episode":
-        """An episode of its own that stands where this one does."""
+        """An independent copy."""
         return copy.copy(self)
 
     def waited_out(self) -> "Episode":
-        """A copy of it that has waited to its end."""
+        """A copy that has waited to its end."""
         return self.copy().fly([Action.WAIT] * (self.task.max_steps - self.steps))
 
     @property
@@ -185,7 +185,7 @@ class Episode:
 
     @property
     def outcome(self) -> Outcome:
-        """How the episode stands."""
+        """The outcome so far."""
         return Outcome(self._state[OUTCOME])
 
     @property
@@ -261,7 +261,7 @@ class Episode:
 
     @property
     def efficiency_shares(self) -> tuple[float, float, float]:
-        """The value of each part of the efficiency, 0 to 1, in the order of `score.EFFICIENCY_WEIGHTS`."""
+        """The value of each part of the efficiency, 0 to 1, in the order of `rules.EFFICIENCY_WEIGHTS`."""
         return self.deliveries_done / self.task.deliveries, self.battery, 1 - self.steps / self.task.max_steps
 
     @property
@@ -281,7 +281,7 @@ class Episode:
 
     @property
     def last_step(self) -> PathStep | None:
-        """The last step flown, None before the first: what stands at the end of `path`, without the rest."""
+        """The last entry of `path`, None before the first step."""
         return self._path_step(self._path[-1]) if self._path else None
 
     @property
@@ -310,7 +310,7 @@ class Episode:
         return self.waited_out().score
 
     def observation(self) -> Observation:
-        """What an agent sees now, as arrays of its own."""
+        """The current observation, as new arrays."""
         telemetry = np.zeros(self.tables.telemetry_size, np.float32)
         write_telemetry(self.tables, self._state, view(telemetry))
         return {"grid": self.grid(), "telemetry": telemetry}
@@ -382,3 +382,18 @@ class Episode:
 
     def _xy(self, cell: int) -> tuple[int, int]:
         return self.tables.columns[cell], self.tables.rows[cell]
+
+
+Act = Callable[[Observation], SupportsIndex]
+"""Chooses an action, as `act` of an agent does."""
+
+
+def choices(episode: Episode, act: Act) -> Iterator[SupportsIndex]:
+    """Yield the actions to the end of an episode; the caller flies each before it asks for the next."""
+    while not episode.ended:
+        yield act(episode.observation())
+
+
+def rollout(episode: Episode, act: Act) -> Episode:
+    """Fly an episode to its end and return it."""
+    return episode.fly(choices(episode, act))

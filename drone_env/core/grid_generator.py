@@ -93,7 +93,7 @@ def place_along_streets(tables: Tables, grid: Buffer, state: Buffer, key: int) -
         grid[along[end]] = grid[cell]
         grid[cell] = DELIVERY_CELL
         state[PARCELS + i] = cell
-    # Where the start is, something may stand now: it belongs on the street cell that was left out of the list.
+    # The start may be occupied now: its content belongs on the street cell that was left out of the list.
     left_out = tables.city_cells[city + tables.blocks]
     move_parcel(tables, state, start, left_out)
     grid[left_out] = grid[start]
@@ -101,7 +101,7 @@ def place_along_streets(tables: Tables, grid: Buffer, state: Buffer, key: int) -
 
 
 def move_parcel(tables: Tables, state: Buffer, cell: int, to: int) -> None:
-    """If a parcel stands on a cell, note that it stands on another now."""
+    """Record that the parcel of a cell, if there is one, is on another cell now."""
     for i in range(PARCELS, PARCELS + tables.deliveries):
         if state[i] == cell:
             state[i] = to

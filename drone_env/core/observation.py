@@ -1,4 +1,4 @@
-"""What an agent sees; all but the grid is written into buffers that the caller owns."""
+"""Observations. Telemetry is written into buffers that the caller owns."""
 
 from typing import TypedDict
 
@@ -25,10 +25,10 @@ from drone_env.core.tasks import TaskConfig
 
 
 class Observation(TypedDict):
-    """What an agent acts on."""
+    """The observation of an agent."""
 
     grid: npt.NDArray[np.uint8]
-    """uint8[height, width] of cell ids; the drone's id hides what lies below it."""
+    """uint8[height, width] of cell ids; the drone's id hides the cell below it."""
     telemetry: npt.NDArray[np.float32]
     """float32[5] (or 6, or 13): see `write_telemetry`."""
 
@@ -36,15 +36,15 @@ class Observation(TypedDict):
 def telemetry_of(
     task: TaskConfig, cell: int, under: int, battery: int, steps: int, target: int | None
 ) -> npt.NDArray[np.float32]:
-    """The telemetry of a drone that stands so; see `write_telemetry`.
+    """The telemetry of a drone with these fields; see `write_telemetry`.
 
     Args:
         task: The task.
-        cell: Where it is, y * width + x.
+        cell: Cell of the drone, y * width + x.
         under: The kind of the cell below it.
         battery: Units left.
         steps: Steps taken.
-        target: The cell of the current target, None where nothing is left.
+        target: The cell of the current target, None if nothing is left.
     """
     tables = interpreted(task)
     state = np.zeros(state_size(tables), np.uint16)
@@ -58,7 +58,7 @@ def telemetry_of(
 def write_telemetry(tables: Tables, state: Buffer, telemetry: FloatBuffer) -> None:
     """Write drone x/width, y/height, battery/capacity, target x/width, y/height into float32[5].
 
-    Where nothing is left to deliver, the drone's own position stands for the target. Tasks whose battery does not
+    If nothing is left to deliver, the target is the drone's own position. Tasks whose battery does not
     tell the time have a sixth value: the share of steps left. Tasks with pads have it too, and then seven more, of
     which one is 1: that of the kind of the cell below the drone, in the order of `tasks.TERRAIN`.
     """

@@ -1,17 +1,3 @@
-"""Collisions: what a move runs into."""
+"""Collisions, under the name of the original file."""
 
-from drone_env.core.actions import Event
-from drone_env.core.tables import NOWHERE, Buffer, Tables
-
-WALL = int(Event.WALL)
-BLOCKED = int(Event.BLOCKED)
-NONE = int(Event.NONE)
-
-
-def collision(tables: Tables, grid: Buffer, to: int) -> int:
-    """`Event.WALL` or `Event.BLOCKED` if the drone cannot enter the cell `to`, else `Event.NONE`."""
-    if to == NOWHERE:
-        return WALL
-    if tables.any_impassable and tables.impassable[grid[to]]:
-        return BLOCKED
-    return NONE
+from drone_env.core.rules import collision as collision

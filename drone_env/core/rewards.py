@@ -7,28 +7,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drone_env.core.actions import FLYING, N_EVENTS, Event
-from drone_env.core.score import score
-from drone_env.core.tables import (
-    DELIVERIES_DONE,
-    DISTANCE,
-    OUTCOME,
-    Buffer,
-    FloatBuffer,
-    Tables,
-    as_views,
-    read_only,
-)
+from drone_env.core.actions import N_EVENTS, Event
+from drone_env.core.tables import FloatBuffer, as_views, read_only
 from drone_env.core.tasks import MAX_SIDE, TaskConfig
 from drone_env.errors import InvalidTaskError, UnknownNameError
 
 DEFAULT_PROFILE = "aligned"
-"""What steps pay where nobody says it: in `Episode`, Gymnasium, training, data sets, `play`, `audit`, Inspect, TRL."""
+"""The default in `Episode`, Gymnasium, training, datasets, `play`, `audit`, Inspect and TRL."""
 ORIGINAL_PROFILE = "tiered"
-"""The same where the project's first version set it: over HTTP and OpenEnv, in `fly`, `infer` and `inference.py`."""
+"""The default over HTTP and OpenEnv, in `fly`, `infer` and `inference.py`, as in the original project."""
 
 STRIDE = 2 * MAX_SIDE
-"""Entries of a potential's table per number of deliveries: a distance is below it."""
+"""Entries of a potential's table per number of deliveries; distances are smaller."""
 MAX_REWARD = 1_000_000
 MAX_PLACES = 400
 """Decimal places of the numbers of a profile: more than any float has, and few enough to calculate with exactly."""
@@ -36,7 +26,7 @@ MAX_PLACES = 400
 
 @dataclass(frozen=True)
 class RewardProfile:
-    """What a step pays: the sum of the parts that are switched on. Immutable and hashable.
+    """The reward of a step: the sum of the parts that are switched on. Immutable and hashable.
 
     Attributes:
         id: Unique name.
@@ -171,7 +161,7 @@ class Rewards(NamedTuple):
     """A profile's tables for one task. Arrays when compiled, memory views when interpreted."""
 
     events: FloatBuffer
-    """float64[events * 3], at event * 3 + closer (2), as far (1) or farther (0)."""
+    """float64[events * 3], at event * 3 + delta: 2 for closer to the target, 1 for as far, 0 for farther."""
     potential: FloatBuffer
     """phi(s): float64, at deliveries * STRIDE + distance."""
     discounted: FloatBuffer
@@ -191,11 +181,11 @@ def tabulate_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
         if event is Event.NONE:
             continue
         own = Decimal(str(getattr(task, f"r_{event.name.lower()}"))) if profile.task_events else Decimal(0)
-        for closer in (-1, 0, 1):
-            value = dict(profile.events).get(event, own) + profile.shaping * closer
+        for delta in (-1, 0, 1):
+            value = dict(profile.events).get(event, own) + profile.shaping * delta
             if profile.clamp is not None:
                 value = min(max(value, profile.clamp[0]), profile.clamp[1])
-            events[event * 3 + closer + 1] = float(value)
+            events[event * 3 + delta + 1] = float(value)
 
     potential = discounted = np.zeros((task.deliveries + 1) * STRIDE)
     if profile.shaping_gamma is not None:
@@ -203,9 +193,9 @@ def tabulate_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
         across = task.width + task.height
         whole = 10 * task.deliveries * across
         phi = [
-            2 * task.deliveries * across + 8 * ((done + 1) * across - far)
+            2 * task.deliveries * across + 8 * ((done + 1) * across - distance)
             for done in range(task.deliveries + 1)
-            for far in range(STRIDE)
+            for distance in range(STRIDE)
         ]
         times, part = profile.shaping_gamma.as_integer_ratio()
         potential = np.array([value / whole for value in phi])
@@ -223,29 +213,3 @@ def tabulate_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
 def interpreted_rewards(task: TaskConfig, profile: RewardProfile) -> Rewards:
     """The same tables as memory views, for interpreted code."""
     return as_views(tabulate_rewards(task, profile))
-
-
-def potential_of(table: FloatBuffer, state: Buffer) -> float:
-    """What a table of a profile, `potential` or `discounted`, holds for the state."""
-    return table[state[DELIVERIES_DONE] * STRIDE + state[DISTANCE]]
-
-
-def reward_of(
-    tables: Tables, rewards: Rewards, state: Buffer, event: int, closer: int, potential_before: float
-) -> float:
-    """What the step that led to `state` pays.
-
-    Args:
-        tables: The task's tables.
-        rewards: The profile's tables.
-        state: The state after the step, its outcome settled.
-        event: What happened in the step.
-        closer: 2 if the step came closer to the target that was current before it, 1 if it stayed as far, else 0.
-        potential_before: The potential of the state before the step.
-    """
-    reward = rewards.events[event * 3 + closer] - potential_before
-    if state[OUTCOME] == FLYING:
-        return reward + potential_of(rewards.discounted, state)
-    if rewards.pays_score:
-        return reward + score(tables, state)
-    return reward

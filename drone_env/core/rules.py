@@ -1,15 +1,13 @@
-"""The rules of the world: `reset` makes the first state of an episode, `step` turns state and action into the next.
+"""The rules of the world: `reset` writes the first state of a map, `step` flies one action and returns its reward.
 
-These functions, and the ones that they call, are the only place where the rules stand. They run as plain Python for a
-single episode (`episode.Episode`) and compiled by Numba (`compiled`), with the same bits as a result.
+These functions run as plain Python for one episode (`episode.Episode`) and compiled by Numba (`compiled`), with equal
+bits. `tables` documents the state, and the numbers of a task that a step looks up.
 """
 
 from drone_env.core.actions import FLYING, N_ACTIONS, Event, Outcome
-from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL
-from drone_env.core.drone import distance, move, use_battery
+from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, DRONE_CELL
 from drone_env.core.grid_generator import scatter
-from drone_env.core.obstacles import NONE, collision
-from drone_env.core.rewards import Rewards, potential_of, reward_of
+from drone_env.core.rewards import STRIDE, Rewards
 from drone_env.core.tables import (
     BATTERY,
     CELL,
@@ -24,28 +22,27 @@ from drone_env.core.tables import (
     TARGET,
     UNDER,
     Buffer,
+    FloatBuffer,
     Tables,
 )
 
-CLOSER_BITS = 3
-"""Changes nothing from 0 to 2, and tells the compiler that none is below zero."""
-
-DELIVERY = int(Event.DELIVERY)
-DEAD = int(Event.BATTERY_DEAD)
-
-DELIVERED = int(Outcome.DELIVERED)
-BATTERY_DEAD = int(Outcome.BATTERY_DEAD)
+# Plain integers, as compiled code takes them.
+DELIVERY, BATTERY_EMPTY = int(Event.DELIVERY), int(Event.BATTERY_DEAD)
+WALL, BLOCKED, NONE = int(Event.WALL), int(Event.BLOCKED), int(Event.NONE)
+DELIVERED, BATTERY_DEAD = int(Outcome.DELIVERED), int(Outcome.BATTERY_DEAD)
 OUT_OF_STEPS = int(Outcome.OUT_OF_STEPS)
+
+DELTA_BITS = 3
+"""Changes no number from 0 to 2; with it the compiler assumes that none is negative."""
+LOWEST, HIGHEST = 0.01, 0.99
+"""Bounds of the graded score."""
+EFFICIENCY_WEIGHTS = {"parcels delivered": 75, "battery left": 15, "steps left": 10}
+"""Percentages that make up the efficiency: a figure for people, which no reward contains."""
 
 
 def reset(tables: Tables, grid: Buffer, state: Buffer, seed: int) -> None:
-    """Write the first state of map `seed`."""
+    """Write the first state of map `seed`: full battery, no step taken, nothing delivered."""
     scatter(tables, grid, state, seed)
-    begin(tables, state)
-
-
-def begin(tables: Tables, state: Buffer) -> None:
-    """Full battery, no step taken, nothing delivered, on the map that stands in the state."""
     state[STEPS] = 0
     state[BATTERY] = tables.capacity
     state[DELIVERIES_DONE] = 0
@@ -60,32 +57,69 @@ def step(tables: Tables, rewards: Rewards, grid: Buffer, state: Buffer, action: 
         return 0.0
     potential = potential_of(rewards.potential, state)
 
+    # Move: off the grid or onto an impassable cell the drone stays where it is.
     cell, under, steps = state[CELL], state[UNDER], state[STEPS] + 1
     to = tables.moves[cell * N_ACTIONS + action]
-    happened = collision(tables, grid, to)
-    if happened == NONE:
+    event = collision(tables, grid, to)
+    if event == NONE:
         under = move(grid, state, cell, to)
         cell = to
-        happened = tables.flight_event[under * N_ACTIONS + action]
-    far = distance(tables, cell, state[TARGET])
-    battery = use_battery(tables, state, under, action)
-    closer = (1 + state[DISTANCE] - far) & CLOSER_BITS
+        event = tables.flight_event[under * N_ACTIONS + action]
+    distance = manhattan(tables, cell, state[TARGET])
+
+    # Drain: by the action and the kind of cell below the drone; a pad charges.
+    battery = units_left(tables, state[BATTERY], tables.drain[under * N_ACTIONS + action])
+    state[BATTERY] = battery
+    delta = (1 + state[DISTANCE] - distance) & DELTA_BITS
     state[STEPS] = steps
-    state[DISTANCE] = far
+    state[DISTANCE] = distance
+
+    # Deliver the parcel on this cell, whichever it is, and end the episode if nothing more can follow.
     if under == DELIVERY_CELL:
         deliver(tables, state)
-        happened = DELIVERY
-        state[OUTCOME] = outcome(tables, state)
+        event = DELIVERY
+        state[OUTCOME] = outcome(tables, state[DELIVERIES_DONE], battery, steps)
     elif battery == 0 or steps == tables.max_steps:
-        state[OUTCOME] = outcome(tables, state)
+        state[OUTCOME] = outcome(tables, state[DELIVERIES_DONE], battery, steps)
         if state[OUTCOME] == BATTERY_DEAD:
-            happened = DEAD
-    state[EVENT] = happened
-    return reward_of(tables, rewards, state, happened, closer, potential)
+            event = BATTERY_EMPTY
+    state[EVENT] = event
+
+    # Reward: for the event and the way to the target that was current before the step.
+    return reward_of(tables, rewards, state, event, delta, potential)
+
+
+def collision(tables: Tables, grid: Buffer, to: int) -> int:
+    """`Event.WALL` or `Event.BLOCKED` if the drone cannot enter the cell `to`, else `Event.NONE`."""
+    if to == NOWHERE:
+        return WALL
+    if tables.any_impassable and tables.impassable[grid[to]]:
+        return BLOCKED
+    return NONE
+
+
+def move(grid: Buffer, state: Buffer, cell: int, to: int) -> int:
+    """Uncover the cell that the drone leaves, cover the one that it reaches, and return the kind of that one."""
+    grid[cell] = state[UNDER]
+    under = grid[to]
+    state[CELL] = to
+    state[UNDER] = under
+    grid[to] = DRONE_CELL
+    return under
+
+
+def manhattan(tables: Tables, a: int, b: int) -> int:
+    """Manhattan distance between two cells."""
+    return abs(tables.columns[a] - tables.columns[b]) + abs(tables.rows[a] - tables.rows[b])
+
+
+def units_left(tables: Tables, units: int, drain: int) -> int:
+    """Battery units after a drain (below zero: a charge): never under 0 or over capacity."""
+    return min(max(units - drain, 0), tables.capacity)
 
 
 def deliver(tables: Tables, state: Buffer) -> None:
-    """Deliver the parcel that waits for the drone on its cell; if that was the target, the next becomes it."""
+    """Deliver the parcel on the drone's cell; if it was the target, choose the next one."""
     state[UNDER] = DELIVERED_CELL
     state[DELIVERIES_DONE] += 1
     for i in range(PARCELS, PARCELS + tables.deliveries):
@@ -101,19 +135,14 @@ def choose_target(tables: Tables, state: Buffer) -> None:
     state[DISTANCE] = 0
     for i in range(PARCELS, PARCELS + tables.deliveries):
         if state[i] < DELIVERED_FLAG:
-            far = distance(tables, state[CELL], state[i])
-            if state[TARGET] == NOWHERE or far < state[DISTANCE]:
+            distance = manhattan(tables, state[CELL], state[i])
+            if state[TARGET] == NOWHERE or distance < state[DISTANCE]:
                 state[TARGET] = state[i]
-                state[DISTANCE] = far
+                state[DISTANCE] = distance
 
 
-def outcome(tables: Tables, state: Buffer) -> int:
-    """How the episode stands after a step."""
-    return outcome_of(tables, state[DELIVERIES_DONE], state[BATTERY], state[STEPS])
-
-
-def outcome_of(tables: Tables, deliveries: int, battery: int, steps: int) -> int:
-    """The same, of the three numbers that decide it."""
+def outcome(tables: Tables, deliveries: int, battery: int, steps: int) -> int:
+    """The outcome of an episode after a step with these parcels delivered, battery units left and steps taken."""
     if deliveries == tables.deliveries:
         return DELIVERED
     if battery == 0:
@@ -121,3 +150,48 @@ def outcome_of(tables: Tables, deliveries: int, battery: int, steps: int) -> int
     if steps == tables.max_steps:
         return OUT_OF_STEPS
     return FLYING
+
+
+def reward_of(
+    tables: Tables, rewards: Rewards, state: Buffer, event: int, delta: int, potential_before: float
+) -> float:
+    """The reward of the step that led to `state`.
+
+    Args:
+        tables: The task's tables.
+        rewards: The profile's tables.
+        state: The state after the step, with its outcome.
+        event: The event of the step.
+        delta: 2 if the step came closer to the target that was current before it, 1 if the distance is equal, else 0.
+        potential_before: The potential of the state before the step.
+    """
+    reward = rewards.events[event * 3 + delta] - potential_before
+    if state[OUTCOME] == FLYING:
+        return reward + potential_of(rewards.discounted, state)
+    if rewards.pays_score:
+        return reward + score(tables, state)
+    return reward
+
+
+def potential_of(table: FloatBuffer, state: Buffer) -> float:
+    """The entry for the state in a table of a profile, `potential` or `discounted`."""
+    return table[state[DELIVERIES_DONE] * STRIDE + state[DISTANCE]]
+
+
+def score_of(tables: Tables, deliveries_done: int, battery: int, steps: int) -> float:
+    """0.8 * done/total + 0.2 * (0.5 * battery/capacity + 0.5 * (1 - steps/max_steps)), in [0.01, 0.99].
+
+    With `efficiency_needs_all` the second part counts only when everything is delivered. Computed as one correctly
+    rounded division of integers, so equal flights have equal scores to the last bit.
+    """
+    total, capacity, max_steps = tables.deliveries, tables.capacity, tables.max_steps
+    needs_all = tables.efficiency_needs_all  # read here: inside the condition it costs a compiled step 4 %
+    tenths = 8 * deliveries_done * capacity * max_steps
+    if deliveries_done == total or not needs_all:
+        tenths += total * (battery * max_steps + (max_steps - steps) * capacity)
+    return min(max(tenths / (10 * total * capacity * max_steps), LOWEST), HIGHEST)
+
+
+def score(tables: Tables, state: Buffer) -> float:
+    """The graded score of the episode: provisional until it has ended."""
+    return score_of(tables, state[DELIVERIES_DONE], state[BATTERY], state[STEPS])

@@ -18,7 +18,7 @@ MIX_1 = 0xBF58476D1CE4E5B9 - (1 << 64)
 MIX_2 = 0x94D049BB133111EB - (1 << 64)
 
 N_SEEDS = 1 << 53
-"""Seeds lie in [0, 2^53), so that JSON, JavaScript and SQLite keep them."""
+"""Seeds are in [0, 2^53), so that JSON, JavaScript and SQLite keep them."""
 
 TRAIN_MASK = (1 << 52) - 1
 SEED_STRIDE = 0x9E3779B97F4A7

@@ -4,10 +4,10 @@
 mechanic is a new entry and not a new branch. The same tables serve compiled code (as NumPy arrays) and interpreted
 code (as memory views, whose items are plain Python integers).
 
-The state of one episode is two buffers:
+Two buffers hold the state of one episode:
 
-- `grid`: one cell id per cell, row by row (cell number = y * width + x), as the drone sees it: its own id hides what
-  lies below it.
+- `grid`: one cell id per cell, row by row (cell number = y * width + x), as the drone sees it: its own id hides the
+  cell below it.
 - `state`: the integers named below, then one entry per parcel: its cell number, plus `DELIVERED_FLAG` once it has been
   delivered. They are unsigned 16-bit integers: compiled code then needs no care for indices below zero.
 """
@@ -30,7 +30,7 @@ FloatBuffer: TypeAlias = "memoryview[float]"
 """The same, of floating-point numbers."""
 
 INDEX_BITS = (1 << 16) - 1
-"""Changes no index of a table, and tells the compiler that none is below zero."""
+"""Changes no index of a table; with it the compiler assumes that none is negative."""
 N_MOVES = N_ACTIONS - 1
 """All actions but WAIT, which is the last."""
 N_TERRAIN = len(TERRAIN)
@@ -38,7 +38,7 @@ N_TERRAIN = len(TERRAIN)
 AnyTables = TypeVar("AnyTables", bound=tuple[Any, ...])
 
 CELL = 0
-"""Where the drone is."""
+"""Cell of the drone."""
 UNDER = 1
 """The kind of the cell below it."""
 STEPS = 2
@@ -59,7 +59,7 @@ PARCELS = 9
 """From here on: one entry per delivery."""
 
 NOWHERE = (1 << 16) - 1
-"""Stands for a cell that does not exist: off the grid, or no target left."""
+"""A cell that does not exist: off the grid, or no target left."""
 DELIVERED_FLAG = 1 << 15
 """Added to the cell of a parcel that has been delivered."""
 
@@ -99,7 +99,7 @@ class Tables(NamedTuple):
     street_spacing: int
     """Every how many rows and columns there is a street; 0 where everything lies anywhere."""
     blocks: int
-    """How many cells lie between the streets."""
+    """The number of cells between the streets."""
     city_grids: Buffer
     """The map before anything is drawn, for each way in which the streets can lie, or each window of fixed terrain:
     uint8[ways * cells]."""
@@ -107,19 +107,19 @@ class Tables(NamedTuple):
     """The cells between the streets, then those on them, in each of these ways: uint16[ways * cells]. Where the terrain
     is fixed, those that start, parcels and pads are drawn from, window by window."""
     windows: Buffer
-    """Where the terrain is fixed, the first window of each split, and the one after its last: int64[splits * 2]; else
+    """If the terrain is fixed, the first window of each split and the one after its last, int64[splits * 2]; else
     empty."""
     window_cells: Buffer
-    """Where those of each window stand in `city_cells`, and where the last ones end: int64[windows + 1]."""
+    """The first index of each window in `city_cells`, and the end of the last: int64[windows + 1]."""
     window_pads: Buffer
-    """How many pads each window has already: int64[windows]."""
+    """The number of pads in each window: int64[windows]."""
     fixed: Buffer
-    """Where the terrain is fixed, the cell of the start and of each parcel, `NOWHERE` for those that are drawn:
-    uint16[1 + deliveries]; else empty."""
+    """If the terrain is fixed, the cell of the start and of each parcel (`NOWHERE` if it is drawn), uint16[1 +
+    deliveries]; else empty."""
     drawn_kinds: Buffer
     """The kinds of terrain that are drawn, in the order in which they are: uint8[draws]."""
     drawn_between: int
-    """How many of these stand between the streets: they are the first."""
+    """The number of these between the streets: they are the first."""
     efficiency_needs_all: int
     """1 if battery and steps left count in the score only when everything is delivered."""
     telemetry_size: int
@@ -131,7 +131,7 @@ class Tables(NamedTuple):
     steps_share: FloatBuffer
     """Share of steps left after each number of steps, float32[max_steps + 1]."""
     terrain_numbers: Buffer
-    """Where a kind stands in `TERRAIN`: uint8[kinds]."""
+    """The index of a kind in `TERRAIN`: uint8[kinds]."""
 
 
 def state_size(tables: Tables) -> int:
@@ -207,22 +207,19 @@ def _city_tables(task: TaskConfig) -> dict[str, Any]:
     counts, spacing, cells = task.cell_counts(), task.street_spacing, task.width * task.height
     if task.terrain is not None:
         return _terrain_tables(task, task.terrain)
-    no_terrain = {
+    tables: dict[str, Any] = {
+        "blocks": 0,
+        "city_grids": np.zeros(0, np.uint8),
+        "city_cells": np.zeros(0, np.uint16),
         "windows": np.zeros(0, np.int64),
         "window_cells": np.zeros(0, np.int64),
         "window_pads": np.zeros(0, np.int64),
         "fixed": np.zeros(0, np.uint16),
+        "drawn_kinds": np.array([kind for kind, count in counts.items() for _ in range(count)], np.uint8),
+        "drawn_between": 0,
     }
     if spacing == 0:
-        kinds = [kind for kind, count in counts.items() for _ in range(count)]
-        return {
-            "blocks": 0,
-            "city_grids": np.zeros(0, np.uint8),
-            "city_cells": np.zeros(0, np.uint16),
-            **no_terrain,
-            "drawn_kinds": np.array(kinds, np.uint8),
-            "drawn_between": 0,
-        }
+        return tables
     numbers, way = np.arange(cells), np.arange(spacing**2)[:, None]
     across, down = numbers % task.width % spacing, numbers // task.width % spacing
     on_street = (across == way % spacing) | (down == way // spacing)
@@ -238,21 +235,20 @@ def _city_tables(task: TaskConfig) -> dict[str, Any]:
         cover, *others = sorted(placed, key=lambda kind: (-placed[kind], kind))
         covers.append(cover)
         kinds += [kind for kind in others for _ in range(placed[kind])]
-    return {
+    return tables | {
         "blocks": blocks,
         "city_grids": np.ravel(np.where(on_street, covers[1], covers[0])).astype(np.uint8),
         "city_cells": np.ravel(np.argsort(on_street, axis=1, kind="stable")).astype(np.uint16),
-        **no_terrain,
         "drawn_kinds": np.array(kinds, np.uint8),
         "drawn_between": blocks - between[covers[0]],
     }
 
 
 def _terrain_tables(task: TaskConfig, terrain: Terrain) -> dict[str, Any]:
-    """What a map on fixed terrain is drawn from."""
+    """The tables that maps on fixed terrain are drawn from."""
     stops = [terrain.start, *(terrain.parcels or [None] * task.deliveries)]
     by_split = list(task.windows.values())
-    # One window that serves all splits stands there once.
+    # One window that all splits share is stored once.
     if all(windows == by_split[0] for windows in by_split):
         by_split = by_split[:1]
     windows = [window for split in by_split for window in split]

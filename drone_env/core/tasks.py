@@ -4,7 +4,7 @@ import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import MISSING, asdict, dataclass, field, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from functools import cached_property
 from hashlib import sha256
 from itertools import chain
@@ -13,7 +13,7 @@ from typing import Any
 from drone_env.core.actions import Event
 from drone_env.core.cells import Cell
 from drone_env.core.terrain import PLACED, Terrain, Window, shipped_terrain
-from drone_env.errors import InvalidTaskError, UnknownNameError, WithdrawnError
+from drone_env.errors import InvalidTaskError, UnknownNameError
 
 MAX_SIDE = 128
 """Cells along a side of a map: the number of a cell, with its flag, has to fit the 16-bit state."""
@@ -23,9 +23,19 @@ MAX_SPACING = 16
 MAX_UNITS = 32_000
 """Upper bound of steps and battery units, so that they fit the 16-bit state."""
 
+RANGES = (
+    ("width height", 2, MAX_SIDE),
+    ("deliveries", 1, MAX_DELIVERIES),
+    ("max_steps battery_capacity", 1, MAX_UNITS),
+    ("charge_rate", 0, MAX_UNITS),
+    ("buildings trees obstacles pads", 0, math.inf),
+    ("version", 1, math.inf),
+)
+"""The lowest and highest values of a task's numbers, both allowed."""
+
 TERRAIN = (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.DELIVERY, Cell.DELIVERED, Cell.PAD)
-"""The kinds that can lie under the drone. The order is frozen: telemetry tells a kind by its place here, and networks
-and data sets depend on it."""
+"""The kinds of cell that can be under the drone. The order is frozen: telemetry encodes a kind by its index here, and
+networks and datasets depend on it."""
 
 
 @dataclass(frozen=True)
@@ -114,23 +124,18 @@ class TaskConfig:
         except (TypeError, ValueError) as error:
             message = f"drain holds pairs (Cell, units), impassable holds Cells: {error}"
             raise InvalidTaskError(f"task {self.id!r}: {message}") from None
-        sides = (self.width, self.height)
-        require(all(2 <= side <= MAX_SIDE for side in sides), f"width and height must be 2 to {MAX_SIDE}, got {sides}")
-        require(
-            1 <= self.deliveries <= MAX_DELIVERIES, f"deliveries must be 1 to {MAX_DELIVERIES}, got {self.deliveries}"
-        )
-        counts = (self.buildings, self.trees, self.obstacles, self.pads)
-        require(min(counts) >= 0, f"counts of cells must not be negative, got {counts}")
-        placed = 1 + self.deliveries + sum(counts)
+        for names, low, high in RANGES:
+            for name in names.split():
+                allowed = f"at least {low}" if high == math.inf else f"{low} to {high}"
+                value = getattr(self, name)
+                require(low <= value <= high, f"{name} must be {allowed}, got {value}")
+        placed = 1 + self.deliveries + sum(self.cell_counts().values())
         fits = self.terrain is not None or placed <= self.width * self.height
         require(fits, f"{placed} things do not fit on {self.width * self.height} cells")
         require(type(self.efficiency_needs_all) is bool, "efficiency_needs_all must be True or False")
         self._check_streets(require)
         if self.terrain is not None:
             self._check_terrain(require, self.terrain)
-        for name in ("max_steps", "battery_capacity"):
-            value = getattr(self, name)
-            require(1 <= value <= MAX_UNITS, f"{name} must be 1 to {MAX_UNITS}, got {value}")
         require(len(dict(self.drain)) == len(self.drain), "drain names a kind of cell twice")
         for kind, units in self.drain:
             require(type(units) is int, f"drain must be whole units, got {units!r} for {kind.name}")
@@ -138,8 +143,6 @@ class TaskConfig:
             require(0 <= units <= MAX_UNITS, f"drain must be 0 to {MAX_UNITS}, got {units} for {kind.name}")
         can_block = {Cell.BUILDING, Cell.TREE, Cell.OBSTACLE}
         require(self.impassable <= can_block, f"impassable may hold {sorted(c.name for c in can_block)}")
-        require(0 <= self.charge_rate <= MAX_UNITS, f"charge_rate must be 0 to {MAX_UNITS}, got {self.charge_rate}")
-        require(self.version >= 1, f"version must be at least 1, got {self.version}")
 
     def _check_terrain(self, require: Callable[[bool, str], None], terrain: Terrain) -> None:
         window, sides = (self.width, self.height), (terrain.width, terrain.height)
@@ -172,7 +175,7 @@ class TaskConfig:
 
     @cached_property
     def windows(self) -> dict[str, list[Window]]:
-        """What maps are drawn on, by split; nothing without fixed terrain.
+        """The windows that maps are drawn on, by split; empty without fixed terrain.
 
         Raises:
             InvalidTaskError: if there is too little room on the terrain.
@@ -237,14 +240,14 @@ class TaskConfig:
         )
 
     def rules(self) -> dict[str, Any]:
-        """All that decides how the task is flown, as JSON values by name: what hashes and data sets say of it."""
+        """Everything that determines how the task is flown, as JSON values by name: hashes and datasets contain it."""
         numbers = {name: value for name, value in asdict(self).items() if name not in ("family", "terrain")}
         fixed = {} if self.terrain is None else {"terrain": self.terrain.digest()}
         return numbers | {"impassable": sorted(self.impassable)} | fixed
 
     @cached_property
     def digest(self) -> str:
-        """What tells its rules from those of any other task, 16 hex digits; a field of a later version changes none."""
+        """A hash of its rules, 16 hex digits; a new field with its default changes none."""
         usual: dict[str, Any] = {one.name: one.default for one in fields(self)} | {"impassable": []}
         own = {name: value for name, value in self.rules().items() if value != usual.get(name, MISSING)}
         return sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
@@ -266,7 +269,7 @@ class TaskConfig:
         return f"DroneDelivery-{name}-v{self.version}"
 
     def cell_counts(self) -> dict[Cell, int]:
-        """How many cells of each terrain kind a map holds, in the order in which they are placed."""
+        """The number of cells of each kind of terrain, in the order in which they are placed."""
         return {
             Cell.BUILDING: self.buildings,
             Cell.TREE: self.trees,
@@ -280,7 +283,7 @@ OVER_CITIES: dict[str, Any] = {
     "impassable": frozenset({Cell.OBSTACLE}),
     "efficiency_needs_all": True,
 }
-"""What flying costs over a city, drawn or real, and what its score asks for."""
+"""Costs of flying over a city, drawn or real, and its rule of the score."""
 
 
 def _rewards(r_delivery: float, r_other: float) -> dict[str, Any]:
@@ -288,18 +291,19 @@ def _rewards(r_delivery: float, r_other: float) -> dict[str, Any]:
     return others | {"r_delivery": r_delivery}
 
 
-def _standard(
+def _task(
     short_name: str,
     side: int,
     terrain: tuple[int, int, int],
     deliveries: int,
     steps: int,
-    r_delivery: float,
-    r_other: float,
+    rewards: tuple[float, float],
+    **numbers: Any,
 ) -> TaskConfig:
+    """A task on drawn maps: its numbers of buildings, trees and obstacles, and its rewards of a delivery and else."""
     buildings, trees, obstacles = terrain
+    standard: dict[str, Any] = {"id": f"{short_name}_delivery", "battery_capacity": steps, "family": "standard"}
     return TaskConfig(
-        id=f"{short_name}_delivery",
         short_name=short_name,
         grader=f"drone_env.graders:grade_{short_name}",
         width=side,
@@ -309,41 +313,20 @@ def _standard(
         trees=trees,
         obstacles=obstacles,
         max_steps=steps,
-        battery_capacity=steps,
-        **_rewards(r_delivery, r_other),
-        family="standard",
+        **_rewards(*rewards),
+        **standard | numbers,
     )
 
 
-def _skyline(
-    level: str,
-    side: int,
-    terrain: tuple[int, int, int],
-    pads: int,
-    deliveries: int,
-    battery: int,
-    steps: int,
-    charge: int,
-    r_delivery: float,
-    r_other: float,
-) -> TaskConfig:
+def _skyline(level: str, *numbers: Any, **others: Any) -> TaskConfig:
     """A city of streets and blocks, whose battery does not last for the tour."""
-    standard = _standard(f"skyline_{level}", side, terrain, deliveries, steps, r_delivery, r_other)
-    return replace(
-        standard,
-        id=standard.short_name,
-        battery_capacity=battery,
-        pads=pads,
-        charge_rate=charge,
-        street_spacing=4,
-        version=2,
-        family="skyline",
-        **OVER_CITIES,
-    )
+    name = f"skyline_{level}"
+    city: dict[str, Any] = {"id": name, "street_spacing": 4, "version": 2, "family": "skyline", **OVER_CITIES}
+    return _task(name, *numbers, **city, **others)
 
 
 def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
-    """A task over the terrain of a place: what flying costs is as in skyline.
+    """A task over the terrain of a place, with the costs of skyline.
 
     Args:
         terrain: The terrain.
@@ -371,16 +354,12 @@ def task_on(terrain: Terrain, name: str, **numbers: Any) -> TaskConfig:
 TASKS: dict[str, TaskConfig] = {
     task.id: task
     for task in (
-        _standard("easy", 10, (4, 4, 3), deliveries=1, steps=60, r_delivery=0.95, r_other=0.10),
-        _standard("medium", 14, (8, 6, 6), deliveries=3, steps=100, r_delivery=0.90, r_other=0.15),
-        _standard("hard", 18, (12, 10, 10), deliveries=5, steps=160, r_delivery=0.85, r_other=0.25),
-        _skyline("easy", 8, (18, 6, 3), 5, deliveries=3, battery=11, steps=60, charge=4, r_delivery=0.95, r_other=0.10),
-        _skyline(
-            "medium", 12, (40, 14, 8), 4, deliveries=4, battery=18, steps=100, charge=4, r_delivery=0.90, r_other=0.15
-        ),
-        _skyline(
-            "hard", 16, (80, 24, 14), 5, deliveries=5, battery=26, steps=160, charge=5, r_delivery=0.85, r_other=0.25
-        ),
+        _task("easy", 10, (4, 4, 3), deliveries=1, steps=60, rewards=(0.95, 0.10)),
+        _task("medium", 14, (8, 6, 6), deliveries=3, steps=100, rewards=(0.90, 0.15)),
+        _task("hard", 18, (12, 10, 10), deliveries=5, steps=160, rewards=(0.85, 0.25)),
+        _skyline("easy", 8, (18, 6, 3), 3, 60, (0.95, 0.10), pads=5, battery_capacity=11, charge_rate=4),
+        _skyline("medium", 12, (40, 14, 8), 4, 100, (0.90, 0.15), pads=4, battery_capacity=18, charge_rate=4),
+        _skyline("hard", 16, (80, 24, 14), 5, 160, (0.85, 0.25), pads=5, battery_capacity=26, charge_rate=5),
         task_on(
             shipped_terrain("helsinki_8"),
             "city_small",
@@ -411,55 +390,29 @@ TASKS: dict[str, TaskConfig] = {
 PACKAGE_TASKS = frozenset(TASKS)
 """Those of the package itself: their names and versions say all."""
 
-PAST_TASKS: tuple[TaskConfig, ...] = ()
-"""Earlier versions of tasks: they keep working forever."""
-
 FINDERS: list[Callable[[str], TaskConfig | None]] = []
-"""Who is asked, in order, for a task that is none of these: as a server that keeps the maps drawn on its page."""
-
-WITHDRAWN = tuple((f"skyline_{level}", 1) for level in ("easy", "medium", "hard"))
-"""(id, version) of tasks that were never published on a package index, and that no code draws maps of any more."""
+"""Functions that find further tasks by name, such as the maps that a server stores; called in order."""
 
 
 def own_rules(*tasks: TaskConfig) -> dict[str, str]:
-    """The digests of those tasks that are none of the package's: what has to be kept, as their names tell no more."""
+    """The digests of the tasks that are not in the package: their names do not identify their rules."""
     return {f"rules of {task.id}": task.digest for task in tasks if task.id not in PACKAGE_TASKS}
 
 
 def get_task(name: str | TaskConfig, version: int | None = None) -> TaskConfig:
     """The task with this id, short name or grader id; a `TaskConfig` is handed back as it is.
 
-    Without a version, the current one.
-
     Raises:
-        UnknownNameError: if there is none; the message lists the valid short names, or the valid versions.
-        WithdrawnError: if this version is withdrawn; the message names the one that replaces it.
+        UnknownNameError: if there is none, or of another version; the message lists the valid names or the version.
     """
     if isinstance(name, TaskConfig):
-        if version not in (None, name.version):
-            raise UnknownNameError(f"version of task {name.id!r}", version, [str(name.version)])
-        return name
-    named = [t for t in (*TASKS.values(), *PAST_TASKS) if name in (t.id, t.short_name, t.grader)]
-    named = named or [task for find in FINDERS if (task := find(name)) is not None]
-    if not named:
-        short = [task.short_name for task in TASKS.values()]
-        raise UnknownNameError("task", name, short, also=TASKS)
-    for task in named:
-        if version in (None, task.version):
-            return task
-    message = withdrawal(named[0].id, version)
-    unknown = f"version of task {named[0].id!r}", version, [str(task.version) for task in named]
-    raise UnknownNameError(*unknown) if message is None else WithdrawnError(*unknown, message)
-
-
-def withdrawal(task_id: object, version: object) -> str | None:
-    """Why there is nothing to be done with this version of a task any more; None where it is not withdrawn.
-
-    Whatever a file says of its task may be asked about.
-    """
-    if (task_id, version) not in WITHDRAWN:
-        return None
-    return (
-        f"version {version} of task {task_id!r} is withdrawn: its maps are drawn no more, so what was made on them "
-        f"cannot be flown again, gone on with or compared; version {TASKS[str(task_id)].version} replaces it"
-    )
+        task = name
+    else:
+        named = [task for task in TASKS.values() if name in (task.id, task.short_name, task.grader)]
+        found = named or [task for find in FINDERS if (task := find(name)) is not None]
+        if not found:
+            raise UnknownNameError("task", name, [task.short_name for task in TASKS.values()], also=TASKS)
+        task = found[0]
+    if version not in (None, task.version):
+        raise UnknownNameError(f"version of task {task.id!r}", version, [str(task.version)])
+    return task

@@ -14,9 +14,9 @@ from drone_env.core.seeds import SPLITS
 
 XY = tuple[int, int]
 PLACED = (Cell.ROAD, Cell.BUILDING, Cell.TREE, Cell.OBSTACLE, Cell.PAD)
-"""What a cell of terrain can be."""
+"""The kinds of cells in terrain."""
 LETTERS = dict(zip(b".BTXP", PLACED, strict=True))
-"""What stands for each kind in the files of `cities`."""
+"""The letter of each kind in the files of `cities`."""
 KIND_OF_LETTER = bytes(LETTERS.get(letter, letter) for letter in range(256))
 MOST_ALONG = 32
 """Windows along a side, about: what maps are drawn from grows with their number."""
@@ -30,7 +30,7 @@ class Window(NamedTuple):
     drawn: list[int]
     """The numbers of the cells that start, parcels and pads are drawn from."""
     pads: int
-    """How many stand there already."""
+    """The number of pads."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Terrain:
         return len(self.cells) // self.width
 
     def count(self, kind: Cell) -> int:
-        """How many cells of a kind there are."""
+        """The number of cells of a kind."""
         return self.cells.count(kind)
 
     @property
@@ -70,7 +70,7 @@ class Terrain:
         return np.reshape(np.frombuffer(self.cells, np.uint8), (-1, self.width))
 
     def digest(self) -> str:
-        """What tells it from any other: 64 hexadecimal digits."""
+        """A hash of everything but its attribution: 64 hexadecimal digits."""
         return sha256(self.cells + repr((self.width, self.start, self.parcels)).encode()).hexdigest()
 
     def corners(self, width: int, height: int) -> dict[str, list[XY]]:
@@ -134,7 +134,7 @@ def shipped_terrain(name: str) -> Terrain:
 
 
 def terrain_text(grid: npt.NDArray[np.uint8], attribution: str) -> str:
-    """What such a file holds."""
+    """The text of such a file."""
     letters = {kind: chr(letter) for letter, kind in LETTERS.items()}
     return "\n".join([attribution, *("".join(map(letters.__getitem__, row)) for row in grid.tolist()), ""])
 

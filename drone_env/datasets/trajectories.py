@@ -9,12 +9,11 @@ import numpy.typing as npt
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
 from drone_env.core.actions import N_ACTIONS
-from drone_env.core.episode import Episode
-from drone_env.core.rollout import choices
+from drone_env.core.episode import Episode, choices
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.datasets.config import DatasetConfig
+from drone_env.planning.optimal import solver_of
 from drone_env.planning.solver import Solver
-from drone_env.planning.solvers import solver_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ GRID = 24
 
 
 def is_joined(task: TaskConfig) -> bool:
-    """Whether the maps of a task are drawn so."""
+    """Whether the maps of a task are drawn by blocks."""
     return task.width * task.height > MOST_SIGNS or task.attribution != ""
 
 
@@ -56,7 +56,7 @@ def draw_blocks(grid: npt.NDArray[np.uint8], unit: int, rim: int, fine: int, str
         blurred = levels.filter(ImageFilter.GaussianBlur(ROUND * unit))
         return blurred.crop((edge, edge, edge + drawn.width, edge + drawn.height))
 
-    # Across an outline the levels rise by so much from one pixel of the shown picture to the next.
+    # The rise of the levels across an outline, from one pixel of the shown picture to the next.
     rise = 255 * fine / (ROUND * unit * math.sqrt(2 * math.pi))
     edge = min(LEVEL + round(rise), INNER)
 

@@ -1,11 +1,8 @@
 """A flight as a film: the pictures of `draw_picture`, one after each step, as an animated GIF or as MP4."""
 
 from collections.abc import Iterator
-from contextlib import suppress
 from itertools import chain
 from pathlib import Path
-from subprocess import PIPE, Popen
-from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -88,28 +85,27 @@ def _write_gif(pictures: Iterator[npt.NDArray[np.uint8]], path: Path) -> None:
 
 def _write_mp4(pictures: Iterator[npt.NDArray[np.uint8]], path: Path) -> None:
     first = next(pictures)
-    height, width = first.shape[:2]
-    comes = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{FPS}", "-i", "-")
-    # The name of the temporary file does not tell the format; players know few other forms of colour.
-    goes = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-f", "mp4", "-y", str(path.absolute()))
-    with TemporaryFile() as said:
-        with Popen([_ffmpeg(), "-loglevel", "error", *comes, *goes], stdin=PIPE, stderr=said) as ffmpeg:
-            assert ffmpeg.stdin is not None
-            with suppress(BrokenPipeError), ffmpeg.stdin as film:  # where ffmpeg has ended, it has said why
-                for picture in chain([first], pictures):
-                    film.write(picture.data)
-        if ffmpeg.returncode:
-            said.seek(0)
-            why = " ".join(said.read().decode(errors="replace").split())
-            raise OSError(f"ffmpeg cannot make the film: {why}")
+    size = first.shape[1], first.shape[0]
+    # The name of the temporary file does not show the format.
+    film = _ffmpeg().write_frames(
+        path, size, fps=FPS, codec="libx264", macro_block_size=2, output_params=["-f", "mp4"], ffmpeg_log_level="error"
+    )
+    try:
+        film.send(None)
+        for picture in chain([first], pictures):
+            film.send(picture)
+    except OSError:  # its message has many lines
+        raise OSError("ffmpeg cannot make the film; its own message is above") from None
+    film.close()
 
 
-def _ffmpeg() -> str:
-    """The program ffmpeg, as imageio-ffmpeg brings or finds it."""
+def _ffmpeg() -> Any:
+    """The module imageio-ffmpeg, which brings or finds the program ffmpeg."""
     with needs("video"):
         import imageio_ffmpeg  # pyright: ignore
     library: Any = imageio_ffmpeg
     try:
-        return library.get_ffmpeg_exe()
+        library.get_ffmpeg_exe()
     except RuntimeError as error:
         raise InvalidValueError(f"a film that ends in .mp4 needs ffmpeg: {error}") from None
+    return library

@@ -1,6 +1,6 @@
-"""The forms of the observation that networks take, the same for one drone and for many: planes of 0 and 1, one vector.
+"""The space of observations, and the forms that networks take: planes of 0 and 1, or one vector.
 
-What is said of shapes holds for one drone; axes in front of them, such as that of a batch, stay in front.
+Shapes are those of one drone; axes in front of them, such as that of a batch, stay in front.
 """
 
 from collections.abc import Mapping
@@ -12,10 +12,21 @@ from gymnasium import spaces
 
 from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.episode import Observation
+from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
 
 Shown = Observation | Mapping[str, npt.NDArray[Any]]
 KINDS = np.arange(N_CELL_KINDS, dtype=np.uint8)[:, None, None]
+
+
+def observation_space(task: TaskConfig) -> spaces.Dict:
+    """`{"grid": uint8[H, W], "telemetry": float32[telemetry_size]}`: 5, 6 or 13 values, as the task says."""
+    return spaces.Dict(
+        {
+            "grid": spaces.Box(0, N_CELL_KINDS - 1, (task.height, task.width), np.uint8),
+            "telemetry": spaces.Box(0.0, 1.0, (task.telemetry_size,), np.float32),
+        }
+    )
 
 
 def one_hot(grid: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""What is known by name: tasks under their Gymnasium ids, and tasks and reward profiles from outside the package.
+"""Registration of tasks, under their Gymnasium ids too, and of reward profiles from outside the package.
 
 A module registers its own when it is imported:
 
@@ -20,7 +20,7 @@ from types import ModuleType
 import gymnasium
 
 from drone_env.core.rewards import REWARD_PROFILES, RewardProfile
-from drone_env.core.tasks import PAST_TASKS, TASKS, TaskConfig
+from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import InvalidTaskError, InvalidValueError
 
 PLUGINS = "DRONE_ENV_PLUGINS"
@@ -28,11 +28,11 @@ PLUGINS = "DRONE_ENV_PLUGINS"
 
 def register_envs() -> None:
     """Register each task and version with Gymnasium that is not registered yet, such as `DroneDelivery-Easy-v1`."""
-    for task in (*TASKS.values(), *PAST_TASKS):
+    for task in TASKS.values():
         if task.gym_id not in gymnasium.registry:
             gymnasium.register(
                 id=task.gym_id,
-                # A function, not `additional_wrappers`: those cannot stand beside a vector_entry_point.
+                # A function, not `additional_wrappers`: those cannot be combined with a vector_entry_point.
                 entry_point="drone_env.envs.wrappers:make",
                 vector_entry_point="drone_env.envs.vector:DroneDeliveryVectorEnv",
                 kwargs={"task": task.id, "version": task.version, "gym_id": task.gym_id},
@@ -73,7 +73,7 @@ def check_names(task: TaskConfig) -> None:
         InvalidTaskError: if one has.
     """
     names = {task.id, task.short_name, task.grader}
-    for other in (*TASKS.values(), *PAST_TASKS):
+    for other in TASKS.values():
         taken = sorted(names & {other.id, other.short_name, other.grader})
         if taken and other != task:
             raise InvalidTaskError(f"task {task.id!r}: {', '.join(taken)} already names the task {other.id!r}")
@@ -101,7 +101,7 @@ def _register_city(path: str | Path) -> TaskConfig:
 
 
 def task_argument(task: TaskConfig) -> str:
-    """What names a task on the command line: its short name; of a city its file, where that is known."""
+    """The name of a task on the command line: its short name, or the file of a city if that is known."""
     files = [Path(name.strip()) for name in plugin_names().split(",") if name.strip().endswith(".toml")]
     named = [file for file in files if file.stem == task.id] if task.terrain is not None else []
     if not named:

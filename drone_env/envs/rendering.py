@@ -1,4 +1,4 @@
-"""An episode as a picture: the city from above, and beside it a panel of how the flight stands."""
+"""An episode as a picture: the city from above, and a panel with the status of the flight."""
 
 import io
 import math
@@ -36,7 +36,7 @@ STATUS = {
     Outcome.OUT_OF_STEPS: ("Out of steps", "fair"),
 }
 BLOCKS = {"building5": Cell.BUILDING, "tree1": Cell.TREE, "obstacle": Cell.OBSTACLE}
-"""What stands for each in the legend, where maps are drawn by blocks, is one cell of it."""
+"""Figures whose place in the legend is one cell of ground, if the map is drawn by blocks."""
 MIN_SIZE, MAX_SIZE, MAX_TRAIL = 64, 4096, 400  # pixels, pixels, and steps: more would make for slow pictures
 _font = lru_cache(maxsize=64)(ImageFont.load_default)
 FPS = 8  # pictures of a flight per second
@@ -199,7 +199,7 @@ def _lay_attribution(picture: Image.Image, layout: Layout, rows: int, words: str
 def _lay_map(
     picture: Image.Image, layout: Layout, grid: npt.NDArray[np.uint8], closed: Collection[Cell], joined: bool
 ) -> None:
-    """The ground, what stands on it, and numbers at the edges."""
+    """The ground, its figures, and numbers at the edges."""
     fine = 3 if layout.size <= 1000 else 2
     unit, base = layout.cell * fine, layout.rim * fine
     ground = draw_blocks(grid, unit, base, fine) if joined else _draw_streets(grid, unit, base)
@@ -254,7 +254,7 @@ def _draw_streets(grid: npt.NDArray[np.uint8], unit: int, base: int) -> Image.Im
 
 
 def _lay_panel(picture: Image.Image, layout: Layout, task: TaskConfig, seed: int) -> None:
-    """What the panel always shows: whose map it is, the names of its gauges, and a legend."""
+    """The constant part of the panel: task, map, names of gauges and a legend."""
     u, rim, pen = layout.size / 100, layout.rim, ImageDraw.Draw(picture)
     top = min(layout.top, layout.left + rim) - rim
     box = layout.city - rim, top, layout.city + PANEL * u - layout.left + rim, layout.size - top
@@ -314,7 +314,7 @@ def _way(layout: Layout, episode: Episode) -> list[Point]:
 
 
 def _draw_status(picture: Image.Image, layout: Layout, episode: Episode) -> None:
-    """What the panel shows of the moment."""
+    """The changing part of the panel."""
     u, pen, task = layout.size / 100, ImageDraw.Draw(picture), episode.task
     words, colour = STATUS[episode.outcome]
     _lay(picture, (*layout.panel(20.5, 24.6), *layout.panel(TEXT, 29.6)), colour, 2.5 * u)

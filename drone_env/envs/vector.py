@@ -13,17 +13,20 @@ from gymnasium.vector.utils import batch_space
 
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.batch import Batch
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, RewardProfile
 from drone_env.core.seeds import SPLITS, check_seed, next_seed
+from drone_env.core.tables import STEPS
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.envs.pictures import Pictures
+from drone_env.envs.forms import observation_space
 from drone_env.envs.registry import check_gym_id
-from drone_env.envs.rendering import FPS
-from drone_env.envs.spaces import observation_space
+from drone_env.envs.rendering import FPS, draw_picture
 from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.reward_file import chosen_profile
 
 Observations = dict[str, npt.NDArray[Any]]
+SIZE = 360
+"""Height of each picture in pixels: half of that of a single environment, because several are shown together."""
 
 
 class DroneDeliveryVectorEnv(VectorEnv[Observations, npt.NDArray[Any], npt.NDArray[Any]]):
@@ -235,3 +238,37 @@ def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     view = array.view()
     view.setflags(write=False)
     return view
+
+
+class Pictures:
+    """Pictures of the episodes of a batch. It stores no trails, so each episode is also flown in plain Python.
+
+    Args:
+        batch: The batch; call `follow` after each of its resets and steps.
+    """
+
+    def __init__(self, batch: Batch) -> None:
+        self.batch = batch
+        self.episodes = [Episode(batch.task, batch.reward_profile) for _ in range(batch.num_envs)]
+
+    def follow(self, actions: npt.NDArray[Any] | None = None) -> None:
+        """Bring the episodes to where the batch is.
+
+        Args:
+            actions: The actions of the last step, integer[N]; None after a reset.
+        """
+        seeds, steps = self.batch.seeds.tolist(), self.batch.get_state()["states"][:, STEPS].tolist()
+        flown = [0] * len(seeds) if actions is None else actions.tolist()
+        for episode, seed, step, action in zip(self.episodes, seeds, steps, flown, strict=True):
+            if step == 0:
+                episode.reset(seed)
+            elif step > episode.steps:
+                episode.step(action)
+
+    def draw(self) -> tuple[npt.NDArray[np.uint8], ...]:
+        """N pictures, uint8[360, width, 3], RGB.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        return tuple(draw_picture(episode, SIZE) for episode in self.episodes)

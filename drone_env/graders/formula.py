@@ -1,10 +1,10 @@
-"""From a state to its score: the one formula of `core.score`, behind every grader."""
+"""From a state to its score: the one formula of `core.rules`, behind every grader."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from drone_env.core.score import score_of
+from drone_env.core.rules import score_of
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError

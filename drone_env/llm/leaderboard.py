@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from drone_env.errors import DroneEnvError, WithdrawnError
+from drone_env.errors import DroneEnvError
 from drone_env.llm.report import report
 from drone_env.llm.run_folder import RESULTS, load_config
 from drone_env.llm.verify import verified_run
@@ -18,8 +18,6 @@ def judge(path: Path) -> Judged | Refused:
             under_way = "no flights yet: it is under way, or was killed and can be gone on with (--resume)"
             return Refused(path, under_way, damaged=False)
         run = verified_run(path)
-    except WithdrawnError as error:
-        return Refused(path, str(error), damaged=False)
     except (DroneEnvError, OSError, ValueError) as error:
         return Refused(path, str(error).removeprefix(f"{path}: "), damaged=True)
     figures = report(run, moves=False)

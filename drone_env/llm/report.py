@@ -132,7 +132,7 @@ def _pass_hat_k(maps: Sequence[Sequence[PilotedRecord]]) -> dict[str, float]:
 
 def _moves(run: VerifiedRun) -> dict[str, Any] | None:
     """How many moves have which label; None where the maps are too large for exact values."""
-    from drone_env.planning.solvers import solver_of  # loads Numba
+    from drone_env.planning.optimal import solver_of  # loads Numba
 
     counts: dict[str, int] = defaultdict(int)
     best = decisive = 0

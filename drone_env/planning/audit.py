@@ -1,4 +1,4 @@
-"""What a reward makes of its learner: the exact return-maximising policy of a map, and what that policy scores.
+"""Audit of rewards: the exact return-maximising policy of a map, and the score of that policy.
 
 Dynamic programming backwards over (steps, battery, delivered set, current target, cell), with the compiled `step`
 itself flown from every state, so that no reward is worked out a second time. Among actions with the same return the
@@ -15,23 +15,20 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numba.extending import register_jitable  # pyright: ignore
 
-from drone_env.core import compiled
 from drone_env.core.actions import FLYING, N_ACTIONS, Action, Event
 from drone_env.core.cells import DELIVERY_CELL
 from drone_env.core.compile_cache import compiled_once
-from drone_env.core.drone import distance
-from drone_env.core.episode import Episode
+from drone_env.core.compiled import jitable
+from drone_env.core.episode import Episode, rollout
 from drone_env.core.observation import Observation
 from drone_env.core.rewards import RewardProfile, Rewards, get_reward_profile, profile_for_discount, tabulate_rewards
-from drone_env.core.rollout import rollout
-from drone_env.core.rules import step
-from drone_env.core.score import score
+from drone_env.core.rules import manhattan, score, step
 from drone_env.core.tables import BATTERY, CELL, DELIVERIES_DONE, DISTANCE, OUTCOME, TARGET, UNDER, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
-from drone_env.planning.map_graph import (
+from drone_env.planning.optimal import Solution, solve_episode
+from drone_env.planning.states import (
     battery_ranges,
     delivered_set,
     put_drone,
@@ -39,7 +36,6 @@ from drone_env.planning.map_graph import (
     require_memory,
     state_arrays,
 )
-from drone_env.planning.optimal import Solution, solve_episode
 
 TIE = 1e-9
 """Returns count as equal if they differ by less than this share of the largest of them."""
@@ -47,15 +43,13 @@ NOISE = 1e-14
 """And if they differ by less than this share of the largest single reward: returns are sums of rounded numbers."""
 
 
+@jitable
 def number_of(state: Any, parcels: Any, cell: int) -> int:
-    """Which of the parcels lies on a cell."""
+    """The number of the parcel on a cell."""
     for i in range(len(parcels)):
         if state[parcels[i]] == cell:
             return i
     return 0
-
-
-register_jitable(**compiled.OPTIONS)(number_of)
 
 
 # It allocates two small arrays, so it needs the runtime that the other kernels do without.
@@ -111,7 +105,7 @@ def audit_kernel(
                         for action in range(N_ACTIONS):
                             put_drone(tables, grid, state, cell, first_step + t, lowest[t] + units)
                             state[TARGET] = target_cell
-                            state[DISTANCE] = distance(tables, cell, target_cell)
+                            state[DISTANCE] = manhattan(tables, cell, target_cell)
                             before = state[DELIVERIES_DONE]
                             returns[action] = step(tables, rewards, grid, state, action)
                             arrived = state[DELIVERIES_DONE] != before
@@ -194,7 +188,7 @@ def audit_map(task: str | TaskConfig, seed: int, reward_profile: str | RewardPro
     Raises:
         UnknownNameError: if there is no such task or profile.
         InvalidValueError: if the seed is not in [0, 2^53).
-        TooLargeError: if it would take more memory than `map_graph.MAX_BYTES`.
+        TooLargeError: if it would take more memory than `states.MAX_BYTES`.
     """
     start = Episode(task, reward_profile, seed)
     solution = solve_episode(start)

@@ -7,28 +7,28 @@ from heapq import heappop, heappush
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable  # pyright: ignore
 
 from drone_env.core.actions import N_ACTIONS, Action, Event
 from drone_env.core.cells import N_CELL_KINDS, Cell
-from drone_env.core.episode import Episode
-from drone_env.core.obstacles import collision
-from drone_env.core.rollout import rollout
-from drone_env.core.score import score_of
-from drone_env.core.standing import standing_episode
+from drone_env.core.compile_cache import compiled_once
+from drone_env.core.episode import Episode, rollout
+from drone_env.core.rules import collision, score_of
 from drone_env.core.tables import N_MOVES, Tables, interpreted, view
 from drone_env.errors import TooLargeError
+from drone_env.planning.from_observation import episode_from_fields
 from drone_env.planning.greedy import greedy_action
-from drone_env.planning.held_karp import UNREACHED
 from drone_env.planning.legs import LegSolver, covers
-from drone_env.planning.map_graph import drain_range, state_arrays
-from drone_env.planning.tours import shortest_over
+from drone_env.planning.states import drain_range, state_arrays
+from drone_env.planning.tours import UNREACHED, held_karp
 
+register_jitable(held_karp)
 AHEAD = 4
-"""Of so many parcels, the nearest, is the best flight planned, time and again."""
+"""The best flight is planned over this many of the nearest parcels, again after each delivery."""
 
 
 class Bounds(NamedTuple):
-    """What the best score that can still be reached lies between, both ends included."""
+    """Bounds of the best score that can still be reached, both included."""
 
     lower: float
     """The score of a flight that was flown."""
@@ -71,12 +71,12 @@ def _plan_part(flight: Episode) -> list[Action]:
     ground[state[entries]] = Cell.DELIVERED
     for n in range(min(AHEAD, len(waiting)), 0, -1):
         near = waiting[:n]
-        # One of its own: no map of it is drawn.
+        # A task of this part alone: no map of it is generated.
         bare = {"terrain": None, "buildings": 0, "trees": 0, "obstacles": 0, "street_spacing": 0}
         task = replace(flight.task, deliveries=n, **bare)
         ground[near] = Cell.DELIVERY
         parcels = [(cell, False) for cell in near]
-        part = standing_episode(task, ground, flight.cell, flight.battery_units, flight.steps, parcels)
+        part = episode_from_fields(task, ground, flight.cell, flight.battery_units, flight.steps, parcels)
         try:
             return LegSolver(part).best_actions()
         except TooLargeError:
@@ -128,22 +128,30 @@ def _least_drains(tables: Tables) -> list[int]:
 def _tour(
     tables: Tables, ground: Any, start: int, parcels: Sequence[int], costs: Sequence[int], budget: int
 ) -> tuple[int, int]:
-    """How many of the parcels a budget allows to visit, and what the cheapest tour over them all costs."""
-    first = _costs_from(tables, ground, [start], costs)
-    legs = [_costs_from(tables, ground, [parcel], costs) for parcel in parcels]
-    return shortest_over([first[cell] for cell in parcels], [[leg[cell] for cell in parcels] for leg in legs], budget)
+    """How many of the parcels a budget allows to visit, and the cost of the cheapest tour over all (or `UNREACHED`)."""
+    n, first = len(parcels), np.array(_costs_from(tables, ground, [start], costs))
+    legs = np.array([_costs_from(tables, ground, [parcel], costs) for parcel in parcels])
+    lengths, order = np.zeros((1 << n, n), np.int64), np.zeros(n, np.int64)
+    visited = tour_kernel(first[parcels], legs[:, parcels], budget, lengths, order)
+    return int(visited), int(lengths[-1].min())
+
+
+@compiled_once(nogil=True)
+def tour_kernel(first: Any, legs: Any, budget: int, lengths: Any, order: Any) -> int:
+    """`held_karp`, compiled."""
+    return held_karp(first, legs, len(first), budget, lengths, order)
 
 
 def _costs_from(tables: Tables, ground: Any, starts: Sequence[int], costs: Sequence[int]) -> list[int]:
-    """What the cheapest way to each cell costs, `UNREACHED` where nothing leads.
+    """The cost of the cheapest path to each cell, `UNREACHED` without one.
 
     Dijkstra, "A note on two problems in connexion with graphs", 1959.
 
     Args:
         tables: The task's tables.
         ground: uint8[cells], without the drone.
-        starts: Where ways may begin.
-        costs: What a move onto each kind of cell costs.
+        starts: Cells where paths may begin.
+        costs: The cost of a move onto each kind of cell.
     """
     grid = view(ground)
     found = [UNREACHED] * tables.cells

@@ -8,20 +8,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba.extending import register_jitable  # pyright: ignore
 
-from drone_env.core import compiled
 from drone_env.core.actions import FLYING
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, Cell
-from drone_env.core.compile_cache import compiled_once
-from drone_env.core.drone import distance
+from drone_env.core.compiled import kernel
 from drone_env.core.episode import Episode
 from drone_env.core.observation import write_telemetry
 from drone_env.core.rewards import Rewards, tabulate_rewards
-from drone_env.core.rules import choose_target, deliver, outcome, step
+from drone_env.core.rules import choose_target, deliver, manhattan, outcome, step
 from drone_env.core.tables import (
     BATTERY,
     CELL,
+    DELIVERIES_DONE,
     DISTANCE,
     N_MOVES,
     NOWHERE,
@@ -30,9 +28,11 @@ from drone_env.core.tables import (
     TARGET,
     UNDER,
     Tables,
+    interpreted,
     tabulate,
+    view,
 )
-from drone_env.planning.map_graph import UNPAID, put_drone, state_arrays
+from drone_env.planning.states import UNPAID, put_drone, state_arrays
 
 UNREACHED = -1
 
@@ -55,59 +55,31 @@ class Places(NamedTuple):
         return self.states[:, OUTCOME] == FLYING
 
 
-def place_drone(tables: Tables, grid: Any, state: Any, cell: int) -> None:
-    """Put the drone over a cell of a grid that has none; a parcel that waits there is delivered."""
-    put_drone(tables, grid, state, cell, state[STEPS], state[BATTERY])
-    if state[UNDER] == DELIVERY_CELL:
-        deliver(tables, state)
-        state[OUTCOME] = outcome(tables, state)
-    if state[TARGET] != NOWHERE:
-        state[DISTANCE] = distance(tables, cell, state[TARGET])
-
-
-register_jitable(**compiled.OPTIONS)(place_drone)
-
-
-@compiled_once(nogil=True, **compiled.OPTIONS)
-def places_kernel(tables: Tables, grid: Any, state: Any, places: Places) -> None:
-    """Write the grids, states and telemetry of a flight with its drone at each of N cells.
-
-    Args:
-        tables: The task's tables.
-        grid: uint8[cells], without the drone.
-        state: uint16[state size], in flight.
-        places: Their cells; receives the rest.
-    """
-    for k in range(len(places.cells)):
-        for cell in range(tables.cells):
-            places.grids[k, cell] = grid[cell]
-        for i in range(len(state)):
-            places.states[k, i] = state[i]
-        place_drone(tables, places.grids[k], places.states[k], places.cells[k])
-        write_telemetry(tables, places.states[k], places.telemetry[k])
-
-
 def places_of(episode: Episode) -> Places:
     """An episode in flight, with its drone at each cell that it can be at; the episode is left as it is.
 
     Raises:
         EpisodeError: if the episode has not begun.
     """
-    task = episode.task
+    task, tables = episode.task, interpreted(episode.task)
     grid, state, _ = state_arrays(episode)
     cells = np.flatnonzero(~np.isin(grid, list(task.impassable)))
     n = len(cells)
-    places = Places(
-        cells=cells,
-        grids=np.zeros((n, len(grid)), np.uint8),
-        states=np.zeros((n, len(state)), np.uint16),
-        telemetry=np.zeros((n, task.telemetry_size), np.float32),
-    )
-    places_kernel(tabulate(task), grid, state, places)
+    telemetry = np.zeros((n, task.telemetry_size), np.float32)
+    places = Places(cells, np.tile(grid, (n, 1)), np.tile(state, (n, 1)), telemetry)
+    for cell, *arrays in zip(cells.tolist(), places.grids, places.states, telemetry, strict=True):
+        grid, state, values = map(view, arrays)
+        put_drone(tables, grid, state, cell, state[STEPS], state[BATTERY])
+        if state[UNDER] == DELIVERY_CELL:
+            deliver(tables, state)
+            state[OUTCOME] = outcome(tables, state[DELIVERIES_DONE], state[BATTERY], state[STEPS])
+        if state[TARGET] != NOWHERE:
+            state[DISTANCE] = manhattan(tables, cell, state[TARGET])
+        write_telemetry(tables, state, values)
     return places
 
 
-@compiled_once(nogil=True, **compiled.OPTIONS)
+@kernel
 def range_kernel(
     tables: Tables, rewards: Rewards, ground: Any, begun: Any, most: Any, grid: Any, state: Any, reached: Any
 ) -> None:

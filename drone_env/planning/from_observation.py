@@ -1,13 +1,68 @@
-"""What an agent observes, read back: where its drone is, and an episode that shows it, to ask planners about."""
+"""Episodes from what is known of them: from their fields, or from an observation, to pass to planners."""
+
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
+from drone_env.core.actions import Event
 from drone_env.core.cells import N_CELL_KINDS, Cell
-from drone_env.core.episode import Episode, Observation
-from drone_env.core.standing import standing_episode
+from drone_env.core.episode import Episode, EpisodeState, Observation
+from drone_env.core.rewards import RewardProfile, get_reward_profile
+from drone_env.core.rules import choose_target, outcome
+from drone_env.core.tables import (
+    BATTERY,
+    CELL,
+    DELIVERED_FLAG,
+    DELIVERIES_DONE,
+    EVENT,
+    OUTCOME,
+    PARCELS,
+    STEPS,
+    UNDER,
+    interpreted,
+    state_size,
+    view,
+)
 from drone_env.core.tasks import TERRAIN, TaskConfig
 from drone_env.errors import InvalidValueError
+
+
+def episode_from_fields(
+    task: TaskConfig,
+    ground: npt.NDArray[np.uint8],
+    drone: int,
+    battery: int,
+    steps: int,
+    parcels: Sequence[tuple[int, bool]],
+    reward_profile: str | RewardProfile = "score",
+) -> Episode:
+    """An episode with these fields; its seed is 0, and its path is empty.
+
+    Args:
+        task: The task.
+        ground: uint8[height, width] or uint8[cells], the grid without the drone.
+        drone: The cell that the drone is in, y * width + x.
+        battery: Units left.
+        steps: Steps taken.
+        parcels: The cell of each parcel, and whether it has been delivered.
+        reward_profile: A reward profile or its name.
+
+    Raises:
+        UnknownNameError: if there is no such profile.
+    """
+    tables, grid = interpreted(task), ground.ravel().copy()
+    state = np.zeros(state_size(tables), np.uint16)
+    state[[CELL, UNDER, BATTERY, STEPS, EVENT]] = drone, grid[drone], battery, steps, Event.NONE
+    state[PARCELS:] = [cell + delivered * DELIVERED_FLAG for cell, delivered in parcels]
+    state[DELIVERIES_DONE] = sum(delivered for _, delivered in parcels)
+    state[OUTCOME] = outcome(tables, int(state[DELIVERIES_DONE]), battery, steps)
+    choose_target(tables, view(state))
+    grid[drone] = Cell.DRONE
+    profile = get_reward_profile(reward_profile)
+    episode = Episode(task, profile)
+    episode.set_state(EpisodeState(task, profile, 0, grid.tobytes(), state.tobytes(), 0.0, ()))
+    return episode
 
 
 def episode_of(task: TaskConfig, observation: Observation, reward_profile: str = "score") -> Episode:
@@ -25,7 +80,7 @@ def episode_of(task: TaskConfig, observation: Observation, reward_profile: str =
     ground[drone] = TERRAIN[telemetry[6:].index(1)] if len(telemetry) > 6 else hidden_kind(task, ground)
     kinds = (Cell.DELIVERY, False), (Cell.DELIVERED, True)
     parcels = [(cell, delivered) for kind, delivered in kinds for cell in np.flatnonzero(ground == kind).tolist()]
-    return standing_episode(task, ground, drone, battery, task.max_steps - left, parcels, reward_profile)
+    return episode_from_fields(task, ground, drone, battery, task.max_steps - left, parcels, reward_profile)
 
 
 def hidden_kind(task: TaskConfig, grid: npt.NDArray[np.uint8]) -> int:

@@ -1,6 +1,6 @@
 """The nearest-target rule: fly straight to the current target, which is the nearest parcel when it is chosen.
 
-Where terrain costs or blocks, the nearest target is the one that is cheapest to reach. Nothing else is heeded: neither
+If terrain costs or blocks, the nearest target is the one that is cheapest to reach. Nothing else is heeded: neither
 what the battery still holds nor where it could be charged.
 """
 
@@ -35,7 +35,7 @@ def greedy_actions(
     """
     if task.uniform:
         return straight(telemetry.T)
-    from drone_env.planning.cheapest_path import cheapest_actions  # compiles, which only these tasks are worth
+    from drone_env.planning.paths import cheapest_actions  # Imported lazily: compiling takes seconds.
 
     return cheapest_actions(task, grids, drone_positions(task, grids, telemetry))
 

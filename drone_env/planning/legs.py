@@ -1,12 +1,12 @@
 """The exact value of every decision of a map, by legs: dynamic programming over (set delivered, stop, battery, steps).
 
-All that matters on a flight is in which order it stops at parcels and pads, and by which way it flies from one to the
-next. Between two stops only the undominated ways of `ways` can be part of a best flight; a parcel that still waits
-ends a leg, since it is delivered there. So the values of the stops are enough: that of any other cell follows from the
-ways that begin there. (Bellman, "Dynamic Programming", 1957; Held and Karp 1962 for the sets.)
+A flight is an order of stops at parcels and pads, and a path from each stop to the next. Only Pareto-optimal paths can
+be part of a best flight. A waiting parcel ends a leg, because it is delivered there. So the solver stores the values of
+the stops; the value of any other cell follows from the paths that start there. (Bellman, "Dynamic Programming", 1957;
+Held and Karp 1962 for the sets.)
 
-It covers the tasks where a mission that fails is worth its parcels alone, and those where every step costs the same.
-A value is kept as the rank of a score among all scores that the task knows, as in `exact`.
+It covers the tasks in which a failed mission scores its parcels alone, and those in which every step costs the same.
+A value is stored as the rank of a score among all scores of the task, as in `solver`.
 """
 
 from collections.abc import Sequence
@@ -14,28 +14,35 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba.extending import register_jitable  # pyright: ignore
 
-from drone_env.core import compiled
 from drone_env.core.actions import FLYING, N_ACTIONS, Action
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
 from drone_env.core.compile_cache import compiled_once
-from drone_env.core.drone import units_left
+from drone_env.core.compiled import OPTIONS, jitable, kernel
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import Rewards, tabulate_rewards
-from drone_env.core.rules import step
+from drone_env.core.rules import step, units_left
 from drone_env.core.tables import BATTERY, CELL, OUTCOME, Tables, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError, UnsupportedTaskError
-from drone_env.planning.map_graph import UNPAID, delivered_set, require_memory, state_arrays
+from drone_env.planning.paths import (
+    NO_STOP,
+    ParetoPaths,
+    Workspace,
+    counts_units,
+    find_paths,
+    make_paths,
+    make_workspace,
+    most_paths,
+)
 from drone_env.planning.solver import Solver, ranked_scores
-from drone_env.planning.ways import NO_STOP, Rounds, Ways, counts_units, find_ways, make_rounds, make_ways, most_ways
+from drone_env.planning.states import UNPAID, delivered_set, require_memory, state_arrays
 
 WAIT = int(Action.WAIT)
 MAX_BETWEEN_PADS = 32 << 30
-"""What a map may take: sets delivered, times pads, stops, battery units and steps. A billion take a second or less."""
+"""Limit of (sets delivered) * pads * stops * (battery units) * steps. A billion take a second or less."""
 CHUNK = 64
-"""States that are looked at at a time: between two chunks other threads go on."""
+"""States per call: other threads run between two chunks."""
 
 
 def covers(task: TaskConfig) -> bool:
@@ -56,7 +63,7 @@ class Legs(NamedTuple):
     stop_at: Any
     """int32[cells], the number of the stop at each cell, or `NO_STOP`."""
     parcels: Any
-    """How many of the stops are parcels, n."""
+    """The number of stops that are parcels, n."""
     most: Any
     """The most units that count."""
     ranks: Any
@@ -66,13 +73,15 @@ class Legs(NamedTuple):
     whole set and of 0 units hold nothing."""
 
 
+@jitable
 def end_row(legs: Legs, done: int, units: int) -> int:
-    """The row of ends with so many parcels delivered."""
+    """The row of ends with `done` parcels delivered."""
     return done * (legs.most + 1) + units
 
 
+@jitable
 def row_of(legs: Legs, delivered: int, stop: int, units: int) -> int:
-    """The row of a drone that stands at a pad, or at a parcel of the set delivered."""
+    """The row of a drone at a pad, or at a parcel of the set delivered."""
     n = legs.parcels
     if stop < n:
         others = delivered >> (stop + 1) << stop | delivered & (1 << stop) - 1
@@ -82,6 +91,7 @@ def row_of(legs: Legs, delivered: int, stop: int, units: int) -> int:
     return (n + 1 + place) * (legs.most + 1) + units
 
 
+@jitable
 def mark_delivered(legs: Legs, delivered: int) -> int:
     """Write onto the ground which parcels wait, and return how many do not."""
     done = 0
@@ -92,16 +102,18 @@ def mark_delivered(legs: Legs, delivered: int) -> int:
     return done
 
 
+@jitable
 def arrives(legs: Legs, stop: int, units: int) -> bool:
-    """Whether a drone flies on at a pad, or delivers a parcel, that a way reaches with so many units left.
+    """Whether a drone that reaches a stop with these units left flies on (at a pad) or delivers (a parcel).
 
     A parcel is delivered if some are left before the step to it, even if that drains more: `units` is below 0 then.
     """
     return units > (-legs.tables.drain[DELIVERY_CELL * N_ACTIONS] if stop < legs.parcels else 0)
 
 
+@jitable
 def row_after(legs: Legs, delivered: int, done: int, stop: int, units: int) -> int:
-    """The row of a drone that `arrives` at a stop with so many units left."""
+    """The row of a drone that `arrives` at a stop with these units left."""
     if stop >= legs.parcels:
         return row_of(legs, delivered, stop, units)
     units = max(units, 0)
@@ -110,8 +122,9 @@ def row_after(legs: Legs, delivered: int, done: int, stop: int, units: int) -> i
     return row_of(legs, delivered | 1 << stop, stop, units)
 
 
+@jitable
 def raise_row(ranks: Any, row: int, after: int, steps: int) -> None:
-    """Raise a row to what another promises so many steps later."""
+    """Raise a row to the values of another row, `steps` steps later."""
     if steps >= ranks.shape[1]:
         return
     # Slices, for indices that may be below zero are not vectorised: that is five times slower.
@@ -121,29 +134,32 @@ def raise_row(ranks: Any, row: int, after: int, steps: int) -> None:
         later[left] = max(later[left], promised[left])
 
 
-def raise_by_ways(
-    legs: Legs, delivered: int, done: int, ways: Ways, base: int, units: int, row: int, first: int, behind: int
+@jitable
+def raise_by_paths(
+    legs: Legs, delivered: int, done: int, paths: ParetoPaths, base: int, units: int, row: int, first: int, behind: int
 ) -> None:
-    """Raise the row of a drone with so many units by the ways to the stops from `first` on and before `behind`."""
+    """Raise the row of a drone with these units by the paths to the stops in [first, behind)."""
     for stop in range(first, behind):
         if stop < legs.parcels and delivered >> stop & 1:
             continue
-        for k in range(ways.count[base + stop]):
-            left = units - ways.units[base + stop, k]
+        for k in range(paths.count[base + stop]):
+            left = units - paths.units[base + stop, k]
             if arrives(legs, stop, left):
                 after = row_after(legs, delivered, done, stop, left)
-                raise_row(legs.ranks, row, after, ways.steps[base + stop, k])
+                raise_row(legs.ranks, row, after, paths.steps[base + stop, k])
 
 
+@jitable
 def begin_row(legs: Legs, done: int, units: int, row: int) -> None:
-    """Let a row stand for a flight that does nothing more."""
+    """Set a row to the values of a flight that does nothing more."""
     end = end_row(legs, done, units)
     for left in range(legs.ranks.shape[1]):
         legs.ranks[row, left] = legs.ranks[end, left]
 
 
+@jitable
 def sum_at_pads(legs: Legs, delivered: int) -> int:
-    """The sum of all ranks of drones that stand at pads: it changes when any of them is raised."""
+    """The sum of all ranks of drones at pads: it changes when any of them is raised."""
     first, behind = row_of(legs, delivered, legs.parcels, 0), row_of(legs, delivered, len(legs.stops), 0)
     total = 0
     for row in range(first, behind):
@@ -152,19 +168,20 @@ def sum_at_pads(legs: Legs, delivered: int) -> int:
     return total
 
 
-for function in (end_row, row_of, mark_delivered, arrives, row_after, raise_row, raise_by_ways, begin_row, sum_at_pads):
-    register_jitable(**compiled.OPTIONS)(function)
-register_jitable(units_left)
+@jitable
+def find_stops(legs: Legs, cell: int, units: int, paths: ParetoPaths, base: int, workspace: Workspace) -> None:
+    """Find the Pareto-optimal paths of a drone with these units from a cell to every stop."""
+    find_paths(legs.tables, legs.ground, cell, units, legs.counts, legs.stop_at, paths, base, workspace)
 
 
-@compiled_once(nogil=True, **compiled.OPTIONS)
-def value_kernel(legs: Legs, ways: Ways, rounds: Rounds) -> None:
+@kernel
+def value_kernel(legs: Legs, paths: ParetoPaths, workspace: Workspace) -> None:
     """Fill in the ranks.
 
     Args:
         legs: The map.
-        ways: Working memory: from a parcel, then from each pad, to every stop.
-        rounds: Working memory.
+        paths: Working memory: from a parcel, then from each pad, to every stop.
+        workspace: Working memory.
     """
     n, stops = legs.parcels, len(legs.stops)
     charge = -legs.tables.drain[PAD_CELL * N_ACTIONS + WAIT]
@@ -172,13 +189,11 @@ def value_kernel(legs: Legs, ways: Ways, rounds: Rounds) -> None:
         done = mark_delivered(legs, delivered)
         for pad in range(n, stops):
             base = (pad - n + 1) * stops
-            find_ways(
-                legs.tables, legs.ground, legs.stops[pad], legs.most, legs.counts, legs.stop_at, ways, base, rounds
-            )
+            find_stops(legs, legs.stops[pad], legs.most, paths, base, workspace)
             for units in range(1, legs.most + 1):
                 row = row_of(legs, delivered, pad, units)
                 begin_row(legs, done, units, row)
-                raise_by_ways(legs, delivered, done, ways, base, units, row, 0, n)
+                raise_by_paths(legs, delivered, done, paths, base, units, row, 0, n)
         before, reached = -1, sum_at_pads(legs, delivered)
         while before != reached:
             for pad in range(n, stops):
@@ -188,40 +203,39 @@ def value_kernel(legs: Legs, ways: Ways, rounds: Rounds) -> None:
                     charged = units_left(legs.tables, units, -charge)
                     if charged > units:
                         raise_row(legs.ranks, row, row_of(legs, delivered, pad, charged), 1)
-                    raise_by_ways(legs, delivered, done, ways, base, units, row, n, stops)
+                    raise_by_paths(legs, delivered, done, paths, base, units, row, n, stops)
             before, reached = reached, sum_at_pads(legs, delivered)
         for parcel in range(n):
             if delivered >> parcel & 1:
-                find_ways(
-                    legs.tables, legs.ground, legs.stops[parcel], legs.most, legs.counts, legs.stop_at, ways, 0, rounds
-                )
+                find_stops(legs, legs.stops[parcel], legs.most, paths, 0, workspace)
                 for units in range(1, legs.most + 1):
                     row = row_of(legs, delivered, parcel, units)
                     begin_row(legs, done, units, row)
-                    raise_by_ways(legs, delivered, done, ways, 0, units, row, 0, stops)
+                    raise_by_paths(legs, delivered, done, paths, 0, units, row, 0, stops)
 
 
+@jitable
 def best_option(
-    legs: Legs, delivered: int, cell: int, units: int, steps: int, ways: Ways, rounds: Rounds
+    legs: Legs, delivered: int, cell: int, units: int, steps: int, paths: ParetoPaths, workspace: Workspace
 ) -> tuple[Any, int]:
     """The rank of the highest score that a drone in flight can still reach from any cell, and an action towards it.
 
     The action is -1 where ending here and now is worth as much. Of options that are worth the same it is the first
-    one's, in the order of stops and of their ways; charging comes last.
+    one's, in the order of stops and of their paths; charging comes last.
     """
     done = mark_delivered(legs, delivered)
-    find_ways(legs.tables, legs.ground, cell, units, legs.counts, legs.stop_at, ways, 0, rounds)
+    find_stops(legs, cell, units, paths, 0, workspace)
     best, action = legs.ranks[end_row(legs, done, units), steps], -1
     for stop in range(len(legs.stops)):
         if stop < legs.parcels and delivered >> stop & 1:
             continue
-        for k in range(ways.count[stop]):
-            left = steps - ways.steps[stop, k]
+        for k in range(paths.count[stop]):
+            left = steps - paths.steps[stop, k]
             if left < 0:
                 break
-            rank = legs.ranks[row_after(legs, delivered, done, stop, units - ways.units[stop, k]), left]
+            rank = legs.ranks[row_after(legs, delivered, done, stop, units - paths.units[stop, k]), left]
             if rank > best:
-                best, action = rank, ways.first[stop, k]
+                best, action = rank, paths.first[stop, k]
     at = legs.stop_at[cell]
     if at >= legs.parcels and steps > 0:
         charged = units_left(legs.tables, units, int(legs.tables.drain[PAD_CELL * N_ACTIONS + WAIT]))
@@ -231,33 +245,37 @@ def best_option(
     return best, action
 
 
-register_jitable(**compiled.OPTIONS)(best_option)
-
-
 # These two hold Python's lock: threads that ask the same solver share its working memory.
-@compiled_once(**compiled.OPTIONS)
-def rank_kernel(legs: Legs, states: Any, ways: Ways, rounds: Rounds, ranks: Any) -> None:
+@compiled_once(**OPTIONS)
+def rank_kernel(legs: Legs, states: Any, paths: ParetoPaths, workspace: Workspace, ranks: Any) -> None:
     """Write the rank of the highest score that can still be reached from each state.
 
     Args:
         legs: The map, its ranks filled in.
         states: int64[N, 4]: set delivered, cell, units and steps left, as `clock` counts them.
-        ways: Working memory.
-        rounds: Working memory.
+        paths: Working memory.
+        workspace: Working memory.
         ranks: Receives them, int64[N].
     """
     for k in range(len(states)):
         delivered, cell, units, steps = states[k]
-        ranks[k], _ = best_option(legs, delivered, cell, units, steps, ways, rounds)
+        ranks[k], _ = best_option(legs, delivered, cell, units, steps, paths, workspace)
 
 
-@compiled_once(**compiled.OPTIONS)
+@compiled_once(**OPTIONS)
 def flight_kernel(
-    legs: Legs, rewards: Rewards, grid: Any, state: Any, parcels: Any, ways: Ways, rounds: Rounds, actions: Any
+    legs: Legs,
+    rewards: Rewards,
+    grid: Any,
+    state: Any,
+    parcels: Any,
+    paths: ParetoPaths,
+    workspace: Workspace,
+    actions: Any,
 ) -> int:
     """Fly a best flight by the rules, write its actions, int64[steps], and return how many there are.
 
-    Of all best flights it is one that takes the fewest steps.
+    Among all best flights it has the fewest steps.
 
     Args:
         legs: The map, its ranks filled in.
@@ -265,19 +283,19 @@ def flight_kernel(
         grid: uint8[cells], with the drone; flown on.
         state: uint16[state size], of the episode that was solved; flown on.
         parcels: int64[n], the entries of `state` that hold the parcels that wait.
-        ways: Working memory.
-        rounds: Working memory.
+        paths: Working memory.
+        workspace: Working memory.
         actions: Receives them; its length is that of the steps that count.
     """
     steps, flown = len(actions), 0
     units = state[BATTERY] if legs.counts else 1
-    best, _ = best_option(legs, 0, state[CELL], units, steps, ways, rounds)
-    while steps > 0 and best_option(legs, 0, state[CELL], units, steps - 1, ways, rounds)[0] == best:
+    best, _ = best_option(legs, 0, state[CELL], units, steps, paths, workspace)
+    while steps > 0 and best_option(legs, 0, state[CELL], units, steps - 1, paths, workspace)[0] == best:
         steps -= 1
     while state[OUTCOME] == FLYING and flown < steps:
         delivered = delivered_set(state, parcels)
         units = state[BATTERY] if legs.counts else 1
-        _, action = best_option(legs, delivered, state[CELL], units, steps - flown, ways, rounds)
+        _, action = best_option(legs, delivered, state[CELL], units, steps - flown, paths, workspace)
         if action < 0:
             break
         actions[flown] = action
@@ -287,7 +305,7 @@ def flight_kernel(
 
 
 def clock(task: TaskConfig, battery: Any, left: Any) -> tuple[Any, Any]:
-    """Units and steps left as the kernels count them, of a drone with so many of the battery and so many steps left.
+    """Units and steps left as the kernels count them, from the battery units and the steps left of a drone.
 
     The two may be numbers or arrays of them.
     """
@@ -295,10 +313,10 @@ def clock(task: TaskConfig, battery: Any, left: Any) -> tuple[Any, Any]:
 
 
 def require_room(task: TaskConfig, parcels: int, pads: int, units: int, steps: int) -> int:
-    """How many rows of ranks a map takes.
+    """The number of rows of ranks for a map.
 
     Raises:
-        TooLargeError: if they would take more memory than `map_graph.MAX_BYTES`, or the ways between many pads more
+        TooLargeError: if they would take more memory than `states.MAX_BYTES`, or the paths between many pads more
             comparisons than `MAX_BETWEEN_PADS`. Both are counted before the work begins.
     """
     rows = (parcels + 1 + (parcels << parcels - 1) + (pads << parcels)) * (units + 1)
@@ -323,7 +341,7 @@ def make_legs(
         task: The task.
         ground: uint8[cells], the kind of each cell, without the drone.
         parcels: The cells of the parcels that wait.
-        done: How many others have been delivered.
+        done: The number of parcels that have been delivered.
         battery: Units left.
         left: Steps left.
 
@@ -348,7 +366,7 @@ def make_legs(
         ends[:n] = ranked[done : done + n, 0, task.max_steps][:, None, None]
         ends[n] = ranked[task.deliveries][:, task.max_steps - later]
     else:
-        # What battery and steps left differ by stays as it is.
+        # The difference between battery and steps left is constant.
         ends[:n] = ranked[done : done + n, battery - steps, task.max_steps - left + steps][:, None, None]
         ends[n] = ranked[task.deliveries, battery - steps + later, task.max_steps - left + steps - later]
     tables = tabulate(task)
@@ -357,16 +375,16 @@ def make_legs(
     return Legs(tables, int(counts), ground.copy(), stops, stop_at, n, units, ranks)
 
 
-def working_memory(task: TaskConfig, legs: Legs) -> tuple[Ways, Rounds]:
+def working_memory(task: TaskConfig, legs: Legs) -> tuple[ParetoPaths, Workspace]:
     """Working memory of the kernels.
 
     Raises:
-        TooLargeError: if it would take more than `map_graph.MAX_BYTES`.
+        TooLargeError: if it would take more than `states.MAX_BYTES`.
     """
     stops = len(legs.stops)
-    ways = stops * (stops - legs.parcels + 1)
-    require_memory("the ways over", task, 12 * ways * most_ways(task))
-    return make_ways(task, ways), make_rounds(task)
+    paths = stops * (stops - legs.parcels + 1)
+    require_memory("the paths", task, 12 * paths * most_paths(task))
+    return make_paths(task, paths), make_workspace(task)
 
 
 class LegSolver(Solver):
@@ -375,8 +393,8 @@ class LegSolver(Solver):
     Attributes:
         legs: The map as the kernels see it, its ranks filled in.
         scores: float64, the score of each rank.
-        ways: Working memory of the kernels.
-        rounds: Working memory of the kernels.
+        paths: Working memory of the kernels.
+        workspace: Working memory of the kernels.
 
     Args:
         episode: In flight; it is left as it is. Everything that can still become of it is solved.
@@ -384,7 +402,7 @@ class LegSolver(Solver):
     Raises:
         EpisodeError: if the episode has not begun, or has ended.
         UnsupportedTaskError: if `covers` says no.
-        TooLargeError: as `make_legs`, and if the ways would not fit.
+        TooLargeError: as `make_legs`, and if the paths would not fit.
     """
 
     def __init__(self, episode: Episode) -> None:
@@ -394,13 +412,13 @@ class LegSolver(Solver):
         parcels, left = state[entries].tolist(), task.max_steps - episode.steps
         self.legs = make_legs(task, ground, parcels, episode.deliveries_done, episode.battery_units, left)
         self.scores, _ = ranked_scores(task)
-        self.ways, self.rounds = working_memory(task, self.legs)
-        value_kernel(self.legs, self.ways, self.rounds)
+        self.paths, self.workspace = working_memory(task, self.legs)
+        value_kernel(self.legs, self.paths, self.workspace)
 
     @property
     def nbytes(self) -> int:
         """Memory that the values take."""
-        return self.legs.ranks.nbytes + sum(array.nbytes for array in self.ways)
+        return self.legs.ranks.nbytes + sum(array.nbytes for array in self.paths)
 
     def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
         delivered, cells, battery, left = states.T
@@ -409,7 +427,7 @@ class LegSolver(Solver):
         rows, which = np.unique(rows, axis=0, return_inverse=True)  # many actions lead to one cell
         ranks = np.zeros(len(rows), np.int64)
         for i in range(0, len(rows), CHUNK):
-            rank_kernel(self.legs, rows[i : i + CHUNK], self.ways, self.rounds, ranks[i : i + CHUNK])
+            rank_kernel(self.legs, rows[i : i + CHUNK], self.paths, self.workspace, ranks[i : i + CHUNK])
         return self.scores[ranks[which.ravel()]]
 
     def best_actions(self) -> list[Action]:
@@ -422,5 +440,5 @@ class LegSolver(Solver):
         _, steps = clock(task, start.battery_units, task.max_steps - start.steps)
         actions = np.zeros(steps, np.int64)
         rewards, grid = tabulate_rewards(task, UNPAID), start.grid().ravel()
-        flown = flight_kernel(self.legs, rewards, grid, state, parcels, self.ways, self.rounds, actions)
+        flown = flight_kernel(self.legs, rewards, grid, state, parcels, self.paths, self.workspace, actions)
         return [Action(action) for action in actions[:flown].tolist()]

@@ -4,20 +4,17 @@
   parcels delivered it falls with each step; an episode that does not deliver all lasts until the battery or the steps
   run out, so then only the number of parcels counts. The best flight is therefore the shortest path over all parcels
   if it fits into the budget of steps, else any path over as many parcels as fit: `shortest_tour`.
-- Everywhere else: the solver of `solvers`, which knows the value of every other state as well.
+- Everywhere else: `solver_of`, which knows the value of every other state as well.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from drone_env.core.actions import Action, Event
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError
-from drone_env.planning.held_karp import UNREACHED, held_karp
-from drone_env.planning.paths import Position, distance, route
+from drone_env.planning.tours import Position, shortest_tour, tour_actions
 
 if TYPE_CHECKING:
     from drone_env.planning.solver import Solver
@@ -50,13 +47,13 @@ def solve(task: str | TaskConfig, seed: int) -> Solution:
     Raises:
         UnknownNameError: if there is no such task.
         InvalidValueError: if the seed is not in [0, 2^53).
-        TooLargeError: if the solution would take too much memory; `bounds` knows then what it lies between.
+        TooLargeError: if the solution would take too much memory; `bounds` still gives bounds of it.
     """
     return solve_episode(Episode(task, seed=seed))
 
 
 def best_of(task: TaskConfig, seed: int) -> Solution | None:
-    """The optimum of a map, None where it is too large to be solved."""
+    """The optimum of a map, None if it is too large to be solved."""
     try:
         return solve(task, seed)
     except TooLargeError:
@@ -64,13 +61,13 @@ def best_of(task: TaskConfig, seed: int) -> Solution | None:
 
 
 def require_solvable(task: TaskConfig) -> None:
-    """See that maps of a task are not too large to be solved, before any is.
+    """Check that maps of a task are not too large to be solved.
 
     Raises:
         TooLargeError: if they are.
     """
     if not task.uniform and task.efficiency_needs_all:
-        from drone_env.planning.legs import require_room  # it compiles
+        from drone_env.planning.legs import require_room  # Imported lazily: compiling takes seconds.
 
         require_room(task, task.deliveries, task.pads if task.charge_rate else 0, task.battery_capacity, task.max_steps)
 
@@ -80,7 +77,7 @@ def solve_episode(episode: Episode, solver: "Solver | None" = None) -> Solution:
 
     Args:
         episode: The episode.
-        solver: Of just this episode, where there is one; None to make one if need be.
+        solver: A solver of this episode; None to make one if necessary.
 
     Raises:
         TooLargeError: if the solution would take too much memory.
@@ -108,26 +105,18 @@ def best_actions(episode: Episode, solver: "Solver | None" = None) -> list[Actio
         waiting = [(x, y) for x, y, delivered in episode.parcels if not delivered]
         budget = min(episode.battery_units, episode.task.max_steps - episode.steps)
         return tour_actions(episode.position, shortest_tour(episode.position, waiting, budget))
-    if solver is None:
-        # It compiles, which nobody should wait for who does not need it.
-        from drone_env.planning.solvers import solver_of
-
-        solver = solver_of(episode)
-    return solver.best_actions()
+    return (solver or solver_of(episode)).best_actions()
 
 
-def tour_actions(start: Position, tour: Sequence[Position]) -> list[Action]:
-    """The actions that visit the positions of a tour one after another."""
-    stops = [start, *tour]
-    return [action for a, b in pairwise(stops) for action in route(a, b)]
+def solver_of(episode: Episode) -> "Solver":
+    """The values of all states that can follow from an episode in flight, by the fastest solver that covers its task.
 
+    Raises:
+        EpisodeError: if the episode has not begun, or has ended.
+        TooLargeError: if that would take more memory than `states.MAX_BYTES`.
+    """
+    # Imported lazily: compiling takes seconds.
+    from drone_env.planning.legs import LegSolver, covers
+    from drone_env.planning.solver import ExactSolver
 
-def shortest_tour(start: Position, parcels: Sequence[Position], budget: int) -> list[Position]:
-    """The parcels in the order that visits as many as `budget` steps allow, in as few steps as that takes."""
-    n = len(parcels)
-    first = [distance(start, parcel) for parcel in parcels]
-    legs = [[distance(a, b) for b in parcels] for a in parcels]
-    lengths = [[UNREACHED] * n for _ in range(1 << n)]
-    order = [0] * n
-    visited = held_karp(first, legs, n, budget, lengths, order)
-    return [parcels[i] for i in order[:visited]]
+    return LegSolver(episode) if covers(episode.task) else ExactSolver(episode)

@@ -1,10 +1,10 @@
-"""The value of every decision of a map: what its solvers have in common.
+"""The value of every decision of a map: what its solvers share, and the solver that covers every task.
 
 The graded score is paid once, at the end, and is not discounted, so the value of a state is the highest score that can
 still be reached from it: V*(s) = max over a of Q*(s, a), and Q*(s, a) = V*(step(s, a)) (Bellman, "Dynamic
 Programming", 1957). Only maxima are taken, never sums, so values equal scores to the last bit.
 
-A solver keeps a value as the rank of a score among all scores that the task knows, which takes two bytes, not eight.
+A solver keeps a value as the rank of a score among all scores of the task, which takes two bytes, not eight.
 """
 
 from abc import ABC, abstractmethod
@@ -14,24 +14,44 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core import compiled
 from drone_env.core.actions import FLYING, N_ACTIONS, Action, check_action
-from drone_env.core.cells import Cell
-from drone_env.core.compile_cache import compiled_once
-from drone_env.core.episode import Episode
+from drone_env.core.cells import DELIVERY_CELL, Cell
+from drone_env.core.compiled import kernel
+from drone_env.core.episode import Episode, rollout
 from drone_env.core.rewards import Rewards, tabulate_rewards
-from drone_env.core.rollout import rollout
-from drone_env.core.rules import step
-from drone_env.core.score import score, score_of
-from drone_env.core.tables import BATTERY, CELL, DELIVERED_FLAG, OUTCOME, PARCELS, STEPS, Tables, tabulate
+from drone_env.core.rules import DELIVERY, score, score_of, step
+from drone_env.core.tables import (
+    BATTERY,
+    CELL,
+    DELIVERED_FLAG,
+    DELIVERIES_DONE,
+    DISTANCE,
+    EVENT,
+    OUTCOME,
+    PARCELS,
+    STEPS,
+    TARGET,
+    UNDER,
+    Tables,
+    tabulate,
+)
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError
-from drone_env.planning.map_graph import UNPAID, battery_ranges, require_memory, state_arrays, waiting_parcels
+from drone_env.planning.states import (
+    UNPAID,
+    battery_ranges,
+    delivered_set,
+    put_drone,
+    put_parcels,
+    require_memory,
+    state_arrays,
+    waiting_parcels,
+)
 
 ANOTHER = "this episode cannot have come from the one that was solved: make a solver of its own"
 
 
-@compiled_once(nogil=True, **compiled.OPTIONS)
+@kernel
 def score_kernel(tables: Tables, scores: Any) -> None:
     """Write the score of every end into float64[deliveries + 1, capacity + 1, max_steps + 1]."""
     for deliveries in range(scores.shape[0]):
@@ -40,7 +60,7 @@ def score_kernel(tables: Tables, scores: Any) -> None:
                 scores[deliveries, battery, steps] = score_of(tables, deliveries, battery, steps)
 
 
-@compiled_once(nogil=True, **compiled.OPTIONS)
+@kernel
 def step_kernel(tables: Tables, rewards: Rewards, grids: Any, states: Any, scratch: Any, scores: Any) -> None:
     """Fly each of the five actions from each of N states.
 
@@ -66,7 +86,7 @@ def ranked_scores(task: TaskConfig) -> tuple[npt.NDArray[np.float64], npt.NDArra
     The ranks are an array [deliveries + 1, capacity + 1, max_steps + 1], of uint16 where that is enough, else uint32.
 
     Raises:
-        TooLargeError: if they would take more memory than `map_graph.MAX_BYTES`.
+        TooLargeError: if they would take more memory than `states.MAX_BYTES`.
     """
     ends = (task.deliveries + 1) * (task.battery_capacity + 1) * (task.max_steps + 1)
     require_memory("the scores", task, 12 * ends)
@@ -102,8 +122,8 @@ class Solver(ABC):
         """V* of N states in flight that can have come from the one that was solved, float64[N].
 
         Args:
-            states: int64[N, 4]: set delivered, cell, battery units and steps left. Bit i of the set stands for the i-th
-                parcel that was waiting in the state that was solved.
+            states: int64[N, 4]: set delivered, cell, battery units and steps left. Bit i of the set is the i-th parcel
+                that was waiting in the state that was solved.
         """
 
     def q_values(self, episode: Episode) -> npt.NDArray[np.float64]:
@@ -205,3 +225,93 @@ def _unflown(episode: Episode) -> npt.NDArray[np.int64]:
     for x, y in parcels:
         grid[y, x] = Cell.DELIVERY
     return np.append(grid, parcels)
+
+
+@kernel
+def value_kernel(
+    tables: Tables,
+    rewards: Rewards,
+    grid: Any,
+    state: Any,
+    parcels: Any,
+    first_step: int,
+    lowest: Any,
+    starts: Any,
+    ends: Any,
+    ranks: Any,
+) -> None:
+    """Fill in the ranks from the last step backwards, with every action flown by the rules from every state.
+
+    Args:
+        tables: The task's tables.
+        rewards: Those of any profile: they are not used.
+        grid: uint8[cells], without the drone; working memory.
+        state: uint16[state size], working memory.
+        parcels: int64[n], the entries of `state` that hold the waiting parcels.
+        first_step: Steps taken when the planning starts.
+        lowest: int64[T + 1], the lowest battery that can be left after each step, at least 1.
+        starts: int64[T + 1], where the ranks of each step start.
+        ends: [deliveries + 1, capacity + 1, max_steps + 1], the rank of the score of each end.
+        ranks: [starts[-1]], the rank of each value: by step, battery, delivered set and cell.
+    """
+    places = tables.cells << len(parcels)
+    for t in range(len(starts) - 2, -1, -1):
+        for delivered in range((1 << len(parcels)) - 1):
+            put_parcels(tables, grid, state, parcels, delivered)
+            for cell in range(tables.cells):
+                under = grid[cell]
+                if under == DELIVERY_CELL or tables.impassable[under]:
+                    continue
+                for units in range((starts[t + 1] - starts[t]) // places):
+                    best = 0
+                    for action in range(N_ACTIONS):
+                        put_drone(tables, grid, state, cell, first_step + t, lowest[t] + units)
+                        state[TARGET], state[DISTANCE] = cell, 0
+                        step(tables, rewards, grid, state, action)
+                        to, battery = int(state[CELL]), int(state[BATTERY])
+                        if state[OUTCOME] != FLYING:
+                            rank = ends[state[DELIVERIES_DONE], battery, state[STEPS]]
+                        else:
+                            place = delivered_set(state, parcels) * tables.cells + to
+                            rank = ranks[starts[t + 1] + (battery - lowest[t + 1]) * places + place]
+                        best = max(best, int(rank))
+                        grid[to] = state[UNDER]
+                        if state[EVENT] == DELIVERY:
+                            put_parcels(tables, grid, state, parcels, delivered)
+                        grid[cell] = under
+                    ranks[starts[t] + units * places + delivered * tables.cells + cell] = best
+
+
+class ExactSolver(Solver):
+    """The values of every state, computed for each state. It covers every task; `LegSolver` is a hundred times faster.
+
+    Args:
+        episode: In flight; it is left as it is. Everything that can still become of it is solved.
+
+    Raises:
+        EpisodeError: if the episode has not begun, or has ended.
+        TooLargeError: if that would take more memory than `states.MAX_BYTES`.
+    """
+
+    def __init__(self, episode: Episode) -> None:
+        super().__init__(episode)
+        task = episode.task
+        self._places = task.width * task.height << len(self._waiting)
+        self._scores, ends = ranked_scores(task)
+        self._lowest, sizes = self._battery_ranges
+        self._starts = np.concatenate([[0], np.cumsum(sizes)]) * self._places
+        require_memory("the exact values", task, int(self._starts[-1]) * ends.itemsize)
+        self._ranks = np.zeros(int(self._starts[-1]), ends.dtype)
+        arrays = (*state_arrays(episode), episode.steps, self._lowest, self._starts, ends, self._ranks)
+        value_kernel(tabulate(task), tabulate_rewards(task, UNPAID), *arrays)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the values take."""
+        return self._ranks.nbytes
+
+    def _values_in_flight(self, states: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        delivered, cell, battery, left = states.T
+        t = len(self._starts) - 1 - left
+        place = delivered * (self._places >> len(self._waiting)) + cell
+        return self._scores[self._ranks[self._starts[t] + (battery - self._lowest[t]) * self._places + place]]

@@ -1,79 +1,87 @@
-"""The shortest tours of many maps at once, compiled."""
+"""Shortest tours where every step costs the same and nothing blocks the way."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-from numba.extending import register_jitable  # pyright: ignore
-
 from drone_env.core.actions import Action
-from drone_env.core.compile_cache import compiled_once
-from drone_env.planning.held_karp import held_karp
 
-UP, DOWN, LEFT, RIGHT = (int(action) for action in (Action.UP, Action.DOWN, Action.LEFT, Action.RIGHT))
-register_jitable(held_karp)
+Position = tuple[int, int]
+UNREACHED = 1 << 30
 
 
-@compiled_once(nogil=True)
-def plan_kernel(starts: Any, parcels: Any, budgets: Any, plans: Any) -> None:
-    """Write the actions of each map's tour into `plans`, whose rest stays as it is: along rows first, as `route`."""
-    n = parcels.shape[1]
-    first, order = np.zeros(n, np.int64), np.zeros(n, np.int64)
-    legs = np.zeros((n, n), np.int64)
-    lengths = np.zeros((1 << n, n), np.int64)
-    for k in range(len(parcels)):
-        x, y, t = starts[k, 0], starts[k, 1], 0
+def distance(a: Position, b: Position) -> int:
+    """Steps from one position to another."""
+    return abs(a[0] - b[0]) + abs(a[1] - b[1])
+
+
+def route(a: Position, b: Position) -> list[Action]:
+    """All actions of a shortest path: along the row first."""
+    sideways = [Action.RIGHT if b[0] > a[0] else Action.LEFT] * abs(b[0] - a[0])
+    return sideways + [Action.DOWN if b[1] > a[1] else Action.UP] * abs(b[1] - a[1])
+
+
+def tour_actions(start: Position, tour: Sequence[Position]) -> list[Action]:
+    """The actions that visit the positions of a tour one after another."""
+    stops = [start, *tour]
+    return [action for a, b in pairwise(stops) for action in route(a, b)]
+
+
+def shortest_tour(start: Position, parcels: Sequence[Position], budget: int) -> list[Position]:
+    """The parcels in the order that visits as many as `budget` steps allow, in as few steps as that takes."""
+    n = len(parcels)
+    first = [distance(start, parcel) for parcel in parcels]
+    legs = [[distance(a, b) for b in parcels] for a in parcels]
+    lengths = [[UNREACHED] * n for _ in range(1 << n)]
+    order = [0] * n
+    visited = held_karp(first, legs, n, budget, lengths, order)
+    return [parcels[i] for i in order[:visited]]
+
+
+def held_karp(first: Any, legs: Any, n: int, budget: int, lengths: Any, order: Any) -> int:
+    """Write the order in which to visit the places and return how many of them fit into the budget.
+
+    As many as possible, in as few steps as that takes; of equals the lowest numbers. By dynamic programming over (set
+    of places visited, last one): Held and Karp, "A dynamic programming approach to sequencing problems", 1962. Time
+    O(2^n n^2), memory O(2^n n). The function runs interpreted on lists and compiled on arrays.
+
+    Args:
+        first: Steps from the start to each place, [n].
+        legs: Steps from place to place, [n][n].
+        n: How many places.
+        budget: Steps that may be taken.
+        lengths: Working memory, [2^n][n]; `lengths[visited][last]` becomes the steps of the shortest path that visits
+            the set and ends at `last`, `UNREACHED` where the budget allows none.
+        order: [n], receives the numbers of the places; entries after those that fit have no meaning.
+    """
+    best, best_last, best_size = 0, 0, 0
+    best_length = UNREACHED
+    for visited in range(1, 1 << n):
+        size = 0
+        for last in range(n):
+            lengths[visited][last] = UNREACHED
+            size += visited >> last & 1
+        for last in range(n):
+            if not visited >> last & 1:
+                continue
+            before = visited ^ (1 << last)
+            shortest = first[last] if before == 0 else UNREACHED
+            for i in range(n):
+                if before >> i & 1 and lengths[before][i] + legs[i][last] < shortest:
+                    shortest = lengths[before][i] + legs[i][last]
+            if shortest > budget:
+                continue
+            lengths[visited][last] = shortest
+            if size > best_size or (size == best_size and shortest < best_length):
+                best, best_last, best_size, best_length = visited, last, size, shortest
+
+    visited, last = best, best_last
+    for place in range(best_size - 1, -1, -1):
+        order[place] = last
+        length = lengths[visited][last]
+        visited ^= 1 << last
         for i in range(n):
-            first[i] = abs(parcels[k, i, 0] - x) + abs(parcels[k, i, 1] - y)
-            for j in range(n):
-                legs[i, j] = abs(parcels[k, i, 0] - parcels[k, j, 0]) + abs(parcels[k, i, 1] - parcels[k, j, 1])
-        visited = held_karp(first, legs, n, budgets[k], lengths, order)
-        for i in order[:visited]:
-            across, down = parcels[k, i, 0] - x, parcels[k, i, 1] - y
-            plans[k, t : t + abs(across)] = RIGHT if across > 0 else LEFT
-            t += abs(across)
-            plans[k, t : t + abs(down)] = DOWN if down > 0 else UP
-            t += abs(down)
-            x, y = x + across, y + down
-
-
-def plan_tours(
-    starts: npt.NDArray[np.int64], parcels: npt.NDArray[np.int64], budgets: npt.NDArray[np.int64]
-) -> npt.NDArray[np.int64]:
-    """The flights over the shortest tours of N maps with D parcels each.
-
-    Args:
-        starts: int64[N, 2], (x, y) of the drones.
-        parcels: int64[N, D, 2], (x, y) of the parcels.
-        budgets: int64[N], steps that may be taken: the parcels beyond are left out.
-
-    Returns:
-        int64[N, highest budget]: the actions, WAIT behind the end of a tour.
-    """
-    plans = np.full((len(starts), budgets.max()), Action.WAIT, np.int64)
-    plan_kernel(starts, parcels, budgets, plans)
-    return plans
-
-
-@compiled_once(nogil=True)
-def tour_kernel(first: Any, legs: Any, budget: int, lengths: Any, order: Any) -> int:
-    """`held_karp`, compiled."""
-    return held_karp(first, legs, len(first), budget, lengths, order)
-
-
-def shortest_over(first: Sequence[int], legs: Sequence[Sequence[int]], budget: int) -> tuple[int, int]:
-    """How many of n places a budget allows to visit, and the length of the shortest path over them all.
-
-    Args:
-        first: The way from the start to each place, [n].
-        legs: The way from place to place, [n][n].
-        budget: What may be spent, below `UNREACHED`.
-
-    Returns:
-        The length is `UNREACHED` where the budget does not allow all.
-    """
-    n = len(first)
-    lengths, order = np.zeros((1 << n, n), np.int64), np.zeros(n, np.int64)
-    visited = tour_kernel(np.array(first, np.int64), np.array(legs, np.int64), budget, lengths, order)
-    return int(visited), int(lengths[-1].min())
+            if visited >> i & 1 and lengths[visited][i] + legs[i][last] == length:
+                last = i
+                break
+    return best_size

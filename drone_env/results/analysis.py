@@ -277,7 +277,7 @@ def analyse_actions(
         TooLargeError: if the exact values of the map would take too much memory.
     """
     if solver_from is None:
-        from drone_env.planning.solvers import solver_of  # loads Numba
+        from drone_env.planning.optimal import solver_of  # loads Numba
 
         solver_from = solver_of
     solver = solver_from(start)

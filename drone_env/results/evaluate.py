@@ -18,7 +18,7 @@ from drone_env.agents.base import begin, named_failures
 from drone_env.agents.named import as_agent
 from drone_env.core.actions import integer
 from drone_env.core.episode import Episode
-from drone_env.core.rollout import rollout
+from drone_env.core.episode import rollout
 from drone_env.core.seeds import N_SEEDS, SPLITS, check_seed, map_key, split_of, split_seeds, task_key
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError

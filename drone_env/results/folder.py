@@ -9,8 +9,8 @@ import numpy as np
 
 from drone_env import __version__
 from drone_env.agents import network_file
-from drone_env.core.score import HIGHEST, LOWEST
-from drone_env.core.tasks import WITHDRAWN, get_task, withdrawal
+from drone_env.core.rules import HIGHEST, LOWEST
+from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, TooLargeError, shown
 from drone_env.results.evaluate import (
     COLUMNS,
@@ -247,6 +247,5 @@ def _begun_by(path: Path, config: "EvaluationConfig") -> str:
     before = _read_config(path)
     changed = differences(before.model_dump(exclude={"package"}), config.model_dump(exclude={"package"}))
     if changed:
-        gone = [f"{withdrawal(*pair)}" for pair in WITHDRAWN if "{} v{}".format(*pair) in before.tasks]
-        raise InvalidValueError(f"{path.parent} holds another evaluation: {'; '.join(changed + gone)}")
+        raise InvalidValueError(f"{path.parent} holds another evaluation: {'; '.join(changed)}")
     return before.package

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core.score import HIGHEST, LOWEST
+from drone_env.core.rules import HIGHEST, LOWEST
 from drone_env.errors import InvalidValueError
 
 Values = Sequence[float] | npt.NDArray[Any]

@@ -16,7 +16,7 @@ from drone_env.core.rewards import get_reward_profile
 from drone_env.core.seeds import check_seed
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.results.finished import StoredEpisode, check_agent
-from drone_env.errors import EpisodeError, InvalidValueError, NoSessionError, SessionGoneError, WithdrawnError
+from drone_env.errors import EpisodeError, InvalidValueError, NoSessionError, SessionGoneError
 
 FINISHED_SECONDS = 30.0
 """For so long a finished session keeps its place even where others have none: its owner still asks for the score."""
@@ -152,14 +152,9 @@ class SessionRow:
         """The episode of this session at its reset.
 
         Raises:
-            SessionGoneError: if this version of its task is withdrawn, so that nobody can fly it.
             UnknownNameError: if there is no such task or profile any more.
         """
-        try:
-            task = get_task(self.task, self.task_version)
-        except WithdrawnError as error:
-            raise SessionGoneError(str(error)) from None
-        return Episode(task, self.reward_profile, self.seed)
+        return Episode(get_task(self.task, self.task_version), self.reward_profile, self.seed)
 
     def fly(self) -> Episode:
         """The episode of this session, flown again from its reset: some microseconds per action. Raises as `begin`."""

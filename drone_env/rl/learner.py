@@ -68,8 +68,7 @@ class Learner(ABC):
         """Go on where `get_state` stood.
 
         Raises:
-            CheckpointError: if the state is of a run with another configuration, whose differences the message names,
-                or on a version of a task that is withdrawn.
+            CheckpointError: if the state is of a run with another configuration, whose differences the message names.
         """
 
     @abstractmethod

@@ -30,9 +30,12 @@ from drone_env.core.seeds import GOLDEN, mix64, next_key, uniform_below
 from drone_env.core.tables import BATTERY, CELL, OUTCOME, PARCELS, STEPS, UNDER, Tables, state_size, tabulate
 from drone_env.core.tasks import TaskConfig
 from drone_env.planning.legs import Legs, make_legs, mark_delivered, row_after, row_of, value_kernel, working_memory
-from drone_env.planning.map_graph import UNPAID, delivered_set, put_drone, put_parcels, state_arrays
+from drone_env.planning.paths import NO_STOP
+from drone_env.planning.paths import ParetoPaths as Ways
+from drone_env.planning.paths import Workspace as Rounds
+from drone_env.planning.paths import find_paths as find_ways
 from drone_env.planning.solver import ranked_scores
-from drone_env.planning.ways import NO_STOP, Rounds, Ways, find_ways
+from drone_env.planning.states import UNPAID, delivered_set, put_drone, put_parcels, state_arrays
 
 WAIT = int(Action.WAIT)
 COMPLETE = 0.8 - 1e-9

@@ -27,8 +27,8 @@ from drone_env.core.rules import reset
 from drone_env.core.seeds import GOLDEN, SPLITS, mix64
 from drone_env.core.tables import BATTERY, CELL, DELIVERIES_DONE, PARCELS, STEPS, UNDER, state_size, tabulate
 from drone_env.core.tasks import TaskConfig
-from drone_env.planning.map_graph import UNPAID
-from drone_env.planning.ways import counts_units
+from drone_env.planning.paths import counts_units
+from drone_env.planning.states import UNPAID
 from drone_env.rl.lessons import Lessons, World, take_off
 from drone_env.rl.tour_batch import Batch, chosen_by
 from drone_env.rl.tour_config import TourConfig

@@ -23,9 +23,9 @@ from torch.nn.functional import mse_loss, smooth_l1_loss
 from drone_env.core.batch import Batch
 from drone_env.core.rewards import get_reward_profile, profile_for_discount
 from drone_env.core.seeds import SPLITS
-from drone_env.core.tasks import get_task, withdrawal
+from drone_env.core.tasks import get_task
 from drone_env.envs.registry import task_argument
-from drone_env.errors import CheckpointError, InvalidValueError
+from drone_env.errors import InvalidValueError
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.learner import Learner, figure, keep_freed_memory, require_same
 from drone_env.rl.model import PathQNet
@@ -310,12 +310,8 @@ class Trainer(Learner):
         """Go on where `get_state` stood.
 
         Raises:
-            CheckpointError: if the state is of a run with another configuration, whose differences the message names,
-                or on a version of a task that is withdrawn.
+            CheckpointError: if the state is of a run with another configuration, whose differences the message names.
         """
-        withdrawn = withdrawal(state["config"].get("task"), state["config"].get("task_version"))
-        if withdrawn is not None:
-            raise CheckpointError(f"the checkpoint is of a run on what there is no more: {withdrawn}")
         require_same(self.config.identity(), state["config"])
         for name in LEARNED:
             getattr(self, name).load_state_dict(state[name])

@@ -7,7 +7,7 @@ from pydantic import Field
 from drone_env.agents.pathqnet import PathQNetAgent
 from drone_env.core.actions import Event
 from drone_env.core.episode import Episode, Observation
-from drone_env.core.score import EFFICIENCY_WEIGHTS
+from drone_env.core.rules import EFFICIENCY_WEIGHTS
 from drone_env.models import (
     DIRECTIONS,
     NAMES,

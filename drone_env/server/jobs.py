@@ -68,7 +68,7 @@ class Bench:
         Raises:
             TooLargeError: if solving it would take too much memory, even in a new process.
         """
-        from drone_env.planning.solvers import solver_of  # loads Numba, which the process that serves does without
+        from drone_env.planning.optimal import solver_of  # loads Numba, which the process that serves does without
 
         key = (task, seed)
         try:

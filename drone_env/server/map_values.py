@@ -9,7 +9,7 @@ from pydantic import Field
 
 from drone_env.agents.base import BatchAgent
 from drone_env.core.episode import Episode
-from drone_env.core.score import score
+from drone_env.core.rules import score
 from drone_env.core.tables import interpreted, view
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import TooLargeError

@@ -10,31 +10,24 @@ from contextlib import suppress
 from importlib import import_module
 
 from drone_env.agents import make_agent
-from drone_env.core.compile_cache import cache_folder
+from drone_env.core.compile_cache import is_compiled
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError
 from drone_env.planning.elsewhere import battery_range, places_of
-from drone_env.planning.solvers import solver_of
+from drone_env.planning.optimal import solver_of
 
 SOLVERS = (
-    "elsewhere.places_kernel", "elsewhere.range_kernel", "legs.flight_kernel", "legs.rank_kernel", "legs.value_kernel",
+    "elsewhere.range_kernel", "legs.flight_kernel", "legs.rank_kernel", "legs.value_kernel",
     "solver.score_kernel", "solver.step_kernel",
 )  # fmt: skip
-TOURNET = ("cheapest_path.cheapest_kernel", "tour_network.gather", "tour_network.match", "tour_viewer.view_kernel")
+TOURNET = ("paths.cheapest_kernel", "tour_network.gather", "tour_network.match", "tour_viewer.view_kernel")
 TASKS = ("easy", "skyline_easy")
-
-
-def are_compiled(kernels: tuple[str, ...]) -> bool:
-    """Whether the compiled code of these functions is there."""
-    with suppress(OSError):
-        return all(any(cache_folder().glob(f"{kernel}-*.code")) for kernel in kernels)
-    return False
 
 
 for module in ("envs.rendering", "planning.bounds", "server.app"):
     import_module(f"drone_env.{module}")
-if are_compiled(SOLVERS):
+if is_compiled(*SOLVERS):
     for task in TASKS:
         episode = Episode(task, seed=0)
         solver = solver_of(episode)
@@ -42,7 +35,7 @@ if are_compiled(SOLVERS):
         solver.best_actions()
         places_of(episode)
         battery_range(episode, episode.cell, 1)
-if are_compiled(TOURNET):
+if is_compiled(*TOURNET):
     for task in TASKS:
         with suppress(DroneEnvError):  # whoever flies by a network that cannot be read is told so then
             agent = make_agent("tournet", get_task(task))

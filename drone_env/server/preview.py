@@ -4,8 +4,7 @@ from collections.abc import Iterable
 from itertools import islice
 from typing import NamedTuple
 
-from drone_env.core.episode import Episode
-from drone_env.core.rollout import choices
+from drone_env.core.episode import Episode, choices
 from drone_env.core.tasks import get_task
 from drone_env.planning.optimal import best_of
 from drone_env.results.record import EpisodeRecord, fly_directions, replay_steps

@@ -23,7 +23,6 @@ from drone_env.errors import (
     TooLargeError,
     UnknownNameError,
     UnsupportedTaskError,
-    WithdrawnError,
     text_of,
     wrong_parts,
 )
@@ -104,8 +103,7 @@ def status_of(error: Exception, method: str) -> tuple[int, str]:
     if isinstance(error, RequestError):
         return error.status, error.code
     if isinstance(error, UnknownNameError):
-        code = "withdrawn" if isinstance(error, WithdrawnError) else "unknown_name"
-        return (404 if method in ("GET", "HEAD") else 422), code
+        return (404 if method in ("GET", "HEAD") else 422), "unknown_name"
     return next(((status, code) for kind, status, code in STATUSES if isinstance(error, kind)), (500, "internal"))
 
 

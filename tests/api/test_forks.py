@@ -8,8 +8,7 @@ from starlette.testclient import TestClient
 
 from drone_env.agents import make_agent
 from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
-from drone_env.core.rollout import rollout
+from drone_env.core.episode import Episode, rollout
 from drone_env.models import DIRECTIONS, Direction
 from drone_env.results.analysis import analyse_flight
 from drone_env.results.record import record_of

@@ -11,7 +11,6 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.client import DroneEnvClient
-from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.models import DroneAction, DroneObservation
 from drone_env.planning.optimal import solve
@@ -326,49 +325,3 @@ def test_a_session_of_a_task_that_a_newer_version_has_made_is_told(
         assert "99" in answer.json()["detail"]
     assert client.post("/reset", json={"seed": 7}, headers=session).json()["step_count"] == 0
     assert client.get("/state", headers=session).status_code == 200
-
-
-def test_a_store_of_a_version_that_is_withdrawn_is_listed_and_what_flies_it_is_told(tmp_path: Path) -> None:
-    told = "version 1 of task 'skyline_easy' is withdrawn: "
-    episode = Episode("skyline_easy", "tiered")
-    episode.reset(7)
-    while not episode.ended:
-        episode.step(Action.WAIT)
-    with Store(tmp_path / "data") as store:
-        name = store.add_episode(episode, "greedy")
-        sessions = [store.open_session("skyline_easy", 2, 7, "tiered", agent, 9) for agent in ("greedy", "me")]
-    with sqlite3.connect(tmp_path / "data" / FILE_NAME) as older:
-        older.execute("UPDATE sessions SET task_version = 1, actions = '44'")
-        older.execute(
-            "UPDATE episodes SET task_version = 1, record = replace(record, '\"task_version\":2', '\"task_version\":1')"
-        )
-    older.close()
-    with TestClient(create_app(Settings(data=tmp_path / "data"))) as client:
-        assert client.get("/health").json()["status"] == "healthy"
-        (listed,) = client.get("/episodes").json()["episodes"]
-        assert (listed["id"], listed["task_version"], listed["optimal_score"]) == (name, 1, None)
-        assert client.get("/memory_logs").json()["episodes"] == [listed]
-        assert client.get("/episodes", params={"task": "skyline_easy"}).json()["episodes"] == []
-        assert client.get("/analyse/skyline_easy").json()["status"] == "No data"
-        record = client.get(f"/episodes/{name}").json()
-        for path in ("/replay", "/annotate"):
-            answer = client.post(path, json=record)
-            assert (answer.status_code, answer.json()["code"]) == (422, "withdrawn")
-            assert answer.json()["detail"].startswith(told)
-        header = {"X-Session-Id": sessions[1]}
-        for answer in (
-            client.get("/state", headers=header),
-            client.post("/step", json=UP, headers=header),
-            client.post("/predict", headers=header),
-        ):
-            assert (answer.status_code, answer.json()["code"]) == (410, "session_gone")
-            assert answer.json()["detail"].startswith(told)
-            assert "POST /reset opens a session" in answer.json()["detail"]
-        with client.websocket_connect("/live") as socket:
-            socket.send_json({"type": "attach", "sessions": [sessions[0]]})
-            refused = socket.receive_json()
-            assert (refused["type"], refused["code"]) == ("error", "session_gone")
-            assert refused["detail"].startswith(told)
-        flown = client.post("/reset", json={"task_name": "skyline_easy"}, headers=header).json()
-        assert (flown["session_id"], flown["step_count"]) == (sessions[1], 0)
-        assert client.get("/state", headers=header).json()["task_version"] == 2

@@ -15,7 +15,7 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.models import DroneObservation
-from drone_env.planning.exact import ExactSolver
+from drone_env.planning.solver import ExactSolver
 from drone_env.results.analysis import analyse_actions
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings

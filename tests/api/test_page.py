@@ -11,8 +11,7 @@ from starlette.testclient import TestClient
 
 from drone_env.agents import make_agent
 from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
-from drone_env.core.rollout import rollout
+from drone_env.core.episode import Episode, rollout
 from drone_env.core.tasks import get_task
 from drone_env.envs.rendering import draw_card
 from drone_env.planning.optimal import solve

@@ -213,9 +213,6 @@ def test_a_folder_keeps_to_its_sweep(tmp_path: Path) -> None:
     config.write_text(kept.replace('"format_version": 1', '"format_version": 2'))
     with pytest.raises(InvalidValueError, match="format_version"):
         folder.begin(sweep_of("gamma=0.9"))
-    config.write_text(kept.replace('"easy_delivery"', '"skyline_easy"'))
-    with pytest.raises(InvalidValueError, match=r"version 1 of .*skyline_easy.* is withdrawn: .* version 2"):
-        folder.begin(sweep_of("gamma=0.9"))
     config.write_text(kept)
     with folder.driving(), pytest.raises(InvalidValueError, match="another process is driving"), folder.driving():
         pass

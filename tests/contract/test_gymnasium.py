@@ -45,14 +45,6 @@ def test_the_ids_are_the_promised_ones() -> None:
     assert IDS == [f"drone_env:DroneDelivery-{name}" for name in (*names, "City-Small-v1", "City-v1")]
 
 
-@pytest.mark.filterwarnings("ignore:.*The environment DroneDelivery-Skyline-Easy-v1 is out of date")
-@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
-def test_an_id_of_a_version_that_is_withdrawn_is_told_with_the_one_that_replaces_it(make: Any) -> None:
-    name = "DroneDelivery-Skyline-Easy"
-    with pytest.raises(gymnasium.error.DeprecatedEnv, match=f"v1 for `{name}` is .* use `{name}-v2` instead"):
-        make(f"drone_env:{name}-v1")
-
-
 STANDARD, SKYLINE = IDS[0], IDS[3]
 """One of each kind: tasks differ in their numbers alone, and Skyline's telemetry has more values."""
 
@@ -78,15 +70,6 @@ def test_sb3_check_env_passes_without_a_warning_on_the_flat_observation() -> Non
     sb3_check_env(FlatObservation(make(SKYLINE)))
 
 
-def test_sb3_check_env_passes_with_nothing_but_its_advice_on_two_dimensional_boxes() -> None:
-    from stable_baselines3.common.env_checker import check_env as sb3_check_env
-
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        sb3_check_env(make(SKYLINE))
-    assert ["grid has an unconventional shape" in str(warning.message) for warning in caught] == [True]
-
-
 @pytest.mark.parametrize(("env_id", "task"), list(zip(IDS, TASKS.values(), strict=True)), ids=TASKS)
 def test_spaces_are_the_promised_ones(env_id: str, task: Any) -> None:
     env = make(env_id)
@@ -97,26 +80,6 @@ def test_spaces_are_the_promised_ones(env_id: str, task: Any) -> None:
     assert (observation["grid"].shape, observation["grid"].dtype) == ((task.height, task.width), np.uint8)
     size = 5 if task.family == "standard" else 13
     assert (observation["telemetry"].shape, observation["telemetry"].dtype) == ((size,), np.float32)
-
-
-def test_reset_flies_the_map_of_its_seed() -> None:
-    env, episode = make(IDS[2]), Episode("hard")
-    for seed in (0, 7, 2**52, 2**53 - 1):
-        observation, info = env.reset(seed=seed)
-        episode.reset(seed)
-        assert np.array_equal(observation["grid"], episode.grid())
-        assert info["seed"] == seed
-
-
-def test_a_reset_without_a_seed_walks_on_in_the_train_split() -> None:
-    walks = []
-    for _ in range(2):
-        env = make()
-        env.reset(seed=2**53 - 1)
-        walks.append([env.reset()[1]["seed"] for _ in range(20)])
-    assert walks[0] == walks[1]
-    assert len(set(walks[0])) == 20
-    assert all(0 <= seed < 2**52 for seed in walks[0])
 
 
 def test_info_tells_score_event_and_mask_and_at_the_end_optimum_and_regret() -> None:
@@ -132,17 +95,6 @@ def test_info_tells_score_event_and_mask_and_at_the_end_optimum_and_regret() -> 
     assert info["regret"] == 0
 
 
-def test_regret_of_a_flight_that_only_waits() -> None:
-    env = make()
-    env.reset(seed=3)
-    terminated = False
-    while not terminated:
-        _, _, terminated, truncated, info = env.step(4)
-        assert not truncated
-    assert (info["outcome"], info["score"]) == ("battery_dead", 0.01)
-    assert info["regret"] == solve("easy", 3).score - 0.01
-
-
 def test_where_no_planner_knows_the_optimum_it_is_none() -> None:
     task = replace(TASKS["skyline_hard"], id="vast", deliveries=16, max_steps=400, battery_capacity=1)
     env = WithOptimum(DroneDeliveryEnv(task))
@@ -150,16 +102,6 @@ def test_where_no_planner_knows_the_optimum_it_is_none() -> None:
     *_, info = env.step(4)
     assert (info["outcome"], info["score"]) == ("battery_dead", 0.01)
     assert [info[name] for name in ("optimal_score", "optimal_steps", "regret")] == [None] * 3
-
-
-def test_the_environment_itself_solves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drone_env.planning.optimal.best_actions", lambda _: pytest.fail("it was solved"))
-    env = make(IDS[2]).unwrapped
-    env.reset(seed=31)
-    terminated = False
-    while not terminated:
-        *_, terminated, _, info = env.step(4)
-    assert set(info) == {"seed", "score", "action_mask", "event", "outcome"}
 
 
 def test_what_a_specification_says_is_made_again() -> None:
@@ -171,14 +113,9 @@ def test_what_a_specification_says_is_made_again() -> None:
     assert twin.unwrapped.episode.reward_profile.id == "score"
 
 
-def test_gymnasium_trains_on_aligned_unless_told_otherwise() -> None:
-    assert make().unwrapped.episode.reward_profile.id == "aligned"
-
-
 @pytest.mark.parametrize("profile", REWARD_PROFILES)
 def test_the_reward_profile_is_an_option_of_make_and_of_reset(profile: str) -> None:
-    episode = Episode("easy", profile)
-    episode.reset(5)
+    episode = Episode("easy", profile, 5)
     for action in solve("easy", 5).actions:
         episode.step(action)
     assert fly_optimally(make(reward_profile=profile), "easy", 5)[0] == episode.reward_total
@@ -218,14 +155,6 @@ def test_steps_outside_an_episode_need_a_reset() -> None:
         DroneDeliveryEnv(render_mode="ansi").render()
 
 
-@pytest.mark.parametrize("action", [5, -1, 1.0, "UP", None])
-def test_an_action_that_does_not_exist_is_refused(action: object) -> None:
-    env = DroneDeliveryEnv()
-    env.reset(seed=1)
-    with pytest.raises(InvalidValueError, match="0 UP, 1 DOWN, 2 LEFT, 3 RIGHT, 4 WAIT"):
-        env.step(action)
-
-
 def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:
     with pytest.raises(InvalidValueError, match="ansi, rgb_array, human"):
         DroneDeliveryEnv(render_mode="png")
@@ -237,17 +166,6 @@ def test_unknown_options_of_make_are_refused_with_what_is_allowed() -> None:
     with pytest.raises(InvalidValueError, match="Easy-v1 does not fly task 'hard_delivery': make"):
         gymnasium.make(easy, task="hard")
     assert gymnasium.make(easy, task="easy").unwrapped.task is TASKS["easy_delivery"]
-
-
-def test_observations_are_not_changed_by_later_steps() -> None:
-    env = make()
-    first, info = env.reset(seed=1)
-    kept = {name: value.copy() for name, value in first.items()}
-    mask = info["action_mask"].copy()
-    for action in (0, 1, 2, 3):
-        env.step(action)
-    assert all(np.array_equal(first[name], kept[name]) for name in kept)
-    assert np.array_equal(info["action_mask"], mask)
 
 
 def test_render_modes() -> None:
@@ -316,19 +234,6 @@ def test_the_text_observation_shows_the_map() -> None:
     text, _ = env.reset(seed=2)
     assert (text.count("📦"), text.count("🎯"), text.count("🚁")) == (4, 1, 1)
     assert env.observation_space.contains(text)
-
-
-@pytest.mark.parametrize("mode", ["sync", "async"])
-def test_vectorised_by_gymnasium_flies_the_maps_of_its_seeds(mode: str) -> None:
-    envs = gymnasium.make_vec(IDS[0], num_envs=3, vectorization_mode=mode)
-    try:
-        _, info = envs.reset(seed=[4, 5, 6])
-        assert info["seed"].tolist() == [4, 5, 6]
-        while "regret" not in info:
-            *_, info = envs.step(np.full(3, 4))
-        assert info["optimal_score"].tolist() == [solve("easy", seed).score for seed in (4, 5, 6)]
-    finally:
-        envs.close()
 
 
 def test_a_flown_environment_can_be_pickled() -> None:

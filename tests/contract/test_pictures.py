@@ -14,10 +14,9 @@ from stable_baselines3.common.vec_env.base_vec_env import tile_images
 from drone_env.core.actions import Action
 from drone_env.core.tasks import get_task
 from drone_env.envs.drone_delivery import DroneDeliveryEnv
-from drone_env.envs.pictures import SIZE
 from drone_env.envs.rendering import draw_picture
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
-from drone_env.envs.vector import DroneDeliveryVectorEnv
+from drone_env.envs.vector import SIZE, DroneDeliveryVectorEnv
 from drone_env.errors import InvalidValueError
 
 EASY = "drone_env:DroneDelivery-Easy-v1"

@@ -157,18 +157,6 @@ def test_reset_without_seeds_flies_each_episodes_next_map() -> None:
     assert mixed["seed"].tolist() == [7, walked[1], 9, walked[3], walked[4], 2**53 - 1]
 
 
-def test_a_reset_mask_lets_the_others_fly_on() -> None:
-    env = make()
-    env.reset(seed=0)
-    env.step(np.zeros(N, int))
-    before = env.batch.grids.copy()
-    mask = np.array([True, False, False, True, False, False])
-    observations, info = env.reset(seed=100, options={"reset_mask": mask})
-    assert info["seed"].tolist() == [100, 1, 2, 103, 4, 5]
-    assert np.array_equal(observations["grid"][~mask], before[~mask])
-    env.step(np.zeros(N, int))
-
-
 @pytest.mark.parametrize("copy", [True, False])
 def test_where_nothing_begins_by_itself_an_ended_episode_waits_for_its_reset(copy: bool) -> None:
     env = make(autoreset_mode="DISABLED", copy=copy)
@@ -250,17 +238,6 @@ def test_options_that_do_not_exist_are_refused_with_what_is_allowed() -> None:
         env.reset(options={"seed": 1})
 
 
-@pytest.mark.parametrize("dtype", [np.int8, np.uint8, np.int32, np.int64, np.uint64])
-def test_actions_of_any_integer_type(dtype: type) -> None:
-    env, reference = make(), make()
-    env.reset(seed=3)
-    reference.reset(seed=3)
-    for step in range(5):
-        assert np.array_equal(
-            env.step(actions_of(step).astype(dtype))[0]["grid"], reference.step(actions_of(step))[0]["grid"]
-        )
-
-
 @pytest.mark.parametrize("wrapper", [OneHotPlanes, FlatObservation])
 def test_a_wrapper_is_for_plain_observations_of_many(wrapper: Any) -> None:
     name, many = wrapper.__name__, getattr(vector, wrapper.__name__)
@@ -273,14 +250,3 @@ def test_a_wrapper_is_for_plain_observations_of_many(wrapper: Any) -> None:
             many(taken)
     with pytest.raises(InvalidValueError, match="a grid of cell ids and its telemetry; got "):
         wrapper(wrapper(DroneDeliveryEnv("easy")))
-
-
-def test_gymnasiums_vector_wrappers_work() -> None:
-    env = gymnasium.wrappers.vector.RecordEpisodeStatistics(make())
-    env.reset(seed=0)
-    lengths = []
-    for _ in range(70):
-        *_, info = env.step(np.full(N, 4))
-        if "episode" in info:
-            lengths += info["episode"]["l"][info["_episode"]].tolist()
-    assert lengths == [60] * N

@@ -10,9 +10,9 @@ import numpy as np
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
-from drone_env.core.standing import standing_episode
 from drone_env.core.tasks import TaskConfig
 from drone_env.llm.messages import DRAWN, ChatMessage
+from drone_env.planning.from_observation import episode_from_fields
 
 from .picture_reader import read_picture
 
@@ -141,7 +141,7 @@ def read_text(messages: Sequence[ChatMessage], names: Mapping[str, str] | None =
     # Where one was delivered decides nothing more; it is no place of another.
     elsewhere = [cell for cell in range(width * height) if cell not in wanted][: deliveries - len(wanted)]
     parcels = [(cell, False) for cell in wanted] + [(cell, True) for cell in elsewhere]
-    episode = standing_episode(task, ground, y * width + x, battery, steps, parcels)
+    episode = episode_from_fields(task, ground, y * width + x, battery, steps, parcels)
     return Told(task, formula, (float(lowest), float(highest)), episode, words)
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from drone_env.core.actions import Action
 from drone_env.planning.optimal import shortest_tour, tour_actions
-from drone_env.planning.paths import route
+from drone_env.planning.tours import route
 
 POINT = re.compile(r"\((\d+), (\d+)\)")
 

@@ -8,15 +8,14 @@ import pytest
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
-from drone_env.core.score import score_of
+from drone_env.core.rules import score_of
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tables import interpreted
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm.answers import Answer, read_answer
 from drone_env.llm.messages import with_pictures
 from drone_env.llm.prompt import FOLDER, Prompt, first_messages, get_prompt, prompt_ids, read_prompt, untold
-from drone_env.planning.optimal import solve
-from drone_env.planning.solvers import solver_of
+from drone_env.planning.optimal import solve, solver_of
 from tests.which_tasks import DRAWN, SMALL
 
 from .prompt_reader import NotToldError, Told, read_text

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.core import observation, rules, score
+from drone_env.core import observation, rules
 from drone_env.core.rewards import REWARD_PROFILES, interpreted_rewards
 from drone_env.core.seeds import SPLITS
 from drone_env.core.tables import CELL, OUTCOME, PARCELS, UNDER, interpreted, state_size
@@ -101,7 +101,7 @@ class Interpreted:
     def observed(self) -> tuple[bytes, bytes, bytes, bytes]:
         observation.write_telemetry(self.tables, self.views[1], memoryview(self.telemetry))
         mask = observation.open_actions(self.tables, *self.views)
-        graded = score.score(self.tables, self.views[1])
+        graded = rules.score(self.tables, self.views[1])
         return self.grid.tobytes(), little(self.telemetry), mask.to_bytes(8, "little")[:5], struct.pack("<d", graded)
 
 
@@ -130,7 +130,7 @@ class Compiled:
             for step, chosen in enumerate([*actions, None]):
                 if profile == PROFILES[0]:
                     batched = batch.get_state()
-                    graded = np.array([score.score(tables, state) for state in batched["states"].tolist()])
+                    graded = np.array([rules.score(tables, state) for state in batched["states"].tolist()])
                     masks = batch.copy_action_masks()
                     for log, array in zip(
                         logs, (batched["grids"], batched["telemetry"], masks, graded, batched["states"]), strict=True

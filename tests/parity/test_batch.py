@@ -14,7 +14,7 @@ from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.observation import open_actions, write_telemetry
 from drone_env.core.rewards import REWARD_PROFILES, get_reward_profile, interpreted_rewards
-from drone_env.core.score import score
+from drone_env.core.rules import score
 from drone_env.core.seeds import SPLITS, next_seed
 from drone_env.core.tables import DELIVERIES_DONE, OUTCOME, interpreted, state_size
 from drone_env.core.tables import STEPS as STEPS_TAKEN
@@ -202,12 +202,8 @@ def test_a_batch_whose_grids_are_fetched_early_flies_as_its_two_halves_do(same_s
         for start, part in zip((0, half), halves, strict=True):
             part.step(actions[start : start + half])
             together = slice(start, start + half)
-            assert np.array_equal(part.grids, whole.grids[together])
-            assert np.array_equal(part.telemetry, whole.telemetry[together])
-            assert np.array_equal(part.rewards, whole.rewards[together])
-            assert np.array_equal(part.terminated, whole.terminated[together])
-            assert np.array_equal(part.action_masks, whole.action_masks[together])
-            assert np.array_equal(part.seeds, whole.seeds[together])
+            for name in ("grids", "telemetry", "rewards", "terminated", "action_masks", "seeds"):
+                assert np.array_equal(getattr(part, name), getattr(whole, name)[together]), name
 
 
 def test_the_single_episode_is_that_reference() -> None:

@@ -12,8 +12,8 @@ from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError
-from drone_env.planning.exact import ExactSolver
 from drone_env.planning.optimal import solve, solve_episode
+from drone_env.planning.solver import ExactSolver
 from drone_env.results.analysis import (
     LABELS,
     FlightAnalysis,

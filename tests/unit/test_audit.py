@@ -48,8 +48,7 @@ def tiny_task(rng: random.Random) -> TaskConfig:
 
 def every_flight(task: TaskConfig, seed: int, profile: RewardProfile, gamma: float) -> tuple[float, float]:
     """The highest return of all action sequences, and the lowest score that comes with it."""
-    episode = Episode(task, profile)
-    episode.reset(seed)
+    episode = Episode(task, profile, seed)
     ends: list[tuple[float, float]] = []
 
     def fly_on(state: object, earned: float, discount: float) -> None:
@@ -75,8 +74,7 @@ def test_the_maximiser_is_the_best_of_all_flights(profile: str, seed: int) -> No
     highest, lowest_score = every_flight(task, seed, REWARD_PROFILES[profile], gamma)
     assert audited.maximum == pytest.approx(highest, abs=1e-9)
     assert audited.score == lowest_score
-    episode = Episode(task, profile)
-    episode.reset(seed)
+    episode = Episode(task, profile, seed)
     earned = sum(gamma**t * episode.step(action) for t, action in enumerate(audited.actions))
     assert episode.ended
     assert (earned, episode.score) == (pytest.approx(highest, abs=1e-9), audited.score)
@@ -136,30 +134,6 @@ def test_hacks_fly_to_the_end(task: str) -> None:
             assert episode.score < solution.score
 
 
-def test_the_verdict_does_not_depend_on_the_unit_of_the_reward(tmp_path: Path) -> None:
-    """Delivering pays and time costs: the shortest flight, however small the numbers."""
-    for unit in ("1", "1e-8", "100000"):
-        path = tmp_path / "unit.toml"
-        one = Decimal(unit)
-        paid = {"delivery": one} | dict.fromkeys(
-            ("battery_dead", "wall", "obstacle", "building", "tree", "wait", "step"), -one / 100
-        )
-        path.write_text('id = "unit"\n[events]\n' + "".join(f"{name} = {value:f}\n" for name, value in paid.items()))
-        profile = load_reward_profile(path)
-        assert all(audit_map("easy", seed, profile, 1.0).aligned for seed in split_seeds("test", 5)), unit
-
-
-@pytest.mark.parametrize("gamma", [0.9, 0.5, 0.1])
-def test_the_score_alone_is_aligned_under_every_discount(gamma: float) -> None:
-    for seed in split_seeds("test", 5):
-        assert audit_map("easy", seed, "score", gamma).aligned
-
-
-def test_a_shaping_gamma_without_shaping_is_refused() -> None:
-    with pytest.raises(InvalidValueError, match="has no shaping"):
-        audited_profile("tiered", 1.0, shaping_gamma=0.5)
-
-
 def test_a_flight_for_a_reward_of_ones_own_can_be_analysed_and_replayed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -179,6 +153,8 @@ def test_gamma_out_of_range_is_refused() -> None:
         audited_profile("tiered", 1.5)
     with pytest.raises(UnknownNameError, match="allowed: aligned"):
         audited_profile("generous", 1.0)
+    with pytest.raises(InvalidValueError, match="has no shaping"):
+        audited_profile("tiered", 1.0, shaping_gamma=0.5)
 
 
 def test_a_map_too_large_is_refused() -> None:
@@ -220,25 +196,18 @@ def test_a_chosen_profile_a_file(tmp_path: Path) -> None:
         ("summary = 'x'", "id is missing"),
         ("id = 'x'\nbonus = 1", "unknown key 'bonus'; allowed: id, summary"),
         ("id = 'x'\nshaping = 'much'", "shaping must be a number"),
-        ("id = 'x'\nshaping = true", "shaping must be a number"),
         ("id = 'x'\npays_score = 1", "pays_score must be true or false"),
-        ("id = 'x'\nclamp = [1]", r"clamp must be \[lowest, highest\]"),
         ("id = 'x'\nclamp = [2, 1]", "no room"),
         ("id = 'x'\nshaping = nan", "from -1000000 to 1000000"),
-        ("id = 'x'\nshaping = 1e400", "from -1000000 to 1000000"),
         ("id = 'x'\nshaping = 1e999999999", "from -1000000 to 1000000"),
         ("id = 'x'\nshaping = 1e99999999999999999999", "exponent of a number is too large"),
         ("id = 'x'\nshaping_gamma = 1e-999999999", "400 decimal places at most"),
-        ("id = 'x'\n[events]\nstep = 0e-999999999", "400 decimal places at most"),
         (f"id = 'x'\nshaping = 0.{'1' * 5001}", "a word of more than 64 characters"),
-        (f"id = 'x'\nshaping = {'1' * 5001}", "a word of more than 64 characters"),
         (f"id = 0x{'f' * 5001}", "a word of more than 64 characters"),
         (f"id = 'x'\nclamp = {'[' * 9999}", "not TOML"),
         ("id = 'score'", "taken by a profile of the package"),
-        ("id = 'a\x1b'", "not TOML"),
         ('id = "a\\u001b"', "must be printable"),
         ("id = 'x'\n[events]\ncrash = 1", "unknown event 'crash'; allowed: delivery"),
-        ("id = 'x'\n[events]\nstep = 'x'", "events.step must be a number"),
     ],
 )
 def test_a_file_that_is_no_reward_profile_says_why(tmp_path: Path, text: str, message: str) -> None:

@@ -16,7 +16,14 @@ import numba
 import pytest
 
 from drone_env.core import compile_cache
-from drone_env.core.compile_cache import KeptCode, cache_folder, compiled_once, digest_of_sources, tell_before_compiling
+from drone_env.core.compile_cache import (
+    CodeCache,
+    cache_folder,
+    compiled_once,
+    digest_of_sources,
+    is_compiled,
+    tell_before_compiling,
+)
 from drone_env.errors import InvalidValueError
 
 PACKAGE = compile_cache.PACKAGE
@@ -62,37 +69,6 @@ def files(chosen: Path) -> list[Path]:
     return sorted(file for file in chosen.rglob("*") if file.is_file())
 
 
-def test_an_equal_source_at_another_path_shares(tmp_path: Path, chosen: Path) -> None:
-    for place, expected in (("here", (0, 2)), ("there", (2, 0))):
-        twice = load(tmp_path / place).twice
-        assert (twice(3), twice(1.5)) == (6, 3.0)
-        assert counts(twice) == expected
-    assert [file.name.partition("-")[0] for file in files(chosen)] == ["kernels.twice"] * 2
-
-
-def test_another_source_at_the_same_path_does_not(tmp_path: Path) -> None:
-    assert load(tmp_path).twice(3) == 6
-    changed = load(tmp_path, KERNEL.replace("2 * x", "x + x + 0")).twice
-    assert (changed(3), counts(changed)) == (6, (0, 1))
-
-
-def test_one_function_with_two_sets_of_options(tmp_path: Path) -> None:
-    source = """
-from drone_env.core.compile_cache import compiled_once
-
-def divide(x, y):
-    return x / y
-
-strict, lax = compiled_once()(divide), compiled_once(error_model="numpy")(divide)
-"""
-    for place, expected in (("here", (0, 1)), ("there", (1, 0))):
-        module = load(tmp_path / place, source)
-        assert module.lax(1.0, 0.0) == float("inf")
-        with pytest.raises(ZeroDivisionError):
-            module.strict(1.0, 0.0)
-        assert counts(module.lax) == counts(module.strict) == expected
-
-
 def test_settings_of_numba_that_change_the_code(tmp_path: Path) -> None:
     source = KERNEL.replace("2 * x", "x[5]")
     array = import_module("numpy").zeros(1)
@@ -117,37 +93,13 @@ def test_only_functions_of_a_module() -> None:
             compiled_once()(function)
 
 
-def test_a_checkout_and_its_copy_share_and_a_change_does_not(tmp_path: Path, chosen: Path) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    shutil.copytree(PACKAGE, elsewhere / "drone_env", ignore=shutil.ignore_patterns("static", "weights", "__pycache__"))
-    code = (
-        "import numpy; from drone_env.core import batch; batch.all_exist(numpy.zeros(3, int));"
-        "print(batch.__file__, sum(batch.all_exist.stats.cache_hits.values()))"
-    )
-
-    def hits(root: Path) -> int:
-        environment = {**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
-        command = [sys.executable, "-c", code]
-        file, loaded = subprocess.check_output(command, cwd=tmp_path, env=environment, text=True).split()
-        assert Path(file) == root / "drone_env" / "core" / "batch.py"
-        return int(loaded)
-
-    assert hits(PACKAGE.parent) == 0
-    kept = files(chosen)
-    assert hits(elsewhere) == 1
-    assert files(chosen) == kept
-    with (elsewhere / "drone_env" / "core" / "score.py").open("a") as source:
-        source.write("\n")
-    assert hits(elsewhere) == 0
-
-
 def test_the_digest_is_of_all_sources_and_of_nothing_else(tmp_path: Path) -> None:
     for part in ("core", "planning", "agents", "rl"):
         shutil.copytree(PACKAGE / part, tmp_path / part, ignore=shutil.ignore_patterns("__pycache__"))
     seen = {digest_of_sources(tmp_path)}
     assert seen == {digest_of_sources(PACKAGE)}
     sources = sorted(tmp_path.rglob("*.py"))
-    some = {"rules.py", "drone.py", "exact.py", "held_karp.py", "tour_view.py", "lessons.py"}
+    some = {"rules.py", "tables.py", "solver.py", "tours.py", "tour_view.py", "lessons.py"}
     assert {file.name for file in sources} >= some
     for changed, file in enumerate(sources, start=1):
         file.write_bytes(file.read_bytes() + b"\n")
@@ -177,18 +129,8 @@ def test_all_functions_of_the_package_are_kept() -> None:
         for name, value in vars(module).items():
             if isinstance(value, numba.core.dispatcher.Dispatcher):
                 found[name] = type(value._cache)
-    assert {"step", "reset", "step_kernel", "step_kernel_threads", "value_kernel", "plan_kernel"} <= set(found)
-    assert set(found.values()) == {KeptCode}
-
-
-@pytest.mark.parametrize("harm", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[:-1] + bytes([b[-1] ^ 1])])
-def test_a_damaged_file_counts_as_none(harm: Any, tmp_path: Path, chosen: Path) -> None:
-    assert load(tmp_path).twice(3) == 6
-    (file,) = files(chosen)
-    file.write_bytes(harm(file.read_bytes()))
-    for expected in ((0, 1), (1, 0)):
-        twice = load(tmp_path).twice
-        assert (twice(3), counts(twice)) == (6, expected)
+    assert {"step", "reset", "step_kernel", "step_kernel_threads", "value_kernel", "tour_kernel"} <= set(found)
+    assert set(found.values()) == {CodeCache}
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path, chosen: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -202,13 +144,6 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path, chosen: Path, capsys: pyte
     assert str(chosen) in told
 
 
-def test_a_folder_that_cannot_be_written(tmp_path: Path, chosen: Path) -> None:
-    twice = load(tmp_path).twice
-    shutil.rmtree(chosen)
-    assert twice(3) == 6
-    assert not chosen.exists()
-
-
 def test_what_is_told_before_compiling(tmp_path: Path, chosen: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tell_before_compiling()
     assert f"a few seconds; kept in {chosen}" in capsys.readouterr().err
@@ -218,101 +153,33 @@ def test_what_is_told_before_compiling(tmp_path: Path, chosen: Path, capsys: pyt
     assert capsys.readouterr().err == ""
 
 
-def test_two_processes_at_once(tmp_path: Path, chosen: Path) -> None:
+def test_an_equal_source_shares_whatever_its_path_and_another_does_not(tmp_path: Path, chosen: Path) -> None:
+    for place, expected in (("here", (0, 2)), ("there", (2, 0))):
+        twice = load(tmp_path / place).twice
+        assert (twice(3), twice(1.5), counts(twice)) == (6, 3.0, expected)
+    assert [file.name.partition("-")[0] for file in files(chosen)] == ["kernels.twice"] * 2
+    changed = load(tmp_path / "here", KERNEL.replace("2 * x", "x + x + 0")).twice
+    assert (changed(3), counts(changed)) == (6, (0, 1))
+
+
+def test_processes_that_compile_at_once_never_load_the_code_of_another_signature(tmp_path: Path, chosen: Path) -> None:
     load(tmp_path)
-    code = (
-        "import os, kernels; child = os.fork(); values = [1.5, 3] if child else [3, 1.5];"
-        "assert [kernels.twice(x) for x in values] == [2 * x for x in values];"
-        "assert not child or os.waitpid(child, 0)[1] == 0"
-    )
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    code = "import sys, kernels; assert all(kernels.twice(eval(x)) == 2 * eval(x) for x in sys.argv[1:])"
+    orders = [("1.5", "3"), ("3", "1.5")] * 2
+    processes = [subprocess.Popen([sys.executable, "-c", code, *order], cwd=tmp_path) for order in orders]
+    assert [process.wait() for process in processes] == [0] * len(orders)
     assert len(files(chosen)) == 2
     twice = load(tmp_path).twice
     assert (twice(3), twice(1.5), counts(twice)) == (6, 3.0, (2, 0))
 
 
-@pytest.fixture
-def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder for temporary files of a user whose own cache folder cannot be made."""
-    (tmp_path / "file").write_text("")
-    monkeypatch.delenv("DRONE_ENV_CACHE")
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setenv("HOME", str(tmp_path / "file"))
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    return tmp_path / f"drone_env-{os.getuid()}"
-
-
-@pytest.mark.parametrize("home", ["not a folder", "read-only", "unknown"])
-def test_without_a_home_it_is_kept_among_the_temporary_files(
-    home: str, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_folder_that_disappears_or_that_a_relative_path_names(
+    tmp_path: Path, chosen: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if home == "read-only":  # root may write into folders that nobody may write into
-        monkeypatch.setenv("HOME", str(tmp_path))
-        monkeypatch.setattr(os, "access", lambda path, mode: False)
-    elif home == "unknown":
-        monkeypatch.delenv("HOME")
-        monkeypatch.setattr("pwd.getpwuid", raises_key_error)
-        monkeypatch.chdir(tmp_path)
-    for expected in ((0, 1), (1, 0)):
-        twice = load(tmp_path / "kernels").twice
-        assert (twice(3), counts(twice)) == (6, expected)
-    assert temporary.stat().st_mode & 0o777 == 0o700
-    assert files(temporary)[0].parent == temporary / compile_cache.LOADED
-    assert not (tmp_path / "~").exists()
-
-
-def raises_key_error(user: int) -> None:
-    raise KeyError(f"uid not found: {user}")
-
-
-@pytest.mark.parametrize("others", ["write where the code lies", "rename above it", "own where the code lies"])
-def test_a_cache_folder_that_others_can_write_is_passed_over(
-    others: str, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path))
-    folder = tmp_path / ".cache" / "drone_env" / compile_cache.LOADED
-    folder.mkdir(mode=0o700, parents=True)
-    if others == "write where the code lies":
-        folder.chmod(0o777)
-    elif others == "rename above it":
-        (tmp_path / ".cache").chmod(0o777)
-    else:
-        lstat = Path.lstat
-
-        def another_users(path: Path) -> os.stat_result:
-            found = lstat(path)
-            return os.stat_result((*found[:4], found.st_uid + 1, *found[5:])) if path == folder else found
-
-        monkeypatch.setattr(Path, "lstat", another_users)
-    assert cache_folder() == temporary / compile_cache.LOADED
-    (tmp_path / ".cache").chmod(0o1777)  # as folders for everybody are: there none can rename what is another's
-    assert (cache_folder() == folder) == (others == "rename above it")
-
-
-@pytest.mark.parametrize("whose", ["others may write", "another user's", "a link", "a file"])
-def test_a_temporary_folder_that_others_can_write(
-    whose: str, tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if whose == "a link":
-        (tmp_path / "elsewhere").mkdir(mode=0o700)
-        temporary.symlink_to(tmp_path / "elsewhere")
-    elif whose == "a file":
-        temporary.write_text("")
-    else:
-        temporary.mkdir(mode=0o700)
-    if whose == "others may write":
-        temporary.chmod(0o777)
-    elif whose == "another user's":
-        user = os.getuid() + 1
-        temporary = temporary.rename(tmp_path / f"drone_env-{user}")
-        monkeypatch.setattr(os, "getuid", lambda: user)
-    with pytest.raises(OSError, match=str(temporary)):
-        cache_folder()
-    assert load(tmp_path).twice(3) == 6
-    assert list(tmp_path.rglob("*.code")) == []
-
-
-def test_a_relative_folder_stays_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    twice = load(tmp_path).twice
+    shutil.rmtree(chosen)
+    assert twice(3) == 6
+    assert not chosen.exists()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DRONE_ENV_CACHE", "relative")
     twice = load(tmp_path / "kernels").twice
@@ -321,10 +188,67 @@ def test_a_relative_folder_stays_where_it_was(tmp_path: Path, monkeypatch: pytes
     assert len(files(tmp_path / "relative")) == 1
 
 
-def test_the_cache_folder_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DRONE_ENV_CACHE")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    assert cache_folder() == tmp_path / ".cache" / "drone_env" / compile_cache.LOADED
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    assert cache_folder() == tmp_path / "xdg" / "drone_env" / compile_cache.LOADED
+@pytest.mark.parametrize(
+    ("variables", "folder"),
+    [
+        ({"HOME": "."}, ".cache/drone_env"),
+        ({"HOME": ".", "XDG_CACHE_HOME": "xdg"}, "xdg/drone_env"),
+        ({"HOME": ".", "NUMBA_CACHE_DIR": "numba"}, "numba"),
+        ({"NUMBA_CACHE_DIR": "numba", "DRONE_ENV_CACHE": "ours"}, "ours"),
+    ],
+)
+def test_the_folder_that_the_environment_names(
+    variables: dict[str, str], folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DRONE_ENV_CACHE", "NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, str(tmp_path / value))
+    assert cache_folder() == tmp_path / folder / compile_cache.LOADED
+    assert not is_compiled("kernels.twice")
+    load(tmp_path).twice(3)
+    assert is_compiled("kernels.twice")
+    assert not is_compiled("kernels.twice", "kernels.thrice")
+
+
+@pytest.mark.parametrize("home", ["a file", "read-only", "unknown", "others can write"])
+@pytest.mark.parametrize("temporary", ["new", "others can write", "another user's", "a link"])
+def test_without_a_private_folder_at_home_it_is_one_among_the_temporary_files_or_none(
+    home: str, temporary: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DRONE_ENV_CACHE", "NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    at_home, folder = tmp_path / "home" / ".cache" / "drone_env", tmp_path / f"drone_env-{os.getuid()}"
+    if home == "a file":
+        (tmp_path / "home").write_text("")
+    elif home == "read-only":  # root may write into folders that nobody may write into
+        monkeypatch.setattr(os, "access", lambda path, mode: at_home not in Path(path).parents)
+    elif home == "unknown":
+        monkeypatch.setattr(Path, "is_absolute", lambda path: tmp_path / "home" not in path.parents)
+    else:
+        at_home.mkdir(parents=True)
+        at_home.chmod(0o777)
+    if temporary == "a link":
+        folder.symlink_to(tmp_path)
+    elif temporary == "others can write":
+        folder.mkdir()
+        folder.chmod(0o777)
+    elif temporary == "another user's":
+        folder.mkdir(mode=0o700)
+        lstat = Path.lstat
+
+        def owned_by_another(path: Path) -> os.stat_result:
+            found = lstat(path)
+            return os.stat_result((*found[:4], found.st_uid + (path == folder), *found[5:]))
+
+        monkeypatch.setattr(Path, "lstat", owned_by_another)
+    if temporary == "new":
+        assert cache_folder() == folder / compile_cache.LOADED
+        assert {path.stat().st_mode & 0o777 for path in (folder, cache_folder())} == {0o700}
+    else:
+        with pytest.raises(OSError, match=str(folder)):
+            cache_folder()
+        assert load(tmp_path / "kernels").twice(3) == 6
+        assert not list(tmp_path.rglob("*.code"))

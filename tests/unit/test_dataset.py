@@ -22,9 +22,9 @@ from drone_env.datasets.config import FORMAT, DatasetConfig, dataset_config
 from drone_env.datasets.trajectories import chance, fly_map
 from drone_env.errors import InvalidValueError, MissingPackageError, TooLargeError, UnknownNameError
 from drone_env.installer import install_command
-from drone_env.planning import map_graph
-from drone_env.planning.exact import ExactSolver
+from drone_env.planning import states
 from drone_env.planning.optimal import solve
+from drone_env.planning.solver import ExactSolver
 from tests.which_tasks import SMALL
 
 FORMATS = ("parquet", "minari") if sys.version_info >= (3, 11) else ("parquet",)
@@ -300,7 +300,7 @@ def test_an_empty_folder_is_filled_and_a_full_one_left_alone(tmp_path: Path) -> 
 def test_a_map_too_large_to_be_solved_is_said_and_nothing_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(map_graph, "MAX_BYTES", 100)
+    monkeypatch.setattr(states, "MAX_BYTES", 100)
     with pytest.raises(TooLargeError, match="easy_delivery"):
         build_dataset(dataset_config("easy", range(2)), tmp_path / "set", FORMATS)
     assert list(tmp_path.iterdir()) == []

@@ -9,10 +9,10 @@ import pytest
 from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
-from drone_env.core.standing import standing_episode
 from drone_env.core.tables import BATTERY, EVENT, OUTCOME, STEPS
 from drone_env.planning.elsewhere import UNREACHED, Places, battery_range, charging_pads, places_of
-from drone_env.planning.solvers import solver_of
+from drone_env.planning.from_observation import episode_from_fields
+from drone_env.planning.optimal import solver_of
 from tests.toy import fly, toy_episode
 
 TOUR = "RRDDLLDRRRUUUURDDLLLUURRDDDLLUURRRDD"
@@ -58,11 +58,6 @@ def test_a_place_looks_as_if_the_drone_had_just_flown_there(task: str) -> None:
             break
 
 
-def test_only_where_the_target_is_delivered_there_is_another() -> None:
-    # Parcel 0 is the target, and from parcel 1 another is nearer.
-    assert_places_follow_steps(toy_episode(["1@0", "2.."]))
-
-
 def test_where_the_last_parcel_waits_the_flight_is_over_and_the_drone_cannot_be_where_it_cannot_enter() -> None:
     places = places_of(toy_episode(["@O0", "B.T"], impassable=frozenset({Cell.OBSTACLE})))
     assert places.cells.tolist() == [0, 2, 3, 4, 5]
@@ -82,7 +77,7 @@ def test_the_value_of_a_place_is_that_of_an_episode_that_begins_there(task: str)
         ground = ground_of(flight)
         if ground[cell] == Cell.DELIVERY:
             ground[cell] = Cell.DELIVERED
-        begun = standing_episode(flight.task, ground, cell, flight.battery_units, flight.steps, parcels)
+        begun = episode_from_fields(flight.task, ground, cell, flight.battery_units, flight.steps, parcels)
         assert values.tolist() == solver_of(begun).q_values(begun).tolist()
 
 
@@ -101,7 +96,7 @@ def slow_range(episode: Episode, cell: int, units: int) -> list[int]:
             below = ground.copy()
             if below[at] == Cell.DELIVERY:
                 below[at] = Cell.DELIVERED
-            begun = standing_episode(task, below, at, battery, steps, [(parcel, parcel == at) for parcel in parcels])
+            begun = episode_from_fields(task, below, at, battery, steps, [(parcel, parcel == at) for parcel in parcels])
             for move in (Action.UP, Action.DOWN, Action.LEFT, Action.RIGHT):
                 flown = begun.copy().fly([move])
                 reached.add((flown.cell, flown.battery_units))
@@ -115,7 +110,7 @@ def slow_range(episode: Episode, cell: int, units: int) -> list[int]:
 def test_the_range_is_what_flying_every_move_finds(task: str, steps: int) -> None:
     for seed in (1, 2):
         flight = Episode(task, seed=seed)
-        waited = standing_episode(
+        waited = episode_from_fields(
             flight.task,
             ground_of(flight),
             flight.cell,

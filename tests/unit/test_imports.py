@@ -95,12 +95,6 @@ def test_the_core_imports_numpy_numba_with_its_llvmlite_and_platformdirs_alone()
     assert foreign == set()
 
 
-def test_nothing_is_for_one_system_alone() -> None:
-    """Locks are `filelock`'s, which knows them all; the keys of `play` come with Enter where there is no terminal."""
-    found = {(file.name, name) for _, file in modules() for name in imported_names(file) if name in ("fcntl", "msvcrt")}
-    assert found == set()
-
-
 def test_imports_point_inwards() -> None:
     outwards = [
         (str(file.relative_to(PACKAGE)), name)

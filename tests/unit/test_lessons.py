@@ -13,10 +13,10 @@ from drone_env.agents.tour_viewer import Viewer
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import GOLDEN, mix64, next_key, uniform_below
-from drone_env.core.standing import standing_episode
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.planning.exact import ExactSolver
-from drone_env.planning.map_graph import state_arrays
+from drone_env.planning.from_observation import episode_from_fields
+from drone_env.planning.solver import ExactSolver
+from drone_env.planning.states import state_arrays
 from drone_env.rl.lessons import COMPLETE, FROM_START, Lessons, Teacher
 from tests.unit.tour_views import EVERY_TASK
 
@@ -76,7 +76,7 @@ def states_of(task: TaskConfig, drawn: Map, lessons: Lessons) -> Iterator[tuple[
         for cell, delivered in parcels:
             ground[cell] = Cell.DELIVERED if delivered else Cell.DELIVERY
         for cell in np.flatnonzero(~np.isin(ground, [Cell.DELIVERY, *task.impassable])).tolist():
-            episode = standing_episode(task, ground, cell, units, task.max_steps - round(left), parcels)
+            episode = episode_from_fields(task, ground, cell, units, task.max_steps - round(left), parcels)
             if sorted(options_at(viewer, episode)) == sorted(options):
                 yield episode, options, lessons.values[view.begins[m] : view.begins[m + 1]].tolist()
                 break

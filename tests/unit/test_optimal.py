@@ -16,8 +16,7 @@ from tests.which_tasks import SMALL
 def test_the_actions_of_the_solution_earn_its_score(name: str) -> None:
     for seed in range(50):
         solution = solve(name, seed)
-        episode = Episode(name)
-        episode.reset(seed)
+        episode = Episode(name, seed=seed)
         for action in solution.actions:
             assert not episode.ended
             episode.step(action)

@@ -11,7 +11,7 @@ import pytest
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
-from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError, WithdrawnError
+from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError
 from drone_env.results.jsonl import RecordWriter, numbered_records, read_records
 from drone_env.results.record import EpisodeRecord, load_record, parse_record, record_of, replay, save_record
 
@@ -154,7 +154,6 @@ def test_rewards_are_finite(number: str) -> None:
     [
         ({"task": "extreme"}, UnknownNameError, "easy, hard"),
         ({"task_version": 9}, UnknownNameError, "allowed: 1"),
-        ({"task": "skyline_easy"}, WithdrawnError, "version 1 of task 'skyline_easy' is withdrawn"),
         ({"reward_profile": "mine"}, UnknownNameError, "tiered"),
         ({"seed": 2**53}, InvalidValueError, "2^53"),
         ({"deliveries": 3}, InvalidValueError, "deliveries 3 where the flight gives 0"),

@@ -56,8 +56,7 @@ def test_a_registered_task_is_known_everywhere(courier: TaskConfig) -> None:
 def test_its_grader_can_be_imported_by_its_id(courier: TaskConfig) -> None:
     from drone_env.graders import grade_courier  # type: ignore[attr-defined]
 
-    episode = Episode("courier")
-    episode.reset(7)
+    episode = Episode("courier", seed=7)
     for action in solve("courier", 7).actions:
         episode.step(action)
     assert grade_courier(DroneState.of(episode)) == GRADERS["courier"](DroneState.of(episode)) == episode.score
@@ -79,8 +78,7 @@ def test_a_registered_profile_pays_by_its_name() -> None:
     profile = RewardProfile(id="parcels", summary="a parcel pays", events=((Event.DELIVERY, Decimal(3)),))
     try:
         assert drone_env.register_reward_profile(profile) is profile
-        episode = Episode("easy", "parcels")
-        episode.reset(14)
+        episode = Episode("easy", "parcels", 14)
         assert [episode.step(action) for action in solve("easy", 14).actions] == [0, 0, 3]
         with pytest.raises(InvalidTaskError, match="another one of this name"):
             register_reward_profile(replace(profile, summary="another"))
@@ -118,14 +116,3 @@ def test_the_command_line_imports_the_modules_it_is_told(tmp_path: Path) -> None
     assert missing.returncode == 2
     assert missing.stderr.startswith("drone-env: DRONE_ENV_PLUGINS takes modules")
     assert "'nowhere'" in missing.stderr
-
-
-def test_the_server_knows_a_registered_task(courier: TaskConfig, tmp_path: Path) -> None:
-    from starlette.testclient import TestClient
-
-    from drone_env.server.app import create_app
-    from drone_env.server.settings import Settings
-
-    with TestClient(create_app(Settings(data=tmp_path))) as client:
-        assert "courier" in [task["id"] for task in client.get("/tasks").json()["tasks"]]
-        assert client.post("/reset", json={"task_name": "courier", "seed": 7}).json()["grid_width"] == 8

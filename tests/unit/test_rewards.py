@@ -5,7 +5,6 @@ from fractions import Fraction
 import pytest
 
 from drone_env.core.batch import Batch
-from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE, ORIGINAL_PROFILE, REWARD_PROFILES
 from drone_env.core.tasks import TASKS
@@ -53,10 +52,6 @@ class TestTieredAndComposite:
         assert fly(toy_episode(LINE, profile, max_steps=1, **rewards_of(task)), "W") == [neither]
         assert fly(toy_episode(LINE, profile, max_steps=1, **rewards_of(task)), "R") == [closer]
 
-    def test_blocked_pays_as_the_table_says(self) -> None:
-        episode = toy_episode(["@B0", "..."], impassable=frozenset({Cell.BUILDING}), **rewards_of("hard_delivery"))
-        assert fly(episode, "R") == [0.25]
-
     def test_delivery_away_from_the_current_target(self) -> None:
         episode = toy_episode(["@.0", "1.."], **rewards_of("easy_delivery"))
         assert fly(episode, "RR") == [0.05, 0.90]
@@ -76,19 +71,11 @@ class TestTieredAndComposite:
         assert fly(episode, "LLL") == [0.01, 0.01, 0.01]  # 0.02 - 0.05 and 0.05 - 0.05 are clamped
         assert fly(episode, "RRRR") == [0.07, 0.07, 0.07, delivery]
 
-    def test_composite_blocked(self) -> None:
-        episode = toy_episode(["@B0", "..."], "composite", impassable=frozenset({Cell.BUILDING}))
-        assert fly(episode, "R") == [0.02]
-
     def test_clamped_from_below(self) -> None:
         assert fly(toy_episode([".@0", "..."], r_step=0.02), "L") == [0.01]
 
     def test_clamped_from_above(self) -> None:
         assert fly(toy_episode([".@.0", "...."], r_step=0.95), "R") == [0.99]
-
-    def test_rewards_just_inside_the_bounds_are_not_clamped(self) -> None:
-        assert fly(toy_episode([".@.0", "...."], r_step=0.07), "L") == [0.02]
-        assert fly(toy_episode([".@.0", "...."], r_step=0.93), "R") == [0.98]
 
 
 class TestAlignedAndScore:
@@ -99,9 +86,6 @@ class TestAlignedAndScore:
         first, last = fly(episode, "RR")
         assert first == pytest.approx(float(Fraction(99, 100) * Fraction(84, 100) - Fraction(68, 100)))  # 0.1516
         assert last == pytest.approx(0.96 - 0.84)  # phi is 0 at the end, the score 0.8 + 0.2 * 0.8
-
-    def test_aligned_hovering_costs_the_difference_that_the_discount_makes(self) -> None:
-        assert fly(toy_episode(["@.0", "..."], "aligned"), "WU") == pytest.approx([-0.0068, -0.0068])  # 0.68 * 0.01
 
     def test_aligned_away_is_not_clamped(self) -> None:
         # phi(s') = 0.2 + 0.8 * (1 - 3/5) = 0.52

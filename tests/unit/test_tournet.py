@@ -20,7 +20,7 @@ from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError
-from drone_env.planning.exact import ExactSolver
+from drone_env.planning.solver import ExactSolver
 from drone_env.rl.tour_model import TourNet
 from tests.toy import toy_episode
 from tests.unit.tour_views import EVERY_TASK, HARD, observations, parameters_of, save, view_of
@@ -77,8 +77,6 @@ def test_what_is_no_tour_network_is_refused(network: Path, tmp_path: Path) -> No
         ({**whole, "norm.bias": whole["norm.bias"][:-1]}, {}, r"norm.bias is float32\[63\] instead of float32\[64\]"),
         ({**whole, "norm.bias": np.full(64, np.inf, np.float32)}, {}, "norm.bias has values that are no numbers"),
         ({**whole, "more": whole["norm.bias"]}, {}, "and nothing else"),
-        (whole, {"task": "skyline_easy", "task_version": 1}, "withdrawn"),
-        (whole, {"tasks": {"easy_delivery": 1, "skyline_hard": 1}}, "version 1 of task 'skyline_hard' is withdrawn"),
     ):
         save(path, parameters, {"network": "tournet"} | metadata)
         with pytest.raises(CheckpointError, match=why):

@@ -15,8 +15,7 @@ from drone_env.agents.tournet import best_options
 from drone_env.agents.tournet_search import TournetSearchAgent
 from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
-from drone_env.core.episode import Episode
-from drone_env.core.rollout import rollout
+from drone_env.core.episode import Episode, rollout
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from tests.toy import toy_episode

@@ -23,7 +23,6 @@ from pydantic import Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 
 from drone_env.cluster.sweep.config import SweepConfig, Trial
-from drone_env.core.tasks import withdrawal
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.files import is_begun, locked, read_file, read_lines, write_text
 from drone_env.models import Count, Message
@@ -101,13 +100,9 @@ class SweepFolder:
 
         Raises:
             OSError: if it cannot be read.
-            InvalidValueError: if the file is no configuration of a sweep, or of one on what is withdrawn.
+            InvalidValueError: if the file is no configuration of a sweep.
         """
-        config: SweepConfig = _read(self.path / CONFIG, TypeAdapter(SweepConfig))
-        withdrawn = withdrawal(config.task, config.task_version)
-        if withdrawn is not None:
-            raise InvalidValueError(f"the sweep in {self.path} is of what there is no more: {withdrawn}")
-        return config
+        return _read(self.path / CONFIG, TypeAdapter(SweepConfig))
 
     def driving(self) -> AbstractContextManager[None]:
         """Keep other drivers out.

@@ -6,8 +6,7 @@ from typing import NamedTuple
 from pydantic_core import to_json
 
 from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
-from drone_env.core.rollout import rollout
+from drone_env.core.episode import Episode, rollout
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import EpisodeError
 from drone_env.models import Direction

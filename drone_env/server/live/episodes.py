@@ -35,7 +35,6 @@ class LiveEpisode:
         caller: The address of the page: its jobs take turns with those of others.
 
     Raises:
-        SessionGoneError: if it flies a task that is withdrawn.
         EpisodeError: if none of our pilots flies it.
     """
 

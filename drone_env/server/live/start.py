@@ -74,7 +74,7 @@ async def attach(session: str, shared: Shared, caller: str) -> tuple[LiveEpisode
 
     Raises:
         NoSessionError: if there never was such a session.
-        SessionGoneError: if it has ended or expired, or flies a task that is withdrawn.
+        SessionGoneError: if it has ended or expired.
         EpisodeError: if none of our pilots flies it.
         RequestError: if too many requests are waiting for a worker process.
     """

@@ -1,0 +1,139 @@
+"""Moves, events, battery and endings: what flights over toy maps come to, by hand."""
+
+from typing import Any
+
+import pytest
+
+from drone_env.core.actions import Action, Event, Outcome
+from drone_env.core.cells import Cell
+from tests.toy import fly, toy_episode
+
+KINDS = [("B", Cell.BUILDING, Event.BUILDING), ("T", Cell.TREE, Event.TREE), ("O", Cell.OBSTACLE, Event.OBSTACLE)]
+TALL = {"impassable": frozenset({Cell.BUILDING})}
+
+
+def test_the_order_of_actions_events_and_cells_is_frozen() -> None:
+    assert [action.name for action in Action] == ["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]
+    events = "delivery battery_dead wall blocked obstacle building tree wait step none"
+    assert [event.name.lower() for event in Event] == events.split()
+    cells = "road building tree obstacle delivery delivered drone unknown pad"
+    assert [cell.name.lower() for cell in Cell] == cells.split()
+    assert [list(kinds) == list(range(len(kinds))) for kinds in (Action, Event, Cell)] == [True] * 3
+
+
+CASES: dict[str, tuple[list[str], str, dict[str, Any], dict[str, Any]]] = {
+    # x grows rightwards, y downwards
+    "up": (["...", ".@.", "..0"], "U", {}, {"position": (1, 0)}),
+    "down": (["...", ".@.", "..0"], "D", {}, {"position": (1, 2)}),
+    "left": (["...", ".@.", "..0"], "L", {}, {"position": (0, 1)}),
+    "right": (["...", ".@.", "..0"], "R", {}, {"position": (2, 1)}),
+    "wait": (["...", ".@.", "..0"], "W", {}, {"position": (1, 1), "event": Event.WAIT}),
+    "wall above": (["@.", ".0"], "U", {}, {"position": (0, 0), "event": Event.WALL, "reward_last": 0.32}),
+    "wall on the left": (["@.", ".0"], "L", {}, {"position": (0, 0), "event": Event.WALL}),
+    "wall below": (["0.", ".@"], "D", {}, {"position": (1, 1), "event": Event.WALL}),
+    "wall on the right": (["0.", ".@"], "R", {}, {"position": (1, 1), "event": Event.WALL}),
+    # The first event that holds
+    "wall above terrain": (["@T.", "..0"], "RU", {}, {"event": Event.WALL}),
+    "blocked above terrain": (["@TB", "..0"], "RR", TALL, {"event": Event.BLOCKED, "position": (1, 0)}),
+    "dead at a wall": (["@TB", "..0"], "RU", TALL | {"max_steps": 2}, {"event": Event.BATTERY_DEAD}),
+    "dead and blocked": (["@TB", "..0"], "RR", TALL | {"max_steps": 2}, {"event": Event.BATTERY_DEAD}),
+    "dead above terrain": (["@TB", "..0"], "RW", TALL | {"max_steps": 2}, {"event": Event.BATTERY_DEAD}),
+    "dead by a step": (["@TB", "..0"], "RL", TALL | {"max_steps": 2}, {"event": Event.BATTERY_DEAD}),
+    "delivered with the last unit": (
+        ["@0.1", "...."],
+        "R",
+        {"max_steps": 1},
+        {"event": Event.DELIVERY, "outcome": Outcome.BATTERY_DEAD, "success": False, "score": 0.40},
+    ),
+    # Battery
+    "drain of the cell that is reached": (["@T.0", "...."], "R", {"drain": ((Cell.TREE, 3),)}, {"battery_units": 7}),
+    "drain of a bump": (["@T.0", "...."], "RU", {"drain": ((Cell.TREE, 3),)}, {"battery_units": 4}),
+    "drain before the delivery": (
+        ["@0.1", "...."],
+        "R",
+        {"drain": ((Cell.DELIVERY, 4), (Cell.DELIVERED, 2))},
+        {"battery_units": 6},
+    ),
+    "drain after the delivery": (
+        ["@0.1", "...."],
+        "RW",
+        {"drain": ((Cell.DELIVERY, 4), (Cell.DELIVERED, 2))},
+        {"battery_units": 4},
+    ),
+    "drain stops at zero": (
+        ["@T.0", "...."],
+        "R",
+        {"drain": ((Cell.TREE, 30),)},
+        {"battery_units": 0, "outcome": Outcome.BATTERY_DEAD},
+    ),
+    "a pad charges": (["@P0", "..."], "RDUW", {"charge_rate": 3}, {"battery_units": 10, "event": Event.WAIT}),
+    "a pad fills no more than the battery": (["@P0", "..."], "RDUWW", {"charge_rate": 3}, {"battery_units": 10}),
+    "only waiting charges": (["@P0", "..."], "RU", {"charge_rate": 3}, {"battery_units": 8, "event": Event.WALL}),
+    "a pad that charges nothing": (["@P0", "..."], "RW", {}, {"battery_units": 8}),
+    # Endings
+    "one parcel of two": (["@01", "..."], "R", {}, {"outcome": Outcome.FLYING, "ended": False}),
+    "all parcels": (["@01", "..."], "RR", {}, {"outcome": Outcome.DELIVERED, "ended": True, "success": True}),
+    "battery and steps end together": (
+        ["@.0", "..."],
+        "WW",
+        {"max_steps": 2},
+        {"event": Event.BATTERY_DEAD, "outcome": Outcome.BATTERY_DEAD, "success": False, "rewards": [0.37, 0.31]},
+    ),
+    "the battery ends first": (
+        ["@.0", "..."],
+        "WW",
+        {"max_steps": 5, "battery_capacity": 2},
+        {"outcome": Outcome.BATTERY_DEAD, "steps": 2, "rewards": [0.37, 0.31]},
+    ),
+    "the steps end first": (
+        ["@.0", "..."],
+        "WW",
+        {"max_steps": 2, "battery_capacity": 5},
+        {"event": Event.WAIT, "outcome": Outcome.OUT_OF_STEPS, "battery_units": 3, "rewards": [0.37, 0.37]},
+    ),
+    "delivered with the last step": (
+        ["@.0", "..."],
+        "RR",
+        {"max_steps": 2, "battery_capacity": 5},
+        {"outcome": Outcome.DELIVERED},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_by_hand(case: str) -> None:
+    drawing, actions, changes, expected = CASES[case]
+    episode = toy_episode(drawing, **changes)
+    fly(episode, actions)
+    assert {name: getattr(episode, name) for name in expected} == expected
+
+
+@pytest.mark.parametrize(("letter", "kind", "event"), KINDS)
+def test_each_kind_of_terrain(letter: str, kind: Cell, event: Event) -> None:
+    episode = toy_episode([f"@{letter}.", "..0"])
+    fly(episode, "RW")
+    assert episode.event == event
+    assert episode.grid().tolist() == [[0, 6, 0], [0, 0, 4]]
+    fly(episode, "R")
+    assert episode.grid().tolist() == [[0, kind, 6], [0, 0, 4]]
+    assert toy_episode([f"@{letter}0", "..."]).action_mask().tolist() == [0, 1, 0, 1, 1]
+    closed = toy_episode([f"@{letter}0", "..."], impassable=frozenset({kind}))
+    assert closed.action_mask().tolist() == [0, 1, 0, 0, 1]
+    assert fly(closed, "R") == [0.33]
+    assert (closed.position, closed.event) == ((0, 0), Event.BLOCKED)
+
+
+@pytest.mark.parametrize("case", ["all parcels", "battery and steps end together", "the steps end first"])
+def test_a_step_after_the_end_changes_nothing_pays_nothing_and_says_so(case: str) -> None:
+    drawing, actions, changes, expected = CASES[case]
+    episode = toy_episode(drawing, **changes)
+    fly(episode, actions)
+    before = episode.get_state()
+    for further in "UDLRW":
+        assert fly(episode, further) == [0.0]
+        assert episode.reward_last == 0
+        assert episode.get_state() == before
+        assert f"ended ({expected['outcome'].name.lower()})" in episode.message
+    episode.reset(3)
+    assert (episode.steps, episode.reward_total, episode.path, episode.ended) == (0, 0.0, [], False)
+    assert "ended" not in episode.message
