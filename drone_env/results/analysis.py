@@ -176,14 +176,18 @@ class FlightAnalysis:
         return sum(move.margin > 0 for move in self.moves)
 
     @property
+    def decisive_best(self) -> int:
+        """Best moves among the decisive ones."""
+        return sum(move.margin > 0 and move.regret == 0 for move in self.moves)
+
+    @property
     def accuracy(self) -> float | None:
         """Share of best moves among the decisive ones, None if there are none.
 
         The other moves are left out because they would all count as best: a flight on which nothing can be delivered
         any more gives nothing away however it goes on.
         """
-        best = sum(move.margin > 0 and move.regret == 0 for move in self.moves)
-        return best / self.decisive if self.decisive else None
+        return self.decisive_best / self.decisive if self.decisive else None
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as JSON values; positions are [x, y], actions and events names."""
@@ -232,9 +236,8 @@ class FlightAnalysis:
         if self.accuracy is None:
             lines.append("Accuracy -: there was no move on which anything could be lost")
         else:
-            best = round(self.accuracy * self.decisive)
             lines.append(
-                f"Accuracy {self.accuracy:.1%}: {best} best moves of {self.decisive} on which anything could be lost"
+                f"Accuracy {self.accuracy:.1%}: {self.decisive_best} best moves of {self.decisive} on which anything could be lost"
             )
         return lines
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.errors import InvalidValueError, needs
-from drone_env.results.reliable import profile
+from drone_env.results.statistics import profile
 from drone_env.files import replacing
 
 FORMATS = (".png", ".svg")

@@ -15,21 +15,26 @@ from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.results.by_map import SELECT_BY_MAP, FlownMap, flown_map
 from drone_env.results.database import BUSY_SECONDS, Database
 from drone_env.results.finished import (
+    SELECT_BY_MAP,
     SELECT_ROWS,
     SELECT_STORED,
+    Analysis,
     EpisodeSummary,
+    MapRow,
     StoredEpisode,
+    analyse,
     check_agent,
     insert_episode,
+    results_by_agent,
     selection,
     stored_episode,
 )
 from drone_env.results.memory_view import MemoryView
 from drone_env.results.optima import Optima, Solve, solve_maps
 from drone_env.results.record import EpisodeRecord, replay
+from drone_env.results.result import Results
 from drone_env.results.sessions import (
     EPISODE_ID,
     SessionRow,
@@ -42,7 +47,6 @@ from drone_env.results.sessions import (
     steady_clock,
     update_session,
 )
-from drone_env.results.summary import Analysis, analyse
 from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, UnknownNameError
 
 FILE_NAME = "drone_env.sqlite3"
@@ -208,8 +212,8 @@ class Store:
             else found
         )
 
-    def by_map(self, task: str | TaskConfig, patience: float | None = None) -> list[FlownMap]:
-        """All finished episodes of a task, those by one agent over one map put together; optima as for `listed`.
+    def by_map(self, task: str | TaskConfig, patience: float | None = None) -> dict[str, Results]:
+        """All finished episodes of a task by agent, one row per map; optima as for `listed`.
 
         Raises:
             UnknownNameError: if there is no such task.
@@ -217,12 +221,10 @@ class Store:
         """
         where, values = selection(task)
         chosen = SELECT_BY_MAP.format(where=where), values
-        found = [flown_map(row) for row in self._read(*chosen)]
-        return (
-            [flown_map(row) for row in self._read(*chosen)]
-            if self._optima.solve_maps_of(found, PATIENCE if patience is None else patience)
-            else found
-        )
+        found = [MapRow(*row) for row in self._read(*chosen)]
+        if self._optima.solve_maps_of(found, PATIENCE if patience is None else patience):
+            found = [MapRow(*row) for row in self._read(*chosen)]
+        return results_by_agent(found)
 
     def kept(self, episode_ids: Iterable[str]) -> set[str]:
         """Those of these ids that the store has."""
@@ -257,7 +259,7 @@ class Store:
         rows = self.listed(last, known, patience=patience)
         where, values = selection(known)
         ((total,),) = self._read(f"SELECT count(*) FROM episodes {where}", values)
-        return analyse(known.id, total, rows)
+        return analyse(known, total, rows)
 
     # Sessions
 

@@ -13,7 +13,7 @@ from starlette.testclient import TestClient
 from drone_env.llm.run_folder import EPISODES
 from drone_env.llm.transcript import read_calls
 from drone_env.planning.optimal import solve
-from drone_env.results.interval import DIFFERENCES, REGRETS, SCORES, SHARES, Range, ci95
+from drone_env.results.statistics import DIFFERENCES, REGRETS, SCORES, SHARES, Range, ci95
 from drone_env.results.store import Store
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
@@ -203,7 +203,7 @@ def test_runs_of_models_are_ranked_by_the_flights_that_they_can_show(
     assert "does not fit its flight" in unranked["reason"]
     assert str(data) not in json.dumps(answer)
     # What has been checked is not checked again.
-    monkeypatch.setattr("drone_env.llm.leaderboard.verified_run", None)
+    monkeypatch.setattr("drone_env.llm.report.verified_run", None)
     assert get(client, "/leaderboard/easy/runs") == answer
 
 

@@ -13,9 +13,9 @@ import pytest
 from starlette.testclient import TestClient
 
 from drone_env.cli import main
-from drone_env.results.by_map import FlownMap
-from drone_env.results.leaderboard import Refused
-from drone_env.server import evaluations
+from drone_env.results.leaderboard import NotRanked
+from drone_env.results.result import Result
+from drone_env.server import model_runs
 from drone_env.server.app import create_app
 from drone_env.server.routes import runs
 from drone_env.server.settings import Settings
@@ -69,19 +69,19 @@ def test_an_evaluation_is_looked_at_again_when_its_files_change(
 ) -> None:
     folder = put_evaluation(tmp_path, "mine", "random", MAPS, repeats=2)
     looked: list[Path] = []
-    judge = evaluations.judge_evaluation
+    judge = model_runs.evaluation_entries
 
     def counted(path: Path, *options: Any) -> Any:
         looked.append(path)
         return judge(path, *options)
 
-    monkeypatch.setattr(evaluations, "judge_evaluation", counted)
-    kept = evaluations.Evaluations(tmp_path / "evaluations")
-    first, again = (kept.judge(folder, "easy_delivery") for _ in range(2))
+    monkeypatch.setattr(model_runs, "evaluation_entries", counted)
+    kept = model_runs.Evaluations(tmp_path / "evaluations")
+    first, again = (kept.entries(folder, "easy_delivery") for _ in range(2))
     assert (first, looked) == (again, [folder])
     next((folder / "pieces").glob("*again1*")).unlink()
-    (refused,) = kept.judge(folder, "easy_delivery")
-    assert isinstance(refused, Refused)
+    (refused,) = kept.entries(folder, "easy_delivery")
+    assert isinstance(refused, NotRanked)
     assert refused.reason == "1 of 1 pieces of random on easy_delivery are not flown yet"
 
 
@@ -111,7 +111,7 @@ def test_an_evaluation_of_too_many_maps_is_not_looked_at(tmp_path: Path) -> None
 def test_of_many_maps_those_where_most_was_lost_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runs, "LISTED", 2)
     rows = [
-        FlownMap("me", "easy_delivery", 1, seed, 1, None, score, 0, 9, 0, None, True, 0.95)
+        Result(seed, score, success=0, steps=9, optimum=0.95, flights=1, id=None)
         for seed, score in enumerate((0.9, 0.2, 0.8, 0.1))
     ]
     assert runs._listed(rows) == [rows[1], rows[3]]

@@ -16,8 +16,8 @@ from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import verified_run
 from drone_env.results.evaluate import episodes_key, run_episodes
-from drone_env.results.interval import SCORES, ci95
 from drone_env.results.record import EpisodeRecord, record_of
+from drone_env.results.statistics import SCORES, ci95
 
 from .conftest import Endpoint
 

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from drone_env.core.tasks import TaskConfig
+from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.models import OutcomeName
 from drone_env.planning.optimal import Solution, solve
 from drone_env.results import optima
-from drone_env.results.finished import EpisodeSummary
+from drone_env.results.finished import EpisodeSummary, analyse
 from drone_env.results.store import Store
-from drone_env.results.summary import analyse
 from tests.unit.stores import eventually, flown
 
 
@@ -128,7 +127,7 @@ def test_maps_too_large_to_be_solved_are_left_out_of_regret() -> None:
         row(0.9, "delivered", "01234", True, 1.0 - 1 / 16),
         row(0.9, "delivered", "01234", False, None),
     ]
-    analysis = analyse("easy_delivery", 5, rows)
+    analysis = analyse(TASKS["easy_delivery"], 5, rows)
     assert (analysis.episodes_total, analysis.episodes, analysis.regret_episodes) == (5, 3, 1)
     assert analysis.mean_regret == pytest.approx(0.9375 - 0.9)
     # The middle one of three belongs to neither half.
@@ -140,4 +139,4 @@ def test_means_of_the_highest_and_lowest_scores_are_no_error() -> None:
     for n in range(1, 300):
         for score in (0.01, 0.99):
             rows = [row(score, "delivered", "4", True, score)] * n
-            assert analyse("easy_delivery", n, rows).average_score == pytest.approx(score)
+            assert analyse(TASKS["easy_delivery"], n, rows).average_score == pytest.approx(score)

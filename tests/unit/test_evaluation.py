@@ -1,7 +1,7 @@
 """The one unit of evaluation and the figures made from it."""
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,20 +13,14 @@ from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.results.evaluate import (
-    EpisodeResults,
-    concatenate,
-    episodes_key,
-    pieces_of,
-    run_episodes,
-    summarise,
-)
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.results.folder import ResultsFolder
+from drone_env.results.result import COLUMNS, Results, concatenate
 
 
 def test_results_are_the_same_whole_or_in_pieces() -> None:
     key = episodes_key("medium", "greedy", split_seeds("test", 23), "test")
-    whole, pieces = run_episodes(key), list(map(run_episodes, pieces_of(key, 5)))
+    whole, pieces = run_episodes(key), list(map(run_episodes, key.pieces(5)))
     assert [len(piece.seeds) for piece in pieces] == [5, 5, 5, 5, 3]
     together = concatenate(pieces)
     assert together.key == key
@@ -48,7 +42,7 @@ def test_no_agent_beats_the_optimum_and_the_optimal_agent_reaches_it() -> None:
 @pytest.mark.parametrize("agent", ["greedy", "optimal"])
 def test_results_are_the_callers_own(agent: str) -> None:
     key = episodes_key("medium", agent, range(7))
-    names = [field.name for field in fields(EpisodeResults) if field.name != "key"]
+    names = list(COLUMNS)
     first = run_episodes(key)
     before = {name: getattr(first, name).copy() for name in names}
     for done, name in enumerate(names, start=1):
@@ -61,7 +55,7 @@ def test_results_are_the_callers_own(agent: str) -> None:
 
 
 def test_figures_by_hand() -> None:
-    results = EpisodeResults(
+    results = Results(
         key=episodes_key("easy", "greedy", range(3)),
         seeds=np.arange(3),
         scores=np.array([0.9, 0.8, 0.01]),
