@@ -200,7 +200,9 @@ def summarise(results: Results, *again: Results) -> dict[str, Any]:
     }
 
 
-def local_engine(keys: Sequence[EpisodesKey], agents: Mapping[tuple[str, str], Agent] | None = None) -> Iterator[Results]:
+def local_engine(
+    keys: Sequence[EpisodesKey], agents: Mapping[tuple[str, str], Agent] | None = None
+) -> Iterator[Results]:
     """Fly one key after another in this process, with the agents that exist already, by task and name."""
     return (run_episodes(key, (agents or {}).get((key.task, key.agent))) for key in keys)
 
