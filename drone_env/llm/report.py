@@ -57,7 +57,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
         scores=[result.score for result in counted],
         steps=[result.steps for result in counted],
         success=[result.success for result in counted],
-        optima=[optimum.get(result.seed) for result in counted],
+        optimal_scores=[optimum.get(result.seed) for result in counted],
     )
     summary = Summary.of(results)
     means = {name: None if scores is None else mean_of(scores) for name, scores in baselines.items()}

@@ -236,9 +236,8 @@ class FlightAnalysis:
         if self.accuracy is None:
             lines.append("Accuracy -: there was no move on which anything could be lost")
         else:
-            lines.append(
-                f"Accuracy {self.accuracy:.1%}: {self.decisive_best} best moves of {self.decisive} on which anything could be lost"
-            )
+            best = f"{self.decisive_best} best moves of {self.decisive}"
+            lines.append(f"Accuracy {self.accuracy:.1%}: {best} on which anything could be lost")
         return lines
 
 

@@ -1,10 +1,11 @@
 """Finished episodes in the store: whole, as rows of lists, put together by map, and their figures."""
 
 import sqlite3
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from datetime import datetime, timezone
-from typing import Annotated, Any, NamedTuple, cast
+from itertools import groupby
+from operator import itemgetter
+from typing import Annotated, Any, cast
 
 from pydantic import Field, PlainSerializer, TypeAdapter, ValidationError, computed_field
 from typing_extensions import Self
@@ -132,51 +133,34 @@ STORED = list(StoredEpisode.model_fields)
 SELECT_STORED = f"SELECT number, {', '.join(STORED)} FROM episodes"
 
 
-class MapRow(NamedTuple):
-    """A row of `SELECT_BY_MAP`: the means of the flights of one agent over one map, of which `id` is the newest."""
-
-    agent: str
-    task: str
-    task_version: int
-    seed: int
-    flights: int
-    id: str
-    score: float
-    success: float
-    steps: float
-    reward: float
-    reward_profile: str | None
-    solved: bool
-    optimum: float | None
-    number: int
-
-
 # Columns beside one max() are those of the row where it is: https://sqlite.org/lang_select.html#bareagg
 SELECT_BY_MAP = """
-    SELECT e.agent, task, task_version, seed, count(*), e.id, avg(e.score), avg(e.outcome = 'delivered'), avg(e.steps),
-        avg(e.reward_total), iif(count(DISTINCT e.reward_profile) = 1, e.reward_profile, NULL),
-        o.task IS NOT NULL, o.score, max(e.number)
-    FROM episodes e LEFT JOIN optima o USING (task, task_version, seed) {where}
+    SELECT e.agent, seed, count(*), e.id, avg(e.score), avg(e.outcome = 'delivered'), avg(e.steps), avg(e.reward_total),
+        iif(count(DISTINCT e.reward_profile) = 1, e.reward_profile, NULL), o.score, max(e.number), o.task IS NOT NULL
+    FROM episodes e LEFT JOIN optima o USING (task, task_version, seed) WHERE task = ? AND task_version = ?
     GROUP BY e.agent, seed ORDER BY e.agent, seed
 """
-"""With the WHERE of the episodes that are meant, of one task."""
+"""The means of the flights of each agent over each map of a task, and the newest of these flights."""
 
 
-def results_by_agent(rows: Iterable[MapRow]) -> dict[str, Results]:
-    """The results of each agent, one row per map."""
-    by_agent: dict[str, list[MapRow]] = defaultdict(list)
-    for row in rows:
-        by_agent[row.agent].append(row)
-    return {agent: _results(agent, of_agent) for agent, of_agent in by_agent.items()}
-
-
-def _results(agent: str, rows: Sequence[MapRow]) -> Results:
-    _, task, version, seeds, flights, ids, scores, success, steps, rewards, profiles, _, optima, _ = zip(
-        *rows, strict=True
-    )
-    key = EpisodesKey(task[0], version[0], "custom", (seeds[0], seeds[-1] + 1), agent)
-    profile = profiles[0] if len(set(profiles)) == 1 else None
-    return Results.of_rows(key, seeds, scores, steps, success, optima, flights, rewards, profile, ids)
+def results_by_agent(task: TaskConfig, rows: Iterable[Sequence[Any]]) -> dict[str, Results]:
+    """The results of each agent on a task, one row per map, from rows of `SELECT_BY_MAP`."""
+    found: dict[str, Results] = {}
+    for agent, of_agent in groupby(rows, key=itemgetter(0)):
+        _, seeds, flights, ids, scores, success, steps, rewards, profiles, optima, *_ = zip(*of_agent, strict=True)
+        found[agent] = Results.of_rows(
+            EpisodesKey(task.id, task.version, "custom", (seeds[0], seeds[-1] + 1), agent),
+            seeds=seeds,
+            scores=scores,
+            steps=steps,
+            success=success,
+            optimal_scores=optima,
+            flights=flights,
+            rewards=rewards,
+            reward_profile=profiles[0] if len(set(profiles)) == 1 else None,
+            ids=ids,
+        )
+    return found
 
 
 def selection(
@@ -280,7 +264,7 @@ def analyse(task: TaskConfig, total: int, rows: Sequence[EpisodeSummary]) -> Ana
         scores=[row.score for row in rows],
         steps=[row.steps for row in rows],
         success=success,
-        optima=[row.optimal_score for row in rows],
+        optimal_scores=[row.optimal_score for row in rows],
     )
     summary, half, flown = Summary.of(results, by_map=False), len(rows) // 2, "".join([row.actions for row in rows])
     deliveries = [row.deliveries for row in rows]

@@ -96,33 +96,14 @@ class Results:
 
     @classmethod
     def of_rows(
-        cls,
-        key: EpisodesKey,
-        seeds: Sequence[int],
-        scores: Sequence[float],
-        steps: Sequence[float],
-        success: Sequence[float],
-        optima: Sequence[float | None],
-        flights: Sequence[int] | None = None,
-        rewards: Sequence[float] | None = None,
-        reward_profile: str | None = None,
-        ids: Sequence[str] = (),
+        cls, key: EpisodesKey, reward_profile: str | None = None, ids: Sequence[str] = (), **columns: Sequence[Any]
     ) -> Self:
-        """Results from Python values; deliveries and optimal steps are not known."""
-        return cls(
-            key=key,
-            seeds=np.array(seeds, np.int64),
-            scores=np.array(scores, np.float64),
-            steps=np.array(steps),
-            deliveries=np.full(len(seeds), -1, np.int32),
-            success=np.array(success),
-            optimal_scores=np.array(optima, np.float64),
-            optimal_steps=np.full(len(seeds), -1, np.int32),
-            rewards=None if rewards is None else np.array(rewards, np.float64),
-            reward_profile=reward_profile,
-            flights=None if flights is None else np.array(flights, np.int64),
-            ids=ids,
-        )
+        """Results from columns of Python values; deliveries and optimal steps are not known."""
+        arrays: dict[str, Any] = {
+            name: np.array(values, np.float64 if name == "optimal_scores" else None) for name, values in columns.items()
+        }
+        unknown = np.full(len(arrays["seeds"]), -1)
+        return cls(key, **arrays, deliveries=unknown, optimal_steps=unknown, reward_profile=reward_profile, ids=ids)
 
     @classmethod
     def of_report(cls, agent: str, report: Mapping[str, Any]) -> Self:
@@ -134,7 +115,7 @@ class Results:
             scores=[fmean(row["scores"]) for row in maps],
             steps=[fmean(row["steps"]) for row in maps],
             success=[row["success"] / len(row["scores"]) for row in maps],
-            optima=[row["optimum"] for row in maps],
+            optimal_scores=[row["optimum"] for row in maps],
             flights=[len(row["scores"]) for row in maps],
         )
 

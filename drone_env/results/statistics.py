@@ -283,9 +283,9 @@ class PairedComparison:
         """How sure it is which agent is better, as JSON values.
 
         `difference` has the interval of pairs, `unpaired` the one that two agents over maps of their own would have,
-        which is `narrower` times as wide (null if the pairs never differ). `improvement` is the share of maps on which a
-        is better; equal scores count half. `detectable` is the smallest true difference that as many pairs would show
-        in four of five cases.
+        which is `narrower` times as wide (null if the pairs never differ). `improvement` is the share of maps on which
+        a is better; equal scores count half. `detectable` is the smallest true difference that as many pairs would
+        show in four of five cases.
 
         Raises:
             InvalidValueError: if both flew fewer than two maps.

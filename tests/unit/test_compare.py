@@ -27,7 +27,10 @@ A, B = np.array([0.9, 0.5, 0.7, 0.2, 0.9]), np.array([0.6, 0.5, 0.8, 0.1, 0.1])
 def results(scores: np.ndarray, optima: np.ndarray | None = None) -> Results:
     n = len(scores)
     key = EpisodesKey("easy_delivery", 1, "custom", (0, n), "agent")
-    return Results.of_rows(key, range(n), list(scores), [9] * n, [True] * n, [None] * n if optima is None else optima)
+    optimal = [None] * n if optima is None else list(optima)
+    return Results.of_rows(
+        key, seeds=range(n), scores=list(scores), steps=[9] * n, success=[True] * n, optimal_scores=optimal
+    )
 
 
 def comparison(a: np.ndarray, b: np.ndarray) -> PairedComparison:
