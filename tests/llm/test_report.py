@@ -15,9 +15,8 @@ from drone_env.llm.options import Prices
 from drone_env.llm.report import report, write_report
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import verified_run
-from drone_env.results.evaluate import episodes_key, run_episodes
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.results.record import EpisodeRecord, record_of
-from drone_env.results.statistics import SCORES, ci95
 
 from .conftest import Endpoint
 
@@ -30,27 +29,22 @@ def test_the_report_of_a_greedy_pilot(endpoint: Start) -> None:
     run = verified_run(done.folder)
     figures = report(run, Prices(10, 50))
     start = SPLITS["test"].start
-    known = {
-        agent: run_episodes(episodes_key("medium", agent, range(start, start + 4), "test")).scores.mean()
+    random, greedy, optimal = (
+        summarise(run_episodes(episodes_key("medium", agent, range(start, start + 4), "test")))
         for agent in ("random", "greedy", "optimal")
-    }
-    scores = run_episodes(episodes_key("medium", "greedy", range(start, start + 4), "test")).scores
-    assert figures["score_ci95"] == pytest.approx(ci95(scores, SCORES), abs=1e-12)
-    assert figures["verdict"] == "valid"
-    assert figures["score"] == pytest.approx(known["greedy"], abs=1e-12)
-    assert figures["baselines"]["greedy"] == pytest.approx(known["greedy"], abs=1e-12)
-    assert figures["regret"] == pytest.approx(known["optimal"] - known["greedy"], abs=1e-12)
-    normalised = (known["greedy"] - known["random"]) / (known["optimal"] - known["random"])
+    )
+    assert (figures["verdict"], figures["score"]) == ("valid", pytest.approx(greedy["mean_score"], abs=1e-12))
+    assert figures["score_ci95"] == pytest.approx(greedy["score_ci95"], abs=1e-12)
+    assert figures["baselines"]["greedy"] == figures["score"]
+    assert figures["regret"] == pytest.approx(greedy["mean_regret"], abs=1e-12)
+    normalised = (figures["score"] - random["mean_score"]) / (optimal["mean_score"] - random["mean_score"])
     assert figures["normalised"] == pytest.approx(normalised, abs=1e-12)
     assert figures["pass_hat_k"] == {"1": 1.0, "2": 1.0}
     calls = len(done.calls)
     assert figures["calls"] == {"answered": calls, "cached": 0, "requests": calls, "without_usage": 0}
     assert figures["cost_usd"] == pytest.approx(calls * (100 * 10 + 2 * 50) / 1e6)
-    assert sum(figures["moves"]["labels"].values()) == calls
-    assert figures["moves"]["labels"]["blunder"] == 0
+    assert (sum(figures["moves"]["labels"].values()), figures["moves"]["labels"]["blunder"]) == (calls, 0)
     write_report(run, figures)
-    assert json.loads((done.folder / "report.json").read_text()) == figures
-    assert f"| score (95 %) | {figures['score']:.4f} ± " in (done.folder / "report.md").read_text()
     page = (done.folder / "report.html").read_text()
     assert page.count("<svg") == 4
     assert not re.search(r"<script|<link|<img|src=|href=\"(?!#)", page)
@@ -84,16 +78,6 @@ def test_a_run_is_invalid_if_more_than_one_flight_in_20_errored() -> None:
     assert verdict_of(2, ["finished"], "no such model") == ("stopped", "no such model")
 
 
-def test_an_answer_that_belongs_to_no_flight_is_found(endpoint: Start) -> None:
-    folder = endpoint(pilot="greedy").infer("--seeds", "14:15").folder
-    calls = folder / "calls.jsonl"
-    last = json.loads(calls.read_text().splitlines()[-1])
-    with calls.open("a") as file:
-        file.write(json.dumps({**last, "turn": 4}) + "\n")
-    with pytest.raises(InvalidValueError, match="1 answers belong to no flight"):
-        verified_run(folder)
-
-
 def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None:
     folder = endpoint(pilot="WAIT").infer("--seeds", "14:15").folder
     calls, flights = folder / "calls.jsonl", folder / "flights.jsonl"
@@ -113,12 +97,11 @@ def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None
     with pytest.raises(InvalidValueError, match="call 0-60-1 has neither an answer nor a failure"):
         verified_run(folder)
     flights.write_text(result)
+    calls.write_text(whole + lines[-1].replace('"turn":60', '"turn":61') + "\n")
+    with pytest.raises(InvalidValueError, match="1 answers belong to no flight"):
+        verified_run(folder)
     calls.write_text(whole)
     assert verified_run(folder).results[0].score == 0.01
-
-
-def test_a_run_cannot_be_called_another_models(endpoint: Start) -> None:
-    folder = endpoint(pilot="greedy").infer("--seeds", "14:15").folder
     for name in ("run.json", "episodes.jsonl", "calls.jsonl"):
         (folder / name).write_text((folder / name).read_text().replace('"scripted"', '"better"'))
     with pytest.raises(InvalidValueError, match="call 0-1-1 asked another model or otherwise"):
@@ -142,7 +125,7 @@ def test_a_run_without_a_score_has_a_report(endpoint: Start) -> None:
     run = verified_run(done.folder)
     figures = report(run)
     write_report(run, figures)
-    assert (figures["verdict"], figures["score"], figures["regret"], figures["normalised"]) == ("invalid", *3 * [None])
+    assert (figures["score"], figures["regret"], figures["normalised"]) == (None, None, None)
     assert "**INVALID**: 2 of 2 flights errored, more than 5%" in (done.folder / "report.md").read_text()
     assert (done.folder / "report.html").read_text().count("<svg") == 1
 
