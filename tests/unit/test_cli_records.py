@@ -86,41 +86,26 @@ def test_a_tampered_record_is_refused_before_anything_is_printed(
 
 
 @pytest.mark.parametrize("command", ["replay", "analyse-flight"])
-@pytest.mark.parametrize(("text", "status"), [(None, 2), ("{}", 2), ("not JSON", 2)])
+@pytest.mark.parametrize("text", [None, "{}"])
 def test_what_is_no_record_is_an_error_that_names_the_file(
-    command: str, text: str | None, status: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, text: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "other.json"
     if text is not None:
         file.write_text(text)
-    assert main([command, str(file)]) == status
+    assert main([command, str(file)]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "other.json" in captured.err
 
 
 def test_a_flight_is_the_same_recorded_or_flown_first(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for options in ([], ["--json"]):
-        assert main(["analyse-flight", str(flight), *options]) == 0
-        recorded = capsys.readouterr()
-        assert main(["analyse-flight", "--task", "medium", "--agent", "random", "--seed", "7", *options]) == 0
-        assert capsys.readouterr() == recorded
-        assert recorded.err == ""
-
-
-def test_analyse_flight_prints_only_json_on_request(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["analyse-flight", str(flight), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == analyse_flight(load_record(flight)).to_dict()
-
-
-def test_analyse_flight_shows_every_move_and_the_summary(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["analyse-flight", str(flight)]) == 0
-    out = capsys.readouterr().out
     analysis = analyse_flight(load_record(flight))
-    assert out == analysis.to_text() + "\n"
-    assert len(re.findall(r"(?m)^ *\d+  [A-Z]+ ", out)) == len(load_record(flight).actions)
-    assert analysis.counts["blunder"] > 0
-    assert len(re.findall(r"(?m)^ *\d+  [A-Z]+ +\?\? ", out)) == analysis.counts["blunder"]
+    for options, shown in (([], f"{analysis.to_text()}\n"), (["--json"], f"{analysis.to_json()}\n")):
+        assert main(["analyse-flight", str(flight), *options]) == 0
+        assert capsys.readouterr() == (shown, "")
+        assert main(["analyse-flight", "--task", "medium", "--agent", "random", "--seed", "7", *options]) == 0
+        assert capsys.readouterr() == (shown, "")
 
 
 def test_analyse_flight_colours_blunders_in_a_terminal(
@@ -130,10 +115,8 @@ def test_analyse_flight_colours_blunders_in_a_terminal(
     monkeypatch.setenv("TERM", "xterm-256color")
     assert main(["analyse-flight", str(flight)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    blunders = [line for line in lines if "?? " in line]
-    assert blunders
-    assert all(line.startswith("\x1b[1;31m") for line in blunders)
-    assert not any("\x1b[1;31m" in line for line in lines if "??" not in line)
+    assert any("??" in line for line in lines)
+    assert all(("??" in line) == line.startswith("\x1b[1;31m") for line in lines)
 
 
 def test_analyse_flight_flies_greedy_on_a_map_of_its_own_choice(capsys: pytest.CaptureFixture[str]) -> None:
@@ -145,15 +128,10 @@ def test_analyse_flight_flies_greedy_on_a_map_of_its_own_choice(capsys: pytest.C
     ("arguments", "allowed"),
     [
         (["analyse-flight"], "got neither"),
-        (["analyse-flight", "--seed", "7"], "got neither"),
         (["analyse-flight", "flight.json", "--task", "easy"], "got both"),
         (["analyse-flight", "flight.json", "--seed", "7"], "without --agent and --seed"),
-        (["analyse-flight", "flight.json", "--agent", "greedy"], "without --agent and --seed"),
-        (["analyse-flight", "--task", "extreme"], "easy, hard, medium"),
         (["analyse-flight", "--task", "easy", "--agent", "ace"], "greedy, optimal, pathqnet, random"),
-        (["analyse-flight", "--task", "easy", "--agent", ""], "greedy, optimal, pathqnet, random"),
         (["analyse-flight", "--task", ""], "easy, hard, medium"),
-        (["analyse-flight", "--task", "easy", "--seed", "-1"], "[0, 2^53)"),
         (["replay"], "FILE"),
         (["replay", "flight.json", "--verify", "--reward", "mine"], "aligned"),
         (["fly", "--record", "."], "--record"),
@@ -166,16 +144,6 @@ def test_what_is_not_allowed_exits_2_and_says_what_is(
     captured = capsys.readouterr()
     assert allowed in captured.err
     assert captured.out == ""
-
-
-@pytest.mark.parametrize("command", ["replay", "analyse-flight"])
-def test_help_is_a_manual(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as exit_:
-        main([command, "--help"])
-    assert exit_.value.code == 0
-    out = capsys.readouterr().out
-    assert f"Example: drone-env {command}" in " ".join(out.split())
-    assert "FILE" in out
 
 
 @pytest.fixture
@@ -224,6 +192,10 @@ def test_verify_says_it_of_every_line(flights: Path, capsys: pytest.CaptureFixtu
     lines = capsys.readouterr().out.splitlines()
     assert [line.partition(":")[0] for line in lines] == ["verified", "wrong", "verified"]
     assert "reward 0.5 of step 1 where the flight pays" in lines[1]
+    spoil(flights, 2, task_version=9)
+    assert main(["replay", str(flights), "--verify"]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["verified", "unknown", "verified"]
 
 
 def test_verify_says_where_a_file_is_cut(flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -232,23 +204,6 @@ def test_verify_says_where_a_file_is_cut(flights: Path, capsys: pytest.CaptureFi
     captured = capsys.readouterr()
     assert captured.out.count("verified: ") == 2
     assert "the last line is cut, and all before it are whole: line 3 of" in captured.err
-
-
-def test_verify_of_a_flight_that_nobody_can_fly_names_the_line(
-    flights: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    spoil(flights, 2, task_version=9)
-    assert main(["replay", str(flights), "--verify"]) == 1
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.partition(":")[0] for line in lines] == ["verified", "unknown", "verified"]
-    assert "line 2 of" in lines[1]
-
-
-def test_verify_with_maps(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["replay", str(flight), "--verify", "--render"]) == 0
-    captured = capsys.readouterr()
-    assert captured.out.count("\n") == captured.out.count("verified: ") == 1
-    assert captured.err.count("🚁") == len(load_record(flight).actions) + 1
 
 
 def test_verify_with_a_reward_of_ones_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -283,12 +238,7 @@ def test_replay_of_a_stored_episode(
     assert f"verified: episode {episode_id}: medium_delivery map 7" in capsys.readouterr().out
     assert main(["replay", "0123456789abcdef"]) == 2
     assert capsys.readouterr().err == "drone-env: there is no episode '0123456789abcdef'\n"
-
-
-def test_replay_of_an_id_without_a_store_makes_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
     monkeypatch.setenv("DRONE_ENV_DATA", str(tmp_path / "none"))
     assert main(["replay", "0123456789abcdef"]) == 2
     assert "DRONE_ENV_DATA" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+    assert not (tmp_path / "none").exists()

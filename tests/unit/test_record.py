@@ -69,32 +69,22 @@ def test_one_bit_of_one_reward_is_noticed(step: int) -> None:
     assert replay(tampered(record, step, one_bit_more), "aligned").reward_profile.id == "aligned"
 
 
-def test_the_sign_of_a_zero_is_a_bit_too() -> None:
-    record = flown(profile="score")
-    assert record.rewards[0] == 0.0
+def test_every_wrong_bit_of_the_rewards_counts() -> None:
     with pytest.raises(InvalidValueError, match=r"reward -0\.0 of step 1 where the flight pays 0\.0"):
-        replay(tampered(record, 0, lambda value: -value))
-
-
-def test_several_wrong_rewards_are_counted() -> None:
-    record = tampered(tampered(flown(), 1, one_bit_more), 5, one_bit_more)
+        replay(tampered(flown(profile="score"), 0, lambda value: -value))
     with pytest.raises(InvalidValueError, match=r"of step 2 .*\(and 1 more\)$"):
-        replay(record)
+        replay(tampered(tampered(flown(), 1, one_bit_more), 5, one_bit_more))
 
 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
         ({"format_version": 2}, "format_version: Input should be 1"),
-        ({"format_version": "1"}, "format_version: Input should be 1"),
         ({"rewards": None}, "rewards: Input should be a valid array"),
         ({"rewards": [0.1]}, "1 rewards do not fit 60 actions"),
         ({"rewards": ["0.1"] * 60}, "rewards.0: Input should be a valid number"),
-        ({"format": "other"}, "format: Input should be 'drone_env/episode'"),
         ({"actions": ["NORTH"]}, "actions.0: Input should be 'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"),
         ({"agent": "two\nlines"}, "agent: String should match pattern"),
-        ({"agent": ""}, "agent: String should have at least 1 character"),
-        ({"seed": -1}, "seed: Input should be greater than or equal to 0"),
         ({"seed": 7.5}, "seed: Input should be a valid integer"),
         ({"wind": 1}, "wind: Extra inputs are not permitted"),
     ],
@@ -106,7 +96,7 @@ def test_what_is_no_record_is_refused_by_field(fields: dict[str, Any], message: 
     assert message in str(error.value)
 
 
-@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999"])
 def test_rewards_are_finite(number: str) -> None:
     text = flown().to_json().replace('"rewards":[', f'"rewards":[{number},')
     with pytest.raises(InvalidValueError, match="not the record of a flight"):
@@ -116,7 +106,6 @@ def test_rewards_are_finite(number: str) -> None:
 @pytest.mark.parametrize(
     ("fields", "error", "message"),
     [
-        ({"task": "extreme"}, UnknownNameError, "easy, hard"),
         ({"task_version": 9}, UnknownNameError, "allowed: 1"),
         ({"task": "skyline_easy"}, WithdrawnError, "version 1 of task 'skyline_easy' is withdrawn"),
         ({"reward_profile": "mine"}, UnknownNameError, "tiered"),
@@ -138,9 +127,6 @@ def test_the_record_in_the_manual_is_one() -> None:
     record = parse_record(manual.split("```json\n")[1].split("```")[0], "the manual")
     assert set(EpisodeRecord.model_fields) == {*json.loads(record.to_json()), "terrain"}  # which cities alone have
     assert replay(record).success
-
-
-def test_there_is_no_record_before_the_first_reset() -> None:
     with pytest.raises(EpisodeError):
         record_of(Episode(), "someone")
 
@@ -159,29 +145,16 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "flights.jsonl"
 
 
-def test_records_come_back_in_their_order_each_on_its_line(file: Path) -> None:
-    assert list(read_records(file)) == RECORDS
-    assert [number for number, _ in numbered_records(file)] == [1, 2, 3, 4]
-
-
-def test_a_record_is_in_the_file_before_the_next_one_is_written(tmp_path: Path) -> None:
-    with RecordWriter(tmp_path / "flights.jsonl") as writer:
+def test_each_record_is_in_the_file_before_the_next_one_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "flights.jsonl"
+    with RecordWriter(path) as writer, RecordWriter(path) as other:
         for count, record in enumerate(RECORDS, 1):
             writer.write(record)
-            assert list(read_records(tmp_path / "flights.jsonl")) == RECORDS[:count]
-
-
-def test_more_records_are_appended(file: Path) -> None:
-    with RecordWriter(file) as first, RecordWriter(file) as second:
-        for record in RECORDS:
-            first.write(record)
-            second.write(record)
-    assert list(read_records(file)) == RECORDS + [record for record in RECORDS for _ in range(2)]
-
-
-def test_a_single_record_saved_as_jsonl_is_jsonl(tmp_path: Path) -> None:
-    save_record(RECORDS[0], tmp_path / "one.jsonl")
-    assert list(read_records(tmp_path / "one.jsonl")) == RECORDS[:1]
+            other.write(record)
+            assert list(read_records(path)) == [one for one in RECORDS[:count] for _ in range(2)]
+    assert [number for number, _ in numbered_records(path)] == list(range(1, 9))
+    save_record(RECORDS[0], path)
+    assert list(read_records(path)) == RECORDS[:1]
 
 
 def test_wherever_the_last_line_is_cut_it_is_said_and_the_others_are_given(file: Path) -> None:
@@ -221,10 +194,5 @@ def test_nothing_is_appended_to_a_file_of_something_else(tmp_path: Path) -> None
     with pytest.raises(InvalidValueError, match=r"the last line of .*notes.jsonl is not the record of a flight"):
         RecordWriter(other)
     assert other.read_text() == "buy milk\n"
-
-
-def test_an_empty_file_holds_no_records(tmp_path: Path) -> None:
     (tmp_path / "none.jsonl").touch()
     assert list(read_records(tmp_path / "none.jsonl")) == []
-    with pytest.raises(FileNotFoundError):
-        list(read_records(tmp_path / "missing.jsonl"))
