@@ -25,7 +25,7 @@ from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, UnsupportedTaskError
 from drone_env.files import write_json
 from drone_env.planning.optimal import require_solvable
-from drone_env.results.evaluate import evaluate_keys, key_of, local_engine, repeats_of, summarise
+from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine, repeats_of, summarise
 from drone_env.results.result import EpisodesKey, Results, repeated
 from drone_env.results.statistics import with_interval
 from drone_env.results.tables import Table, number, percent, print_table
@@ -182,7 +182,7 @@ def _cell(
         if name == "optimal":
             require_solvable(task)
         agent = made[task.id, name] = make_agent(name, task)
-        return repeats_of(key_of(agent, task, name, maps, split), repeats, agent)
+        return repeats_of(episodes_key(task, name, maps, split, made=agent), repeats, agent)
     except (TooLargeError, UnsupportedTaskError) as error:
         return error
     except CheckpointError as error:

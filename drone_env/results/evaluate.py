@@ -29,8 +29,24 @@ Engine = Callable[[Sequence[EpisodesKey]], Iterator[Results]]
 """Returns the results of all keys, in any order; some may come twice."""
 
 
-def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = "custom") -> EpisodesKey:
+def episodes_key(
+    task: str | TaskConfig,
+    agent: str,
+    seeds: range,
+    split: str = "custom",
+    *,
+    repeat: int = 0,
+    made: Agent | None = None,
+) -> EpisodesKey:
     """The key of flying consecutive seeds of a task with an agent.
+
+    Args:
+        task: A task or its name.
+        agent: The name of the agent.
+        seeds: The maps.
+        split: The split that they were chosen from.
+        repeat: Which flight over these maps it is, of a stochastic agent.
+        made: The agent, if it exists already; else it is made by its name.
 
     Raises:
         UnknownNameError: if there is no such task, agent or split.
@@ -38,11 +54,7 @@ def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = 
             split, the task is not the registered one of its name, or the agent does not say what decides how it flies.
     """
     task = get_task(task)
-    return key_of(make_agent(agent, task), task, agent, seeds, split)
-
-
-def key_of(agent: Agent, task: TaskConfig, name: str, seeds: range, split: str, repeat: int = 0) -> EpisodesKey:
-    """`episodes_key` of an agent that exists already."""
+    made = made or make_agent(agent, task)
     if get_task(task.id, task.version) != task:
         raise InvalidValueError(f"task {task.id!r} is not the one in TASKS: a key names its task, so register it first")
     if not seeds or seeds.step != 1:
@@ -53,8 +65,8 @@ def key_of(agent: Agent, task: TaskConfig, name: str, seeds: range, split: str, 
         raise UnknownNameError("split", split, ["custom", *SPLITS])
     if split != "custom" and {split_of(seeds.start), split_of(seeds.stop - 1)} != {split}:
         raise InvalidValueError(f"seeds {seeds.start} to {seeds.stop - 1} are not of the split {split!r}")
-    digest = config_hash(task, name, agent)
-    return EpisodesKey(task.id, task.version, split, (seeds.start, seeds.stop), name, digest, repeat)
+    digest = config_hash(task, agent, made)
+    return EpisodesKey(task.id, task.version, split, (seeds.start, seeds.stop), agent, digest, repeat)
 
 
 def repeats_of(key: EpisodesKey, repeats: int, agent: Agent | None = None) -> tuple[EpisodesKey, ...]:
@@ -172,7 +184,7 @@ def evaluate(
     else:
         agent = as_agent(policy, task, wrapper, sampled)
         name = f"{agent.config.get('agent', type(agent).__name__)}"
-    key = key_of(agent, task, name, maps, split if seeds is None else "custom", repeat)
+    key = episodes_key(task, name, maps, split if seeds is None else "custom", repeat=repeat, made=agent)
     return _fly_beside_the_optimum(task, key, agent)
 
 
