@@ -79,6 +79,8 @@ def outputs(data: Path) -> dict[str, list[str]]:
         "compare folders": printed(*folders),
         "leaderboard --json": printed(*board, "--json"),
         "leaderboard": printed(*board),
+        "analyse-flight": printed("analyse-flight", "--task", "medium", "--agent", "random", "--seed", "7"),
+        "analyse-flight --json": printed("analyse-flight", "--task", "easy", "--seed", "7", "--json"),
     }
     runs = [verified_run(folder) for folder in (model, waiting)]
     figures = [report(run, Prices(10, 50)) for run in runs]
