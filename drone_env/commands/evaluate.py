@@ -25,7 +25,7 @@ from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, UnsupportedTaskError
 from drone_env.files import write_json
 from drone_env.planning.optimal import require_solvable
-from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine, repeats_of, summarise
+from drone_env.results.evaluate import FIGURES, episodes_key, evaluate_keys, local_engine, repeats_of, summarise
 from drone_env.results.result import EpisodesKey, Results, repeated
 from drone_env.results.statistics import with_interval
 from drone_env.results.tables import Table, number, percent, print_table
@@ -84,11 +84,6 @@ def evaluate(
         agents = _by_checkpoint(agents, checkpoint)
     json_file(json)
     flown = fly_grid(task, agents, maps, chosen_split, repeats, engine, address, out)
-    figures = {
-        t: {agent: summarise(cell) for agent, cell in row.items() if isinstance(cell, Results)}
-        for t, row in flown.items()
-    }
-    nothing = dict.fromkeys(next(of for row in figures.values() for of in row.values()))
     report = {
         "package": __version__,
         "tasks": {
@@ -98,15 +93,17 @@ def evaluate(
                 "seeds": [maps.start, maps.stop],
                 "episodes": len(maps),
                 "repeats": repeats,
-                "agents": {
-                    agent: figures[t].get(agent) or {**nothing, "unsupported": str(cell)} for agent, cell in row.items()
-                },
+                "agents": {agent: _figures(cell) for agent, cell in row.items()},
             }
             for t, row in flown.items()
         },
     }
     if write_report(report, json):
         _print(report)
+
+
+def _figures(cell: Results | Cannot) -> dict[str, Any]:
+    return summarise(cell) if isinstance(cell, Results) else {**dict.fromkeys(FIGURES), "unsupported": str(cell)}
 
 
 def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:

@@ -188,6 +188,19 @@ def evaluate(
     return _fly_beside_the_optimum(task, key, agent)
 
 
+FIGURES = {
+    "mean_score": "score",
+    "score_ci95": "score_ci95",
+    "success_rate": "success_rate",
+    "mean_steps": "steps",
+    "mean_optimal_score": "optimum",
+    "score_ratio": "ratio",
+    "mean_regret": "regret",
+    "mean_excess_steps": "excess_steps",
+}
+"""The names of the figures of a report, and those of `Summary`."""
+
+
 def summarise(results: Results, *again: Results) -> dict[str, Any]:
     """The figures of a report, as JSON values; what could not be measured is null.
 
@@ -200,16 +213,8 @@ def summarise(results: Results, *again: Results) -> dict[str, Any]:
         InvalidValueError: if they are not flights of one agent over the same maps.
     """
     summary = Summary.of(repeated((results, *again)))
-    return {
-        "mean_score": summary.score,
-        "score_ci95": summary.score_ci95,
-        "success_rate": summary.success_rate,
-        "mean_steps": summary.steps,
-        "mean_optimal_score": summary.optimum,
-        "score_ratio": summary.ratio,
-        "mean_regret": summary.regret if summary.regret_maps == summary.maps else None,
-        "mean_excess_steps": summary.excess_steps,
-    }
+    figures = {name: getattr(summary, figure) for name, figure in FIGURES.items()}
+    return figures if summary.regret_maps == summary.maps else figures | {"mean_regret": None}
 
 
 def local_engine(

@@ -19,6 +19,7 @@ from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.results.record import EpisodeRecord, record_of
 
 from .conftest import Endpoint
+from .kept_run import put_run
 
 Start = Callable[..., Endpoint]
 
@@ -108,18 +109,6 @@ def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None
         verified_run(folder)
 
 
-def test_errored_flights_are_kept_out_and_shown(endpoint: Start) -> None:
-    scripted = endpoint(pilot="greedy", faults=[[3, 10**9, {"status": 500}]])
-    done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--tries", "1")
-    figures = report(verified_run(done.folder), moves=False)
-    assert (figures["verdict"], figures["score"], figures["score_ci95"]) == ("invalid", 0.99, None)
-    assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
-    assert [of_map["seed"] for of_map in figures["maps"]] == [14]
-    assert figures["turns"]["api_error"] == 1
-    (errored,) = figures["not_finished"]
-    assert (errored["seed"], errored["status"], errored["error"]) == (15, "errored", "500: scripted 500")
-
-
 def test_a_run_without_a_score_has_a_report(endpoint: Start) -> None:
     done = endpoint(pilot="greedy", faults=[[0, 10**9, {"status": 500}]]).infer("--seeds", "14:16", "--tries", "1")
     run = verified_run(done.folder)
@@ -143,12 +132,17 @@ def test_a_map_counts_once_however_many_of_its_flights_errored(endpoint: Start) 
     assert f"mean score {figures['score']:.4f} over 3 flights" in done.err
 
 
-def test_names_and_errors_from_elsewhere_stay_text(endpoint: Start) -> None:
+def test_errored_flights_are_kept_out_and_shown_and_names_from_elsewhere_stay_text(endpoint: Start) -> None:
     hostile = "<script>alert(1)</script>|x![](http://h)"
     scripted = endpoint(pilot="greedy", faults=[[3, 10**9, {"status": 500, "message": hostile}]])
     done = scripted.infer("--seeds", "14:16", "--concurrency", "1", "--tries", "1", "--model", hostile)
     run = verified_run(done.folder)
-    write_report(run, report(run))
+    figures = report(run)
+    assert (figures["verdict"], figures["score"], figures["score_ci95"]) == ("invalid", 0.99, None)
+    assert figures["flights"] == {"planned": 2, "flown": 2, "counted": 1, "errored": 1, "unfinished": 0}
+    assert [of_map["seed"] for of_map in figures["maps"]] == [14]
+    assert figures["turns"]["api_error"] == 1
+    write_report(run, figures)
     page, text = (done.folder / "report.html").read_text(), (done.folder / "report.md").read_text()
     assert "<script" not in page + text
     assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;|x![](http://h)") >= 3
@@ -163,10 +157,7 @@ def test_the_leaderboard_ranks_whole_runs_and_refuses_forged_ones(
     short = endpoint(pilot="greedy").infer("--seeds", "14:16", "--max-calls", "4", "--concurrency", "1").folder
     forged = endpoint(pilot="WAIT").infer("--seeds", "14:16").folder
     # The forger writes a perfect flight, whose record replays; but that is not what the model answered.
-    episode = Episode("easy")
-    episode.reset(14)
-    for action in (2, 0, 0):
-        episode.step(action)
+    episode = Episode("easy", seed=14).fly((2, 0, 0))
     records = (forged / "episodes.jsonl").read_text().splitlines()
     records[0] = record_of(episode, "scripted").to_json()
     (forged / "episodes.jsonl").write_text("\n".join([*records, ""]))
@@ -211,21 +202,17 @@ def test_the_leaderboard_says_which_folders_hold_no_flights(
         assert capfd.readouterr().err == told
 
 
-def test_a_record_that_does_not_replay_or_a_lost_flight_is_found(endpoint: Start) -> None:
-    folder = endpoint(pilot="greedy").infer("--seeds", "14:16").folder
-    episodes, flights = folder / "episodes.jsonl", folder / "flights.jsonl"
-    results = flights.read_text()
-    flights.write_text(results.replace('"waits":0', '"waits":1', 1))
-    with pytest.raises(InvalidValueError, match="flight 0 is not what the model's answers come to"):
-        verified_run(folder)
-    flights.write_text(results)
-    whole = episodes.read_text()
-    first, second = whole.splitlines()
+def test_a_record_that_does_not_replay_or_a_lost_flight_is_found(tmp_path: Path) -> None:
+    folder = put_run(tmp_path, "run", "greedy", range(14, 16))
+    records, results = ((folder / name).read_text() for name in ("episodes.jsonl", "flights.jsonl"))
+    first, second = records.splitlines(keepends=True)
     better = EpisodeRecord.model_validate_json(second).model_copy(update={"score": 0.99}).to_json()
-    episodes.write_text(f"{first}\n{better}\n")
-    with pytest.raises(InvalidValueError, match="flight 1: the record does not fit its flight: score"):
-        verified_run(folder)
-    episodes.write_text(f"{first}\n")
-    flights.write_text(flights.read_text().splitlines()[0] + "\n")
-    with pytest.raises(InvalidValueError, match="flight 1 was begun but is not among the results"):
-        verified_run(folder)
+    for changed, told in (
+        ((records, results.replace('"waits":0', '"waits":1', 1)), "flight 0 is not what the model's answers come to"),
+        ((f"{first}{better}\n", results), "flight 1: the record does not fit its flight: score"),
+        ((first, results.splitlines(keepends=True)[0]), "flight 1 was begun but is not among the results"),
+    ):
+        for name, text in zip(("episodes.jsonl", "flights.jsonl"), changed, strict=True):
+            (folder / name).write_text(text)
+        with pytest.raises(InvalidValueError, match=told):
+            verified_run(folder)

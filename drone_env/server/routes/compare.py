@@ -65,8 +65,7 @@ class MapFigures(Message):
     @classmethod
     def of(cls, result: Result) -> Self:
         """The figures of a map."""
-        fields = result._asdict()
-        return cls(**{name: fields[name] for name in cls.model_fields})
+        return cls.model_validate(result, from_attributes=True)
 
 
 class AgentMap(MapFigures):
