@@ -32,11 +32,7 @@ def test_an_analysis_counts_what_was_flown(task: str, store: Store) -> None:
     analysis = store.analysis(task, patience=240)
     n = len(flights)
     assert (analysis.episodes, analysis.episodes_total, analysis.regret_episodes) == (n, n, n)
-    assert analysis.average_reward == pytest.approx(fmean(flight.reward_total for flight in flights))
-    assert analysis.average_score == pytest.approx(fmean(flight.score for flight in flights))
-    assert analysis.average_steps == pytest.approx(fmean(flight.steps for flight in flights))
     assert analysis.deliveries == sum(flight.deliveries_done for flight in flights)
-    assert analysis.average_deliveries == pytest.approx(analysis.deliveries / n)
     assert analysis.success_rate == fmean(flight.success for flight in flights)
     newer, older = (sum(flight.success for flight in half) for half in (flights[3:], flights[:3]))
     assert analysis.success_trend == (newer - older) / 3
@@ -60,12 +56,8 @@ def test_an_analysis_does_not_wait_for_optima_and_has_them_later(store: Store) -
     for seed in range(200):
         store.add_episode(flown("hard", seed, "4"), "someone")
     first = store.analysis("hard", patience=0)
-    assert first.episodes == 200
-    assert first.regret_episodes < 200
+    assert first.regret_episodes < first.episodes == 200
     eventually(lambda: store.analysis("hard", patience=0).regret_episodes == 200)
-    assert store.analysis("hard").mean_regret == pytest.approx(
-        sum(solve("hard", seed).score - 0.01 for seed in range(200)) / 200
-    )
 
 
 def test_closing_stops_the_solving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
