@@ -3,17 +3,15 @@
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
 from drone_env.commands.printing import print_json
 from drone_env.errors import InvalidValueError, needs
+from drone_env.results.leaderboard import Board, LeaderboardEntry, NotRanked, boards_of, evaluation_entries
 from drone_env.results.statistics import with_interval
 from drone_env.results.tables import Table, number, percent, print_table
-
-if TYPE_CHECKING:
-    from drone_env.results.leaderboard import Board, LeaderboardEntry, NotRanked
 
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR...")]
 EVALUATION, RUN = "evaluation.json", "run.json"
@@ -33,8 +31,6 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
         folders: The folders, or those that several runs lie in; one that is named twice counts once.
         json: Print JSON instead of tables.
     """
-    from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, boards_of
-
     if not folders:
         raise InvalidValueError("leaderboard takes the folders of one run or evaluation, or more")
     found = _entries_once(folders)
@@ -56,14 +52,12 @@ def leaderboard(folders: Folders, json: bool = False) -> int:
     return int(any(run.damaged for run in refused))
 
 
-def _entries(path: Path) -> "list[LeaderboardEntry | NotRanked]":
+def _entries(path: Path) -> list[LeaderboardEntry | NotRanked]:
     """The entries of an evaluation, of a run of a language model, or of a folder of these.
 
     Raises:
         MissingPackageError: if there is a run of a language model, and the extra `llm` is not installed.
     """
-    from drone_env.results.leaderboard import NotRanked, evaluation_entries
-
     if (path / EVALUATION).exists():
         return evaluation_entries(path)
     if (path / RUN).exists():
@@ -77,7 +71,7 @@ def _entries(path: Path) -> "list[LeaderboardEntry | NotRanked]":
     return [one for folder in inside for one in _entries(folder)]
 
 
-def _entries_once(paths: Iterable[Path]) -> "list[LeaderboardEntry | NotRanked]":
+def _entries_once(paths: Iterable[Path]) -> list[LeaderboardEntry | NotRanked]:
     """The entries of many folders; one that is named twice, itself or by the folder around it, counts once."""
     found: list[LeaderboardEntry | NotRanked] = []
     for path in paths:
@@ -86,24 +80,21 @@ def _entries_once(paths: Iterable[Path]) -> "list[LeaderboardEntry | NotRanked]"
     return found
 
 
-def required_entries(path: Path) -> "list[LeaderboardEntry]":
+def required_entries(path: Path) -> list[LeaderboardEntry]:
     """The entries of a folder of results.
 
     Raises:
         InvalidValueError: if it is not ranked on a leaderboard; the message says why.
         MissingPackageError: if it needs the extra `llm`.
     """
-    from drone_env.results.leaderboard import LeaderboardEntry
-
-    found: list[LeaderboardEntry] = []
-    for one in _entries(path):
-        if not isinstance(one, LeaderboardEntry):
-            raise InvalidValueError(f"{path}: {one.reason}")
-        found.append(one)
-    return found
+    found = _entries(path)
+    refused = [one for one in found if isinstance(one, NotRanked)]
+    if refused:
+        raise InvalidValueError(f"{path}: {refused[0].reason}")
+    return [one for one in found if isinstance(one, LeaderboardEntry)]
 
 
-def _table(board: "Board") -> Table:
+def _table(board: Board) -> Table:
     figures = ("score (95 %)", "normalised", "regret", "success", "errored", "unusable", "tokens")
     rows = [
         (

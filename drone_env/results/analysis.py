@@ -44,7 +44,7 @@ The unit is what one parcel adds to the score, 0.8 / parcels of the map, so that
 - 0.008: one wrong turn, which costs the step there and the step back: 0.0083 parcels on easy, 0.0156 on hard. A single
   step lost is below it on easy, medium and hard (0.0042 to 0.0078).
 """
-MARKS: dict[Label, str] = {"best": ""} | {label: mark for label, (_, mark) in SEVERITIES.items()}
+MARKS: dict[Label, str] = {"best": "", **{label: mark for label, (_, mark) in SEVERITIES.items()}}
 ONLY_MOVE = "!!"
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from drone_env.errors import DroneEnvError, InvalidValueError, TooLargeError, UnknownNameError
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
-from drone_env.results.folder import NotWholeError, stored_results
 from drone_env.results.result import Results
 from drone_env.results.statistics import normalised
 
@@ -63,6 +62,8 @@ def evaluation_entries(
         task: Leave out other tasks than this one.
         most: Refuse evaluations of more maps.
     """
+    from drone_env.results.folder import NotWholeError, stored_results  # loads Pydantic
+
     try:
         return [LeaderboardEntry(path, _report(agent, repeats)) for agent, repeats in stored_results(path, task, most)]
     except (DroneEnvError, OSError) as error:

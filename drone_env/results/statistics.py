@@ -265,19 +265,10 @@ class PairedComparison:
         return self.a.scores - self.b.scores
 
     @property
-    def wins(self) -> int:
-        """Maps on which a scored more."""
-        return int((self.differences >= SAME).sum())
-
-    @property
-    def ties(self) -> int:
-        """Maps on which both scored the same."""
-        return int((np.abs(self.differences) < SAME).sum())
-
-    @property
-    def losses(self) -> int:
-        """Maps on which b scored more."""
-        return len(self.differences) - self.wins - self.ties
+    def outcomes(self) -> tuple[int, int, int]:
+        """Maps that a won, ties, and maps that a lost."""
+        wins, ties = (self.differences >= SAME).sum(), (np.abs(self.differences) < SAME).sum()
+        return int(wins), int(ties), int(len(self.differences) - wins - ties)
 
     def figures(self) -> dict[str, Any]:
         """How sure it is which agent is better, as JSON values.

@@ -39,7 +39,7 @@ def comparison(a: np.ndarray, b: np.ndarray) -> PairedComparison:
 
 def test_the_figures_of_a_comparison_by_hand() -> None:
     paired = comparison(A, B)
-    assert (paired.wins, paired.ties, paired.losses) == (3, 1, 1)
+    assert paired.outcomes == (3, 1, 1)
     found = paired.figures()
     assert found["maps"] == 5
     # The squares of the deviations add up to 0.352, 0.388 and, of the differences, 0.508.

@@ -138,23 +138,18 @@ def agent_maps(shared: SharedParts, task_name: str, agent: AgentQuery) -> AgentM
 def pair(shared: SharedParts, task_name: str, a: AgentQuery, b: AgentQuery) -> Pairing:
     """Two agents over the maps of a task that both flew."""
     paired = PairedComparison.of(*_flown_by(shared, task_name, a, b))
+    wins, ties, losses = paired.outcomes
     rows = zip(paired.differences.tolist(), paired.a.rows(), paired.b.rows(), strict=True)
     return Pairing(
         maps=len(paired.differences),
         difference=mean_of(paired.differences),
         ci95=ci95(paired.differences, DIFFERENCES),
-        wins=paired.wins,
-        ties=paired.ties,
-        losses=paired.losses,
+        wins=wins,
+        ties=ties,
+        losses=losses,
         pairs=[
-            PairedMap(
-                seed=of_a.seed,
-                optimum=of_a.optimum,
-                difference=difference,
-                a=MapFigures.of(of_a),
-                b=MapFigures.of(of_b),
-            )
-            for difference, of_a, of_b in rows
+            PairedMap(seed=a.seed, optimum=a.optimum, difference=difference, a=MapFigures.of(a), b=MapFigures.of(b))
+            for difference, a, b in rows
         ],
     )
 
