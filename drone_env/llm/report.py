@@ -14,13 +14,12 @@ from drone_env.core.episode import Episode
 from drone_env.errors import CheckpointError, DroneEnvError, TooLargeError, UnsupportedTaskError, WithdrawnError
 from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
 from drone_env.llm.options import Prices
-from drone_env.llm.run_folder import RESULTS, PilotedRecord, load_config
+from drone_env.llm.run_folder import RESULTS, PilotedRecord, load_config, results_of
 from drone_env.llm.runner import verdict_of
 from drone_env.llm.verify import VerifiedRun, verified_run
 from drone_env.results.analysis import analyse_flight
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked
-from drone_env.results.result import EpisodesKey, Results
 from drone_env.results.statistics import Summary, mean_of, normalised
 
 if TYPE_CHECKING:
@@ -51,15 +50,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
     baselines = _baselines(run, list(by_map))
     best = baselines["optimal"]
     optimum: dict[int, float] = {} if best is None else dict(zip(by_map, best, strict=True))
-    results = Results.of_rows(
-        EpisodesKey(config.task, config.task_version, config.split, config.seeds, config.model),
-        seeds=[result.seed for result in counted],
-        scores=[result.score for result in counted],
-        steps=[result.steps for result in counted],
-        success=[result.success for result in counted],
-        optimal_scores=[optimum.get(result.seed) for result in counted],
-    )
-    summary = Summary.of(results)
+    summary = Summary.of(results_of(config, run.results, optimum))
     means = {name: None if scores is None else mean_of(scores) for name, scores in baselines.items()}
     turns: dict[TurnKind, int] = {name: sum(one.turns.get(name, 0) for one in run.results) for name in TURN_KINDS}
     return {
