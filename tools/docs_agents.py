@@ -18,8 +18,9 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.errors import UnsupportedTaskError
 from drone_env.files import write_json
-from drone_env.results.evaluate import EpisodesKey, episodes_key, run_episodes, summarise
-from drone_env.results.interval import with_interval
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
+from drone_env.results.result import EpisodesKey
+from drone_env.results.statistics import with_interval
 from drone_env.results.tables import number
 
 KEPT = Path(__file__).parents[1] / "results" / "agents"

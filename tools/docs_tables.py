@@ -6,15 +6,17 @@ python tools/docs_tables.py --check    changes nothing, and names what is not up
 
 import sys
 from pathlib import Path
+from typing import cast
 
 from docs_imports import diagram
+from pydantic_settings import BaseSettings
 
 from drone_env.city.layers import Rule, layers
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.llm.settings import InferenceSettings, models_table
-from drone_env.results.tables import markdown_table, settings_table
+from drone_env.results.tables import markdown_table
 from drone_env.server.settings import Settings
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -25,6 +27,17 @@ SPECIAL = (Event.NONE, Event.DELIVERY)
 def table(rows: list[list[str]]) -> str:
     """Rows as a table in Markdown; the first one is its head."""
     return markdown_table(rows[0], rows[1:])
+
+
+def settings_table(settings: type[BaseSettings]) -> str:
+    """What can be configured by a class, as a table in Markdown."""
+    prefix, rows = settings.model_config.get("env_prefix", ""), list[tuple[str, str, str]]()
+    for name, field in settings.model_fields.items():
+        several = isinstance(field.default, tuple)
+        default = ",".join(cast(tuple[str, ...], field.default)) if several else str(field.default or "")
+        shown = "in the package" if Path(default).is_absolute() else f"`{default}`" if default else "-"
+        rows.append((f"`{prefix}{name.upper()}`", shown, f"{field.description}"))
+    return markdown_table(("variable", "default", "meaning"), rows)
 
 
 def kinds() -> str:

@@ -13,7 +13,7 @@ ActBatch = Callable[[npt.NDArray[np.uint8], npt.NDArray[np.float32]], npt.NDArra
 """From grids uint8[N, H, W] and telemetry float32[N, telemetry_size] to actions, int64[N]."""
 
 
-class Ends(NamedTuple):
+class BatchResults(NamedTuple):
     """How n episodes ended, in the order of their seeds."""
 
     scores: npt.NDArray[np.float64]
@@ -24,7 +24,7 @@ class Ends(NamedTuple):
     """int32[n], parcels delivered."""
 
 
-def fly_together(task: TaskConfig, seeds: npt.NDArray[np.int64], act: ActBatch, stateless: bool) -> Ends:
+def fly_together(task: TaskConfig, seeds: npt.NDArray[np.int64], act: ActBatch, stateless: bool) -> BatchResults:
     """Fly each map once.
 
     Args:
@@ -34,7 +34,7 @@ def fly_together(task: TaskConfig, seeds: npt.NDArray[np.int64], act: ActBatch, 
         stateless: Whether `act` holds no state for each episode; it is then asked for those alone that still fly.
     """
     n = len(seeds)
-    ends = Ends(np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32))
+    results = BatchResults(np.zeros(n), np.zeros(n, np.int32), np.zeros(n, np.int32))
     flying, actions = np.ones(n, np.bool_), np.zeros(n, np.int64)
     batch = Batch(task, n)
     batch.reset(seeds)
@@ -45,7 +45,7 @@ def fly_together(task: TaskConfig, seeds: npt.NDArray[np.int64], act: ActBatch, 
         # Episodes that ended earlier fly on, over other maps: only the first end counts.
         first = flying[batch.ended]
         ended, finals = batch.ended[first], batch.finals()
-        for kept, name in zip(ends, ("score", "steps", "deliveries"), strict=True):
-            kept[ended] = finals[name][first]
+        for column, name in zip(results, ("score", "steps", "deliveries"), strict=True):
+            column[ended] = finals[name][first]
         flying[ended] = False
-    return ends
+    return results

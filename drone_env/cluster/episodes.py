@@ -12,13 +12,14 @@ import ray
 from drone_env.agents import elsewhere, file_of
 from drone_env.cluster.jobs import run_jobs
 from drone_env.errors import ClusterError
-from drone_env.results.evaluate import EpisodeResults, EpisodesKey, run_episodes
+from drone_env.results.evaluate import run_episodes
+from drone_env.results.result import EpisodesKey, Results
 
 TRIES = 11
 """How often a piece is flown whose node dies."""
 
 
-def fly_on_nodes(keys: Sequence[EpisodesKey]) -> Iterator[EpisodeResults]:
+def fly_on_nodes(keys: Sequence[EpisodesKey]) -> Iterator[Results]:
     """The results of all keys in the order in which they arrive. Inside of `connect` only.
 
     A node that dies has its pieces flown again elsewhere. A file that an agent's name names travels as it is: nodes
@@ -38,7 +39,7 @@ def _lost(key: EpisodesKey, error: Exception) -> None:
     raise ClusterError(f"a piece was lost, flown {TRIES} times: {error}")
 
 
-def _fly(files: Mapping[str, Any], key: EpisodesKey) -> Iterator[EpisodeResults]:
+def _fly(files: Mapping[str, Any], key: EpisodesKey) -> Iterator[Results]:
     if key.agent not in files:
         yield run_episodes(key)
         return

@@ -10,6 +10,7 @@ from rich.text import Text
 from drone_env.agents import make_agent
 from drone_env.agents.base import begin
 from drone_env.commands.arguments import ChosenAgent, ChosenTask, Seed, say_trusted
+from drone_env.commands.printing import print_json
 from drone_env.core.episode import Episode, rollout
 from drone_env.errors import InvalidValueError
 
@@ -72,7 +73,7 @@ def analyse_flight(
             f"analyse-flight takes the file of a record, or --task (with --agent and --seed) to fly first; got {given}"
         )
     if json:
-        print(analysed.to_json())
+        print_json(analysed.to_dict())
     else:
         _show(analysed)
 

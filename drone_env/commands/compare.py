@@ -1,21 +1,19 @@
 """`drone-env compare`: agents on the same maps, and how sure it is which of them is better."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
 from drone_env import __version__
 from drone_env.commands.arguments import AGENT, SeedRange, SplitName, chosen_maps
-from drone_env.commands.contest import JsonFile, TaskNames, cells_of, fly_cells, give_json, json_file
-from drone_env.commands.kept import Kept, kept
+from drone_env.commands.evaluate import JsonFile, TaskNames, fly_grid, json_file, write_report
+from drone_env.commands.leaderboard import required_entries
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.results.interval import with_interval
+from drone_env.results.result import Results
+from drone_env.results.statistics import compared, optimality_ratios, with_interval
 from drone_env.results.tables import Table, percent, print_table
-
-if TYPE_CHECKING:
-    from drone_env.results.by_map import FlownMap
 
 Contenders = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar=f"{AGENT}|DIR...")]
 Plot = Annotated[Path | None, tyro.conf.arg(metavar="FILE.svg|FILE.png")]
@@ -53,73 +51,79 @@ def compare(
         plot: Draw the performance profiles: of each agent, the share of maps on which it reaches more than a share of
             the optimum. Needs the extra `train`.
     """
-    # These load Pydantic, which nobody should wait for who does not need it.
-    from drone_env.results.comparison import flown_maps
-    from drone_env.results.profiles import check_plot, draw_profiles
-    from drone_env.results.reliable import compared, shares_of_optimum
-
-    folders = {agent: kept(Path(agent)) for agent in agents if Path(agent).is_dir()}
-    contenders = len(agents) - len(folders) + sum(len({one.name for one in of}) for of in folders.values())
+    stored = {
+        agent: [(f"{entry.agent} ({Path(agent)})", entry) for entry in required_entries(Path(agent))]
+        for agent in agents
+        if Path(agent).is_dir()
+    }
+    contenders = len(agents) - len(stored) + sum(len({name for name, _ in entries}) for entries in stored.values())
     if contenders < 2 or len(set(agents)) < len(agents):
         raise InvalidValueError(f"compare takes two agents or more, each once; got {' '.join(agents) or 'none'}")
-    if folders:
+    if stored:
         if task != ("all",) or (split, episodes, seeds) != (None, None, None):
             raise InvalidValueError("folders name task and maps themselves: leave --task, --split and so on out")
-        task, chosen_split, maps = _maps_of([one for of_folder in folders.values() for one in of_folder])
+        task, chosen_split, maps = _same_maps([(name, entry.results) for of in stored.values() for name, entry in of])
     else:
         chosen_split, maps = chosen_maps(seeds, split, episodes, 200)
     json_file(json)
     if plot is not None:
+        from drone_env.results.profiles import check_plot
+
         check_plot(plot)
-    names = [agent for agent in agents if agent not in folders]
-    flown = fly_cells(cells_of(task, names, maps, chosen_split, repeats)) if names else {}
-    rows: dict[TaskConfig, dict[str, list[FlownMap]]] = {}
+    names = [agent for agent in agents if agent not in stored]
+    flown = fly_grid(task, names, maps, chosen_split, repeats) if names else {}
+    rows: dict[TaskConfig, dict[str, Results]] = {}
+    unusable: dict[str, Any] = {}
     for agent in agents:
-        for one in folders.get(agent, ()):
-            rows.setdefault(one.task, {})[one.name] = [row._replace(agent=one.name) for row in one.rows]
+        for name, entry in stored.get(agent, ()):
+            key = entry.results.key
+            rows.setdefault(get_task(key.task, key.version), {})[name] = entry.results
+            if "unusable" in entry.report:
+                unusable[name] = entry.report["unusable"]
         for t, row in flown.items():
             cell = row.get(agent)
-            if isinstance(cell, tuple):
-                rows.setdefault(t, {})[agent] = flown_maps(agent, cell)
+            if isinstance(cell, Results):
+                rows.setdefault(t, {})[agent] = cell
     report = {
         "package": __version__,
         "split": chosen_split,
         "seeds": [maps.start, maps.stop],
         "repeats": repeats,
         "tasks": {t.id: {"version": t.version, **compared(row)} for t, row in rows.items()},
-        "unusable": {one.name: one.unusable for of_folder in folders.values() for one in of_folder if one.unusable},
+        "unusable": unusable,
     }
-    cannot = [
-        f"{t.short_name}, {agent}: {cell}"
-        for t, row in flown.items()
-        for agent, cell in row.items()
-        if not isinstance(cell, tuple)
-    ]
     if plot is not None:
-        draw_profiles(
-            {t.short_name: {a: shares_of_optimum(of) for a, of in row.items()} for t, row in rows.items()}, plot
-        )
-    if give_json(report, json):
+        from drone_env.results.profiles import draw_profiles
+
+        ratios = {t.short_name: {a: optimality_ratios(of) for a, of in row.items()} for t, row in rows.items()}
+        draw_profiles(ratios, plot)
+    if write_report(report, json):
         _print(report)
-        print(*cannot, sep="\n", end="\n" if cannot else "")
+        for t, row in flown.items():
+            for agent, cell in row.items():
+                if not isinstance(cell, Results):
+                    print(f"{t.short_name}, {agent}: {cell}")
 
 
-def _maps_of(results: list[Kept]) -> tuple[tuple[str, ...], str, range]:
-    """The tasks, the split and the maps that all folders are of."""
-    first = results[0]
-    for other in results:
-        if (other.split, other.maps) != (first.split, first.maps) or get_task(other.task.id) != other.task:
+def _same_maps(stored: list[tuple[str, Results]]) -> tuple[tuple[str, ...], str, range]:
+    """The tasks, the split and the maps of all folders."""
+    first, one = stored[0]
+    maps = range(*one.key.seeds)
+    for name, other in stored:
+        key = other.key
+        same = (key.split, key.seeds) == (one.key.split, one.key.seeds)
+        if not same or get_task(key.task) != get_task(key.task, key.version):
             raise InvalidValueError(
-                f"folders are compared over the same maps of the present version of a task: {other.name} has "
-                f"{other.task.id} v{other.task.version}, {other.maps}, {first.name} {first.maps}"
+                f"folders are compared over the same maps of the present version of a task: {name} has "
+                f"{key.task} v{key.version}, {range(*key.seeds)}, {first} {maps}"
             )
-    return tuple(dict.fromkeys(one.task.id for one in results)), first.split, first.maps
+    return tuple(dict.fromkeys(other.key.task for _, other in stored)), one.key.split, maps
 
 
 def _print(report: dict[str, Any]) -> None:
     tasks = {f"{get_task(name).short_name} v{of['version']}": of for name, of in report["tasks"].items()}
     one = [
-        (task, agent, _told(figures["score"]), _told(figures["iqm"]), percent(figures["success_rate"]))
+        (task, agent, _format(figures["score"]), _format(figures["iqm"]), percent(figures["success_rate"]))
         for task, of in tasks.items()
         for agent, figures in of["agents"].items()
     ]
@@ -135,8 +139,8 @@ def _print(report: dict[str, Any]) -> None:
         (
             task,
             f"{agent} - {of['first']}",
-            _told(figures["difference"]),
-            _told(figures["improvement"], ".1%"),
+            _format(figures["difference"]),
+            _format(figures["improvement"], ".1%"),
             f"{figures['detectable']:.4f}",
             "-" if figures["narrower"] is None else f"{figures['narrower']:.1f}",
         )
@@ -148,5 +152,5 @@ def _print(report: dict[str, Any]) -> None:
         print_table(Table("Map by map", head, two), width=120, names=2, sections=True)
 
 
-def _told(interval: dict[str, float], form: str = ".4f") -> str:
+def _format(interval: dict[str, float], form: str = ".4f") -> str:
     return with_interval(interval["mean"], (interval["low"], interval["high"]), form)

@@ -1,20 +1,43 @@
 """`drone-env evaluate`: agents side by side on the same maps, beside the exact optimum."""
 
+import sys
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+import tyro
 
 from drone_env import __version__
-from drone_env.agents import NETWORK_AGENTS
+from drone_env.agents import NETWORK_AGENTS, Agent, file_of, make_agent
 from drone_env.agents.weights_file import network_of
-from drone_env.commands.arguments import AgentNames, ClusterAddress, SeedRange, SplitName, chosen_maps
-from drone_env.commands.contest import EngineName, JsonFile, TaskNames, cells_of, fly_cells, give_json, json_file
-from drone_env.core.tasks import get_task
-from drone_env.errors import InvalidValueError
-from drone_env.results.evaluate import summarise
-from drone_env.results.interval import with_interval
+from drone_env.commands.arguments import (
+    TASK,
+    AgentNames,
+    ClusterAddress,
+    SeedRange,
+    SplitName,
+    chosen_maps,
+    say_trusted,
+)
+from drone_env.commands.printing import print_json, progress_bar
+from drone_env.core.tasks import TASKS, TaskConfig, get_task
+from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError, UnsupportedTaskError
+from drone_env.files import write_json
+from drone_env.planning.optimal import require_solvable
+from drone_env.results.evaluate import FIGURES, episodes_key, evaluate_keys, local_engine, repeats_of, summarise
+from drone_env.results.result import EpisodesKey, Results, repeated
+from drone_env.results.statistics import with_interval
 from drone_env.results.tables import Table, number, percent, print_table
 
 CHOICE = "|".join(NETWORK_AGENTS)
+TaskNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"all|{TASK}")]
+EngineName = Literal["local", "ray"]
+JsonFile = Annotated[str | None, tyro.conf.arg(metavar="FILE|-")]
+Cannot = CheckpointError | TooLargeError | UnsupportedTaskError
+"""Why an agent cannot fly a task."""
+Grid = dict[TaskConfig, dict[str, Results | Cannot]]
+"""By task and agent: all flights, or why there are none."""
 
 
 def evaluate(
@@ -60,28 +83,27 @@ def evaluate(
     if checkpoint is not None:
         agents = _by_checkpoint(agents, checkpoint)
     json_file(json)
-    flown = fly_cells(cells_of(task, agents, maps, chosen_split, repeats), engine, address, out)
-    summaries = {
-        t: {agent: summarise(*cell) for agent, cell in row.items() if isinstance(cell, tuple)}
-        for t, row in flown.items()
+    flown = fly_grid(task, agents, maps, chosen_split, repeats, engine, address, out)
+    report = {
+        "package": __version__,
+        "tasks": {
+            t.id: {
+                "version": t.version,
+                "split": chosen_split,
+                "seeds": [maps.start, maps.stop],
+                "episodes": len(maps),
+                "repeats": repeats,
+                "agents": {agent: _figures(cell) for agent, cell in row.items()},
+            }
+            for t, row in flown.items()
+        },
     }
-    nothing = dict.fromkeys(next(figures for row in summaries.values() for figures in row.values()))
-    figures = {
-        t.id: {
-            "version": t.version,
-            "split": chosen_split,
-            "seeds": [maps.start, maps.stop],
-            "episodes": len(maps),
-            "repeats": repeats,
-            "agents": {
-                agent: summaries[t].get(agent) or {**nothing, "unsupported": str(cell)} for agent, cell in row.items()
-            },
-        }
-        for t, row in flown.items()
-    }
-    report = {"package": __version__, "tasks": figures}
-    if give_json(report, json):
+    if write_report(report, json):
         _print(report)
+
+
+def _figures(cell: Results | Cannot) -> dict[str, Any]:
+    return summarise(cell) if isinstance(cell, Results) else {**dict.fromkeys(FIGURES), "unsupported": str(cell)}
 
 
 def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:
@@ -93,6 +115,139 @@ def _by_checkpoint(agents: tuple[str, ...], file: Path) -> tuple[str, ...]:
     if not set(agents) & set(fits):
         raise InvalidValueError(f"{file} is the network of {'|'.join(fits) or network}: name it with --agents")
     return tuple(f"{agent}:{file}" if agent in fits else agent for agent in agents)
+
+
+def fly_grid(
+    tasks: Sequence[str],
+    agents: Sequence[str],
+    maps: range,
+    split: str,
+    repeats: int,
+    engine: EngineName = "local",
+    address: str | None = None,
+    out: Path | None = None,
+) -> Grid:
+    """Fly the same maps of each task with each agent, with a progress bar.
+
+    Args:
+        tasks: Names of tasks; `all` for every registered task.
+        agents: Names of agents.
+        maps: The maps.
+        split: The split that they were chosen from.
+        repeats: Flights of a stochastic agent over each map.
+        engine: Where to fly.
+        address: The cluster.
+        out: The folder that stores the results.
+
+    Raises:
+        UnknownNameError, InvalidValueError, OSError: for names, seeds, files and folders that are wrong.
+        CheckpointError, TooLargeError, UnsupportedTaskError: if nobody can fly anything, or a file that is named
+            fits no task.
+        ClusterError: from the cluster.
+        AgentError: if an agent fails.
+    """
+    if not tasks or not agents:
+        raise InvalidValueError("--task and --agents take one name or more")
+    if address is not None and engine != "ray":
+        raise InvalidValueError("--address names a cluster: give it with --engine ray")
+    say_trusted(agents)
+    named = [t for name in tasks for t in (TASKS.values() if name == "all" else [get_task(name)])]
+    made: dict[tuple[str, str], Agent] = {}
+    cells = {t: {a: _cell(t, a, maps, split, repeats, made) for a in agents} for t in dict.fromkeys(named)}
+    # At least one agent must support a task, and so must every file that is named.
+    for required in (agents, *([agent] for agent in agents if file_of(agent))):
+        all_cells = [row[agent] for row in cells.values() for agent in required]
+        reasons = [cell for cell in all_cells if not isinstance(cell, tuple)]
+        if len(reasons) == len(all_cells):
+            raise reasons[0]
+    keys = [key for row in cells.values() for cell in row.values() if isinstance(cell, tuple) for key in cell]
+    flown = _fly(keys, made, engine, address, out)
+    return {
+        t: {
+            agent: repeated([flown[key] for key in cell]) if isinstance(cell, tuple) else cell
+            for agent, cell in row.items()
+        }
+        for t, row in cells.items()
+    }
+
+
+def _cell(
+    task: TaskConfig, name: str, maps: range, split: str, repeats: int, made: dict[tuple[str, str], Agent]
+) -> tuple[EpisodesKey, ...] | Cannot:
+    """The flights of an agent on a task, or why it cannot fly it; the agent goes into `made`."""
+    try:
+        if name == "optimal":
+            require_solvable(task)
+        agent = made[task.id, name] = make_agent(name, task)
+        return repeats_of(episodes_key(task, name, maps, split, made=agent), repeats, agent)
+    except (TooLargeError, UnsupportedTaskError) as error:
+        return error
+    except CheckpointError as error:
+        if file_of(name) is None:
+            raise  # a file of the package is damaged
+        return error
+
+
+def _fly(
+    keys: Sequence[EpisodesKey],
+    made: dict[tuple[str, str], Agent],
+    engine: EngineName,
+    address: str | None,
+    out: Path | None,
+) -> dict[EpisodesKey, Results]:
+    folder = None
+    if out is not None:
+        from drone_env.results.folder import ResultsFolder  # loads Pydantic
+
+        folder = ResultsFolder(out, keys)
+    flights, stored = sum(key.seeds[1] - key.seeds[0] for key in keys), 0
+    with progress_bar("maps", flights) as advance:
+
+        def arrived(piece: Results) -> None:
+            nonlocal stored
+            stored += len(piece.seeds)
+            advance(len(piece.seeds), f"{get_task(piece.key.task).short_name} {piece.key.agent}")
+
+        try:
+            if engine == "local":
+                return evaluate_keys(keys, partial(local_engine, agents=made), folder, arrived)
+            from drone_env.cluster.connect import connect
+
+            with connect(address):
+                from drone_env.cluster.episodes import fly_on_nodes
+
+                return evaluate_keys(keys, fly_on_nodes, folder, arrived)
+        except BaseException:
+            if folder is not None and folder.own:
+                told = f"stopped: {stored:,} of {flights:,} flights are kept in {out}; the same command goes on there"
+                print(f"{told}, with agents as they are (one that is mended needs a new folder)", file=sys.stderr)
+            raise
+
+
+def json_file(json: str | None) -> Path | None:
+    """The file that `--json` names; None for standard output, or for none.
+
+    Raises:
+        InvalidValueError: if it cannot be written there.
+    """
+    target = None if json in (None, "-") else Path(json)
+    if target is not None and (not target.name or target.is_dir() or not target.parent.is_dir()):
+        raise InvalidValueError(f"--json takes - or a file in a folder that exists, got {json!r}")
+    return target
+
+
+def write_report(report: dict[str, Any], json: str | None) -> bool:
+    """Write a report to what `--json` names; whether to print it for people as well.
+
+    Raises:
+        InvalidValueError, OSError: if it cannot be written there.
+    """
+    target = json_file(json)
+    if json == "-":
+        print_json(report)
+    elif target is not None:
+        write_json(target, report)
+    return json != "-"
 
 
 def _print(report: dict[str, Any]) -> None:

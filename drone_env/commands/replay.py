@@ -75,8 +75,7 @@ def replay(
             continue
         if render:
             _show(episode, checked.actions)
-        rewards = "rewards not recorded" if record.rewards is None else f"{len(record.rewards)} rewards"
-        ended = "" if record.ended else ", unfinished"
+        rewards, ended = f"{len(record.rewards)} rewards", "" if record.ended else ", unfinished"
         print(f"verified: {name}: {record.task} map {record.seed}, {rewards}, score {record.score!r}{ended}")
     return int(failed)
 
@@ -91,8 +90,7 @@ def _show(episode: Episode, actions: Iterable[int]) -> None:
 def _records(source: str) -> Iterator[tuple[str, "EpisodeRecord"]]:
     """Each record with what to call it."""
     from drone_env.files import data_folder
-    from drone_env.results.jsonl import numbered_records
-    from drone_env.results.record import load_record
+    from drone_env.results.record import load_record, numbered_records
     from drone_env.results.sessions import EPISODE_ID
     from drone_env.results.store import FILE_NAME, Store
 

@@ -11,7 +11,8 @@ from drone_env.agents import make_agent
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.results.evaluate import EpisodesKey, episodes_key
+from drone_env.results.evaluate import episodes_key
+from drone_env.results.result import EpisodesKey
 
 FORMAT = "drone_env/dataset"
 FORMAT_VERSION = 1

@@ -1,12 +1,6 @@
 """The grader of `medium_delivery`."""
 
-from collections.abc import Mapping
-from typing import Any
+from drone_env.graders.formula import make_grader
 
-from drone_env.graders.formula import grade
-from drone_env.models import DroneState
-
-
-def grade_medium(state: DroneState | Mapping[str, Any]) -> float:
-    """The score of a state of `medium_delivery`, in [0.01, 0.99]; raises as `formula.grade`."""
-    return grade("medium_delivery", state)
+grade_medium = make_grader("medium_delivery")
+"""The score of a state of `medium_delivery`, in [0.01, 0.99]; raises as `formula.grade`."""

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
-from drone_env.llm.report_tables import maps_line, unusable_of
-from drone_env.results.interval import DIFFERENCES, ci95, with_interval
+from drone_env.llm.report import unusable_of
+from drone_env.llm.report_tables import maps_line
+from drone_env.results.result import Results
+from drone_env.results.statistics import DIFFERENCES, PairedComparison, ci95, mean_of, with_interval
 from drone_env.results.tables import Table, number, percent
 
 
@@ -20,10 +21,10 @@ def paired(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
     Args:
         runs: The figures of `report`, with one prompt each.
     """
-    by_map = [{of_map["seed"]: fmean(of_map["scores"]) for of_map in run["maps"]} for run in runs]
+    results = [Results.of_report(run["config"]["prompt"], run) for run in runs]
     rows: list[dict[str, Any]] = []
-    for run, scores in zip(runs, by_map, strict=True):
-        differences = [score - by_map[0][seed] for seed, score in scores.items() if seed in by_map[0]]
+    for run, flown in zip(runs, results, strict=True):
+        differences = PairedComparison.of(flown, results[0]).differences
         points = sum(sum(of_map["scores"]) for of_map in run["maps"])
         tokens = sum(run["tokens"].values())
         same = ("verdict", "reason", "score", "score_ci95", "success_rate", "regret", "waits", "unusable", "cost_usd")
@@ -32,7 +33,7 @@ def paired(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
             | {
                 "prompt": run["config"]["prompt"],
                 "maps": len(differences),
-                "difference": fmean(differences) if differences else None,
+                "difference": mean_of(differences),
                 "difference_ci95": ci95(differences, DIFFERENCES),
                 "tokens": tokens,
                 "tokens_per_point": tokens / points if points else None,

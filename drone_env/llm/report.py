@@ -1,22 +1,26 @@
 """The figures of a run: every score beside the exact optimum of its map, and beside other agents on the same maps."""
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from drone_env.core.episode import Episode
-from drone_env.errors import CheckpointError, TooLargeError, UnsupportedTaskError
+from drone_env.errors import CheckpointError, DroneEnvError, TooLargeError, UnsupportedTaskError
 from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
 from drone_env.llm.options import Prices
-from drone_env.llm.run_folder import PilotedRecord
-from drone_env.llm.runner import mean_over_maps, verdict_of
-from drone_env.llm.verify import VerifiedRun
+from drone_env.llm.run_folder import RESULTS, PilotedRecord, load_config, results_of
+from drone_env.llm.runner import verdict_of
+from drone_env.llm.verify import VerifiedRun, verified_run
 from drone_env.results.analysis import analyse_flight
 from drone_env.results.evaluate import episodes_key, run_episodes
-from drone_env.results.interval import SCORES, ci95
+from drone_env.results.leaderboard import LeaderboardEntry, NotRanked
+from drone_env.results.statistics import Summary, mean_of, normalised
 
 if TYPE_CHECKING:
     from drone_env.planning.solver import Solver
@@ -28,7 +32,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
     """The figures of a run, as JSON values; what is not known is null.
 
     Flights over one map are averaged first, then the maps, so that each map counts as much as for the other agents.
-    `score_ci95` (`results.interval`) is null for one map. `normalised` is (score - random) / (optimal - random) of
+    `score_ci95` (`results.statistics`) is null for one map. `normalised` is (score - random) / (optimal - random) of
     the means over the same maps. `unusable` counts the answers that no repair made usable; the run is marked if they
     are more than 5 %.
 
@@ -39,16 +43,15 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
     """
     config = run.config
     counted = [result for result in run.results if result.status != "errored"]
-    statuses = [result.status for result in run.results]
-    verdict, reason = verdict_of(config.flights, [str(status) for status in statuses])
+    verdict, reason = verdict_of(config.flights, [str(result.status) for result in run.results])
     by_map: dict[int, list[PilotedRecord]] = defaultdict(list)
-    for result in counted:
+    for result in sorted(counted, key=lambda result: result.seed):
         by_map[result.seed].append(result)
-    baselines = _baselines(run, sorted(by_map))
-    optima = baselines["optimal"]
-    score = mean_over_maps([(result.seed, result.score) for result in counted])
-    random = _mean_of(baselines["random"])
-    best = _mean_of(optima)
+    baselines = _baselines(run, list(by_map))
+    best = baselines["optimal"]
+    optimum: dict[int, float] = {} if best is None else dict(zip(by_map, best, strict=True))
+    summary = Summary.of(results_of(config, run.results, optimum))
+    means = {name: None if scores is None else mean_of(scores) for name, scores in baselines.items()}
     turns: dict[TurnKind, int] = {name: sum(one.turns.get(name, 0) for one in run.results) for name in TURN_KINDS}
     return {
         "format": "drone_env/llm-report",
@@ -67,17 +70,13 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
             for r in run.results
             if r.status != "finished"
         ],
-        "score": score,
-        "score_ci95": ci95([fmean(r.score for r in results) for results in by_map.values()], SCORES),
-        "success_rate": mean_over_maps([(result.seed, result.success) for result in counted]),
+        "score": summary.score,
+        "score_ci95": summary.score_ci95,
+        "success_rate": summary.success_rate,
         "pass_hat_k": _pass_hat_k(list(by_map.values())),
-        "regret": None
-        if optima is None
-        else mean_over_maps([(result.seed, optima[result.seed] - result.score) for result in counted]),
-        "normalised": None
-        if score is None or random is None or best is None or best == random
-        else (score - random) / (best - random),
-        "baselines": {name: _mean_of(scores) for name, scores in baselines.items()},
+        "regret": summary.regret,
+        "normalised": normalised(summary.score, means["random"], means["optimal"]),
+        "baselines": means,
         "turns": turns,
         "unusable": Unusable.among(turns).to_dict(),
         "waits": sum(result.waits for result in run.results),
@@ -86,33 +85,52 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
         "maps": [
             {
                 "seed": seed,
-                "scores": [result.score for result in results],
-                "optimum": None if optima is None else optima[seed],
-                "success": sum(result.success for result in results),
-                "steps": [result.steps for result in results],
-                "waits": sum(result.waits for result in results),
+                "scores": [result.score for result in flights],
+                "optimum": optimum.get(seed),
+                "success": sum(result.success for result in flights),
+                "steps": [result.steps for result in flights],
+                "waits": sum(result.waits for result in flights),
             }
-            for seed, results in sorted(by_map.items())
+            for seed, flights in by_map.items()
         ],
     }
 
 
-def _baselines(run: VerifiedRun, seeds: Sequence[int]) -> dict[str, dict[int, float] | None]:
-    """The scores of other agents by map; None for an agent that cannot fly this task."""
+def run_entry(path: Path) -> LeaderboardEntry | NotRanked:
+    """The leaderboard entry of a run, which is checked first, or why it is not ranked."""
+    try:
+        load_config(path)
+        if not (path / RESULTS).exists():
+            # Written at the end of each part of a run.
+            under_way = "no flights yet: it is under way, or was killed and can be gone on with (--resume)"
+            return NotRanked(path, under_way, damaged=False)
+        run = verified_run(path)
+    except (DroneEnvError, OSError, ValueError) as error:
+        return NotRanked(path, str(error).removeprefix(f"{path}: "), damaged=True)
+    figures = report(run, moves=False)
+    if figures["verdict"] != "valid":
+        return NotRanked(path, f"{figures['verdict']}: {figures['reason']}", damaged=False)
+    return LeaderboardEntry(path, figures)
+
+
+def unusable_of(figures: dict[str, Any]) -> Unusable:
+    """The unusable answers of a run, from the figures of its report."""
+    return Unusable(figures["unusable"]["answers"], figures["unusable"]["of"])
+
+
+def _baselines(run: VerifiedRun, seeds: Sequence[int]) -> dict[str, list[float] | None]:
+    """The scores of other agents on maps of the run; None for an agent that cannot fly this task."""
     config = run.config
-    found: dict[str, dict[int, float] | None] = {}
+    rows = np.array(seeds, np.int64) - config.seeds[0]
+    found: dict[str, list[float] | None] = {}
     for agent in BASELINES:
         try:
             flown = run_episodes(episodes_key(config.task_config, agent, range(*config.seeds), config.split))
         except (CheckpointError, FileNotFoundError, TooLargeError, UnsupportedTaskError):
             found[agent] = None
-            continue
-        found[agent] = {seed: float(flown.scores[seed - config.seeds[0]]) for seed in seeds}
+        else:
+            found[agent] = flown.scores[rows].tolist()
     return found
-
-
-def _mean_of(scores: dict[int, float] | None) -> float | None:
-    return fmean(scores.values()) if scores else None
 
 
 def _pass_hat_k(maps: Sequence[Sequence[PilotedRecord]]) -> dict[str, float]:
@@ -120,21 +138,19 @@ def _pass_hat_k(maps: Sequence[Sequence[PilotedRecord]]) -> dict[str, float]:
 
     The unbiased estimate C(successes, k) / C(flights, k), averaged over the maps (Yao et al., tau-bench, 2024).
     """
-    repeats = min((len(results) for results in maps), default=0)
-    found: dict[str, float] = {}
-    for k in range(1, repeats + 1):
-        chances = [
-            math.comb(sum(result.success for result in results), k) / math.comb(len(results), k) for results in maps
-        ]
-        found[str(k)] = fmean(chances)
-    return found
+    counts = [(sum(result.success for result in flights), len(flights)) for flights in maps]
+    repeats = min((flights for _, flights in counts), default=0)
+    return {
+        str(k): fmean(math.comb(successes, k) / math.comb(flights, k) for successes, flights in counts)
+        for k in range(1, repeats + 1)
+    }
 
 
 def _moves(run: VerifiedRun) -> dict[str, Any] | None:
     """How many moves have which label; None where the maps are too large for exact values."""
     from drone_env.planning.optimal import solver_of  # loads Numba
 
-    counts: dict[str, int] = defaultdict(int)
+    counts: Counter[str] = Counter()
     best = decisive = 0
 
     @lru_cache(maxsize=1)
@@ -149,10 +165,9 @@ def _moves(run: VerifiedRun) -> dict[str, Any] | None:
             analysis = analyse_flight(record, lambda start: solver(start.seed))
         except TooLargeError:
             return None
-        for label, count in analysis.counts.items():
-            counts[label] += count
+        counts.update(analysis.counts)
         decisive += analysis.decisive
-        best += sum(move.margin > 0 and move.regret == 0 for move in analysis.moves)
+        best += analysis.decisive_best
     return {"labels": dict(counts), "decisive": decisive, "accuracy": best / decisive if decisive else None}
 
 

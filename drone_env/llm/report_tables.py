@@ -3,8 +3,8 @@
 import json
 from typing import Any
 
-from drone_env.llm.answers import Unusable
-from drone_env.results.interval import with_interval
+from drone_env.llm.report import unusable_of
+from drone_env.results.statistics import with_interval
 from drone_env.results.tables import Table, number, percent
 
 
@@ -21,11 +21,6 @@ def page_values(figures: dict[str, Any]) -> dict[str, Any]:
         "score": _score(figures),
         "unusable": unusable_of(figures),
     }
-
-
-def unusable_of(figures: dict[str, Any]) -> Unusable:
-    """The unusable answers of a run, from the figures of its report."""
-    return Unusable(figures["unusable"]["answers"], figures["unusable"]["of"])
 
 
 def maps_line(config: dict[str, Any]) -> str:

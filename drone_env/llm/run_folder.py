@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from drone_env.llm.pilot import PilotedEpisode, Status
 from drone_env.llm.transcript import LONGEST_CALL
 from drone_env.models import Count, Message, Score
 from drone_env.results.record import record_of
+from drone_env.results.result import EpisodesKey, Results
 from drone_env.results.store import Store
 
 CONFIG, TRANSCRIPT, EPISODES, RESULTS = "run.json", "calls.jsonl", "episodes.jsonl", "flights.jsonl"
@@ -61,6 +62,25 @@ class PilotedRecord(Message):
             waits=sum(error is not None for error in flown.step_errors),
             names=flown.names,
         )
+
+
+def results_of(config: RunConfig, records: Sequence[PilotedRecord], optima: Mapping[int, float]) -> Results:
+    """The results of the flights that count: all that did not error.
+
+    Args:
+        config: The run.
+        records: Its flights.
+        optima: The optimum of each map, as far as it is known.
+    """
+    counted = [record for record in records if record.status != "errored"]
+    return Results.of_rows(
+        EpisodesKey(config.task, config.task_version, config.split, config.seeds, config.model),
+        seeds=[record.seed for record in counted],
+        scores=[record.score for record in counted],
+        steps=[record.steps for record in counted],
+        success=[record.success for record in counted],
+        optimal_scores=[optima.get(record.seed) for record in counted],
+    )
 
 
 class EpisodeIds:

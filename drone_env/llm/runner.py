@@ -2,9 +2,7 @@
 
 import asyncio
 import contextlib
-import math
-from collections import defaultdict
-from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -16,9 +14,10 @@ from drone_env.llm.desk import Desk, Watcher
 from drone_env.llm.endpoint import Endpoint
 from drone_env.llm.gate import Gate, StoppedError
 from drone_env.llm.pilot import PilotedEpisode, fly_one
-from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
+from drone_env.llm.run_folder import TRANSCRIPT, PilotedRecord, RunFolder, results_of
 from drone_env.llm.transcript import Transcript
 from drone_env.results.log_lines import end_line, start_line, step_line
+from drone_env.results.statistics import Summary
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MOST_ERRORED = 0.05
@@ -38,12 +37,14 @@ class RunResult:
     """The result of a run.
 
     Attributes:
+        config: The run.
         verdict: `valid`; `stopped` by an endpoint that refuses; `invalid` because too many flights errored;
             `incomplete` because a limit was reached.
         reason: Why it is not valid, in words.
         flights: All that were begun and not left in the middle, in order.
     """
 
+    config: RunConfig
     verdict: Verdict
     reason: str
     flights: list[PilotedEpisode]
@@ -146,7 +147,7 @@ def result_of(config: RunConfig, flights: list[PilotedEpisode], gate: Gate) -> R
     ordered = sorted(flights, key=lambda flown: flown.index)
     fatal = None if gate.fatal is None else str(gate.fatal)
     verdict, reason = verdict_of(config.flights, [flown.status for flown in ordered], fatal)
-    return RunResult(verdict, reason, ordered)
+    return RunResult(config, verdict, reason, ordered)
 
 
 def log_text(flown: PilotedEpisode, model: str) -> str:
@@ -164,14 +165,6 @@ def log_text(flown: PilotedEpisode, model: str) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
-def mean_over_maps(values: Sequence[tuple[int, float]]) -> float | None:
-    """The mean over the maps of (map, value) pairs, those of one map averaged first; None where there are none."""
-    by_map: dict[int, list[float]] = defaultdict(list)
-    for seed, value in values:
-        by_map[seed].append(value)
-    return math.fsum(math.fsum(of_map) / len(of_map) for of_map in by_map.values()) / len(by_map) if by_map else None
-
-
 def summary_lines(result: RunResult) -> list[str]:
     """The result of a run, for people: the score of those that count, how the answers came out, and the verdict."""
     counted = [flight for flight in result.flights if flight.status != "errored"]
@@ -182,7 +175,7 @@ def summary_lines(result: RunResult) -> list[str]:
     errored = len(result.flights) - len(counted)
     unfinished = sum(not flight.episode.ended for flight in counted)
     lines, unusable = list[str](), Unusable.among(outcomes)
-    mean = mean_over_maps([(flight.episode.seed, flight.episode.counted_score()) for flight in counted])
+    mean = Summary.of(results_of(result.config, [PilotedRecord.of(flight) for flight in result.flights], {})).score
     if mean is not None:
         success = sum(flight.episode.success for flight in counted)
         flights = f"{len(counted)} flights, {success} delivered everything"

@@ -14,8 +14,7 @@ from drone_env.llm.messages import ChatMessage
 from drone_env.llm.pilot import fly_one
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, PilotedRecord, load_config, load_results
 from drone_env.llm.transcript import Call, CallKey, read_calls
-from drone_env.results.jsonl import read_records
-from drone_env.results.record import EpisodeRecord, record_of, replay
+from drone_env.results.record import EpisodeRecord, read_records, record_of, replay
 
 
 @dataclass(frozen=True)

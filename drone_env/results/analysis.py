@@ -9,11 +9,10 @@ numbers they add up to optimum - score, with nothing left over. As floats each i
 in the last digits; `FlightAnalysis.regret` is therefore optimum - score, rounded once.
 """
 
-import json
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.episode import Episode
@@ -27,21 +26,13 @@ Label = Literal["best", "good", "inaccuracy", "mistake", "blunder"]
 LABELS: tuple[Label, ...] = get_args(Label)
 
 
-class Severity(NamedTuple):
-    """From which regret on a move has a label, in parcels, and how it is marked."""
-
-    label: Label
-    least: float
-    mark: str
-
-
-SEVERITIES = (
-    Severity("good", 0.0, ""),
-    Severity("inaccuracy", 0.008, "?!"),
-    Severity("mistake", 0.05, "?"),
-    Severity("blunder", 0.5, "??"),
-)
-"""What a regret above 0 is called; best is a regret of exactly 0.
+SEVERITIES: dict[Label, tuple[float, str]] = {
+    "good": (0.0, ""),
+    "inaccuracy": (0.008, "?!"),
+    "mistake": (0.05, "?"),
+    "blunder": (0.5, "??"),
+}
+"""The smallest regret of each label, in parcels, and its mark; best is a regret of exactly 0.
 
 The unit is what one parcel adds to the score, 0.8 / parcels of the map, so that a label means the same on every task.
 
@@ -53,7 +44,7 @@ The unit is what one parcel adds to the score, 0.8 / parcels of the map, so that
 - 0.008: one wrong turn, which costs the step there and the step back: 0.0083 parcels on easy, 0.0156 on hard. A single
   step lost is below it on easy, medium and hard (0.0042 to 0.0078).
 """
-MARKS = {severity.label: severity.mark for severity in SEVERITIES} | {"best": ""}
+MARKS: dict[Label, str] = {"best": "", **{label: mark for label, (_, mark) in SEVERITIES.items()}}
 ONLY_MOVE = "!!"
 
 
@@ -67,7 +58,7 @@ def label_of(regret: float, task: TaskConfig) -> Label:
     if regret == 0:
         return "best"
     parcels = regret / parcel_value(task)
-    return next(severity.label for severity in reversed(SEVERITIES) if severity.least <= parcels)
+    return next(label for label, (least, _) in reversed(SEVERITIES.items()) if least <= parcels)
 
 
 @dataclass(frozen=True)
@@ -176,14 +167,18 @@ class FlightAnalysis:
         return sum(move.margin > 0 for move in self.moves)
 
     @property
+    def decisive_best(self) -> int:
+        """Best moves among the decisive ones."""
+        return sum(move.margin > 0 and move.regret == 0 for move in self.moves)
+
+    @property
     def accuracy(self) -> float | None:
         """Share of best moves among the decisive ones, None if there are none.
 
         The other moves are left out because they would all count as best: a flight on which nothing can be delivered
         any more gives nothing away however it goes on.
         """
-        best = sum(move.margin > 0 and move.regret == 0 for move in self.moves)
-        return best / self.decisive if self.decisive else None
+        return self.decisive_best / self.decisive if self.decisive else None
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as JSON values; positions are [x, y], actions and events names."""
@@ -205,10 +200,6 @@ class FlightAnalysis:
             "moves": [_plain(vars(move)) for move in self.moves],
             "giving_up": giving_up and _plain(vars(giving_up)),
         }
-
-    def to_json(self) -> str:
-        """`to_dict` as JSON."""
-        return json.dumps(self.to_dict(), indent=2)
 
     def to_text(self) -> str:
         """All of it for a terminal or a file: a title, one line per move, the summary."""
@@ -232,10 +223,8 @@ class FlightAnalysis:
         if self.accuracy is None:
             lines.append("Accuracy -: there was no move on which anything could be lost")
         else:
-            best = round(self.accuracy * self.decisive)
-            lines.append(
-                f"Accuracy {self.accuracy:.1%}: {best} best moves of {self.decisive} on which anything could be lost"
-            )
+            best = f"{self.decisive_best} best moves of {self.decisive}"
+            lines.append(f"Accuracy {self.accuracy:.1%}: {best} on which anything could be lost")
         return lines
 
 

@@ -1,14 +1,11 @@
-"""Evaluation: `run_episodes(key)` is the one unit of work, `summarise` the figures that stand in reports."""
+"""Evaluation: `run_episodes(key)` is the one unit of work, `summarise` the figures of a report."""
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
-from statistics import fmean
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,89 +14,38 @@ from drone_env.agents import Agent, BatchAgent, make_agent
 from drone_env.agents.base import begin, named_failures
 from drone_env.agents.named import as_agent
 from drone_env.core.actions import integer
-from drone_env.core.episode import Episode
-from drone_env.core.episode import rollout
+from drone_env.core.episode import Episode, rollout
 from drone_env.core.seeds import N_SEEDS, SPLITS, check_seed, map_key, split_of, split_seeds, task_key
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, TooLargeError, UnknownNameError
-from drone_env.results.interval import SCORES, ci95, with_interval
+from drone_env.results.result import EpisodesKey, Results, concatenate, repeated
+from drone_env.results.statistics import Summary
 
 if TYPE_CHECKING:
-    from drone_env.agents.together import Ends
+    from drone_env.results.folder import ResultsFolder
+
+Engine = Callable[[Sequence[EpisodesKey]], Iterator[Results]]
+"""Returns the results of all keys, in any order; some may come twice."""
 
 
-class EpisodesKey(NamedTuple):
-    """What a piece of evaluation is: equal keys give equal results.
-
-    `seeds` are [start, stop); `split` is the split that they were chosen from, or `custom`. `repeat` numbers the
-    flights of a stochastic agent over one map, from 0: each draws other lots.
-    """
-
-    task: str
-    version: int
-    split: str
-    seeds: tuple[int, int]
-    agent: str
-    config_hash: str
-    repeat: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class EpisodeResults:
-    """The results of the episodes of one key, one entry per episode, in the order of the seeds.
-
-    Attributes:
-        key: What was flown.
-        seeds: int64[n].
-        scores: float64[n], the graded scores.
-        steps: int32[n], steps flown.
-        deliveries: int32[n], parcels delivered.
-        success: bool[n], whether all were.
-        optimal_scores: float64[n], the exact optimum of each map; NaN where no planner knows it.
-        optimal_steps: int32[n], steps of the optimal flight; -1 where no planner knows it.
-    """
-
-    key: EpisodesKey
-    seeds: npt.NDArray[np.int64]
-    scores: npt.NDArray[np.float64]
-    steps: npt.NDArray[np.int32]
-    deliveries: npt.NDArray[np.int32]
-    success: npt.NDArray[np.bool_]
-    optimal_scores: npt.NDArray[np.float64]
-    optimal_steps: npt.NDArray[np.int32]
-
-    def __repr__(self) -> str:
-        """The figures in three lines of at most 80 columns."""
-        figures, key = summarise(self), self.key
-        mean, interval, optimum = figures["mean_score"], figures["score_ci95"], figures["mean_optimal_score"]
-        score = with_interval(mean, interval) + ("" if interval is None else " (95 %)")
-        best = "unknown" if optimum is None else f"{optimum:.4f}"
-        what = f" on {key.task} v{key.version}"
-        room = 80 - len(what)
-        return (
-            f"{key.agent if len(key.agent) <= room else f'…{key.agent[1 - room :]}'}{what}\n"
-            f"maps {key.seeds[0]} to {key.seeds[1] - 1} ({len(self.seeds)}, split {key.split})\n"
-            f"score {score}, optimum {best}, "
-            f"success {figures['success_rate']:.1%}, steps {figures['mean_steps']:.1f}"
-        )
-
-
-COLUMNS: dict[str, type[np.generic]] = {
-    "seeds": np.int64,
-    "scores": np.float64,
-    "steps": np.int32,
-    "deliveries": np.int32,
-    "success": np.bool_,
-    "optimal_scores": np.float64,
-    "optimal_steps": np.int32,
-}
-"""The columns of the results, and the types of their arrays."""
-AVERAGED = ("scores", "success", "steps")
-"""What differs from flight to flight over a map."""
-
-
-def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = "custom") -> EpisodesKey:
+def episodes_key(
+    task: str | TaskConfig,
+    agent: str,
+    seeds: range,
+    split: str = "custom",
+    *,
+    repeat: int = 0,
+    made: Agent | None = None,
+) -> EpisodesKey:
     """The key of flying consecutive seeds of a task with an agent.
+
+    Args:
+        task: A task or its name.
+        agent: The name of the agent.
+        seeds: The maps.
+        split: The split that they were chosen from.
+        repeat: Which flight over these maps it is, of a stochastic agent.
+        made: The agent, if it exists already; else it is made by its name.
 
     Raises:
         UnknownNameError: if there is no such task, agent or split.
@@ -107,10 +53,7 @@ def episodes_key(task: str | TaskConfig, agent: str, seeds: range, split: str = 
             split, the task is not the registered one of its name, or the agent does not say what decides how it flies.
     """
     task = get_task(task)
-    return _key(task, agent, seeds, split, make_agent(agent, task))
-
-
-def _key(task: TaskConfig, name: str, seeds: range, split: str, agent: Agent, repeat: int = 0) -> EpisodesKey:
+    made = made or make_agent(agent, task)
     if get_task(task.id, task.version) != task:
         raise InvalidValueError(f"task {task.id!r} is not the one in TASKS: a key names its task, so register it first")
     if not seeds or seeds.step != 1:
@@ -121,19 +64,19 @@ def _key(task: TaskConfig, name: str, seeds: range, split: str, agent: Agent, re
         raise UnknownNameError("split", split, ["custom", *SPLITS])
     if split != "custom" and {split_of(seeds.start), split_of(seeds.stop - 1)} != {split}:
         raise InvalidValueError(f"seeds {seeds.start} to {seeds.stop - 1} are not of the split {split!r}")
-    digest = config_hash(task, name, agent)
-    return EpisodesKey(task.id, task.version, split, (seeds.start, seeds.stop), name, digest, repeat)
+    digest = config_hash(task, agent, made)
+    return EpisodesKey(task.id, task.version, split, (seeds.start, seeds.stop), agent, digest, repeat)
 
 
-def repeats_of(key: EpisodesKey, repeats: int) -> tuple[EpisodesKey, ...]:
-    """The keys of flying the maps of a key several times; of an agent that draws no lots, that key alone.
+def repeats_of(key: EpisodesKey, repeats: int, agent: Agent | None = None) -> tuple[EpisodesKey, ...]:
+    """The keys of several flights over the maps of a key; if the agent is not stochastic, that key alone.
 
     Raises:
         InvalidValueError: if `repeats` is below 1.
     """
     if repeats < 1:
         raise InvalidValueError(f"repeats must be at least 1, got {repeats}")
-    stochastic = getattr(make_agent(key.agent, get_task(key.task, key.version)), "stochastic", False)
+    stochastic = getattr(agent or make_agent(key.agent, get_task(key.task, key.version)), "stochastic", False)
     return tuple(key._replace(repeat=repeat) for repeat in range(repeats if stochastic else 1))
 
 
@@ -152,42 +95,47 @@ def config_hash(task: TaskConfig, name: str, agent: Agent) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def run_episodes(key: EpisodesKey) -> EpisodeResults:
+def run_episodes(key: EpisodesKey, agent: Agent | None = None) -> Results:
     """Fly every episode of a key, each beside the exact optimum of its map.
+
+    Args:
+        key: What to fly.
+        agent: The agent of the key, if it exists already; else it is made by its name.
 
     Raises:
         UnknownNameError: if the key names a task, version or agent that does not exist.
-        InvalidValueError: if the key was made under another configuration than the one that would fly now, or holds
-            no seeds.
+        InvalidValueError: if the key was made under another configuration than the one that would fly now, or has no
+            seeds.
         AgentError, InvalidValueError: if the agent fails, as `evaluate`.
     """
     task = get_task(key.task, key.version)
     if key.seeds[0] >= key.seeds[1]:
         raise InvalidValueError(f"the key holds no seeds: {key.seeds}")
-    agent = make_agent(key.agent, task)
+    agent = agent or make_agent(key.agent, task)
     now = config_hash(task, key.agent, agent)
     if now != key.config_hash:
         raise InvalidValueError(
             f"the key was made under configuration {key.config_hash}, but {key.agent!r} on {key.task!r} is now {now}"
         )
-    return _beside_the_optimum(task, key, agent)
+    return _fly_beside_the_optimum(task, key, agent)
 
 
-def _beside_the_optimum(task: TaskConfig, key: EpisodesKey, agent: Agent) -> EpisodeResults:
+def _fly_beside_the_optimum(task: TaskConfig, key: EpisodesKey, agent: Agent) -> Results:
     seeds = np.arange(*key.seeds, dtype=np.int64)
-    optimal = _fly_optimally(task, *key.seeds)
-    is_optimal = key.agent == "optimal"
-    flights = deepcopy(optimal) if optimal and is_optimal else _fly(task, key.agent, agent, seeds, key.repeat)
-    optimal = deepcopy(optimal)  # what is kept stays as it is, whatever the caller does with the results
-    return EpisodeResults(
+    optimal = deepcopy(_fly_optimally(task, *key.seeds))  # the caller may change the arrays of the results
+    if key.agent == "optimal" and optimal is not None:
+        scores, steps, deliveries = deepcopy(optimal)
+    else:
+        scores, steps, deliveries = _fly(task, key.agent, agent, seeds, key.repeat)
+    return Results(
         key=key,
         seeds=seeds,
-        scores=flights.scores,
-        steps=flights.steps,
-        deliveries=flights.deliveries_done,
-        success=flights.deliveries_done == task.deliveries,
-        optimal_scores=np.full(len(seeds), np.nan) if optimal is None else optimal.scores,
-        optimal_steps=np.full(len(seeds), -1, np.int32) if optimal is None else optimal.steps,
+        scores=scores,
+        steps=steps,
+        deliveries=deliveries,
+        success=deliveries == task.deliveries,
+        optimal_scores=np.full(len(seeds), np.nan) if optimal is None else optimal[0],
+        optimal_steps=np.full(len(seeds), -1, np.int32) if optimal is None else optimal[1],
     )
 
 
@@ -201,7 +149,7 @@ def evaluate(
     repeat: int = 0,
     wrapper: Any = None,
     sampled: bool = False,
-) -> EpisodeResults:
+) -> Results:
     """Fly maps with anything that can fly, each beside the exact optimum; `summarise` makes figures of it.
 
     An agent with `act_batch`, and a model, fly all maps together; anything else is asked drone by drone.
@@ -235,74 +183,98 @@ def evaluate(
     else:
         agent = as_agent(policy, task, wrapper, sampled)
         name = f"{agent.config.get('agent', type(agent).__name__)}"
-    return _beside_the_optimum(task, _key(task, name, maps, split if seeds is None else "custom", agent, repeat), agent)
+    key = episodes_key(task, name, maps, split if seeds is None else "custom", repeat=repeat, made=agent)
+    return _fly_beside_the_optimum(task, key, agent)
 
 
-PIECE = 1000
-"""Episodes that are flown together by the command line, on any engine."""
+FIGURES = {
+    "mean_score": "score",
+    "score_ci95": "score_ci95",
+    "success_rate": "success_rate",
+    "mean_steps": "steps",
+    "mean_optimal_score": "optimum",
+    "score_ratio": "ratio",
+    "mean_regret": "regret",
+    "mean_excess_steps": "excess_steps",
+}
+"""The names of the figures of a report, and those of `Summary`."""
 
 
-def pieces_of(key: EpisodesKey, size: int = PIECE) -> list[EpisodesKey]:
-    """The keys of neighbouring pieces of at most `size` episodes each."""
-    start, stop = key.seeds
-    return [key._replace(seeds=(first, min(first + size, stop))) for first in range(start, stop, size)]
-
-
-def concatenate(pieces: Sequence[EpisodeResults]) -> EpisodeResults:
-    """One result from the results of neighbouring pieces.
-
-    Raises:
-        InvalidValueError: if there are none, or they are not neighbours of one configuration.
-    """
-    keys = [piece.key for piece in pieces]
-    if not keys:
-        raise InvalidValueError("there are no results to put together")
-    for left, right in pairwise(keys):
-        if left._replace(seeds=right.seeds) != right or left.seeds[1] != right.seeds[0]:
-            raise InvalidValueError(f"these results are not neighbours: {left} and {right}")
-    return EpisodeResults(
-        key=keys[0]._replace(seeds=(keys[0].seeds[0], keys[-1].seeds[1])),
-        **{name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in COLUMNS},
-    )
-
-
-def summarise(results: EpisodeResults, *again: EpisodeResults) -> dict[str, Any]:
+def summarise(results: Results, *again: Results) -> dict[str, Any]:
     """The figures of a report, as JSON values; what could not be measured is null.
 
     Of several flights over each map, `again`, the mean counts, so that intervals are over maps. `score_ci95` (see
-    `statistics`) is null for a single map. `score_ratio` is mean score / mean optimal score on the same maps.
-    `mean_excess_steps` counts the steps beyond the optimal flight's, over flights that
-    delivered everything; null where there is none.
+    `results.statistics`) is null for a single map. `score_ratio` is mean score / mean optimal score on the same maps.
+    `mean_excess_steps` counts the steps beyond the optimal flight's, over flights that delivered everything; null if
+    there is none.
 
     Raises:
         InvalidValueError: if they are not flights of one agent over the same maps.
     """
-    for one in again:
-        if one.key._replace(repeat=results.key.repeat) != results.key:
-            raise InvalidValueError(
-                f"these are not flights of one agent over the same maps: {results.key} and {one.key}"
-            )
-    # Sums are correctly rounded: the same figures in any order that the episodes were flown.
-    scores, success, steps = (np.array([getattr(r, name) for r in (results, *again)]) for name in AVERAGED)
-    of_maps = scores.mean(axis=0)
-    mean = fmean(of_maps)
-    solved = not np.isnan(results.optimal_scores).any()
-    optimal = fmean(results.optimal_scores) if solved else None
-    excess = (steps - results.optimal_steps)[success]
-    return {
-        "mean_score": mean,
-        "score_ci95": ci95(of_maps, SCORES),
-        "success_rate": fmean(success.flat),
-        "mean_steps": fmean(steps.flat),
-        "mean_optimal_score": optimal,
-        "score_ratio": None if optimal is None else mean / optimal,
-        "mean_regret": fmean(results.optimal_scores - of_maps) if solved else None,
-        "mean_excess_steps": fmean(excess) if solved and len(excess) else None,
-    }
+    summary = Summary.of(repeated((results, *again)))
+    figures = {name: getattr(summary, figure) for name, figure in FIGURES.items()}
+    return figures if summary.regret_maps == summary.maps else figures | {"mean_regret": None}
+
+
+def local_engine(
+    keys: Sequence[EpisodesKey], agents: Mapping[tuple[str, str], Agent] | None = None
+) -> Iterator[Results]:
+    """Fly one key after another in this process, with the agents that exist already, by task and name."""
+    return (run_episodes(key, (agents or {}).get((key.task, key.agent))) for key in keys)
+
+
+def evaluate_keys(
+    keys: Sequence[EpisodesKey],
+    engine: Engine,
+    folder: "ResultsFolder | None" = None,
+    arrived: Callable[[Results], None] | None = None,
+) -> dict[EpisodesKey, Results]:
+    """The results of each key: those in the folder, and the rest from the engine.
+
+    They are put together in the order of the seeds, so that they are the same in any order of arrival.
+
+    Args:
+        keys: What to fly.
+        engine: What flies it.
+        folder: Stores each piece before it counts.
+        arrived: Called once with each piece.
+
+    Raises:
+        OSError, InvalidValueError: from the folder; the latter, too, if another version of this package began it and
+            pieces are missing.
+        ClusterError: from an engine on a cluster.
+    """
+    pieces = {key: key.pieces() for key in keys}
+    flown: dict[EpisodesKey, Results] = {}
+
+    def count(results: Results) -> None:
+        flown[results.key] = results
+        if arrived is not None:
+            arrived(results)
+
+    missing: list[EpisodesKey] = []
+    for piece in (piece for of_key in pieces.values() for piece in of_key):
+        stored = None if folder is None else folder.load(piece)
+        if stored is None:
+            missing.append(piece)
+        else:
+            count(stored)
+    if missing and folder is not None:
+        folder.require_own(len(missing), sum(map(len, pieces.values())))
+    for results in engine(missing) if missing else ():
+        if results.key not in flown:
+            if folder is not None:
+                folder.save(results)
+            count(results)
+    return {key: concatenate([flown[piece] for piece in of_key]) for key, of_key in pieces.items()}
+
+
+Flown = tuple[npt.NDArray[np.float64], npt.NDArray[np.int32], npt.NDArray[np.int32]]
+"""Scores, steps and deliveries of flights."""
 
 
 @lru_cache(maxsize=256)
-def _fly_optimally(task: TaskConfig, start: int, stop: int) -> "Ends | None":
+def _fly_optimally(task: TaskConfig, start: int, stop: int) -> Flown | None:
     """The optimum of each map, None where one is too large; kept, since every agent is compared with it."""
     try:
         return _fly(task, "optimal", make_agent("optimal", task), np.arange(start, stop, dtype=np.int64))
@@ -310,10 +282,10 @@ def _fly_optimally(task: TaskConfig, start: int, stop: int) -> "Ends | None":
         return None
 
 
-def _fly(task: TaskConfig, name: str, agent: Agent, seeds: npt.NDArray[np.int64], repeat: int = 0) -> "Ends":
-    from drone_env.agents.together import Ends, fly_together  # compiles, which only who evaluates should wait for
+def _fly(task: TaskConfig, name: str, agent: Agent, seeds: npt.NDArray[np.int64], repeat: int = 0) -> Flown:
+    from drone_env.agents.together import fly_together  # compiles
 
-    lots, asked = _lots(seeds, repeat), 0
+    agent_seeds, asked = _agent_seeds(seeds, repeat), 0
     if isinstance(agent, BatchAgent):
 
         def act_batch(grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
@@ -322,19 +294,19 @@ def _fly(task: TaskConfig, name: str, agent: Agent, seeds: npt.NDArray[np.int64]
             return agent.act_batch(grids, telemetry)
 
         with named_failures(name, task, lambda: f"maps {seeds[0]} to {seeds[-1]}, step {asked}"):
-            agent.reset_batch(lots)
+            agent.reset_batch(agent_seeds)
             return fly_together(task, seeds, act_batch, getattr(agent, "stateless", False))
-    ends: list[tuple[float, int, int]] = []
-    for seed, lot in zip(seeds.tolist(), lots.tolist(), strict=True):
+    flown: list[tuple[float, int, int]] = []
+    for seed, agent_seed in zip(seeds.tolist(), agent_seeds.tolist(), strict=True):
         episode = Episode(task, seed=seed)
-        rollout(episode, begin(agent, name, episode, lot))
-        ends.append((episode.score, episode.steps, episode.deliveries_done))
-    scores, steps, deliveries_done = zip(*ends, strict=True)
-    return Ends(np.array(scores), np.array(steps, np.int32), np.array(deliveries_done, np.int32))
+        rollout(episode, begin(agent, name, episode, agent_seed))
+        flown.append((episode.score, episode.steps, episode.deliveries_done))
+    scores, steps, deliveries = zip(*flown, strict=True)
+    return np.array(scores), np.array(steps, np.int32), np.array(deliveries, np.int32)
 
 
-def _lots(seeds: npt.NDArray[np.int64], repeat: int) -> npt.NDArray[np.int64]:
-    """What an agent draws its lots from, int64[n] in [0, 2^53): at first the numbers of the maps, then others."""
+def _agent_seeds(seeds: npt.NDArray[np.int64], repeat: int) -> npt.NDArray[np.int64]:
+    """The seeds of an agent's random choices, int64[n] in [0, 2^53): at first the map seeds, then others."""
     if repeat == 0:
         return seeds
     as_integers: Any = seeds  # arrays of 64-bit integers wrap as compiled ones do

@@ -1,19 +1,24 @@
-"""Finished episodes as the store keeps them: whole, and as rows for lists and figures."""
+"""Finished episodes in the store: whole, as rows of lists, put together by map, and their figures."""
 
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime, timezone
+from itertools import groupby
+from operator import itemgetter
 from typing import Annotated, Any, cast
 
 from pydantic import Field, PlainSerializer, TypeAdapter, ValidationError, computed_field
 from typing_extensions import Self
 
+from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.results.record import AgentLabel, EpisodeRecord, parse_record, record_of
 from drone_env.errors import EpisodeError, InvalidValueError
-from drone_env.models import DIRECTIONS, Count, Message, OutcomeName, Score, Seed
+from drone_env.models import DIRECTIONS, Count, Direction, Message, OutcomeName, Score, Seed
+from drone_env.results.record import AgentLabel, EpisodeRecord, parse_record, record_of
+from drone_env.results.result import EpisodesKey, Results
+from drone_env.results.statistics import Summary, mean_of
 
 AGENT_LABEL: TypeAdapter[str] = TypeAdapter(AgentLabel)
 
@@ -73,7 +78,7 @@ def check_agent(agent: str) -> str:
 
 
 def utc(seconds: float) -> datetime:
-    """A time that the store keeps, in seconds since 1970."""
+    """A stored time, in seconds since 1970."""
     return datetime.fromtimestamp(seconds, timezone.utc)
 
 
@@ -126,6 +131,36 @@ SELECT_ROWS = (
 )
 STORED = list(StoredEpisode.model_fields)
 SELECT_STORED = f"SELECT number, {', '.join(STORED)} FROM episodes"
+
+
+# Columns beside one max() are those of the row where it is: https://sqlite.org/lang_select.html#bareagg
+SELECT_BY_MAP = """
+    SELECT e.agent, seed, count(*), e.id, avg(e.score), avg(e.outcome = 'delivered'), avg(e.steps), avg(e.reward_total),
+        iif(count(DISTINCT e.reward_profile) = 1, e.reward_profile, NULL), o.score, max(e.number), o.task IS NOT NULL
+    FROM episodes e LEFT JOIN optima o USING (task, task_version, seed) WHERE task = ? AND task_version = ?
+    GROUP BY e.agent, seed ORDER BY e.agent, seed
+"""
+"""The means of the flights of each agent over each map of a task, and the newest of these flights."""
+
+
+def results_by_agent(task: TaskConfig, rows: Iterable[Sequence[Any]]) -> dict[str, Results]:
+    """The results of each agent on a task, one row per map, from rows of `SELECT_BY_MAP`."""
+    found: dict[str, Results] = {}
+    for agent, of_agent in groupby(rows, key=itemgetter(0)):
+        _, seeds, flights, ids, scores, success, steps, rewards, profiles, optima, *_ = zip(*of_agent, strict=True)
+        found[agent] = Results.of_rows(
+            EpisodesKey(task.id, task.version, "custom", (seeds[0], seeds[-1] + 1), agent),
+            seeds=seeds,
+            scores=scores,
+            steps=steps,
+            success=success,
+            optimal_scores=optima,
+            flights=flights,
+            rewards=rewards,
+            reward_profile=profiles[0] if len(set(profiles)) == 1 else None,
+            ids=ids,
+        )
+    return found
 
 
 def selection(
@@ -185,4 +220,67 @@ def insert_episode(connection: sqlite3.Connection, stored: StoredEpisode) -> Non
     places = ", ".join([f":{name}" for name in columns])
     connection.execute(
         f"INSERT INTO episodes ({', '.join(columns)}) VALUES ({places}) ON CONFLICT (id) DO NOTHING", values
+    )
+
+
+class Analysis(Message):
+    """Figures over the newest finished episodes of one task, of all agents and reward profiles.
+
+    What is not known is null.
+    """
+
+    task: str = Field(description="Id of the task.")
+    episodes_total: Count = Field(description="Finished episodes of this task in the store.")
+    episodes: Count = Field(description="The newest of them, over which everything below is counted.")
+    average_reward: float | None = Field(description="Mean of the episodes' total rewards.")
+    # Not bounded by 0.01 and 0.99: a mean of many 0.99 may be rounded beyond it.
+    average_score: float | None = Field(ge=0, le=1, description="Mean graded score.")
+    success_rate: float | None = Field(ge=0, le=1, description="Share of episodes that delivered everything.")
+    success_trend: float | None = Field(
+        ge=-1, le=1, description="Success rate of the newer half minus that of the older half; null below two episodes."
+    )
+    average_steps: float | None = Field(description="Mean length in steps.")
+    average_deliveries: float | None = Field(description="Mean parcels delivered.")
+    deliveries: Count = Field(description="Parcels delivered in all.")
+    action_distribution: dict[Direction, float] = Field(description="Share of each action; all 0 without any step.")
+    mean_regret: float | None = Field(
+        ge=0, description="Mean of optimum of the map - score, over the episodes whose optimum is known."
+    )
+    regret_episodes: Count = Field(description="Episodes whose optimum is known; the others are being solved.")
+
+
+def analyse(task: TaskConfig, total: int, rows: Sequence[EpisodeSummary]) -> Analysis:
+    """The figures of the newest episodes of a task; each flight counts, also of several over one map.
+
+    Args:
+        task: The task.
+        total: Finished episodes of this task in the store.
+        rows: The newest of them, newest first.
+    """
+    success = [row.success for row in rows]
+    results = Results.of_rows(
+        EpisodesKey(task.id, task.version, "custom", (0, 0), "all"),
+        seeds=[row.seed for row in rows],
+        scores=[row.score for row in rows],
+        steps=[row.steps for row in rows],
+        success=success,
+        optimal_scores=[row.optimal_score for row in rows],
+    )
+    summary, half, flown = Summary.of(results, by_map=False), len(rows) // 2, "".join([row.actions for row in rows])
+    deliveries = [row.deliveries for row in rows]
+    return Analysis(
+        task=task.id,
+        episodes_total=total,
+        episodes=summary.flights,
+        average_reward=mean_of([row.reward_total for row in rows]),
+        average_score=summary.score,
+        success_rate=summary.success_rate,
+        # An odd episode in the middle belongs to neither half.
+        success_trend=(sum(success[:half]) - sum(success[-half:])) / half if half else None,
+        average_steps=summary.steps,
+        average_deliveries=mean_of(deliveries),
+        deliveries=sum(deliveries),
+        action_distribution={action.name: flown.count(str(int(action))) / max(len(flown), 1) for action in Action},
+        mean_regret=summary.regret,
+        regret_episodes=summary.regret_maps,
     )

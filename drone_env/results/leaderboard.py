@@ -1,4 +1,4 @@
-"""Results side by side, of agents and of language models: those that are whole, over the same maps of a task."""
+"""Leaderboards: complete results of agents and of language models over the same maps of a task."""
 
 from collections import defaultdict
 from collections.abc import Iterable
@@ -9,54 +9,69 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drone_env.errors import DroneEnvError, InvalidValueError, TooLargeError, UnknownNameError
-from drone_env.results.evaluate import EpisodeResults, episodes_key, run_episodes, summarise
-from drone_env.results.folder import NotWholeError, kept_results
+from drone_env.results.evaluate import episodes_key, run_episodes, summarise
+from drone_env.results.result import Results
+from drone_env.results.statistics import normalised
 
 
-class Refused(NamedTuple):
-    """What is not ranked."""
+class NotRanked(NamedTuple):
+    """A folder that is not ranked."""
 
     path: Path
     reason: str
     damaged: bool
-    """Whether it is not what it says; else it is only not whole, or invalid, or of a task that is not known here."""
+    """Whether its content contradicts itself; else it is incomplete, invalid, or of an unknown task."""
 
 
-class Judged(NamedTuple):
-    """What is ranked: a run of a language model, or an agent on one of the tasks of an evaluation."""
+class LeaderboardEntry(NamedTuple):
+    """An agent on one task of an evaluation, or a run of a language model."""
 
     path: Path
-    figures: dict[str, Any]
-    """With `config` (`task`, `task_version`, `seeds`, `split`), `score` and `normalised` among them."""
+    report: dict[str, Any]
+    """The figures, as JSON values; with `config` (`task`, `task_version`, `seeds`, `split`), `maps`, `score` and
+    `normalised` among them."""
+
+    @property
+    def agent(self) -> str:
+        """The agent or the model."""
+        return self.report.get("agent") or self.report["config"]["model"]
+
+    @property
+    def results(self) -> Results:
+        """Its results, one row per map."""
+        return Results.of_report(self.agent, self.report)
 
 
 class Board(NamedTuple):
-    """All over the same maps of the same task, best first: by (score - random) / (optimal - random), then by score."""
+    """Entries over the same maps of the same task, best first: by (score - random) / (optimal - random), then score."""
 
     task: str
     maps: str
-    rows: list[dict[str, Any]]
+    rows: list[LeaderboardEntry]
 
 
-def judge_evaluation(path: Path, task: str | None = None, most: int | None = None) -> list[Judged | Refused]:
-    """The figures of each agent and task in the folder of an evaluation, or why it is not ranked.
+def evaluation_entries(
+    path: Path, task: str | None = None, most: int | None = None
+) -> list[LeaderboardEntry | NotRanked]:
+    """The entries of an evaluation's folder, or why it is not ranked.
 
-    Scores are taken as they are kept, since no actions are; they are held to the optima of their maps.
+    Evaluations store no actions, so scores are only checked against the optima of their maps.
 
     Args:
         path: The folder.
-        task: Look at this one alone.
-        most: Look at no evaluation of more maps.
+        task: Leave out other tasks than this one.
+        most: Refuse evaluations of more maps.
     """
+    from drone_env.results.folder import NotWholeError, stored_results  # loads Pydantic
+
     try:
-        return [Judged(path, _figures(agent, repeats)) for agent, repeats in kept_results(path, task, most)]
-    except (NotWholeError, TooLargeError, UnknownNameError) as error:
-        return [Refused(path, str(error), damaged=False)]
+        return [LeaderboardEntry(path, _report(agent, repeats)) for agent, repeats in stored_results(path, task, most)]
     except (DroneEnvError, OSError) as error:
-        return [Refused(path, str(error), damaged=True)]
+        incomplete = isinstance(error, (NotWholeError, TooLargeError, UnknownNameError))
+        return [NotRanked(path, str(error), damaged=not incomplete)]
 
 
-def _figures(agent: str, repeats: tuple[EpisodeResults, ...]) -> dict[str, Any]:
+def _report(agent: str, repeats: tuple[Results, ...]) -> dict[str, Any]:
     key = repeats[0].key
     random = run_episodes(episodes_key(key.task, "random", range(*key.seeds), key.split))
     best = random.optimal_scores  # NaN where they are not known
@@ -64,8 +79,10 @@ def _figures(agent: str, repeats: tuple[EpisodeResults, ...]) -> dict[str, Any]:
         known = np.array_equal(results.optimal_scores, best, equal_nan=True)
         if not known or (results.scores > best).any():
             raise InvalidValueError(f"{agent} on {key.task}: these are no scores, or not of these maps")
-    figures, floor = summarise(*repeats), fmean(random.scores)
-    above = figures["mean_optimal_score"] and figures["mean_optimal_score"] - floor
+    figures = summarise(*repeats)
+    scores, success, steps = (
+        np.array([getattr(results, name) for results in repeats]).T for name in ("scores", "success", "steps")
+    )
     return {
         "format": "drone_env/agent-report",
         "agent": agent,
@@ -79,32 +96,33 @@ def _figures(agent: str, repeats: tuple[EpisodeResults, ...]) -> dict[str, Any]:
         },
         "score": figures["mean_score"],
         "score_ci95": figures["score_ci95"],
-        "normalised": (figures["mean_score"] - floor) / above if above else None,
+        "normalised": normalised(figures["mean_score"], fmean(random.scores), figures["mean_optimal_score"]),
         "regret": figures["mean_regret"],
         "success_rate": figures["success_rate"],
         "maps": [
             {
-                "seed": seed,
-                "scores": [float(results.scores[i]) for results in repeats],
-                "optimum": None if np.isnan(best[i]) else float(best[i]),
-                "success": sum(int(results.success[i]) for results in repeats),
-                "steps": [int(results.steps[i]) for results in repeats],
+                "seed": int(seed),
+                "scores": scores[row].tolist(),
+                "optimum": None if np.isnan(best[row]) else float(best[row]),
+                "success": int(success[row].sum()),
+                "steps": steps[row].tolist(),
             }
-            for i, seed in enumerate(range(*key.seeds))
+            for row, seed in enumerate(repeats[0].seeds)
         ],
     }
 
 
-def boards_of(judged: Iterable[Judged]) -> list[Board]:
-    """All that is ranked, on the board of its maps."""
-    boards: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
-    for path, figures in judged:
-        config = figures["config"]
+def boards_of(entries: Iterable[LeaderboardEntry]) -> list[Board]:
+    """All entries, on the board of their maps."""
+    boards: dict[tuple[str, str], list[LeaderboardEntry]] = defaultdict(list)
+    for entry in entries:
+        config = entry.report["config"]
         task = f"{config['task']} version {config['task_version']}"
         maps = f"maps {config['seeds'][0]} to {config['seeds'][1] - 1} ({config['split']})"
-        boards[task, maps].append({"path": str(path), **figures})
+        boards[task, maps].append(entry)
     return [Board(*key, sorted(rows, key=_merit, reverse=True)) for key, rows in sorted(boards.items())]
 
 
-def _merit(row: dict[str, Any]) -> tuple[float, float]:
-    return float("-inf") if row["normalised"] is None else row["normalised"], row["score"]
+def _merit(entry: LeaderboardEntry) -> tuple[float, float]:
+    normalised = entry.report["normalised"]
+    return float("-inf") if normalised is None else normalised, entry.report["score"]

@@ -1,16 +1,15 @@
-"""A flight as a small file: which map, which actions, and the result.
+"""Records: a flight as JSON, and many flights as JSONL.
 
-The dynamics are deterministic, so task, seed and actions say it all; the results stand beside them to be checked, and
-so does a digest of the terrain where the task brings its own, whose name says nothing of it.
-
-Version 1 of the format has no rewards; it is read forever.
+The dynamics are deterministic, so task, seed and actions determine a flight. A record also contains what came out, so
+that a replay can check it, and a digest of the terrain if the task has its own.
 """
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, WithJsonSchema, field_validator, model_validator
+from pydantic import Field, WithJsonSchema, model_validator
 from typing_extensions import Self
 
 from drone_env.core.actions import Action
@@ -18,10 +17,9 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
 from drone_env.errors import InvalidValueError
-from drone_env.files import read_file, write_text
+from drone_env.files import read_file, read_lines, write_text
 from drone_env.models import DIRECTIONS, Count, Direction, Message, Score
 
-FORMAT_VERSION = 2
 LONGEST_RECORD = 4 << 20
 """Bytes of a record. The longest flight, of 32,000 steps, takes about 1.3 MB."""
 AgentLabel = Annotated[
@@ -38,7 +36,7 @@ class EpisodeRecord(Message):
     """One flight, from its reset on. `replay` flies it again."""
 
     format: Literal["drone_env/episode"] = "drone_env/episode"
-    format_version: Literal[1, 2] = FORMAT_VERSION
+    format_version: Literal[1] = 1
     task: str = Field(max_length=100, description="Id of the task.")
     task_version: int = Field(ge=1, description="Version of the task.")
     terrain: str | None = Field(
@@ -48,29 +46,15 @@ class EpisodeRecord(Message):
     agent: AgentLabel
     reward_profile: str = Field(max_length=100, description="What the steps paid.")
     actions: list[Direction] = Field(max_length=MAX_UNITS, fail_fast=True, description="The actions, in order.")
-    rewards: list[float] | None = Field(
-        default=None,
-        max_length=MAX_UNITS,
-        fail_fast=True,
-        description="What each action paid, exactly; null in version 1 and only there.",
-    )
+    rewards: list[float] = Field(max_length=MAX_UNITS, fail_fast=True, description="What each action paid, exactly.")
     deliveries: Count = Field(description="Parcels delivered.")
     success: bool = Field(description="Whether all parcels were delivered.")
     score: Score = Field(description="The graded score; provisional if the flight has not ended.")
     ended: bool = Field(description="Whether the flight was flown to its end.")
 
-    @field_validator("format_version", mode="before")
-    @classmethod
-    def _not_newer(cls, version: object) -> object:
-        if type(version) is int and version > FORMAT_VERSION:
-            raise ValueError(f"version {version} is newer than {FORMAT_VERSION}, the last that this drone-env reads")
-        return version
-
     @model_validator(mode="after")
     def _rewards_fit(self) -> Self:
-        if (self.rewards is None) != (self.format_version == 1):
-            raise ValueError("rewards belong to version 2 of the format, and only to that")
-        if self.rewards is not None and len(self.rewards) != len(self.actions):
+        if len(self.rewards) != len(self.actions):
             raise ValueError(f"{len(self.rewards)} rewards do not fit {len(self.actions)} actions")
         return self
 
@@ -131,7 +115,8 @@ def replay_steps(record: EpisodeRecord, reward_profile: str | RewardProfile | No
         InvalidValueError: as `replay`; what was given out before belongs to a record that is wrong.
     """
     task = get_task(record.task, record.task_version)
-    if record.terrain not in (None, now := terrain_digest(task)):  # before cities were told apart, records had none
+    now = terrain_digest(task)
+    if record.terrain != now:
         raise InvalidValueError(
             f"the record is of another city than {record.task!r} is now (terrain {record.terrain}, now {now}): fly it "
             "with the file as it was; a city that is changed takes another name"
@@ -145,8 +130,8 @@ def replay_steps(record: EpisodeRecord, reward_profile: str | RewardProfile | No
         for name in ("task", "task_version", "seed", "deliveries", "success", "score", "ended")
         if getattr(record, name) != getattr(came_to, name)
     ]
-    if record.rewards is not None and record.reward_profile == came_to.reward_profile:
-        wrong += _wrong_rewards(record.rewards, came_to.rewards or [])
+    if record.reward_profile == came_to.reward_profile:
+        wrong += _wrong_rewards(record.rewards, came_to.rewards)
     if wrong:
         raise InvalidValueError(f"the record does not fit its flight: {'; '.join(wrong)}")
 
@@ -205,3 +190,85 @@ def parse_record(text: str | bytes, name: str) -> EpisodeRecord:
         InvalidValueError: if it is not a record; the message says what is wrong with it.
     """
     return EpisodeRecord.read(text, f"{name} is not the record of a flight")
+
+
+class RecordWriter:
+    """Appends records to a JSONL file, making it where it is missing. To be used in a `with`, or closed.
+
+    A record is in the file when `write` returns; a process that dies while it writes leaves at most a cut last line.
+
+    Raises:
+        OSError: if the file cannot be opened.
+        InvalidValueError: if its last line is cut or no record; the file is left as it was.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = Path(path)
+        self._file = self._path.open("ab+", buffering=0)
+        try:
+            self._check_last_line()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def write(self, record: EpisodeRecord) -> None:
+        """Append one record.
+
+        Raises:
+            OSError: if it cannot be written; a part of the line may be in the file then.
+        """
+        line = f"{record.to_json()}\n".encode()
+        written = self._file.write(line)
+        if written != len(line):
+            raise OSError(f"only {written} of {len(line)} bytes could be written to {self._path}")
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _check_last_line(self) -> None:
+        if not self._path.is_file():
+            return  # a pipe or a device, which holds no lines
+        last = b"".join(deque(read_lines(self._path, LONGEST_RECORD), 1))
+        name = f"the last line of {self._path}"
+        if last.endswith(b"\n"):
+            parse_record(last, name)
+        elif last:
+            try:
+                parse_record(last, name)
+            except InvalidValueError:
+                raise InvalidValueError(f"{name} is cut; remove it before more are appended") from None
+            self._file.write(b"\n")
+
+
+def read_records(path: str | Path) -> Iterator[EpisodeRecord]:
+    """The records of a JSONL file, one at a time; empty lines are passed over.
+
+    Raises:
+        OSError: if the file cannot be read.
+        InvalidValueError: at the first line that is not a record, with its number; the records before it have been
+            given out by then. A last line that is cut is said to be so.
+    """
+    for _, record in numbered_records(path):
+        yield record
+
+
+def numbered_records(path: str | Path) -> Iterator[tuple[int, EpisodeRecord]]:
+    """As `read_records`, each with the number of its line, from 1."""
+    for number, line in enumerate(read_lines(path, LONGEST_RECORD), 1):
+        if not line.strip():
+            continue
+        name = f"line {number} of {path}"
+        try:
+            record = parse_record(line, name)
+        except InvalidValueError as error:
+            if line.endswith(b"\n"):
+                raise
+            raise InvalidValueError(f"the last line is cut, and all before it are whole: {error}") from None
+        yield number, record

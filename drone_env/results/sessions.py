@@ -15,8 +15,8 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile
 from drone_env.core.seeds import check_seed
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.results.finished import StoredEpisode, check_agent
 from drone_env.errors import EpisodeError, InvalidValueError, NoSessionError, SessionGoneError
+from drone_env.results.finished import StoredEpisode, check_agent
 
 FINISHED_SECONDS = 30.0
 """For so long a finished session keeps its place even where others have none: its owner still asks for the score."""

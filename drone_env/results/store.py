@@ -15,21 +15,26 @@ from typing_extensions import Self
 
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.results.by_map import SELECT_BY_MAP, FlownMap, flown_map
+from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, UnknownNameError
 from drone_env.results.database import BUSY_SECONDS, Database
 from drone_env.results.finished import (
+    SELECT_BY_MAP,
     SELECT_ROWS,
     SELECT_STORED,
+    Analysis,
     EpisodeSummary,
     StoredEpisode,
+    analyse,
     check_agent,
     insert_episode,
+    results_by_agent,
     selection,
     stored_episode,
 )
 from drone_env.results.memory_view import MemoryView
-from drone_env.results.optima import Optima, Solve, solve_maps
+from drone_env.results.optima import Map, Optima, Solve, solve_maps
 from drone_env.results.record import EpisodeRecord, replay
+from drone_env.results.result import Results
 from drone_env.results.sessions import (
     EPISODE_ID,
     SessionRow,
@@ -42,8 +47,6 @@ from drone_env.results.sessions import (
     steady_clock,
     update_session,
 )
-from drone_env.results.summary import Analysis, analyse
-from drone_env.errors import CapacityError, InvalidValueError, NoSessionError, UnknownNameError
 
 FILE_NAME = "drone_env.sqlite3"
 VIEW_NAME = "memory.json"
@@ -202,27 +205,27 @@ class Store:
         where, values = selection(task, agent, before, after, episode_id, seed)
         chosen = f"{where} {NEWEST}", (*values, _at_most(n))
         found = self._rows(*chosen)
-        return (
-            self._rows(*chosen)
-            if self._optima.solve_maps_of(found, PATIENCE if patience is None else patience)
-            else found
-        )
+        unsolved = [(row.task, row.task_version, row.seed) for row in found if not row.solved]
+        return self._rows(*chosen) if self._solve(unsolved, patience) else found
 
-    def by_map(self, task: str | TaskConfig, patience: float | None = None) -> list[FlownMap]:
-        """All finished episodes of a task, those by one agent over one map put together; optima as for `listed`.
+    def by_map(self, task: str | TaskConfig, patience: float | None = None) -> dict[str, Results]:
+        """All finished episodes of a task by agent, one row per map; optima as for `listed`.
 
         Raises:
             UnknownNameError: if there is no such task.
             StoreError: if the store cannot be read.
         """
-        where, values = selection(task)
-        chosen = SELECT_BY_MAP.format(where=where), values
-        found = [flown_map(row) for row in self._read(*chosen)]
-        return (
-            [flown_map(row) for row in self._read(*chosen)]
-            if self._optima.solve_maps_of(found, PATIENCE if patience is None else patience)
-            else found
-        )
+        known = get_task(task)
+        chosen = SELECT_BY_MAP, (known.id, known.version)
+        found = self._read(*chosen)
+        if self._solve([(known.id, known.version, row[1]) for row in found if not row[-1]], patience):
+            found = self._read(*chosen)
+        return results_by_agent(known, found)
+
+    def _solve(self, unsolved: list[Map], patience: float | None) -> bool:
+        """Solve maps; whether there were any."""
+        self._optima.solve(unsolved, PATIENCE if patience is None else patience)
+        return bool(unsolved)
 
     def kept(self, episode_ids: Iterable[str]) -> set[str]:
         """Those of these ids that the store has."""
@@ -257,7 +260,7 @@ class Store:
         rows = self.listed(last, known, patience=patience)
         where, values = selection(known)
         ((total,),) = self._read(f"SELECT count(*) FROM episodes {where}", values)
-        return analyse(known.id, total, rows)
+        return analyse(known, total, rows)
 
     # Sessions
 

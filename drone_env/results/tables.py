@@ -2,16 +2,12 @@
 
 import sys
 from collections.abc import Collection, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import NamedTuple
 
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as RichTable
-
-if TYPE_CHECKING:
-    from pydantic_settings import BaseSettings
 
 
 class Table(NamedTuple):
@@ -36,17 +32,6 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table in Markdown; the cells stand in it as they are."""
     lines = ["|" + "".join(f" {cell} |" if cell else " |" for cell in row) for row in (head, *rows)]
     return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
-
-
-def settings_table(settings: "type[BaseSettings]") -> str:
-    """What can be configured by a class, as a table in Markdown."""
-    prefix, rows = settings.model_config.get("env_prefix", ""), list[tuple[str, str, str]]()
-    for name, field in settings.model_fields.items():
-        several = isinstance(field.default, tuple)
-        default = ",".join(cast(tuple[str, ...], field.default)) if several else str(field.default or "")
-        shown = "in the package" if Path(default).is_absolute() else f"`{default}`" if default else "-"
-        rows.append((f"`{prefix}{name.upper()}`", shown, f"{field.description}"))
-    return markdown_table(("variable", "default", "meaning"), rows)
 
 
 def table_console(width: int) -> Console:

@@ -10,7 +10,8 @@ from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from drone_env.files import replacing
 from drone_env.installer import pip
-from drone_env.results.evaluate import EpisodeResults, evaluate, summarise
+from drone_env.results.evaluate import evaluate, summarise
+from drone_env.results.result import Results
 
 try:
     from stable_baselines3.common.callbacks import BaseCallback, EventCallback
@@ -74,7 +75,7 @@ class ScoreEvalCallback(EventCallback):
         self.log_path = None if log_path is None else Path(log_path)
         self.best_model_save_path = None if best_model_save_path is None else Path(best_model_save_path)
         self.best_mean_reward = self.last_mean_reward = -np.inf
-        self.evaluations: list[tuple[int, EpisodeResults]] = []
+        self.evaluations: list[tuple[int, Results]] = []
 
     def _init_callback(self) -> None:
         as_agent(self.model, self.task, self.wrapper, not self.deterministic)  # a wrong wrapper is told at once
@@ -109,7 +110,7 @@ class ScoreEvalCallback(EventCallback):
                 go_on = self.callback_on_new_best.on_step()
         return go_on and self._on_event()
 
-    def _tell(self, flown: EpisodeResults) -> float:
+    def _tell(self, flown: Results) -> float:
         figures = summarise(flown)
         told = {"score": figures["mean_score"], "regret": figures["mean_regret"], "ep_length": figures["mean_steps"]}
         for name, value in told.items():

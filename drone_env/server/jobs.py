@@ -22,8 +22,7 @@ from drone_env.envs.registry import load_plugins
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.files import EVALUATIONS, MAPS, RUNS
 from drone_env.server.drawn_maps import DrawnMaps
-from drone_env.server.evaluations import Evaluations
-from drone_env.server.model_runs import ModelRuns
+from drone_env.server.model_runs import Evaluations, ModelRuns
 from drone_env.server.predict import Networks
 from drone_env.server.problems import FAILED, RequestError
 from drone_env.server.settings import Settings

@@ -1,27 +1,56 @@
-"""The runs of language models that lie in the data folder: which there are, what they are worth, what was asked.
+"""The evaluations and the runs of language models in the data folder: which there are, and what they contain.
 
-What flies a model again is imported where it is asked for: most servers have no such run.
+What flies a model again is imported where it is needed: most servers have no such run.
 """
 
 import os
+from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drone_env.errors import DroneEnvError
 from drone_env.files import stamp
+from drone_env.results.folder import CONFIG, PIECES
+from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, evaluation_entries
 
 if TYPE_CHECKING:
     from drone_env.llm.config import RunConfig
-    from drone_env.llm.run_folder import PilotedRecord
     from drone_env.llm.transcript import Call
-    from drone_env.results.leaderboard import Judged, Refused
 
+MOST_MAPS = 10_000
+"""Maximum number of maps per evaluation: `random` and the optimum are flown over them while somebody waits."""
 MOST_FLIGHTS = 100_000
-"""Of one run are looked at: a file may say that there are 2^53."""
+"""Maximum number of flights read per run: a file may claim 2^53."""
+Entries = list[LeaderboardEntry | NotRanked]
 
 
-class ModelRuns:
-    """The runs in a folder, there or not.
+class _Cache:
+    """Entries of folders, made again only after files change."""
+
+    def __init__(self) -> None:
+        self._made: dict[Hashable, tuple[object, Entries]] = {}
+
+    def get(self, key: Hashable, path: Path, files: Iterable[Path], make: Callable[[], Entries]) -> Entries:
+        """The entries of a folder.
+
+        Args:
+            key: Names them here.
+            path: The folder.
+            files: Those that decide the entries.
+            make: Makes them.
+        """
+        try:
+            stamps = [(file, stamp(file)) for file in files]
+        except OSError as error:
+            return [NotRanked(path, str(error), damaged=True)]
+        known = self._made.get(key)
+        if known is None or known[0] != stamps:
+            known = self._made[key] = stamps, make()
+        return known[1]
+
+
+class Evaluations:
+    """The evaluations in a folder, which may be missing.
 
     Args:
         folder: The folder of their folders.
@@ -29,10 +58,31 @@ class ModelRuns:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._judged: dict[Path, tuple[object, Judged | Refused]] = {}
+        self._cache = _Cache()
+
+    def folders(self) -> list[Path]:
+        """The folders of evaluations, by name."""
+        return [path for path in sorted(self._folder.glob("*")) if os.path.lexists(path / CONFIG)]
+
+    def entries(self, path: Path, task: str) -> Entries:
+        """The entry of each agent on a task, or why it is not ranked."""
+        files = (path / CONFIG, *sorted((path / PIECES).glob("*.npz")))
+        return self._cache.get((path, task), path, files, lambda: evaluation_entries(path, task, MOST_MAPS))
+
+
+class ModelRuns:
+    """The runs of language models in a folder, which may be missing.
+
+    Args:
+        folder: The folder of their folders.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._cache = _Cache()
 
     def configs(self) -> "dict[Path, RunConfig | None]":
-        """What each run is, by its folder; None if that cannot be read."""
+        """The configuration of each run, by its folder; None if it cannot be read."""
         found: dict[Path, RunConfig | None] = {}
         for path in sorted(self._folder.glob("*")):
             from drone_env.llm.run_folder import CONFIG, load_config, runs_in
@@ -49,31 +99,23 @@ class ModelRuns:
         """The models that have flown."""
         return {config.model for config in self.configs().values() if config is not None}
 
-    def judge(self, path: Path) -> "Judged | Refused":
-        """What a run is worth, or why it is not ranked: flown again once, as long as its files stay as they are."""
-        from drone_env.llm.leaderboard import judge
+    def entries(self, path: Path) -> Entries:
+        """The entry of a run, which is flown again first, or why it is not ranked."""
+        from drone_env.llm.report import run_entry
         from drone_env.llm.run_folder import CONFIG, EPISODES, RESULTS, TRANSCRIPT
 
-        try:
-            stamps = [stamp(path / name) for name in (CONFIG, TRANSCRIPT, EPISODES, RESULTS)]
-        except OSError as error:
-            from drone_env.results.leaderboard import Refused
+        files = [path / name for name in (CONFIG, TRANSCRIPT, EPISODES, RESULTS)]
+        return self._cache.get(path, path, files, lambda: [run_entry(path)])
 
-            return Refused(path, str(error), damaged=True)
-        known = self._judged.get(path)
-        if known is None or known[0] != stamps:
-            known = self._judged[path] = stamps, judge(path)
-        return known[1]
-
-    def flights(self, path: Path) -> "list[tuple[str, PilotedRecord]]":
-        """The flights of a run that count, each with what a store calls it."""
+    def flights(self, path: Path) -> list[tuple[str, int]]:
+        """The flights of a run that count: their ids in a store, and the seeds of their maps."""
         from drone_env.llm.run_folder import EpisodeIds, load_results
 
         ids = EpisodeIds(path)
-        return [(ids.of(result.flight), result) for result in load_results(path) if result.status != "errored"]
+        return [(ids.of(result.flight), result.seed) for result in load_results(path) if result.status != "errored"]
 
     def calls(self, episode_id: str) -> "tuple[Path, RunConfig, list[Call]] | None":
-        """The calls of a flight of the store, in order, and the run that it is of; None where it is of none.
+        """The calls of a stored flight, in order, and its run; None if no run flew it.
 
         Raises:
             OSError: if the transcript cannot be read.
@@ -94,13 +136,3 @@ class ModelRuns:
                     calls = [call for _, call in read_calls(path / TRANSCRIPT) if call.flight == flight]
                     return path, config, sorted(calls, key=lambda call: call.key)
         return None
-
-
-def newest(flights: "list[tuple[str, PilotedRecord]]", kept: set[str]) -> dict[int, str]:
-    """The newest flight of a run over each map of those that a store has, by its id.
-
-    Args:
-        flights: With their ids, oldest first.
-        kept: The ids that the store has.
-    """
-    return {result.seed: id_ for id_, result in flights if id_ in kept}

@@ -24,8 +24,7 @@ from drone_env.models import (
     Score,
     Seed,
 )
-from drone_env.results.finished import EpisodeSummary, check_agent
-from drone_env.results.summary import Analysis
+from drone_env.results.finished import Analysis, EpisodeSummary, check_agent
 
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
 STAYING = (Event.WALL, Event.BLOCKED, Event.WAIT)

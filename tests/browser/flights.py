@@ -8,8 +8,8 @@ from drone_env.agents import make_agent
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.files import EVALUATIONS
-from drone_env.results.evaluate import episodes_key, repeats_of
-from drone_env.results.folder import ResultsFolder, evaluate_keys, local_engine
+from drone_env.results.evaluate import episodes_key, evaluate_keys, local_engine, repeats_of
+from drone_env.results.folder import ResultsFolder
 from drone_env.results.record import EpisodeRecord, record_of
 from drone_env.results.store import Store
 from tests.api.serving import Server

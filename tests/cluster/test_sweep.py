@@ -18,7 +18,7 @@ from drone_env.cluster.sweep.trial import train_trial
 from drone_env.commands.arguments import own_profiles_forgotten
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.errors import InvalidValueError, UnknownNameError
-from drone_env.results.interval import SHARES, crossed, interval
+from drone_env.results.statistics import SHARES, crossed, interval
 from drone_env.rl.config import TrainConfig
 from drone_env.rl.trainer import Trainer
 

@@ -12,7 +12,7 @@ from drone_env.cli import main
 from drone_env.core.seeds import SPLITS
 from drone_env.llm.prompt import FOLDER
 from drone_env.planning.optimal import solve
-from drone_env.results.interval import DIFFERENCES, ci95
+from drone_env.results.statistics import DIFFERENCES, ci95
 
 from .conftest import Endpoint
 from .log_lines import verified

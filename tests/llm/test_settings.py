@@ -11,7 +11,6 @@ from drone_env.errors import InvalidValueError
 from drone_env.llm.config import Sampling
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.settings import InferenceSettings, load_settings, models_table, token_for
-from drone_env.results.tables import settings_table
 from tests.environment import SETTINGS
 
 from .conftest import ROOT
@@ -180,5 +179,4 @@ def test_settings_of_the_environment_or_env_file(tmp_path: Path, monkeypatch: py
         assert value(name) == "of-the-environment"
         monkeypatch.delenv(name)
     assert {name.upper() for name in InferenceSettings.model_fields} == set(SETTINGS)
-    assert settings_table(InferenceSettings) in (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
     assert models_table() in (ROOT / "docs" / "llm.md").read_text(encoding="utf-8")

@@ -1,6 +1,5 @@
 """Flights move by move: what each gave away, by hand and to the last bit."""
 
-import json
 import math
 from fractions import Fraction
 from functools import cache
@@ -11,12 +10,12 @@ from drone_env.agents import make_agent
 from drone_env.core.actions import Action, Event, Outcome
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
-from drone_env.errors import EpisodeError, InvalidValueError, TooLargeError
+from drone_env.errors import EpisodeError, TooLargeError
 from drone_env.planning.optimal import solve, solve_episode
 from drone_env.planning.solver import ExactSolver
 from drone_env.results.analysis import (
-    LABELS,
     FlightAnalysis,
+    GivingUp,
     analyse_actions,
     analyse_flight,
     label_of,
@@ -54,11 +53,7 @@ def analysed(task: str, agent: str) -> FlightAnalysis:
 
 
 def unfinished(task: str, actions: str) -> EpisodeRecord:
-    episode = Episode(task)
-    episode.reset(SEED)
-    for action in letters(actions):
-        episode.step(action)
-    return record_of(episode, "someone")
+    return record_of(Episode(task, seed=SEED).fly(letters(actions)), "someone")
 
 
 def test_a_blunder_by_hand() -> None:
@@ -98,14 +93,6 @@ def test_all_equally_good_actions_are_named() -> None:
     assert first.regret > 0
 
 
-def test_it_can_start_in_the_middle_of_a_flight() -> None:
-    start = toy_episode(MAP, max_steps=4)
-    start.step(Action.RIGHT)
-    analysis = analyse_actions(start, letters("R"), "heir")
-    assert [(move.step, move.regret) for move in analysis.moves] == [(2, 0)]
-    assert (analysis.score, analysis.regret) == (0.9, 0)
-
-
 @pytest.mark.parametrize(("task", "agent"), EVERY_FLIGHT)
 def test_regrets_add_up_to_optimum_minus_score_exactly(task: str, agent: str) -> None:
     analysis, episode = analysed(task, agent), flown(task, agent)
@@ -126,12 +113,14 @@ def test_regrets_add_up_to_optimum_minus_score_exactly(task: str, agent: str) ->
     assert analysis.regret == float(exact) == math.fsum(terms)
     before, after = analysis.values[:-1], analysis.values[1:]
     assert [move.regret for move in analysis.moves] == [a - b for a, b in zip(before, after, strict=True)]
-    assert math.fsum(move.regret for move in analysis.moves) == pytest.approx(analysis.regret, abs=1e-12)
+    if agent == "optimal":
+        assert {move.label for move in analysis.moves} == {"best"}
+        assert (analysis.regret, analysis.accuracy) == (0, 1)
 
 
-@pytest.mark.parametrize(("task", "agent"), EVERY_FLIGHT)
-def test_a_blunder_loses_a_parcel_and_nothing_else_does(task: str, agent: str) -> None:
-    analysis = analysed(task, agent)
+@pytest.mark.parametrize("task", SMALL)
+def test_a_blunder_loses_a_parcel_and_nothing_else_does(task: str) -> None:
+    analysis = analysed(task, "random")
     parcel = parcel_value(analysis.task)
     # On these tasks steps and battery left count only when all is delivered.
     parcels = [analysis.task.deliveries if value >= 0.8 else round(value / parcel) for value in analysis.values]
@@ -139,39 +128,13 @@ def test_a_blunder_loses_a_parcel_and_nothing_else_does(task: str, agent: str) -
         assert (move.label == "blunder") == (after < before)
 
 
-@pytest.mark.parametrize("task", SMALL)
-def test_values_are_those_of_the_other_planners(task: str) -> None:
-    analysis = analysed(task, "random")
-    flight = Episode(task)
-    flight.reset(SEED)
-    for move in analysis.moves:
-        if move.step % 20 == 1:
-            assert move.value == solve_episode(flight).score
-        flight.step(move.action)
-        assert (move.position, move.event, move.step) == (flight.position, flight.event, flight.steps)
-
-
-@pytest.mark.parametrize("task", SMALL)
-def test_the_optimal_agent_gives_nothing_away(task: str) -> None:
-    analysis = analysed(task, "optimal")
-    assert {move.label for move in analysis.moves} == {"best"}
-    assert (analysis.regret, analysis.accuracy) == (0, 1)
-
-
 def test_an_unfinished_flight_counts_as_waiting_to_the_end() -> None:
     analysis = analyse_flight(unfinished("easy", "WW"))
-    flight = Episode("easy")
-    flight.reset(SEED)
-    flight.step(Action.WAIT)
-    flight.step(Action.WAIT)
+    flight = Episode("easy", seed=SEED).fly(letters("WW"))
     reachable = solve_episode(flight).score
-    assert [move.step for move in analysis.moves] == [1, 2]
-    assert not analysis.ended
-    assert analysis.giving_up is not None
-    assert (analysis.score, analysis.outcome) == (0.01, Outcome.FLYING)
-    assert (analysis.giving_up.value, analysis.giving_up.regret) == (reachable, reachable - 0.01)
-    assert analysis.giving_up.label == "blunder"
-    assert analysis.giving_up.best_actions == ExactSolver(flight).optimal_actions(flight)
+    best = ExactSolver(flight).optimal_actions(flight)
+    assert analysis.giving_up == GivingUp(reachable, reachable - 0.01, "blunder", best)
+    assert (analysis.score, analysis.outcome, analysis.ended) == (0.01, Outcome.FLYING, False)
     assert analysis.values == (solve("easy", SEED).score, analysis.moves[1].value, reachable, 0.01)
     assert analysis.counts["blunder"] == 0
     assert "Unfinished after 2 steps: counted as if it had waited to the end" in analysis.to_text()
@@ -182,85 +145,21 @@ def test_a_flight_without_moves_is_nothing_but_giving_up() -> None:
     assert (analysis.moves, analysis.accuracy, analysis.decisive) == ((), None, 0)
     assert analysis.values == (analysis.optimum, 0.01)
     assert "Accuracy -: " in analysis.to_text()
-    assert json.loads(analysis.to_json())["accuracy"] is None
-
-
-@pytest.mark.parametrize(
-    ("parcels", "label"),
-    [
-        (0.0, "best"),
-        (1e-9, "good"),
-        (0.0079, "good"),
-        (0.0081, "inaccuracy"),
-        (0.049, "inaccuracy"),
-        (0.051, "mistake"),
-        (0.49, "mistake"),
-        (0.51, "blunder"),
-        (3.0, "blunder"),
-    ],
-)
-@pytest.mark.parametrize("task", ["easy_delivery", "hard_delivery"])
-def test_labels_go_by_the_value_of_a_parcel(task: str, parcels: float, label: str) -> None:
-    assert label_of(parcels * parcel_value(TASKS[task]), TASKS[task]) == label
 
 
 @pytest.mark.parametrize("task", ["easy_delivery", "medium_delivery", "hard_delivery"])
-def test_a_step_lost_is_good_and_a_wrong_turn_an_inaccuracy(task: str) -> None:
+def test_labels_go_by_the_value_of_a_parcel(task: str) -> None:
+    parcels = (0.0, 1e-9, 0.0079, 0.0081, 0.049, 0.051, 0.49, 0.51)
+    labels = [label_of(regret * parcel_value(TASKS[task]), TASKS[task]) for regret in parcels]
+    assert labels == ["best", "good", "good", "inaccuracy", "inaccuracy", "mistake", "mistake", "blunder"]
     # Every step costs 0.2 / max_steps here; a wrong turn costs two.
     step = 0.2 / TASKS[task].max_steps
     assert (label_of(step, TASKS[task]), label_of(2 * step, TASKS[task])) == ("good", "inaccuracy")
 
 
-def test_json_says_all_of_it() -> None:
-    analysis = analysed("skyline_medium", "random")
-    report = json.loads(analysis.to_json())
-    assert report == analysis.to_dict()
-    assert (report["task"], report["task_version"], report["seed"]) == ("skyline_medium", 2, SEED)
-    assert (report["agent"], report["ended"], report["giving_up"]) == ("random", True, None)
-    assert report["values"] == list(analysis.values)
-    assert report["optimum"] - report["score"] == report["regret"] == analysis.regret
-    assert list(report["counts"]) == list(LABELS)
-    assert sum(report["counts"].values()) == len(report["moves"]) == len(flown("skyline_medium", "random").actions)
-    flight = Episode("skyline_medium")
-    flight.reset(SEED)
-    for move in report["moves"]:
-        assert (Action[move["action"]] in [Action[name] for name in move["best_actions"]]) == (move["regret"] == 0)
-        flight.step(Action[move["action"]])
-        assert (move["position"], move["event"]) == (list(flight.position), flight.event.name.lower())
-    stopped = json.loads(analyse_flight(unfinished("easy", "W")).to_json())
-    assert set(stopped["giving_up"]) == {"value", "regret", "label", "best_actions"}
-
-
-def test_text_has_one_line_per_move_and_fits_a_terminal() -> None:
-    analysis = analysed("hard_delivery", "random")
-    title, _, heading, *lines = analysis.to_text().splitlines()
-    assert title == "hard_delivery, map 7, flown by random"
-    assert heading.split() == ["step", "move", "to", "event", "value", "regret", "better"]
-    for move, line in zip(analysis.moves, lines, strict=False):
-        assert line.split()[:2] == [str(move.step), move.action.name]
-        assert f"  {move.value:.4f}" in line
-        assert (" ?? " in line) == (move.label == "blunder")
-        assert line.endswith(", ".join(action.name for action in move.best_actions)) or move.regret == 0
-    assert lines[len(analysis.moves)] == ""
-    assert max(map(len, lines)) <= 80
-    assert f"Score {analysis.score:.4f}, optimum {analysis.optimum:.4f}, regret {analysis.regret:.5f}" in lines
-
-
-@pytest.mark.parametrize(
-    "change", [{"score": 0.5}, {"deliveries": 0, "success": False}, {"ended": False}, {"seed": 8}, {"task_version": 2}]
-)
-def test_a_tampered_record_is_refused(change: dict[str, object]) -> None:
-    record = record_of(flown("easy_delivery", "greedy"), "greedy")
-    with pytest.raises((InvalidValueError, LookupError), match=r"record|version"):
-        analyse_flight(record.model_copy(update=change))
-
-
-def test_actions_after_the_end_are_refused() -> None:
+def test_what_cannot_be_analysed_is_refused() -> None:
     with pytest.raises(EpisodeError, match="ended"):
         analyse_actions(toy_episode(MAP, max_steps=4), letters("RRW"), "late")
-
-
-def test_a_map_that_is_too_large_is_refused() -> None:
     rows = ["@" + "0123456789".ljust(63, "."), *["." * 64] * 63]
     with pytest.raises(TooLargeError, match=r"a map of .* would take .* GB"):
         analyse_actions(toy_episode(rows, max_steps=32_000), letters("R"), "giant")

@@ -25,7 +25,7 @@ from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import TooLargeError
 from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
-from drone_env.results.interval import with_interval
+from drone_env.results.statistics import with_interval
 
 STEP = re.compile(r"\[STEP\] step=(\d+) action=([A-Z]+) reward=(\d\.\d\d) done=(true|false) error=null")
 

@@ -29,10 +29,6 @@ def test_an_evaluation_goes_on_where_it_was_stopped(tmp_path: Path, capsys: pyte
     other = [*command[:4], "0:2600", *command[5:]]
     assert main(other) == 2
     assert "holds another evaluation: seeds: [0, 2500] is now [0, 2600]" in capsys.readouterr().err
-    (tmp_path / "else").mkdir()
-    (tmp_path / "else" / "file").touch()
-    assert main([*command[:-1], str(tmp_path / "else")]) == 2
-    assert "holds other things" in capsys.readouterr().err
 
 
 def test_a_later_version_shows_what_is_whole_and_goes_on_with_nothing(

@@ -19,9 +19,8 @@ from drone_env.files import write_text
 from drone_env.llm.prompt import read_prompt
 from drone_env.llm.run_folder import EpisodeIds, load_config, load_results
 from drone_env.llm.transcript import read_calls
-from drone_env.results.folder import kept_results
-from drone_env.results.jsonl import read_records
-from drone_env.results.record import load_record
+from drone_env.results.folder import stored_results
+from drone_env.results.record import load_record, read_records
 from drone_env.reward_file import load_reward_profile
 from drone_env.rl.checkpoint import load_checkpoint
 from drone_env.server.train_log import TrainLog
@@ -40,7 +39,7 @@ PARSERS: dict[str, Callable[[Path], object]] = {
     "calls.jsonl": lambda path: list(read_calls(path)),
     "run.json": lambda path: load_config(path.parent),
     "flights.jsonl": lambda path: load_results(path.parent),
-    "evaluation.json": lambda path: kept_results(path.parent),
+    "evaluation.json": lambda path: stored_results(path.parent),
     "sweep.json": lambda path: SweepFolder(path.parent).config(),
 }
 """Readers of files that somebody else may have written, by the name of the file."""

@@ -30,9 +30,6 @@ def test_every_task_has_its_grader() -> None:
         module, name = task.grader.split(":")
         assert getattr(import_module(module), name) is GRADERS[task.id]
     assert len({task.grader for task in TASKS.values()}) == len(TASKS)
-
-
-def test_a_grader_that_no_task_names_does_not_exist() -> None:
     with pytest.raises(AttributeError, match="grade_expert"):
         graders.grade_expert  # noqa: B018
 
@@ -41,22 +38,16 @@ def test_a_grader_that_no_task_names_does_not_exist() -> None:
     ("task", "done", "battery", "steps", "score"),
     [
         ("easy", 0, 60, 0, 0.20),
-        ("easy", 0, 0, 60, 0.01),
         ("easy", 1, 0, 60, 0.80),
         ("easy", 1, 54, 6, 0.98),
         ("easy", 1, 60, 0, 0.99),
         ("medium", 2, 50, 50, 0.8 * 2 / 3 + 0.1),
-        ("hard", 3, 0, 160, 0.48),
         ("hard", 5, 120, 40, 0.95),
         # Here battery and steps left count only when all is delivered.
         ("skyline_easy", 0, 11, 0, 0.01),
         ("skyline_easy", 1, 11, 10, 0.8 / 3),
-        ("skyline_easy", 2, 0, 30, 1.6 / 3),
-        ("skyline_easy", 3, 0, 60, 0.80),
         ("skyline_easy", 3, 11, 30, 0.95),
         ("skyline_medium", 3, 9, 50, 0.60),
-        ("skyline_medium", 4, 9, 50, 0.90),
-        ("skyline_hard", 4, 26, 1, 0.64),
         ("skyline_hard", 5, 13, 40, 0.925),
     ],
 )
@@ -80,24 +71,15 @@ def test_model_dictionary_and_episode_agree_on_a_whole_flight(task: str) -> None
         assert GRADERS[task](state) == GRADERS[task](state.model_dump()) == episode.score == state.score
 
 
-def test_the_score_inside_the_state_is_not_believed() -> None:
+def test_only_counts_of_the_graders_own_task_are_graded() -> None:
     assert grade_easy(state_of("easy", score=0.99)) == 0.20
-
-
-def test_a_state_of_another_task_is_refused() -> None:
     with pytest.raises(InvalidValueError, match="'easy_delivery' was given a state of 'hard_delivery'"):
         grade_easy(state_of("hard"))
-
-
-def test_numbers_of_another_task_are_refused() -> None:
     with pytest.raises(InvalidValueError, match="max_steps"):
         grade_easy(state_of("easy", max_steps=1000))
-
-
-@pytest.mark.parametrize("broken", [{}, {"task_name": "easy_delivery"}, {"nonsense": 1}])
-def test_what_is_no_state_is_refused(broken: dict) -> None:
-    with pytest.raises(ValidationError):
-        grade_easy(broken)
+    for broken in ({}, {"task_name": "easy_delivery"}):
+        with pytest.raises(ValidationError):
+            grade_easy(broken)
 
 
 @pytest.mark.parametrize(
@@ -105,12 +87,10 @@ def test_what_is_no_state_is_refused(broken: dict) -> None:
     [
         ("tasks: [{id: easy_delivery, grader: 'drone_env.graders:grade_none'}]\ngraders: []", "grade_none"),
         ("tasks: [{id: easy_delivery, grader: 'no_such_module:grade'}]\ngraders: []", "no_such_module"),
-        ("tasks: [{id: easy_delivery, grader: 'drone_env.graders:grade_hard'}]\ngraders: []", "grade_hard"),
         ("tasks: [{id: no_task, grader: 'drone_env.graders:grade_easy'}]\ngraders: []", "no_task"),
         ("tasks: [{id: easy_delivery, grader: 'drone_env.graders.grade_easy'}]\ngraders: []", "module:function"),
         ("tasks: []\ngraders: []", "0 valid graders"),
         ("tasks: []\ngraders: [{id: 'drone_env.graders:grade_easy'}]", "no task names it"),
-        ("nothing: here", "tasks"),
         ("[", "cannot read"),
     ],
 )

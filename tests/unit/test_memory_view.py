@@ -116,14 +116,14 @@ def test_a_view_that_cannot_be_read_is_logged_and_tried_again(tmp_path: Path, ca
     eventually(lambda: len(view(tmp_path)) == 1)
     with store._database.writing() as connection:
         connection.execute(
-            "UPDATE episodes SET record = replace(record, '\"format_version\":2', '\"format_version\":3')"
+            "UPDATE episodes SET record = replace(record, '\"format_version\":1', '\"format_version\":2')"
         )
         connection.execute("UPDATE episodes SET number = number + 1")
     store._view.refresh()
-    eventually(lambda: "version 3 is newer than 2" in caplog.text)
+    eventually(lambda: "format_version: Input should be 1" in caplog.text)
     with store._database.writing() as connection:
         connection.execute(
-            "UPDATE episodes SET record = replace(record, '\"format_version\":3', '\"format_version\":2')"
+            "UPDATE episodes SET record = replace(record, '\"format_version\":2', '\"format_version\":1')"
         )
     second = store.add_episode(flown(), "ace")
     store.close()

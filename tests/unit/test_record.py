@@ -12,24 +12,17 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.core.tasks import TASKS
 from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError
-from drone_env.results.jsonl import RecordWriter, numbered_records, read_records
-from drone_env.results.record import EpisodeRecord, load_record, parse_record, record_of, replay, save_record
-
-VERSION_1 = """{
-  "format": "drone_env/episode",
-  "format_version": 1,
-  "task": "easy_delivery",
-  "task_version": 1,
-  "seed": 7,
-  "agent": "someone",
-  "reward_profile": "tiered",
-  "actions": ["WAIT", "UP", "UP"],
-  "deliveries": 0,
-  "success": false,
-  "score": 0.19,
-  "ended": false
-}
-"""
+from drone_env.results.record import (
+    EpisodeRecord,
+    RecordWriter,
+    load_record,
+    numbered_records,
+    parse_record,
+    read_records,
+    record_of,
+    replay,
+    save_record,
+)
 
 
 def flown(task: str = "easy", profile: str = "tiered", actions: str = "01234") -> EpisodeRecord:
@@ -46,7 +39,7 @@ def changed(record: EpisodeRecord, **fields: Any) -> str:
 
 
 def tampered(record: EpisodeRecord, step: int, by: Callable[[float], float]) -> EpisodeRecord:
-    rewards = list(record.rewards or [])
+    rewards = list(record.rewards)
     rewards[step] = by(rewards[step])
     return parse_record(changed(record, rewards=rewards), "it")
 
@@ -62,23 +55,9 @@ def test_a_record_comes_back_from_its_file_and_flies_to_the_same_bits(task: str,
     save_record(record, tmp_path / "flight.json")
     again = load_record(tmp_path / "flight.json")
     assert again == record
-    assert again.format_version == 2
-    assert again.rewards is not None
     episode = replay(again)
     assert [reward.hex() for reward in episode.rewards] == [reward.hex() for reward in again.rewards]
     assert [point.reward for point in episode.path] == episode.rewards
-
-
-def test_version_1_is_read_flown_and_written_as_it_was() -> None:
-    record = parse_record(VERSION_1, "it")
-    assert record.rewards is None
-    assert replay(record).steps == 3
-    assert json.loads(record.to_json()) == json.loads(VERSION_1)
-
-
-def test_version_1_is_checked_too() -> None:
-    with pytest.raises(InvalidValueError, match=r"score 0\.5 where the flight gives 0\.19"):
-        replay(parse_record(json.dumps(json.loads(VERSION_1) | {"score": 0.5}), "it"))
 
 
 @pytest.mark.parametrize("step", [0, 3, -1])
@@ -87,50 +66,25 @@ def test_one_bit_of_one_reward_is_noticed(step: int) -> None:
     number = range(1, len(record.actions) + 1)[step]
     with pytest.raises(InvalidValueError, match=rf"reward .* of step {number} where the flight pays [0-9.]+$"):
         replay(tampered(record, step, one_bit_more))
+    assert replay(tampered(record, step, one_bit_more), "aligned").reward_profile.id == "aligned"
 
 
-def test_the_sign_of_a_zero_is_a_bit_too() -> None:
-    record = flown(profile="score")
-    assert record.rewards is not None
-    assert record.rewards[0] == 0.0
+def test_every_wrong_bit_of_the_rewards_counts() -> None:
     with pytest.raises(InvalidValueError, match=r"reward -0\.0 of step 1 where the flight pays 0\.0"):
-        replay(tampered(record, 0, lambda value: -value))
-
-
-def test_several_wrong_rewards_are_counted() -> None:
-    record = tampered(tampered(flown(), 1, one_bit_more), 5, one_bit_more)
+        replay(tampered(flown(profile="score"), 0, lambda value: -value))
     with pytest.raises(InvalidValueError, match=r"of step 2 .*\(and 1 more\)$"):
-        replay(record)
-
-
-def test_one_bit_of_the_score_is_noticed() -> None:
-    record = flown(actions="4")
-    with pytest.raises(InvalidValueError, match="score"):
-        replay(parse_record(changed(record, score=one_bit_more(record.score)), "it"))
-
-
-def test_under_another_profile_the_rewards_are_not_compared() -> None:
-    record = tampered(flown(), 0, one_bit_more)
-    assert replay(record, "aligned").reward_profile.id == "aligned"
-    with pytest.raises(InvalidValueError, match="of step 1"):
-        replay(record, "tiered")
+        replay(tampered(tampered(flown(), 1, one_bit_more), 5, one_bit_more))
 
 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"format_version": 3}, "version 3 is newer than 2"),
-        ({"format_version": 0}, "format_version: Input should be 1 or 2"),
-        ({"format_version": "2"}, "format_version: Input should be 1 or 2"),
-        ({"format_version": 1}, "rewards belong to version 2"),
-        ({"rewards": None}, "rewards belong to version 2"),
+        ({"format_version": 2}, "format_version: Input should be 1"),
+        ({"rewards": None}, "rewards: Input should be a valid array"),
         ({"rewards": [0.1]}, "1 rewards do not fit 60 actions"),
         ({"rewards": ["0.1"] * 60}, "rewards.0: Input should be a valid number"),
-        ({"format": "other"}, "format: Input should be 'drone_env/episode'"),
         ({"actions": ["NORTH"]}, "actions.0: Input should be 'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"),
         ({"agent": "two\nlines"}, "agent: String should match pattern"),
-        ({"agent": ""}, "agent: String should have at least 1 character"),
-        ({"seed": -1}, "seed: Input should be greater than or equal to 0"),
         ({"seed": 7.5}, "seed: Input should be a valid integer"),
         ({"wind": 1}, "wind: Extra inputs are not permitted"),
     ],
@@ -142,7 +96,7 @@ def test_what_is_no_record_is_refused_by_field(fields: dict[str, Any], message: 
     assert message in str(error.value)
 
 
-@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999"])
 def test_rewards_are_finite(number: str) -> None:
     text = flown().to_json().replace('"rewards":[', f'"rewards":[{number},')
     with pytest.raises(InvalidValueError, match="not the record of a flight"):
@@ -152,10 +106,10 @@ def test_rewards_are_finite(number: str) -> None:
 @pytest.mark.parametrize(
     ("fields", "error", "message"),
     [
-        ({"task": "extreme"}, UnknownNameError, "easy, hard"),
         ({"task_version": 9}, UnknownNameError, "allowed: 1"),
         ({"reward_profile": "mine"}, UnknownNameError, "tiered"),
         ({"seed": 2**53}, InvalidValueError, "2^53"),
+        ({"score": math.nextafter(0.01, 1)}, InvalidValueError, "score 0.010000000000000002 where"),
         ({"deliveries": 3}, InvalidValueError, "deliveries 3 where the flight gives 0"),
         ({"ended": False}, InvalidValueError, "ended False where the flight gives True"),
         ({"actions": ["WAIT"] * 61, "rewards": [0.1] * 61}, InvalidValueError, "ends after 60 steps"),
@@ -172,9 +126,6 @@ def test_the_record_in_the_manual_is_one() -> None:
     record = parse_record(manual.split("```json\n")[1].split("```")[0], "the manual")
     assert set(EpisodeRecord.model_fields) == {*json.loads(record.to_json()), "terrain"}  # which cities alone have
     assert replay(record).success
-
-
-def test_there_is_no_record_before_the_first_reset() -> None:
     with pytest.raises(EpisodeError):
         record_of(Episode(), "someone")
 
@@ -182,7 +133,7 @@ def test_there_is_no_record_before_the_first_reset() -> None:
 # JSONL
 
 
-RECORDS = [flown(actions="0"), flown("medium", "aligned"), parse_record(VERSION_1, "it"), flown("skyline_easy")]
+RECORDS = [flown(actions="0"), flown("medium", "aligned"), flown(actions="4"), flown("skyline_easy")]
 
 
 @pytest.fixture
@@ -193,31 +144,16 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "flights.jsonl"
 
 
-def test_records_come_back_in_their_order_each_on_its_line(file: Path) -> None:
-    assert list(read_records(file)) == RECORDS
-    assert [number for number, _ in numbered_records(file)] == [1, 2, 3, 4]
-    lines = file.read_text().splitlines()
-    assert [json.loads(line)["format_version"] for line in lines] == [2, 2, 1, 2]
-
-
-def test_a_record_is_in_the_file_before_the_next_one_is_written(tmp_path: Path) -> None:
-    with RecordWriter(tmp_path / "flights.jsonl") as writer:
+def test_each_record_is_in_the_file_before_the_next_one_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "flights.jsonl"
+    with RecordWriter(path) as writer, RecordWriter(path) as other:
         for count, record in enumerate(RECORDS, 1):
             writer.write(record)
-            assert list(read_records(tmp_path / "flights.jsonl")) == RECORDS[:count]
-
-
-def test_more_records_are_appended(file: Path) -> None:
-    with RecordWriter(file) as first, RecordWriter(file) as second:
-        for record in RECORDS:
-            first.write(record)
-            second.write(record)
-    assert list(read_records(file)) == RECORDS + [record for record in RECORDS for _ in range(2)]
-
-
-def test_a_single_record_saved_as_jsonl_is_jsonl(tmp_path: Path) -> None:
-    save_record(RECORDS[0], tmp_path / "one.jsonl")
-    assert list(read_records(tmp_path / "one.jsonl")) == RECORDS[:1]
+            other.write(record)
+            assert list(read_records(path)) == [one for one in RECORDS[:count] for _ in range(2)]
+    assert [number for number, _ in numbered_records(path)] == list(range(1, 9))
+    save_record(RECORDS[0], path)
+    assert list(read_records(path)) == RECORDS[:1]
 
 
 def test_wherever_the_last_line_is_cut_it_is_said_and_the_others_are_given(file: Path) -> None:
@@ -257,10 +193,5 @@ def test_nothing_is_appended_to_a_file_of_something_else(tmp_path: Path) -> None
     with pytest.raises(InvalidValueError, match=r"the last line of .*notes.jsonl is not the record of a flight"):
         RecordWriter(other)
     assert other.read_text() == "buy milk\n"
-
-
-def test_an_empty_file_holds_no_records(tmp_path: Path) -> None:
     (tmp_path / "none.jsonl").touch()
     assert list(read_records(tmp_path / "none.jsonl")) == []
-    with pytest.raises(FileNotFoundError):
-        list(read_records(tmp_path / "missing.jsonl"))

@@ -49,14 +49,6 @@ def test_a_record_is_stored_as_its_episode(store: Store) -> None:
     assert store.episode(a).record == store.episode(b).record
 
 
-def test_a_record_of_version_1_is_stored_with_its_rewards(store: Store) -> None:
-    record = record_of(flown(), "ace")
-    old = json.loads(record.to_json()) | {"format_version": 1}
-    del old["rewards"]
-    stored = store.episode(store.add_episode(parse_record(json.dumps(old), "it")))
-    assert stored.record == record
-
-
 def test_the_latest_come_first_of_one_task_or_of_all(store: Store) -> None:
     ids = [store.add_episode(flown(task, seed), "ace") for seed in range(3) for task in ("easy", "medium")]
     assert [stored.id for stored in store.latest(100)] == ids[::-1]

@@ -11,7 +11,7 @@ from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
-from drone_env.results.interval import SCORES, SHARES, Range, crossed
+from drone_env.results.statistics import SCORES, SHARES, Range, crossed
 
 
 def sweep_report(folder: SweepFolder, config: SweepConfig) -> dict[str, Any]:

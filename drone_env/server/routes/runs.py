@@ -2,7 +2,7 @@
 
 from pathlib import Path
 from statistics import fmean
-from typing import Any, Literal
+from typing import Literal
 
 from fastapi import APIRouter, Request, Response
 from pydantic import Field
@@ -14,11 +14,12 @@ from drone_env.errors import InvalidValueError
 from drone_env.llm.messages import ChatMessage
 from drone_env.llm.transcript import Failure
 from drone_env.models import Count, Message
-from drone_env.results.by_map import FlownMap
-from drone_env.results.comparison import AgentMap, Bounds, agent_map, kept_maps
+from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, boards_of
+from drone_env.results.result import Result
+from drone_env.results.statistics import Bounds
 from drone_env.server.jobs import bench
-from drone_env.server.model_runs import newest
 from drone_env.server.problems import RequestError, answers
+from drone_env.server.routes.compare import AgentMap
 from drone_env.server.state import SharedParts
 
 router = APIRouter(tags=["compare"])
@@ -111,89 +112,77 @@ async def run_boards(request: Request, shared: SharedParts, task_name: str) -> R
     # One by one: each has the time of a job, and its worker remembers it.
     flights: list[str] = []
     for path in await shared.work(request, _runs_of, task.id):
-        flights += await shared.work(request, _judge_run, path)
+        flights += await shared.work(request, _check_run, path)
     for path in await shared.work(request, _evaluations):
-        await shared.work(request, _judge_evaluation, path, task.id)
-    kept = await run_in_threadpool(shared.store.kept, flights)
-    return Response(await shared.work(request, _boards, task.id, kept), media_type="application/json")
+        await shared.work(request, _check_evaluation, path, task.id)
+    stored = await run_in_threadpool(shared.store.kept, flights)
+    return Response(await shared.work(request, _boards, task.id, stored), media_type="application/json")
 
 
 def _runs_of(task: str) -> list[Path]:
     return [path for path, config in bench().runs.configs().items() if config is None or config.task == task]
 
 
-def _judge_run(path: Path) -> list[str]:
+def _check_run(path: Path) -> list[str]:
     """The ids under which a store may have its flights."""
-    from drone_env.results.leaderboard import Judged
-
-    judged = bench().runs.judge(path)
-    return [id_ for id_, _ in bench().runs.flights(path)] if isinstance(judged, Judged) else []
+    ranked = all(isinstance(entry, LeaderboardEntry) for entry in bench().runs.entries(path))
+    return [id_ for id_, _ in bench().runs.flights(path)] if ranked else []
 
 
 def _evaluations() -> list[Path]:
     return bench().evaluations.folders()
 
 
-def _judge_evaluation(path: Path, task: str) -> None:
-    bench().evaluations.judge(path, task)
+def _check_evaluation(path: Path, task: str) -> None:
+    bench().evaluations.entries(path, task)
 
 
-def _boards(task: str, kept: set[str]) -> str:
-    from drone_env.results.leaderboard import Judged, Refused, boards_of
-
-    judged = [bench().runs.judge(path) for path in _runs_of(task)]
-    for path in _evaluations():
-        judged += bench().evaluations.judge(path, task)
+def _boards(task: str, stored: set[str]) -> str:
+    found = [entry for path in _runs_of(task) for entry in bench().runs.entries(path)]
+    found += [entry for path in _evaluations() for entry in bench().evaluations.entries(path, task)]
     answer = RunBoards(
         task=task,
         boards=[
-            RunBoard(maps=board.maps, rows=[_row(row, kept) for row in board.rows])
-            for board in boards_of(one for one in judged if isinstance(one, Judged))
+            RunBoard(maps=board.maps, rows=[_row(entry, stored) for entry in board.rows])
+            for board in boards_of(entry for entry in found if isinstance(entry, LeaderboardEntry))
         ],
         unranked=[
             UnrankedRun(run=one.path.name, reason=_without_folder(one.reason, one.path))
-            for one in judged
-            if isinstance(one, Refused)
+            for one in found
+            if isinstance(one, NotRanked)
         ],
     )
     return answer.model_dump_json()
 
 
-def _row(figures: dict[str, Any], kept: set[str]) -> Run:
-    path, config = Path(figures["path"]), figures["config"]
-    agent = figures.get("agent")
-    flown = kept_maps(agent or config["model"], figures)
-    of_model: dict[str, Any] = {"prompt": None, "errored": None, "waits": None, "tokens": None}
-    of_model |= {"unusable_share": None, "marked": False}
-    ids: dict[int, str] = {}
-    if agent is None:
-        ids = newest(bench().runs.flights(path), kept)
-        of_model = {
-            "prompt": config["prompt"],
-            "errored": figures["flights"]["errored"],
-            "waits": figures["waits"],
-            "unusable_share": figures["unusable"]["share"],
-            "marked": figures["unusable"]["marked"],
-            "tokens": sum(figures["tokens"].values()),
-        }
+def _row(entry: LeaderboardEntry, stored: set[str]) -> Run:
+    report, results = entry.report, entry.results
+    is_agent = "agent" in report
+    # The newest flight over each map that the store has.
+    ids = {} if is_agent else {seed: id_ for id_, seed in bench().runs.flights(entry.path) if id_ in stored}
     same = ("score", "score_ci95", "regret", "normalised", "success_rate")
     return Run(
-        **{name: figures[name] for name in same},
-        **of_model,
-        run=path.name,
-        kind="model" if agent is None else "agent",
-        agent=config["model"] if agent is None else _without_place(agent),
-        flights=sum(row.flights for row in flown),
-        steps=fmean(row.steps for row in flown),
-        maps=[agent_map(row._replace(id=ids.get(row.seed))) for row in _listed(flown)],
+        **{name: report[name] for name in same},
+        run=entry.path.name,
+        kind="agent" if is_agent else "model",
+        agent=_without_place(entry.agent) if is_agent else entry.agent,
+        prompt=report["config"].get("prompt"),
+        errored=None if is_agent else report["flights"]["errored"],
+        waits=report.get("waits"),
+        unusable_share=None if is_agent else report["unusable"]["share"],
+        marked=not is_agent and report["unusable"]["marked"],
+        tokens=None if is_agent else sum(report["tokens"].values()),
+        flights=sum(row.flights for row in results.rows()),
+        steps=fmean(results.steps),
+        maps=[AgentMap.of(row._replace(id=ids.get(row.seed))) for row in _listed(results.rows())],
     )
 
 
-def _listed(flown: list[FlownMap]) -> list[FlownMap]:
+def _listed(rows: list[Result]) -> list[Result]:
     """As many as a page can show, by number."""
-    if len(flown) <= LISTED:
-        return flown
-    worst = sorted(flown, key=lambda row: row.score - (row.optimum or 1.0))[:LISTED]
+    if len(rows) <= LISTED:
+        return rows
+    worst = sorted(rows, key=lambda row: row.score - (row.optimum or 1.0))[:LISTED]
     return sorted(worst, key=lambda row: row.seed)
 
 

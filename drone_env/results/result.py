@@ -1,0 +1,197 @@
+"""Results: what came out of flights over maps, one row per flight or per map, in columns."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from statistics import fmean
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from typing_extensions import Self
+
+from drone_env.errors import InvalidValueError
+
+PIECE = 1000
+"""Episodes that the command line flies together, on any engine."""
+COLUMNS: dict[str, type[np.generic]] = {
+    "seeds": np.int64,
+    "scores": np.float64,
+    "steps": np.int32,
+    "deliveries": np.int32,
+    "success": np.bool_,
+    "optimal_scores": np.float64,
+    "optimal_steps": np.int32,
+}
+"""The columns that an evaluation stores, and the types of their arrays."""
+
+
+class EpisodesKey(NamedTuple):
+    """Identifies results: equal keys give equal results.
+
+    `seeds` are [start, stop); `split` is the split that they were chosen from, or `custom`. `config_hash` is empty if
+    nobody knows how the agent was configured. `repeat` numbers the flights of a stochastic agent over one map, from 0:
+    each has other random numbers.
+    """
+
+    task: str
+    version: int
+    split: str
+    seeds: tuple[int, int]
+    agent: str
+    config_hash: str = ""
+    repeat: int = 0
+
+    def pieces(self, size: int = PIECE) -> list[Self]:
+        """The keys of neighbouring pieces of at most `size` episodes each."""
+        start, stop = self.seeds
+        return [self._replace(seeds=(first, min(first + size, stop))) for first in range(start, stop, size)]
+
+
+class Result(NamedTuple):
+    """One row of `Results`, as Python values; None if a value is not known."""
+
+    seed: int
+    score: float
+    success: float
+    steps: float
+    optimum: float | None
+    flights: int
+    id: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """Results of one agent on one task.
+
+    A row is a flight; after `by_map` it is a map, with the means of the flights over it.
+
+    Attributes:
+        key: What was flown.
+        seeds: int64[n], the maps.
+        scores: float64[n], the graded scores.
+        steps: int32[n], steps flown.
+        deliveries: int32[n], parcels delivered.
+        success: bool[n], whether all were.
+        optimal_scores: float64[n], the exact optimum of each map; NaN if no planner knows it.
+        optimal_steps: int32[n], steps of the optimal flight; -1 if no planner knows it.
+        rewards: float64[n], total rewards; None if they are unknown.
+        reward_profile: The profile of all rewards; None if it is unknown or they differ.
+        flights: int64[n], flights behind each row; None if each row is one flight.
+        ids: The newest flight behind each row in the store; empty if none is stored.
+    """
+
+    key: EpisodesKey
+    seeds: npt.NDArray[np.int64]
+    scores: npt.NDArray[np.float64]
+    steps: npt.NDArray[Any]
+    deliveries: npt.NDArray[Any]
+    success: npt.NDArray[Any]
+    optimal_scores: npt.NDArray[np.float64]
+    optimal_steps: npt.NDArray[np.int32]
+    rewards: npt.NDArray[np.float64] | None = None
+    reward_profile: str | None = None
+    flights: npt.NDArray[np.int64] | None = None
+    ids: Sequence[str] = ()
+
+    @classmethod
+    def of_rows(
+        cls, key: EpisodesKey, reward_profile: str | None = None, ids: Sequence[str] = (), **columns: Sequence[Any]
+    ) -> Self:
+        """Results from columns of Python values; deliveries and optimal steps are not known."""
+        arrays: dict[str, Any] = {
+            name: np.array(values, np.float64 if name == "optimal_scores" else None) for name, values in columns.items()
+        }
+        unknown = np.full(len(arrays["seeds"]), -1)
+        return cls(key, **arrays, deliveries=unknown, optimal_steps=unknown, reward_profile=reward_profile, ids=ids)
+
+    @classmethod
+    def of_report(cls, agent: str, report: Mapping[str, Any]) -> Self:
+        """The maps of a report of an evaluation or of a language model: one row per map."""
+        config, maps = report["config"], report["maps"]
+        return cls.of_rows(
+            EpisodesKey(config["task"], config["task_version"], config["split"], tuple(config["seeds"]), agent),
+            seeds=[row["seed"] for row in maps],
+            scores=[fmean(row["scores"]) for row in maps],
+            steps=[fmean(row["steps"]) for row in maps],
+            success=[row["success"] / len(row["scores"]) for row in maps],
+            optimal_scores=[row["optimum"] for row in maps],
+            flights=[len(row["scores"]) for row in maps],
+        )
+
+    def by_map(self) -> "Results":
+        """One row per map, by seed: the means of the flights over it."""
+        if self.flights is not None:
+            return self
+        seeds, first, row, flights = np.unique(self.seeds, return_index=True, return_inverse=True, return_counts=True)
+        means = {
+            name: np.bincount(row, getattr(self, name), len(seeds)) / flights
+            for name in ("scores", "steps", "deliveries", "success")
+        }
+        best = {name: getattr(self, name)[first] for name in ("optimal_scores", "optimal_steps")}
+        rewards = None if self.rewards is None else np.bincount(row, self.rewards) / flights
+        return replace(self, seeds=seeds, **means, **best, rewards=rewards, flights=flights, ids=())
+
+    def take(self, rows: npt.NDArray[np.intp]) -> "Results":
+        """Some of the rows."""
+        columns = {name: getattr(self, name)[rows] for name in COLUMNS}
+        flights, rewards = (None if column is None else column[rows] for column in (self.flights, self.rewards))
+        ids = [self.ids[row] for row in rows] if self.ids else ()
+        return replace(self, **columns, flights=flights, rewards=rewards, ids=ids)
+
+    def rows(self) -> list[Result]:
+        """Each row as Python values."""
+        n = len(self.seeds)
+        columns = (self.seeds.tolist(), self.scores.tolist(), self.success.tolist(), self.steps.tolist())
+        optima = [None if np.isnan(optimum) else optimum for optimum in self.optimal_scores.tolist()]
+        flights = [1] * n if self.flights is None else self.flights.tolist()
+        return [Result(*row) for row in zip(*columns, optima, flights, self.ids or [None] * n, strict=True)]
+
+    def __repr__(self) -> str:
+        """The figures in three lines of at most 80 columns."""
+        from drone_env.results.statistics import Summary, with_interval
+
+        figures, key = Summary.of(self), self.key
+        score = with_interval(figures.score, figures.score_ci95)
+        best = "unknown" if figures.optimum is None else f"{figures.optimum:.4f}"
+        what = f" on {key.task} v{key.version}"
+        room = 80 - len(what)
+        return (
+            f"{key.agent if len(key.agent) <= room else f'…{key.agent[1 - room :]}'}{what}\n"
+            f"maps {key.seeds[0]} to {key.seeds[1] - 1} ({figures.maps}, split {key.split})\n"
+            f"score {score}{'' if figures.score_ci95 is None else ' (95 %)'}, optimum {best}, "
+            f"success {figures.success_rate:.1%}, steps {figures.steps:.1f}"
+        )
+
+
+def concatenate(pieces: Sequence[Results]) -> Results:
+    """One result from the results of neighbouring pieces.
+
+    Raises:
+        InvalidValueError: if there are none, or they are not neighbours of one configuration.
+    """
+    keys = [piece.key for piece in pieces]
+    if not keys:
+        raise InvalidValueError("there are no results to put together")
+    for left, right in pairwise(keys):
+        if left._replace(seeds=right.seeds) != right or left.seeds[1] != right.seeds[0]:
+            raise InvalidValueError(f"these results are not neighbours: {left} and {right}")
+    return _stacked(pieces, keys[0]._replace(seeds=(keys[0].seeds[0], keys[-1].seeds[1])))
+
+
+def repeated(repeats: Sequence[Results]) -> Results:
+    """The flights of one agent over the same maps, all repeats in one table.
+
+    Raises:
+        InvalidValueError: if they are not flights of one agent over the same maps.
+    """
+    first = repeats[0].key
+    for one in repeats:
+        if one.key._replace(repeat=first.repeat) != first:
+            raise InvalidValueError(f"these are not flights of one agent over the same maps: {first} and {one.key}")
+    return _stacked(repeats, first)
+
+
+def _stacked(parts: Sequence[Results], key: EpisodesKey) -> Results:
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+    return Results(key, **columns)

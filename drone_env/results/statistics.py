@@ -1,0 +1,325 @@
+"""The statistics of results: means over maps, their 95 % intervals, and comparisons of two agents map by map.
+
+Flights over one map are averaged first, then the maps. An interval is Student's t over maps, cut to the range that the
+figure can have. Interquartile mean, probability of improvement and performance profile are those of rliable (Agarwal et
+al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice", 2021); rliable samples runs of given tasks,
+we sample maps, and two agents fly the same ones.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from statistics import fmean
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from typing_extensions import Self
+
+from drone_env.core.rules import HIGHEST, LOWEST
+from drone_env.errors import InvalidValueError
+from drone_env.results.result import Results
+
+Floats = npt.NDArray[np.float64]
+Values = Sequence[float] | npt.NDArray[Any]
+Bounds = list[float] | None
+Range = tuple[float, float]
+SCORES: Range = (LOWEST, HIGHEST)
+DIFFERENCES: Range = (LOWEST - HIGHEST, HIGHEST - LOWEST)
+REGRETS: Range = (0.0, HIGHEST - LOWEST)
+SHARES: Range = (0.0, 1.0)
+SAME = 1e-9
+"""Scores that differ by less are equal: a mean of equal scores may be rounded."""
+LEAST_EFFECT = 1.96 + 0.84
+"""Standard errors of a difference that a test at 5 %, two-sided, sees in 80 % of cases (Bloom, "Minimum Detectable
+Effects", 1995)."""
+
+
+class Interval(NamedTuple):
+    """A figure and its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def interval(values: Values, within: Range) -> Interval:
+    """The mean of one value per map, with its interval.
+
+    Raises:
+        InvalidValueError: if there are fewer than two maps.
+    """
+    if len(values) < 2:
+        raise InvalidValueError(f"an interval takes two maps or more, got {len(values)}: fly more of them")
+    return _of_errors(fmean(values), [_error_of(values)], within)
+
+
+def ci95(values: Values, within: Range) -> Bounds:
+    """Both ends of `interval`; None for fewer than two maps."""
+    return None if len(values) < 2 else list(interval(values, within)[1:])
+
+
+def crossed(scores: Floats, within: Range) -> Interval | None:
+    """The mean of float64[seeds, maps], where every seed flies the same maps, with its interval; None for one map.
+
+    The variances of the means by seed and by map add up. With one seed the interval covers the maps alone.
+    """
+    if scores.shape[1] < 2:
+        return None
+    means = [scores.mean(axis=0), scores.mean(axis=1)]
+    return _of_errors(float(scores.mean()), [_error_of(of) for of in means if len(of) > 1], within)
+
+
+def interquartile_mean(scores: Floats) -> Interval:
+    """The mean of the middle half of float64[n]: n // 4 scores are left out at each end.
+
+    The interval is the one of Tukey and McLaughlin (1963) for a trimmed mean: its variance comes from all scores, and
+    each score that is left out counts as the nearest that is not.
+    """
+    ordered, n = np.sort(scores), len(scores)
+    cut = n // 4
+    middle = ordered[cut : n - cut]
+    winsorised, _ = _error_of(np.clip(ordered, middle[0], middle[-1]))
+    freedom = len(middle) - 1
+    error = winsorised * n * (n - 1) / (len(middle) * freedom)
+    return _of_errors(fmean(middle), [(error, freedom)], SCORES)
+
+
+def profile(scores: Floats, thresholds: Floats) -> tuple[Floats, Floats, Floats]:
+    """The performance profile: of float64[n] the share above each threshold, with both ends of its interval."""
+    share, low, high = np.array([interval(scores > threshold, SHARES) for threshold in thresholds]).T
+    return share, low, high
+
+
+def _error_of(values: Values) -> tuple[float, int]:
+    """The variance of the mean of independent values, and its degrees of freedom."""
+    return float(np.var(values, ddof=1)) / len(values), len(values) - 1
+
+
+def _of_errors(mean: float, errors: Sequence[tuple[float, int]], within: Range) -> Interval:
+    """The interval of a figure with independent errors (Welch and Satterthwaite).
+
+    Args:
+        mean: The figure.
+        errors: The variance that each adds to it, and its degrees of freedom.
+        within: The range of the figure.
+    """
+    variance = math.fsum(error for error, _ in errors)
+    if variance == 0:
+        return Interval(mean, mean, mean)
+    freedom = variance**2 / math.fsum(error**2 / degrees for error, degrees in errors)
+    half = student(freedom) * math.sqrt(variance)
+    low, high = within
+    return Interval(mean, max(low, mean - half), min(high, mean + half))
+
+
+def student(freedom: float) -> float:
+    """The 97.5 % quantile of Student's t, to 0.2 %.
+
+    From 3 degrees of freedom on by the expansion in Abramowitz and Stegun (26.7.5); below that, of whole degrees.
+    """
+    if freedom < 3:
+        return 12.7062 if round(freedom, 9) < 2 else 4.3027
+    z = 1.959964
+    series = (
+        (z**3 + z) / 4,
+        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
+        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
+        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
+    )
+    return z + sum(term / freedom**power for power, term in enumerate(series, 1))
+
+
+def with_interval(mean: float | None, interval: Sequence[float] | None, form: str = ".4f") -> str:
+    """Write a mean with half the width of its interval; with both ends if the range of the figure cuts one off."""
+    if mean is None or interval is None:
+        return "-" if mean is None else format(mean, form)
+    low, high = interval
+    if abs(low + high - 2 * mean) > 1e-9:
+        return f"{mean:{form}} [{low:{form}}, {high:{form}}]"
+    return f"{mean:{form}} ± {high - mean:{form}}"
+
+
+def mean_of(values: Values) -> float | None:
+    """The exactly rounded mean: the same in any order; None if there are no values."""
+    return fmean(values) if len(values) else None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The statistics of results; None if a figure is not known.
+
+    Attributes:
+        maps: Different maps.
+        flights: Flights over them.
+        score: Mean graded score.
+        score_ci95: Its interval, as all intervals None for a single map.
+        success_rate: Share of flights that delivered everything.
+        success_ci95: Its interval.
+        steps: Mean length.
+        reward: Mean total reward; None if the flights were paid by different profiles.
+        optimum: Mean optimum; None if the optimum of any map is unknown.
+        ratio: The optimality ratio, mean score / mean optimum.
+        regret: Mean of optimum - score, over the maps whose optimum is known.
+        regret_ci95: Its interval.
+        regret_maps: How many maps these are.
+        excess_steps: Mean steps beyond the optimal flight's, over flights that delivered everything.
+    """
+
+    maps: int
+    flights: int
+    score: float | None
+    score_ci95: Bounds
+    success_rate: float | None
+    success_ci95: Bounds
+    steps: float | None
+    reward: float | None
+    optimum: float | None
+    ratio: float | None
+    regret: float | None
+    regret_ci95: Bounds
+    regret_maps: int
+    excess_steps: float | None
+
+    @classmethod
+    def of(cls, results: Results, by_map: bool = True) -> Self:
+        """The statistics of results.
+
+        Args:
+            results: The results.
+            by_map: Whether to average the flights over each map first; else each flight counts as a map of its own.
+        """
+        rows = results.by_map() if by_map else results
+        n, flights = len(rows.seeds), len(results.seeds)
+        if results.flights is not None:
+            flights = int(results.flights.sum())
+        # If every map has as many flights, the mean over flights is the mean over maps, and rounded once.
+        even = results if rows.flights is None or len(set(rows.flights.tolist())) == 1 else rows
+        known = ~np.isnan(rows.optimal_scores)
+        regret = (rows.optimal_scores - rows.scores)[known]
+        score, optimum = mean_of(rows.scores), mean_of(rows.optimal_scores) if known.all() else None
+        delivered = results.success == 1
+        excess = (results.steps - results.optimal_steps)[delivered & (results.optimal_steps >= 0)]
+        return cls(
+            maps=n,
+            flights=flights,
+            score=score,
+            score_ci95=ci95(rows.scores, SCORES),
+            success_rate=mean_of(even.success),
+            success_ci95=ci95(rows.success, SHARES),
+            steps=mean_of(even.steps),
+            reward=None if rows.rewards is None or rows.reward_profile is None else mean_of(rows.rewards),
+            optimum=optimum,
+            ratio=None if score is None or optimum is None else score / optimum,
+            regret=mean_of(regret),
+            regret_ci95=ci95(regret, REGRETS),
+            regret_maps=len(regret),
+            excess_steps=mean_of(excess),
+        )
+
+
+def normalised(score: float | None, floor: float | None, optimum: float | None) -> float | None:
+    """(score - floor) / (optimum - floor), with the mean score of random flights over the same maps as floor."""
+    if score is None or floor is None or optimum is None or optimum == floor:
+        return None
+    return (score - floor) / (optimum - floor)
+
+
+def ranked(agents: Mapping[str, Results]) -> list[tuple[str, Summary]]:
+    """Agents by mean regret, the lowest first, then by number of maps.
+
+    Each agent chose its own maps, and on some maps little can be won: so only regret compares. An agent whose maps all
+    lack an optimum comes last.
+    """
+
+    def rank(row: tuple[str, Summary]) -> tuple[float, int, str]:
+        agent, summary = row
+        return math.inf if summary.regret is None else round(summary.regret, 9), -summary.maps, agent
+
+    return sorted(((agent, Summary.of(results)) for agent, results in agents.items()), key=rank)
+
+
+@dataclass(frozen=True)
+class PairedComparison:
+    """Two agents over the maps that both flew, positive where `a` is better.
+
+    Attributes:
+        a: The results of one agent, one row per map.
+        b: Those of the other, over the same maps.
+    """
+
+    a: Results
+    b: Results
+
+    @classmethod
+    def of(cls, a: Results, b: Results) -> Self:
+        """Pair the results of two agents by map."""
+        a, b = a.by_map(), b.by_map()
+        _, rows_a, rows_b = np.intersect1d(a.seeds, b.seeds, assume_unique=True, return_indices=True)
+        return cls(a.take(rows_a), b.take(rows_b))
+
+    @cached_property
+    def differences(self) -> Floats:
+        """The score of a less that of b, by map."""
+        return self.a.scores - self.b.scores
+
+    @property
+    def outcomes(self) -> tuple[int, int, int]:
+        """Maps that a won, ties, and maps that a lost."""
+        wins, ties = (self.differences >= SAME).sum(), (np.abs(self.differences) < SAME).sum()
+        return int(wins), int(ties), int(len(self.differences) - wins - ties)
+
+    def figures(self) -> dict[str, Any]:
+        """How sure it is which agent is better, as JSON values.
+
+        `difference` has the interval of pairs, `unpaired` the one that two agents over maps of their own would have,
+        which is `narrower` times as wide (null if the pairs never differ). `improvement` is the share of maps on which
+        a is better; equal scores count half. `detectable` is the smallest true difference that as many pairs would
+        show in four of five cases.
+
+        Raises:
+            InvalidValueError: if both flew fewer than two maps.
+        """
+        difference = interval(self.differences, DIFFERENCES)
+        error = _error_of(self.differences)[0]
+        unpaired = _of_errors(difference.mean, [_error_of(self.a.scores), _error_of(self.b.scores)], DIFFERENCES)
+        better = np.where(np.abs(self.differences) < SAME, 0.5, self.differences > 0)
+        width = difference.high - difference.low
+        return {
+            "maps": len(self.differences),
+            "difference": difference._asdict(),
+            "unpaired": unpaired._asdict(),
+            "narrower": (unpaired.high - unpaired.low) / width if width > SAME else None,
+            "improvement": interval(better, SHARES)._asdict(),
+            "detectable": LEAST_EFFECT * math.sqrt(error),
+        }
+
+
+def compared(agents: Mapping[str, Results]) -> dict[str, Any]:
+    """The figures of agents over the same maps, and of all others beside the first, as JSON values.
+
+    Raises:
+        InvalidValueError: if there are fewer than two maps that the first and another flew.
+    """
+    first = next(iter(agents), None)
+    alone: dict[str, Any] = {}
+    for agent, results in agents.items():
+        rows = results.by_map()
+        alone[agent] = {
+            "score": interval(rows.scores, SCORES)._asdict(),
+            "iqm": interquartile_mean(rows.scores)._asdict(),
+            "success_rate": mean_of(rows.success),
+        }
+    others = {
+        agent: PairedComparison.of(results, agents[f"{first}"]).figures()
+        for agent, results in agents.items()
+        if agent != first
+    }
+    return {"first": first, "agents": alone, "others": others}
+
+
+def optimality_ratios(results: Results) -> Floats:
+    """Score / optimum of each map, float64[n]; the scores if the optimum of one of them is not known."""
+    rows = results.by_map()
+    return rows.scores if np.isnan(rows.optimal_scores).any() else rows.scores / rows.optimal_scores
