@@ -1,4 +1,4 @@
-"""Agents: everything that can fly by itself. `make_agent` turns a name into one, whoever asks."""
+"""Agents, which choose actions. `make_agent` makes one by its name."""
 
 from collections.abc import Callable
 from functools import partial
@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from drone_env.agents.base import Agent, BatchAgent
-from drone_env.agents.greedy import GreedyAgent
 from drone_env.agents.named import agent_named, sb3_elsewhere, sb3_file
-from drone_env.agents.optimal import OptimalAgent
 from drone_env.agents.pathqnet import PathQNetAgent
-from drone_env.agents.random import RandomAgent
-from drone_env.agents.tournet import TournetAgent
-from drone_env.agents.tournet_search import TournetSearchAgent
+from drone_env.agents.planned import OptimalAgent
+from drone_env.agents.simple import GreedyAgent, RandomAgent
+from drone_env.agents.tournet import TournetAgent, TournetSearchAgent
 from drone_env.agents.weights_file import PATHQNET, TOURNET
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError, UnknownNameError

@@ -20,7 +20,7 @@ from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.results.interval import SHARES, crossed, interval
 from drone_env.rl.config import TrainConfig
-from drone_env.rl.trainer import Trainer
+from drone_env.rl.dqn import Trainer
 
 SMALL = (
     "num_envs=8", "batch_size=16", "replay_size=400", "learning_starts=50", "steps_per_update=8", "validation_every=10",

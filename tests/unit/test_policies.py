@@ -250,7 +250,7 @@ def test_an_agent_that_fails_is_told_with_task_map_step_and_its_own_traceback(
 @pytest.mark.parametrize(
     ("name", "file", "there"),
     [
-        ("pathqnet:data/easy.npz", "data/easy.npz", "pathqnet:/tmp/there"),
+        ("pathqnet:data/easy.safetensors", "data/easy.safetensors", "pathqnet:/tmp/there"),
         ("./m.zip", "m.zip", "/tmp/there"),
         ("a/m.zip:FlatObservation", "a/m.zip", "/tmp/there:FlatObservation"),
         ("a/m.zip:sampled", "a/m.zip", "/tmp/there:sampled"),

@@ -1,4 +1,4 @@
-"""Lessons for the tour network: the values that they teach, and which states they are drawn from."""
+"""Samples for the tour network: the values that they teach, and which states they are drawn from."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from drone_env.agents.tour_view import HERE, LEFT, UNITS, View
-from drone_env.agents.tour_viewer import Viewer
+from drone_env.agents.tour_encoder import FeatureEncoder
+from drone_env.agents.tour_features import HERE, LEFT, UNITS, Features
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import GOLDEN, mix64, next_key, uniform_below
@@ -17,8 +17,8 @@ from drone_env.core.standing import standing_episode
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.planning.exact import ExactSolver
 from drone_env.planning.map_graph import state_arrays
-from drone_env.rl.lessons import COMPLETE, FROM_START, Lessons, Teacher
-from tests.unit.tour_views import EVERY_TASK
+from drone_env.rl.samples import COMPLETE, FROM_START, SampleGenerator, Samples
+from tests.unit.tour_features import EVERY_TASK
 
 OWN = {
     "a long battery": replace(get_task("medium"), id="own", battery_capacity=140),
@@ -28,7 +28,7 @@ Option = tuple[int, int, int, int]
 """The cell that it leads to, units, steps, first action."""
 
 
-Flight = tuple[View, list[int], list[float]]
+Flight = tuple[Features, list[int], list[float]]
 """Its states, and of those that it began with: the steps left and the best value of each."""
 
 
@@ -45,46 +45,52 @@ def map_of(task: TaskConfig, seed: int) -> Map:
     return Map(ground, state[entries].tolist(), np.flatnonzero(ground == Cell.PAD).tolist())
 
 
-def options_of(view: View, m: int, stops: list[int]) -> list[Option]:
+def options_of(features: Features, m: int, stops: list[int]) -> list[Option]:
     """The options of state m, in order, where token t leads to stop t - 1."""
-    some = slice(view.begins[m], view.begins[m + 1])
-    return [(stops[t - 1], *numbers) for t, numbers in zip(view.token[some], view.numbers[some].tolist(), strict=True)]
+    some = slice(features.begins[m], features.begins[m + 1])
+    return [
+        (stops[t - 1], *numbers)
+        for t, numbers in zip(features.token[some], features.numbers[some].tolist(), strict=True)
+    ]
 
 
-def options_at(viewer: Viewer, episode: Episode) -> list[Option]:
+def options_at(encoder: FeatureEncoder, episode: Episode) -> list[Option]:
     """The options that the agent would see there."""
     ground, _, _ = state_arrays(episode)
     left = episode.task.max_steps - episode.steps
     drone = np.array([[episode.cell, episode.battery_units, left]])
     # The agent knows the parcels and the pads by where they stand on the map alone.
     sites = [*np.flatnonzero(ground == Cell.DELIVERY).tolist(), *np.flatnonzero(ground == Cell.PAD).tolist()]
-    return options_of(viewer.views(ground[None], drone), 0, sites)
+    return options_of(encoder.encode(ground[None], drone), 0, sites)
 
 
-def states_of(task: TaskConfig, drawn: Map, lessons: Lessons) -> Iterator[tuple[Episode, list[Option], list[float]]]:
+def states_of(task: TaskConfig, drawn: Map, samples: Samples) -> Iterator[tuple[Episode, list[Option], list[float]]]:
     """Each state as an episode, its options and their values.
 
-    A view does not tell the cell of the drone: it stands where all its options begin.
+    A features does not tell the cell of the drone: it stands where all its options begin.
     """
-    view, viewer = lessons.view, Viewer(task)
-    for m in range(len(view.tokens)):
-        options = options_of(view, m, [*drawn.parcels, *drawn.pads])
-        units, left = round(view.tokens[m, 0, UNITS] * task.battery_capacity), view.tokens[m, 0, LEFT] * task.max_steps
-        waits = view.present[m, 1 : len(drawn.parcels) + 1]
+    features, encoder = samples.features, FeatureEncoder(task)
+    for m in range(len(features.tokens)):
+        options = options_of(features, m, [*drawn.parcels, *drawn.pads])
+        units, left = (
+            round(features.tokens[m, 0, UNITS] * task.battery_capacity),
+            features.tokens[m, 0, LEFT] * task.max_steps,
+        )
+        waits = features.present[m, 1 : len(drawn.parcels) + 1]
         parcels = [(cell, not there) for cell, there in zip(drawn.parcels, waits.tolist(), strict=True)]
         ground = drawn.ground.copy()
         for cell, delivered in parcels:
             ground[cell] = Cell.DELIVERED if delivered else Cell.DELIVERY
         for cell in np.flatnonzero(~np.isin(ground, [Cell.DELIVERY, *task.impassable])).tolist():
             episode = standing_episode(task, ground, cell, units, task.max_steps - round(left), parcels)
-            if sorted(options_at(viewer, episode)) == sorted(options):
-                yield episode, options, lessons.values[view.begins[m] : view.begins[m + 1]].tolist()
+            if sorted(options_at(encoder, episode)) == sorted(options):
+                yield episode, options, samples.values[features.begins[m] : features.begins[m + 1]].tolist()
                 break
         else:
             raise AssertionError(f"state {m} stands nowhere")
 
 
-def flown_along(viewer: Viewer, episode: Episode, option: Option) -> Episode:
+def flown_along(encoder: FeatureEncoder, episode: Episode, option: Option) -> Episode:
     """The episode at the end of the way, each of its actions found anew by what is left of it."""
     to, units, steps, action = option
     after = episode.copy()
@@ -95,7 +101,7 @@ def flown_along(viewer: Viewer, episode: Episode, option: Option) -> Episode:
         if steps == 0:
             assert units == 0
             return after
-        action = next(rest[3] for rest in options_at(viewer, after) if rest[:3] == (to, units, steps))
+        action = next(rest[3] for rest in options_at(encoder, after) if rest[:3] == (to, units, steps))
 
 
 @pytest.mark.parametrize(
@@ -107,50 +113,50 @@ def flown_along(viewer: Viewer, episode: Episode, option: Option) -> Episode:
 )
 def test_an_option_is_worth_what_the_exact_solver_says_of_where_it_leads(name: str) -> None:
     task = OWN.get(name) or EVERY_TASK[name]
-    teacher, viewer, compared = Teacher(task, 1, 12), Viewer(task), 0
+    generator, encoder, compared = SampleGenerator(task, 1, 12), FeatureEncoder(task), 0
     for seed in (3, 4):
-        lessons = teacher.draw(np.array([seed]))
-        for episode, options, values in states_of(task, map_of(task, seed), lessons):
+        samples = generator.generate(np.array([seed]))
+        for episode, options, values in states_of(task, map_of(task, seed), samples):
             solver = ExactSolver(episode)
             for option, value in zip(options, values, strict=True):
-                after = flown_along(viewer, episode, option)
+                after = flown_along(encoder, episode, option)
                 assert value == np.float32(solver.value(after))
                 compared += 1
     assert compared > 40
 
 
-def assert_equal(a: Lessons, b: Lessons) -> None:
-    for ours, theirs in zip((*a.view, a.values), (*b.view, b.values), strict=True):
+def assert_equal(a: Samples, b: Samples) -> None:
+    for ours, theirs in zip((*a.features, a.values), (*b.features, b.values), strict=True):
         assert ours.dtype == theirs.dtype
         assert np.array_equal(ours, theirs)
 
 
 def test_lessons_depend_on_the_seeds_of_their_maps_alone() -> None:
     task, seeds = get_task("skyline_easy"), np.array([5, 6])
-    teacher = Teacher(task, 2, 16)
-    first = teacher.draw(seeds)
-    other = teacher.draw(seeds + 2)
-    assert not np.array_equal(first.view.tokens, other.view.tokens)
-    assert_equal(teacher.draw(seeds), first)
-    assert_equal(Teacher(task, 2, 16).draw(seeds), first)
-    one = teacher.draw(seeds[1:])
-    assert len(first.view.tokens) == 2 * len(one.view.tokens) == 32
+    generator = SampleGenerator(task, 2, 16)
+    first = generator.generate(seeds)
+    other = generator.generate(seeds + 2)
+    assert not np.array_equal(first.features.tokens, other.features.tokens)
+    assert_equal(generator.generate(seeds), first)
+    assert_equal(SampleGenerator(task, 2, 16).generate(seeds), first)
+    one = generator.generate(seeds[1:])
+    assert len(first.features.tokens) == 2 * len(one.features.tokens) == 32
     assert np.array_equal(first.values[-len(one.values) :], one.values)
 
 
 def test_of_every_state_that_is_kept_the_options_differ_in_worth() -> None:
     for name, fatal in (("hard", False), ("skyline_easy", True)):
-        view, values = Teacher(get_task(name), 8, 32).draw(np.arange(8))
-        assert len(view.tokens) == 256
-        worst, best = (function.reduceat(values, view.begins[:-1]) for function in (np.minimum, np.maximum))
+        features, values = SampleGenerator(get_task(name), 8, 32).generate(np.arange(8))
+        assert len(features.tokens) == 256
+        worst, best = (function.reduceat(values, features.begins[:-1]) for function in (np.minimum, np.maximum))
         assert (worst < best).all()
         # Where a mission can be lost, a choice often decides on that.
         assert (((worst < COMPLETE) & (best >= COMPLETE)).sum() > 64) == fatal
 
 
 def test_where_no_choice_matters_no_state_is_kept() -> None:
-    lessons = Teacher(get_task("easy"), 2, 8).draw(np.arange(2))
-    assert [len(part) for part in (*lessons.view, lessons.values)] == [0, 0, 0, 1, 0, 0, 0, 0]
+    samples = SampleGenerator(get_task("easy"), 2, 8).generate(np.arange(2))
+    assert [len(part) for part in (*samples.features, samples.values)] == [0, 0, 0, 1, 0, 0, 0, 0]
 
 
 @pytest.fixture(scope="module")
@@ -158,16 +164,16 @@ def first_flights() -> list[Flight]:
     """On each map the first flight, where it begins at the start."""
     task = get_task("skyline_easy")
     flights: list[Flight] = []
-    teacher = Teacher(task, 1, 16)
+    generator = SampleGenerator(task, 1, 16)
     for seed in range(200):
         if uniform_below(next_key(mix64(seed ^ GOLDEN)), 100) >= FROM_START:
             continue
-        view, values = teacher.draw(np.array([seed]))
-        left = np.rint(view.tokens[:, 0, LEFT] * task.max_steps).astype(int)
+        features, values = generator.generate(np.array([seed]))
+        left = np.rint(features.tokens[:, 0, LEFT] * task.max_steps).astype(int)
         # The next flight of the map begins anew, with more steps left.
         count = 1 + next((m for m in range(len(left) - 1) if left[m + 1] >= left[m]), len(left) - 1)
-        best = np.maximum.reduceat(values, view.begins[:-1])[:count]
-        flights.append((view, left[:count].tolist(), best.tolist()))
+        best = np.maximum.reduceat(values, features.begins[:-1])[:count]
+        flights.append((features, left[:count].tolist(), best.tolist()))
     return flights
 
 
@@ -185,11 +191,11 @@ def test_a_choice_that_loses_the_mission_is_not_flown(
 def test_states_are_drawn_on_the_way_too(first_flights: list[Flight]) -> None:
     """After one step of a way that another state began with, what is left of it is among the options."""
     on_the_way, capacity = 0, get_task("skyline_easy").battery_capacity
-    for view, left, _ in first_flights:
-        stops = list(range(view.tokens.shape[1]))
+    for features, left, _ in first_flights:
+        stops = list(range(features.tokens.shape[1]))
         for m in range(len(left) - 1):
-            if left[m] - left[m + 1] == 1 and not view.tokens[m + 1, :, HERE].any():
-                spent = round((view.tokens[m, 0, UNITS] - view.tokens[m + 1, 0, UNITS]) * capacity)
-                rest = {option[:3] for option in options_of(view, m + 1, stops)}
-                on_the_way += any((t, u - spent, s - 1) in rest for t, u, s, _ in options_of(view, m, stops))
+            if left[m] - left[m + 1] == 1 and not features.tokens[m + 1, :, HERE].any():
+                spent = round((features.tokens[m, 0, UNITS] - features.tokens[m + 1, 0, UNITS]) * capacity)
+                rest = {option[:3] for option in options_of(features, m + 1, stops)}
+                on_the_way += any((t, u - spent, s - 1) in rest for t, u, s, _ in options_of(features, m, stops))
     assert on_the_way > 20
