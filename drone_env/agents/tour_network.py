@@ -18,37 +18,28 @@ WIDTH, HEADS, LAYERS, EDGE, EDGE_HIDDEN, HIDDEN = 64, 4, 4, 16, 32, 64
 HEAD = WIDTH // HEADS
 
 
-def _layer(name: str, outputs: int, inputs: int) -> dict[str, tuple[int, ...]]:
-    return {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
-
-
-def _norm(name: str) -> dict[str, tuple[int, ...]]:
-    return {f"{name}.weight": (WIDTH,), f"{name}.bias": (WIDTH,)}
-
-
-def _block(name: str) -> dict[str, tuple[int, ...]]:
-    return {
-        **_norm(f"{name}.norm1"),
-        **_layer(f"{name}.qkv", 3 * WIDTH, WIDTH),
-        **_layer(f"{name}.bias", HEADS, EDGE),
-        **_layer(f"{name}.out", WIDTH, WIDTH + HEADS * EDGE),
-        **_norm(f"{name}.norm2"),
-        **_layer(f"{name}.up", 2 * WIDTH, WIDTH),
-        **_layer(f"{name}.down", WIDTH, 2 * WIDTH),
-    }
-
-
-SHAPES: dict[str, tuple[int, ...]] = {
-    **_layer("tokens", WIDTH, TOKEN_FEATURES),
-    **_layer("edges1", EDGE_HIDDEN, EDGE_FEATURES),
-    **_layer("edges2", EDGE, EDGE_HIDDEN),
-    **{name: shape for i in range(LAYERS) for name, shape in _block(f"blocks.{i}").items()},
-    **_norm("norm"),
-    **_layer("node", HIDDEN, WIDTH),
-    "option.weight": (HIDDEN, OPTION_FEATURES),
-    **_layer("hidden", HIDDEN, HIDDEN),
-    **_layer("head", 2, HIDDEN),
+LAYER_SHAPES: dict[str, tuple[int, ...]] = {
+    "tokens": (WIDTH, TOKEN_FEATURES),
+    "edges1": (EDGE_HIDDEN, EDGE_FEATURES),
+    "edges2": (EDGE, EDGE_HIDDEN),
+    "node": (HIDDEN, WIDTH),
+    "option": (HIDDEN, OPTION_FEATURES),  # without a bias
+    "hidden": (HIDDEN, HIDDEN),
+    "head": (2, HIDDEN),
+    "norm": (WIDTH,),
 }
+BLOCK_SHAPES: dict[str, tuple[int, ...]] = {
+    "norm1": (WIDTH,),
+    "qkv": (3 * WIDTH, WIDTH),
+    "bias": (HEADS, EDGE),
+    "out": (WIDTH, WIDTH + HEADS * EDGE),
+    "norm2": (WIDTH,),
+    "up": (2 * WIDTH, WIDTH),
+    "down": (WIDTH, 2 * WIDTH),
+}
+LAYER_SHAPES.update({f"blocks.{i}.{name}": shape for i in range(LAYERS) for name, shape in BLOCK_SHAPES.items()})
+SHAPES: dict[str, tuple[int, ...]] = {f"{name}.weight": shape for name, shape in LAYER_SHAPES.items()}
+SHAPES.update({f"{name}.bias": shape[:1] for name, shape in LAYER_SHAPES.items() if name != "option"})
 """The shapes of the parameters, under the names of `rl.models`."""
 
 
