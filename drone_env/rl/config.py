@@ -21,10 +21,10 @@ class Bounds(NamedTuple):
     multiple_of: int | None = None
 
 
-Count = Annotated[int, Bounds(gt=0)]
-CountOrNone = Annotated[int, Bounds(ge=0)]
-Number = Annotated[float, Bounds(ge=0)]
-Positive = Annotated[float, Bounds(gt=0)]
+PositiveInt = Annotated[int, Bounds(gt=0)]
+NonNegativeInt = Annotated[int, Bounds(ge=0)]
+NonNegativeFloat = Annotated[float, Bounds(ge=0)]
+PositiveFloat = Annotated[float, Bounds(gt=0)]
 Share = Annotated[float, Bounds(ge=0, le=1)]
 ShareBelowOne = Annotated[float, Bounds(ge=0, lt=1)]
 
@@ -75,36 +75,36 @@ class TrainConfig:
 
     task: str = "easy"
     """The task, by its short name, id or grader."""
-    episodes: Count = 3_000
+    episodes: PositiveInt = 3_000
     """Number of episodes, those before a resume included."""
-    seed: CountOrNone = 0
+    seed: NonNegativeInt = 0
     """Seed of the weights, maps, exploration and replay: equal seeds give equal runs on a CPU."""
     reward_profile: str = DEFAULT_PROFILE
     """Reward profile. Potential-based shaping, if the profile has it, uses `gamma`."""
     gpu: bool = False
     """Train on a CUDA device."""
-    num_threads: Count = 2
+    num_threads: PositiveInt = 2
     """Number of PyTorch threads. It changes the last bits of a run."""
-    num_envs: Count = 512
+    num_envs: PositiveInt = 512
     """Number of parallel environments."""
     gamma: Share = 0.99
     """Discount factor."""
-    reward_scale: Positive = 10.0
+    reward_scale: PositiveFloat = 10.0
     """Factor on the rewards that the network learns. Q-values differ by some hundredths of a score between actions;
     the factor lifts these differences above the noise of the output at this learning rate."""
-    n_step: Count = 1
+    n_step: PositiveInt = 1
     """Steps of reward before the target bootstraps."""
-    batch_size: Count = 256
+    batch_size: PositiveInt = 256
     """Transitions per update."""
-    learning_rate: Positive = 5e-4
+    learning_rate: PositiveFloat = 5e-4
     """Learning rate of Adam at the start."""
-    final_learning_rate: Number = 1e-5
+    final_learning_rate: NonNegativeFloat = 1e-5
     """Learning rate at the last episode; the decay is linear."""
-    replay_size: Count = 200_000
+    replay_size: PositiveInt = 200_000
     """Capacity of the replay buffer in transitions."""
-    learning_starts: CountOrNone = 5_000
+    learning_starts: NonNegativeInt = 5_000
     """Steps before the first update."""
-    steps_per_update: Positive = 64.0
+    steps_per_update: PositiveFloat = 64.0
     """Environment steps per update."""
     double: bool = True
     """Whether the online network chooses the action that the target network values (Double DQN)."""
@@ -113,13 +113,13 @@ class TrainConfig:
     1 / (1 - 0.9) times as wide and keeps the value of the best action."""
     loss: Literal["huber", "mse"] = "huber"
     """Loss of the TD error."""
-    max_grad_norm: Number = 10.0
+    max_grad_norm: NonNegativeFloat = 10.0
     """Maximum norm of the gradient; 0 for no clipping."""
     target_update: Literal["soft", "episodes"] = "soft"
     """Update the target network a little at every update, or copy it every few episodes."""
     tau: Share = 0.02
     """Weight of the online network in a soft update."""
-    target_every: Count = 10
+    target_every: PositiveInt = 10
     """Episodes between two copies, if `target_update` is `episodes`."""
     exploration: Literal["linear", "multiplicative"] = "linear"
     """Decay of epsilon: linear over steps, or a factor per episode."""
@@ -127,19 +127,19 @@ class TrainConfig:
     """Probability of a random action at the start."""
     epsilon_end: Share = 0.5
     """Probability of a random action at the end."""
-    epsilon_steps: Count = 80_000
+    epsilon_steps: PositiveInt = 80_000
     """Steps of the linear decay."""
     epsilon_factor: Annotated[float, Bounds(gt=0, le=1)] = 0.995
     """Factor per episode of the multiplicative decay."""
-    validation_every: Count = 100
+    validation_every: PositiveInt = 100
     """Episodes between two validations."""
-    validation_maps: Count = 500
+    validation_maps: PositiveInt = 500
     """Number of validation maps."""
-    log_every: Count = 20
+    log_every: PositiveInt = 20
     """Episodes per line of the log."""
-    checkpoint_episodes: CountOrNone = 50
+    checkpoint_episodes: NonNegativeInt = 50
     """Minimum number of episodes before the first checkpoint and between two."""
-    checkpoint_seconds: Number = 10.0
+    checkpoint_seconds: NonNegativeFloat = 10.0
     """Minimum time between two checkpoints in seconds."""
 
     def __post_init__(self) -> None:

@@ -16,21 +16,11 @@ from math import isqrt, sqrt
 import torch
 from torch import Tensor, nn
 
-from drone_env.agents.pathqnet import EPSILON, POOLED, SHAPES
+from drone_env.agents.pathqnet import EPSILON, MAP_FEATURES, POOLED
 from drone_env.agents.tour_features import EDGE_FEATURES, OPTION_FEATURES, TOKEN_FEATURES
+from drone_env.core.actions import N_ACTIONS
+from drone_env.core.cells import N_CELL_KINDS
 from drone_env.errors import InvalidValueError
-
-
-def _linear(name: str, more: int = 0) -> nn.Linear:
-    """A linear layer of the size in `agents.pathqnet`, with more inputs."""
-    outputs, inputs = SHAPES[f"{name}.weight"]
-    return nn.Linear(inputs + more, outputs)
-
-
-def _convolution(name: str) -> nn.Conv2d:
-    """A 3 x 3 convolution of the size in `agents.pathqnet` that keeps the size of the map."""
-    outputs, inputs, *_ = SHAPES[f"{name}.weight"]
-    return nn.Conv2d(inputs, outputs, kernel_size=3, padding=1)
 
 
 class MapEncoder(nn.Module):
@@ -38,11 +28,10 @@ class MapEncoder(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        kinds, width = SHAPES["encoder.embedding.weight"]
-        self.embedding = nn.Embedding(kinds, width)
-        self.conv1 = _convolution("encoder.conv1")
-        self.conv2 = _convolution("encoder.conv2")
-        self.linear = _linear("encoder.linear")
+        self.embedding = nn.Embedding(N_CELL_KINDS, 8)
+        self.conv1 = nn.Conv2d(8, 16, kernel_size=3, padding=1)
+        self.conv2 = nn.Conv2d(16, 32, kernel_size=3, padding=1)
+        self.linear = nn.Linear(32 * POOLED * POOLED, MAP_FEATURES)
 
     def forward(self, grid: Tensor) -> Tensor:
         """The features of a batch of maps.
@@ -80,14 +69,14 @@ class PathQNet(nn.Module):
         super().__init__()
         self.encoder = MapEncoder()
         self.head = nn.Sequential(
-            _linear("head.0", telemetry_size),
-            nn.LayerNorm(list(SHAPES["head.1.weight"]), eps=EPSILON),
+            nn.Linear(MAP_FEATURES + telemetry_size, 128),
+            nn.LayerNorm(128, eps=EPSILON),
             nn.ReLU(),
-            _linear("head.3"),
+            nn.Linear(128, 128),
             nn.ReLU(),
-            _linear("head.5"),
+            nn.Linear(128, 64),
             nn.ReLU(),
-            _linear("head.7"),
+            nn.Linear(64, N_ACTIONS),
         )
 
     def forward(self, grid: Tensor, telemetry: Tensor) -> Tensor:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.rl.config import Count, Share, check_numbers
+from drone_env.rl.config import PositiveInt, Share, check_numbers
 
 
 def linear(start: float, end: float, duration: int, step: int) -> float:
@@ -33,7 +33,7 @@ class EpsilonGreedyPolicy:
 
     eps_start: Share = 1.0
     eps_end: Share = 0.05
-    decay_steps: Count = 5000
+    decay_steps: PositiveInt = 5000
 
     def __post_init__(self) -> None:
         check_numbers(self)

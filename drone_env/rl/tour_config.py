@@ -8,7 +8,16 @@ import numpy as np
 
 from drone_env.core.tasks import TASKS, TaskConfig, get_task, own_rules
 from drone_env.errors import InvalidValueError
-from drone_env.rl.config import Bounds, Count, CountOrNone, Number, Positive, Share, ShareBelowOne, check_numbers
+from drone_env.rl.config import (
+    Bounds,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Share,
+    ShareBelowOne,
+    check_numbers,
+)
 
 ALL = "all"
 SHARES = {
@@ -55,7 +64,7 @@ class TourConfig:
     """Learn from the exact value of each option, or from the scores of the network's own plans."""
     initial: str = ""
     """File of an exported tour network to start from; empty for random weights."""
-    updates: Count = 12_000
+    updates: PositiveInt = 12_000
     """Number of updates, and length of the learning rate's decay."""
     seed: Annotated[int, Bounds(ge=0, lt=2**63)] = 0
     """Seed of the weights, maps and batches: equal seeds give equal runs on a CPU."""
@@ -63,41 +72,41 @@ class TourConfig:
     """Number of PyTorch threads, beside one that generates samples. It changes the last bits of a run."""
     batch_size: Annotated[int, Bounds(gt=0, le=1 << 16, multiple_of=4)] = 512
     """States per update, all of one task: a quarter from each of four chunks."""
-    learning_rate: Positive = 1e-3
+    learning_rate: PositiveFloat = 1e-3
     """Maximum learning rate of AdamW."""
-    final_learning_rate: Number = 1e-5
+    final_learning_rate: NonNegativeFloat = 1e-5
     """Learning rate at the last update, after a cosine decay."""
-    warm_up: CountOrNone = 200
+    warm_up: NonNegativeInt = 200
     """Updates of linear warm-up."""
-    weight_decay: Number = 1e-4
+    weight_decay: NonNegativeFloat = 1e-4
     """Weight decay of AdamW."""
-    max_grad_norm: Positive = 1.0
+    max_grad_norm: PositiveFloat = 1.0
     """Maximum norm of the gradient."""
-    temperature: Positive = 0.004
+    temperature: PositiveFloat = 0.004
     """Regret, in score, at which the target probability of an option is 1 / e of the best one's."""
-    regret_weight: Number = 100.0
+    regret_weight: NonNegativeFloat = 100.0
     """Weight of the expected regret in the loss."""
-    completion_weight: Number = 2.0
+    completion_weight: NonNegativeFloat = 2.0
     """Weight of the completion loss."""
     average: ShareBelowOne = 0.998
     """Decay of the moving average of the weights, which is the network that flies."""
-    maps_per_chunk: Count = 8
+    maps_per_chunk: PositiveInt = 8
     """Maps in a chunk of samples; each update generates one chunk."""
-    states_per_map: Count = 128
+    states_per_map: PositiveInt = 128
     """States sampled from each map."""
     randomised: Share = 0.6
     """Probability that a chunk of exact values comes from a task with other numbers (`randomise`)."""
-    plans: Count = 16
+    plans: PositiveInt = 16
     """Plans flown from each state, if the network learns from rewards."""
-    window: Count = 24
+    window: PositiveInt = 24
     """Number of latest chunks of each task that batches come from."""
-    validation_every: Count = 1_000
+    validation_every: PositiveInt = 1_000
     """Updates between two validations."""
-    validation_maps: Count = 200
+    validation_maps: PositiveInt = 200
     """Number of validation maps of each task."""
-    log_every: Count = 100
+    log_every: PositiveInt = 100
     """Updates per line of the log."""
-    checkpoint_seconds: Number = 30.0
+    checkpoint_seconds: NonNegativeFloat = 30.0
     """Minimum time between two checkpoints in seconds."""
 
     def __post_init__(self) -> None:

@@ -1,11 +1,9 @@
-"""Samples for the tour network: the values that they teach, and which states they are drawn from."""
+"""Samples of the tour network: their values, and their states."""
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from drone_env.agents.tour_encoder import FeatureEncoder
@@ -25,73 +23,55 @@ OWN = {
     "no pads": replace(get_task("skyline_easy"), id="own", pads=0, charge_rate=0, battery_capacity=120),
 }
 Option = tuple[int, int, int, int]
-"""The cell that it leads to, units, steps, first action."""
-
-
+"""Target cell, units, steps, first action."""
 Flight = tuple[Features, list[int], list[float]]
-"""Its states, and of those that it began with: the steps left and the best value of each."""
-
-
-class Map(NamedTuple):
-    """A map at its start."""
-
-    ground: npt.NDArray[np.uint8]
-    parcels: list[int]
-    pads: list[int]
-
-
-def map_of(task: TaskConfig, seed: int) -> Map:
-    ground, state, entries = state_arrays(Episode(task, seed=seed))
-    return Map(ground, state[entries].tolist(), np.flatnonzero(ground == Cell.PAD).tolist())
+"""Its states, and the steps left and the best value of each state of its first flight."""
 
 
 def options_of(features: Features, m: int, stops: list[int]) -> list[Option]:
-    """The options of state m, in order, where token t leads to stop t - 1."""
+    """The options of state m, in order; token t leads to stop t - 1."""
     some = slice(features.begins[m], features.begins[m + 1])
-    return [
-        (stops[t - 1], *numbers)
-        for t, numbers in zip(features.token[some], features.numbers[some].tolist(), strict=True)
-    ]
+    options = zip(features.token[some], features.numbers[some].tolist(), strict=True)
+    return [(stops[token - 1], *numbers) for token, numbers in options]
 
 
 def options_at(encoder: FeatureEncoder, episode: Episode) -> list[Option]:
-    """The options that the agent would see there."""
+    """The options that the agent has there."""
     ground, _, _ = state_arrays(episode)
-    left = episode.task.max_steps - episode.steps
-    drone = np.array([[episode.cell, episode.battery_units, left]])
-    # The agent knows the parcels and the pads by where they stand on the map alone.
+    drone = np.array([[episode.cell, episode.battery_units, episode.task.max_steps - episode.steps]])
+    # The agent knows the stops by their places alone.
     sites = [*np.flatnonzero(ground == Cell.DELIVERY).tolist(), *np.flatnonzero(ground == Cell.PAD).tolist()]
     return options_of(encoder.encode(ground[None], drone), 0, sites)
 
 
-def states_of(task: TaskConfig, drawn: Map, samples: Samples) -> Iterator[tuple[Episode, list[Option], list[float]]]:
+def states_of(task: TaskConfig, seed: int, samples: Samples) -> Iterator[tuple[Episode, list[Option], list[float]]]:
     """Each state as an episode, its options and their values.
 
-    A features does not tell the cell of the drone: it stands where all its options begin.
+    Features lack the cell of the drone: it is the one whose options are the same.
     """
-    features, encoder = samples.features, FeatureEncoder(task)
+    start, state, entries = state_arrays(Episode(task, seed=seed))
+    parcels = state[entries].tolist()
+    stops = [*parcels, *np.flatnonzero(start == Cell.PAD).tolist()]
+    (features, values), encoder = samples, FeatureEncoder(task)
     for m in range(len(features.tokens)):
-        options = options_of(features, m, [*drawn.parcels, *drawn.pads])
-        units, left = (
-            round(features.tokens[m, 0, UNITS] * task.battery_capacity),
-            features.tokens[m, 0, LEFT] * task.max_steps,
-        )
-        waits = features.present[m, 1 : len(drawn.parcels) + 1]
-        parcels = [(cell, not there) for cell, there in zip(drawn.parcels, waits.tolist(), strict=True)]
-        ground = drawn.ground.copy()
-        for cell, delivered in parcels:
-            ground[cell] = Cell.DELIVERED if delivered else Cell.DELIVERY
+        options = options_of(features, m, stops)
+        units = round(features.tokens[m, 0, UNITS] * task.battery_capacity)
+        steps = task.max_steps - round(features.tokens[m, 0, LEFT] * task.max_steps)
+        waiting = features.present[m, 1 : len(parcels) + 1].tolist()
+        ground = start.copy()
+        ground[parcels] = np.where(waiting, Cell.DELIVERY, Cell.DELIVERED)
+        placed = [(cell, not waits) for cell, waits in zip(parcels, waiting, strict=True)]
         for cell in np.flatnonzero(~np.isin(ground, [Cell.DELIVERY, *task.impassable])).tolist():
-            episode = standing_episode(task, ground, cell, units, task.max_steps - round(left), parcels)
+            episode = standing_episode(task, ground, cell, units, steps, placed)
             if sorted(options_at(encoder, episode)) == sorted(options):
-                yield episode, options, samples.values[features.begins[m] : features.begins[m + 1]].tolist()
+                yield episode, options, values[features.begins[m] : features.begins[m + 1]].tolist()
                 break
         else:
-            raise AssertionError(f"state {m} stands nowhere")
+            raise AssertionError(f"no cell has the options of state {m}")
 
 
 def flown_along(encoder: FeatureEncoder, episode: Episode, option: Option) -> Episode:
-    """The episode at the end of the way, each of its actions found anew by what is left of it."""
+    """The episode at the end of the path; each action comes from the rest of the option."""
     to, units, steps, action = option
     after = episode.copy()
     while True:
@@ -115,12 +95,10 @@ def test_an_option_is_worth_what_the_exact_solver_says_of_where_it_leads(name: s
     task = OWN.get(name) or EVERY_TASK[name]
     generator, encoder, compared = SampleGenerator(task, 1, 12), FeatureEncoder(task), 0
     for seed in (3, 4):
-        samples = generator.generate(np.array([seed]))
-        for episode, options, values in states_of(task, map_of(task, seed), samples):
+        for episode, options, values in states_of(task, seed, generator.generate(np.array([seed]))):
             solver = ExactSolver(episode)
             for option, value in zip(options, values, strict=True):
-                after = flown_along(encoder, episode, option)
-                assert value == np.float32(solver.value(after))
+                assert value == np.float32(solver.value(flown_along(encoder, episode, option)))
                 compared += 1
     assert compared > 40
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import random
+import re
 import signal
 from dataclasses import replace
 from itertools import islice
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.cli import main
@@ -167,40 +169,30 @@ def test_the_command_trains_and_leaves_what_it_says(
     told = " ".join(captured.err.split())
     assert captured.out == ""
     assert "4/4 updates" in told
-    assert "of the optimum on the validation maps; network data/tournet_skyline_easy.safetensors" in told
     evaluate = ["evaluate", "--task", "skyline_easy", "--agents", "greedy", "tournet"]
     evaluate += ["--checkpoint", "data/tournet_skyline_easy.safetensors"]
     assert f"next: {program('drone-env')} {' '.join(evaluate)}" in told
-    log = (tmp_path / "data/train.log").read_text().splitlines()
-    assert [line.split()[0] for line in log] == ["update=2", "update=4"]
     state = load_checkpoint(tmp_path / "data/tournet_skyline_easy.pth")
     results = tmp_path / "results/tournet_skyline_easy"
     history = list(csv.DictReader((results / "history.csv").read_text().splitlines()))
-    kept = [{**line, "validation_skyline_easy": line["shares"]["skyline_easy"]} for line in state["history"]]
-    assert [{name: float(value) for name, value in line.items()} for line in history] == [
-        {name: value for name, value in line.items() if name != "shares"} for line in kept
-    ]
+    for row, line in zip(history, state["history"], strict=True):
+        line["validation_skyline_easy"] = line.pop("shares")["skyline_easy"]
+        assert {name: float(value) for name, value in row.items()} == line
+    log = (tmp_path / "data/train.log").read_text().splitlines()
+    assert [line.split()[0] for line in log] == ["update=2", "update=4"]
     assert log[-1].endswith(f" skyline_easy={state['shares']['skyline_easy']:.4f}")
     for name in ("choice", "regret", "completion", "shares"):
         assert (results / f"{name}.png").read_bytes().startswith(b"\x89PNG")
-    (events,) = (results / "tensorboard").glob("events.*")
-    assert [name for name in list(history[0])[1:] if name.encode() not in events.read_bytes()] == []
-    # The network that stands beside it is the validated average, and says where it is from.
+    # The exported network is the validated average, with its origin.
     network = load_tour_network(tmp_path / "data/tournet_skyline_easy.safetensors")
-    assert network.parameters.keys() == state["average"].keys()
-    for name, array in network.parameters.items():
-        assert np.array_equal(array, state["average"][name].numpy())
-    metadata = network.metadata
-    assert (metadata["network"], metadata["kind"], metadata["tasks"]) == ("tournet", "distilled", {"skyline_easy": 2})
-    assert (metadata["updates"], metadata["states"]) == (4, 64)
-    assert metadata["cpu_seconds"] > 0
-    assert metadata["validation_shares"] == state["shares"]
-    assert metadata["config"] == state["config"]
-    # It flies by its file, as is said.
+    assert_same({name: torch.from_numpy(array) for name, array in network.parameters.items()}, dict(state["average"]))
+    expected = {"network": "tournet", "kind": "distilled", "tasks": {"skyline_easy": 2}, "updates": 4, "states": 64}
+    expected |= {"validation_shares": state["shares"], "config": state["config"]}
+    assert {name: network.metadata[name] for name in expected} == expected
     assert main([*evaluate, "--episodes", "3", "--json", "-"]) == 0
     agents = json.loads(capsys.readouterr().out)["tasks"]["skyline_easy"]["agents"]
     assert list(agents) == ["greedy", "tournet:data/tournet_skyline_easy.safetensors"]
-    # There is nothing left to do; what is not said is as it was, and what is said otherwise is another run.
+    # Other settings are another run; those that are not given are the checkpoint's.
     assert main(["train", "--network", "tournet", "--task", "skyline_easy"]) == 0
     told = " ".join(capsys.readouterr().err.split())
     assert "data/tournet_skyline_easy.pth has 4 of 4 updates: nothing to do. Add --fresh" in told
@@ -226,9 +218,10 @@ def test_interrupted_it_saves_and_goes_on_to_the_same_end(
     monkeypatch.setattr(TourTrainer, "_update", learn_and_interrupt)
     rewards, file = [*EASY, "--kind", "rewards"], "tournet_rewards_skyline_easy.pth"
     for update in (1, 3):  # before the first line of the log, and between two
-        assert main(rewards) == 130
+        assert main([*rewards, *(["--fresh"] if update == 1 else [])]) == 130
         told = capsys.readouterr().err
         assert f"stopped after {update} updates, saved as data/{file}\n" in told
+        assert re.search(r"to go on, type: \S*drone-env (.+)\n", told)[1].split() == rewards  # without --fresh
         # Of a network that was not validated, a server flies nothing.
         assert (tmp_path / "data" / file).with_suffix(".safetensors").exists() == (update == 3)
     # What is not said is as it was.

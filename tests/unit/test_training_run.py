@@ -409,34 +409,3 @@ def test_killed_it_goes_on_and_comes_to_the_same_end(
         assert runs[name].pop("seconds") > 0
     assert_same(runs["whole"], runs["killed"])
     assert (tmp_path / "whole/data/train.log").read_bytes() == log.read_bytes()
-
-
-@pytest.mark.usefixtures("no_curves")
-def test_interrupted_the_run_saves_and_ends_cleanly(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    before, told = signal.getsignal(signal.SIGINT), []
-
-    def interrupting(line: Progress) -> str:
-        told.append(line)
-        if len(told) == 1:
-            signal.raise_signal(signal.SIGINT)  # as Ctrl-C does
-        return log_line(line)
-
-    monkeypatch.setattr("drone_env.rl.run.log_line", interrupting)
-    assert main([*TRAIN, "--episodes", "20000", "--fresh"]) == 130
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "stopping after this step" in captured.err
-    state = load_checkpoint(tmp_path / "data/easy.pth")
-    flown = state["episodes"]
-    assert f"stopped after {flown} episodes, saved as data/easy.pth\n" in captured.err
-    # What it says to type goes on, and does not start again.
-    typed = re.search(r"to go on, type: \S*drone-env (.+)\n", captured.err)[1].split()
-    assert typed == [*TRAIN, "--episodes", "20000"]
-    monkeypatch.setattr("drone_env.rl.run.log_line", lambda line: signal.raise_signal(signal.SIGINT) or log_line(line))
-    assert main(typed) == 130
-    assert f"going on from data/easy.pth: {flown} of 20000" in capsys.readouterr().err
-    assert told[-1].episode <= flown < told[-1].episode + SMALL.num_envs
-    assert signal.getsignal(signal.SIGINT) is before
