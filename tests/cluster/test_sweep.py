@@ -104,7 +104,7 @@ def test_drawn_settings_lie_in_their_ranges_and_are_the_same_again() -> None:
 
 
 def test_every_trial_is_checked_before_the_first_is_trained() -> None:
-    with pytest.raises(InvalidValueError, match="gamma must be in"):
+    with pytest.raises(InvalidValueError, match="gamma should be less"):
         sweep_of("gamma=0.9,1.5")
     with pytest.raises(InvalidValueError, match="there twice"):
         sweep_of("lr=1e-3,0.001")
