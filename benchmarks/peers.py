@@ -44,7 +44,7 @@ from drone_env.envs.sb3 import DroneDeliveryVecEnv
 from drone_env.envs.wrappers import FlatObservation, OneHotPlanes
 from drone_env.errors import InvalidValueError
 from drone_env.files import write_json
-from drone_env.rl.validation import Validator
+from drone_env.rl.common import Validator
 
 ALGORITHMS: dict[str, type[PPO] | type[MaskablePPO]] = {"PPO": PPO, "MaskablePPO": MaskablePPO}
 WIDE: dict[str, Any] = {

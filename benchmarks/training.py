@@ -28,10 +28,10 @@ from drone_env.agents.together import ActBatch
 from drone_env.core.tasks import get_task
 from drone_env.envs.forms import one_hot
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
+from drone_env.rl.common import Validator
 from drone_env.rl.config import preset
-from drone_env.rl.model import PathQNet
-from drone_env.rl.trainer import Trainer
-from drone_env.rl.validation import Validator
+from drone_env.rl.dqn import Trainer
+from drone_env.rl.models import PathQNet
 
 SHARES = (0.95, 0.99, 0.995)
 SECONDS = 2.0
@@ -155,7 +155,7 @@ def ours(task: str, seed: int, threads: int, validator: Validator, limit: float)
     watch = Watch(validator, limit)
     with contextlib.suppress(ReachedError):
         for _ in trainer.train():
-            watch.look(lambda grids, seen: trainer.values(grids, seen).argmax(axis=1), trainer.steps)
+            watch.look(trainer.act, trainer.steps)
     return watch
 
 

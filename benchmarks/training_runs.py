@@ -6,7 +6,7 @@ a run is the sum of its parts. Training sees train and validation maps only; the
 
 `--ship` puts the networks of the first seed into `drone_env/weights`, each with its model card.
 
-`--tournet data/tournet.npz` trains nothing: it flies the tour network in that file, and puts it there with its card.
+`--tournet data/tournet.safetensors` flies the tour network in that file and puts it there with its card.
 """
 
 import argparse
@@ -28,9 +28,9 @@ from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.files import replacing
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.rl.config import preset
+from drone_env.rl.dqn import Trainer
 from drone_env.rl.run import TrainingRun
 from drone_env.rl.tour_config import TourConfig
-from drone_env.rl.trainer import Trainer
 
 ROOT = Path(__file__).resolve().parent.parent
 MAPS = 1000

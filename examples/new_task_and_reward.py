@@ -62,4 +62,4 @@ with tempfile.TemporaryDirectory() as folder:
     amount = ["--episodes", str(args.episodes), "--validation-maps", str(args.maps)]
     main(["train", "--task", "courier", "--reward-profile", "parcels", *amount, *data])
     judged = ["--agents", "random", "greedy", "pathqnet", "optimal", "--episodes", str(args.maps)]
-    main(["evaluate", "--task", "courier", *judged, "--checkpoint", str(Path(folder, "courier.npz"))])
+    main(["evaluate", "--task", "courier", *judged, "--checkpoint", str(Path(folder, "courier.safetensors"))])

@@ -111,8 +111,8 @@ def write_audits() -> None:
 def write_curves() -> None:
     """Train on two rewards, draw the curves, and write their table in docs/reward.md."""
     from drone_env.rl.config import preset
-    from drone_env.rl.curves import draw_curves
-    from drone_env.rl.trainer import Progress, Trainer
+    from drone_env.rl.dqn import Progress, Trainer
+    from drone_env.rl.run import draw_curves
 
     histories: dict[str, list[Progress]] = {}
     rows = [

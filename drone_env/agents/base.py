@@ -1,4 +1,4 @@
-"""The one protocol of everything that flies."""
+"""The protocols of agents."""
 
 import traceback
 from collections.abc import Callable, Generator, Mapping
@@ -17,18 +17,18 @@ from drone_env.errors import AgentError, DroneEnvError, InvalidValueError
 class Agent(Protocol):
     """Turns observations into actions. One agent flies one episode at a time, on one task.
 
-    One that draws lots says so by `stochastic = True`: an evaluation may then fly each map several times.
+    A stochastic agent has `stochastic = True`: an evaluation may then fly each map several times.
     """
 
     @property
     def config(self) -> Mapping[str, object]:
-        """All that decides how the agent flies, as JSON values: part of the identity of its results."""
+        """The agent's configuration as JSON values: part of the identity of its results."""
         ...
 
     def reset(self, seed: int) -> None:
-        """Forget the last episode; `seed` is the source of any random choice.
+        """Forget the last episode and seed all random choices.
 
-        It is the number of the map, or, where a stochastic agent flies the same map again, another one.
+        The seed is that of the map, or another one if a stochastic agent flies the same map again.
         """
         ...
 
@@ -39,34 +39,54 @@ class Agent(Protocol):
 
 @runtime_checkable
 class BatchAgent(Protocol):
-    """An agent that can also fly N episodes of its task together, and then chooses as it would for each alone.
+    """An agent that can also fly N episodes of its task together, with the same choices as for each alone.
 
-    One that holds no state for each episode says so by `stateless = True`: it may be shown those alone that still fly.
+    A stateless agent has `stateless = True`: it may get only the episodes that still fly.
     """
 
     def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
-        """Forget the last episodes; `seeds`, int64[N], are the sources of their random choices, as in `reset`."""
+        """Forget the last episodes and seed all random choices, int64[N], as in `reset`."""
         ...
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """The next actions, int64[N], for grids uint8[N, H, W] and telemetry float32[N, telemetry_size].
 
-        What it chooses for an episode that has ended is not used.
+        Actions for ended episodes are ignored.
         """
         ...
 
 
+class StatelessAgent:
+    """Base class of agents whose actions depend on the current observation alone."""
+
+    stateless = True
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget."""
+
+    def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Observation) -> int:
+        """The next action, 0 to 4."""
+        return int(self.act_batch(observation["grid"][None], observation["telemetry"][None])[0])
+
+    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The next actions, int64[N], as `BatchAgent.act_batch`; each subclass has its own."""
+        raise NotImplementedError
+
+
 def begin(agent: Agent, name: str, episode: Episode, seed: int | None = None) -> Callable[[Observation], int]:
-    """Reset an agent for an episode, and hand out what names its actions: its `act`, whose errors say where it failed.
+    """Reset an agent for an episode and return its `act`, whose errors name the agent and the step.
 
     Args:
         agent: The agent.
-        name: What an error calls it.
-        episode: What it is to fly.
-        seed: The source of its random choices; None for the number of the map.
+        name: The agent's name in errors.
+        episode: The episode to fly.
+        seed: The agent seed; None for the seed of the map.
 
     Raises:
-        AgentError, InvalidValueError: as `named_failures`; so does what is handed out.
+        AgentError, InvalidValueError: as `named_failures`; so does the returned function.
     """
 
     def where() -> str:
@@ -83,11 +103,11 @@ def begin(agent: Agent, name: str, episode: Episode, seed: int | None = None) ->
 
 @contextmanager
 def named_failures(name: str, task: TaskConfig, where: Callable[[], str]) -> Generator[None, None, None]:
-    """Where the code of an agent fails inside of the `with`, the error says whose, on which task, and where.
+    """Name the agent, the task and the place in the errors of an agent's code inside the `with`.
 
     Raises:
-        AgentError: from any error but those of this package.
-        InvalidValueError: from one of that kind, such as an action that there is not.
+        AgentError: from any error except those of this package.
+        InvalidValueError: from one of that kind, such as an unknown action.
     """
     try:
         yield

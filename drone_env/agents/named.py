@@ -1,4 +1,4 @@
-"""Agents that no registry holds: one of your own module, a function, and policies of Stable-Baselines3."""
+"""Agents outside the registry: classes and functions of your own, and policies of Stable-Baselines3."""
 
 import hashlib
 import re
@@ -22,11 +22,11 @@ MODULE = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 
 
 class FunctionAgent:
-    """A function of the observation as an agent. One that draws lots has an attribute `stochastic` that is true.
+    """A function of the observation as an agent; a stochastic one has a true attribute `stochastic`.
 
     Args:
-        act: Chooses an action, 0 to 4.
-        config: All that decides how it flies, as JSON values.
+        act: Returns an action, 0 to 4.
+        config: The configuration as JSON values.
     """
 
     def __init__(self, act: Callable[[Observation], int], config: Mapping[str, object]) -> None:
@@ -38,33 +38,33 @@ class FunctionAgent:
         """Nothing to forget."""
 
     def act(self, observation: Observation) -> int:
-        """What the function says."""
+        """The function's action."""
         return self._act(observation)
 
 
 def sb3_file(name: str) -> Path | None:
-    """The file of Stable-Baselines3 that a name of an agent names; None where it names none."""
+    """The file of Stable-Baselines3 in the name of an agent; None if there is none."""
     found = SB3_FILE.fullmatch(name)
     return None if found is None else Path(found["file"])
 
 
 def sb3_elsewhere(name: str, file: Path) -> str:
-    """The name that `name`, which names a file of Stable-Baselines3, has where that lies elsewhere."""
+    """The name of an agent after its file of Stable-Baselines3 is moved."""
     found = SB3_FILE.fullmatch(name)
     return name if found is None else f"{file}{name[found.end('file') :]}"
 
 
 def agent_named(name: str, task: TaskConfig) -> Agent | None:
-    """The agent behind `MODULE:NAME`, `FILE.zip`, `FILE.zip:WRAPPER`, or one of the latter two with `:sampled`.
+    """The agent of `MODULE:NAME`, `FILE.zip`, `FILE.zip:WRAPPER`, or one of the latter two with `:sampled`.
 
-    A class is made for the task, a function is asked for each action, anything else flies as it is. Modules are found
-    as Python finds them, and in the working directory. None where a name is of none of these forms.
+    A class is made for the task, a function is called for each action, anything else is an agent. Modules come from
+    Python's path or the working directory. None if a name has none of these forms.
 
     Raises:
         UnknownNameError: if there is no such wrapper.
-        InvalidValueError: if there is no such module, or nothing of that name in it that flies.
+        InvalidValueError: if there is no such module, or no agent of that name in it.
         OSError: if the file cannot be read.
-        CheckpointError: if it holds no policy, or none for the task.
+        CheckpointError: if it contains no policy for the task.
     """
     zipped, mine = SB3_FILE.fullmatch(name), MODULE.fullmatch(name)
     if zipped is not None:
@@ -76,20 +76,20 @@ def agent_named(name: str, task: TaskConfig) -> Agent | None:
 
 
 def as_agent(policy: Any, task: TaskConfig, wrapper: Any = None, sampled: bool = False) -> Agent:
-    """Anything that can fly, as an agent.
+    """Make an agent of anything that can fly.
 
     Args:
         policy: An agent, a class of one, a function of the observation, or a model of Stable-Baselines3.
-        task: What it is to fly.
-        wrapper: The wrapper that a model was trained behind, or its name.
-        sampled: Whether a model draws its actions; else it takes the likeliest.
+        task: The task.
+        wrapper: The wrapper in a model's training, or its name.
+        sampled: Whether a model samples its actions; else it takes the likeliest.
 
     Raises:
         UnknownNameError: if there is no such wrapper.
-        InvalidValueError: if it is none of these or a class that takes no task, something is said that only a model
-            takes, or the model sees what `VecNormalize` made of observations.
-        AgentError: if a class fails to make one.
-        CheckpointError: if the model sees other observations than those of the task behind the wrapper.
+        InvalidValueError: if it is none of these or a class without a task, an argument needs a model, or the model
+            needs normalised observations.
+        AgentError: if the constructor of a class fails.
+        CheckpointError: if the model takes other observations than the wrapped task has.
     """
     if hasattr(policy, "predict") and hasattr(policy, "observation_space"):
         from drone_env.agents.sb3_policy import Sb3Agent
@@ -131,7 +131,7 @@ def _made(kind: type, task: TaskConfig) -> Any:
 
 
 def _must_take(function: Callable[..., Any], what: str) -> None:
-    """Refuse what cannot be called with one argument; of code without a signature nobody can tell."""
+    """Reject what cannot be called with one argument; code without a signature passes."""
     try:
         bind = signature(function).bind
     except (TypeError, ValueError):
@@ -146,10 +146,10 @@ def _must_take(function: Callable[..., Any], what: str) -> None:
 
 
 def _identity(made: Any) -> dict[str, object]:
-    """What decides how code flies, as far as can be told: its name and a digest of its module's file.
+    """The identity of code: its name and a digest of its module's file.
 
-    Without such a file, as in a REPL, the digest is of the code itself; it is null for code in C. A `partial` also has
-    its arguments.
+    Without such a file, as in a REPL, the digest covers the code itself; it is null for code in C. A `partial` adds its
+    arguments.
     """
     if isinstance(made, partial):
         bound = cast("partial[Any]", made)
@@ -162,7 +162,7 @@ def _identity(made: Any) -> dict[str, object]:
 
 
 def _code(made: Any) -> bytes:
-    """What code does, as bytes that its place in a file does not change; none of what is written in C."""
+    """The instructions of code as bytes, independent of its place in a file; empty for code in C."""
     if isinstance(made, CodeType):
         inner = b"".join(_code(one) if isinstance(one, CodeType) else repr(one).encode() for one in made.co_consts)
         return made.co_code + repr(made.co_names).encode() + inner
@@ -173,7 +173,7 @@ def _code(made: Any) -> bytes:
 
 
 def _wrapper(name: str) -> Any:
-    """A wrapper of this package by its name, or of any module by `MODULE:NAME`."""
+    """A wrapper of this package by its name, or of any module as `MODULE:NAME`."""
     if ":" in name:
         module, _, member = name.partition(":")
         return _member(module, member, f"wrapper {name!r}")

@@ -1,45 +1,146 @@
-"""The agent that a trained network flies: always the action of the highest value."""
+"""PathQNet in NumPy, from an exported file, and the agent that flies by it."""
 
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents.network import load_network
-from drone_env.agents.weights_file import WEIGHTS
+from drone_env.agents.base import StatelessAgent
+from drone_env.agents.weights_file import PATHQNET, WEIGHTS, Array, Shapes, Weights, in_one_thread, read_weights
+from drone_env.core.actions import N_ACTIONS
+from drone_env.core.cells import N_CELL_KINDS
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import CheckpointError, UnsupportedTaskError
 
+POOLED = 4
+EPSILON = 1e-5
+"""What PyTorch's LayerNorm adds to the variance."""
+MAP_FEATURES = 64
+SHAPES: dict[str, tuple[int, ...]] = {
+    "encoder.embedding.weight": (N_CELL_KINDS, 8),
+    "encoder.conv1.weight": (16, 8, 3, 3),
+    "encoder.conv2.weight": (32, 16, 3, 3),
+    "encoder.linear.weight": (MAP_FEATURES, 32 * POOLED * POOLED),
+    "head.0.weight": (128, MAP_FEATURES),  # and a column for each value of the telemetry
+    "head.1.weight": (128,),
+    "head.3.weight": (128, 128),
+    "head.5.weight": (64, 128),
+    "head.7.weight": (N_ACTIONS, 64),
+}
+SHAPES.update(
+    {name.replace("weight", "bias"): shape[:1] for name, shape in SHAPES.items() if name != "encoder.embedding.weight"}
+)
+"""The shapes of the parameters, here and in `rl.models`; a layer has a bias for each of its outputs."""
 
-def shipped_network(task: TaskConfig) -> Path:
-    """Where the network of a task lies, if one is shipped."""
-    return WEIGHTS / f"{task.id}_v{task.version}.npz"
 
+class Network:
+    """The values of the five actions: float32[B, 5] from grids uint8[B, H, W] and telemetry float32[B, telemetry_size].
 
-class PathQNetAgent:
-    """Flies by a network.
+    A single map takes some hundred microseconds.
 
     Args:
-        task: The task.
-        network: The file of an exported network; training writes one beside each checkpoint. None for the network
-            that is shipped with the task.
+        weights: The content of an exported file; its metadata contain `telemetry_size`.
+    """
+
+    def __init__(self, weights: Weights) -> None:
+        parameters, self.metadata, self.digest = weights
+        self.parameters = parameters
+        embedding, weight = parameters["encoder.embedding.weight"], parameters["encoder.conv1.weight"]
+        # The inputs of the first convolution are embeddings, so it is nine table lookups. The last row is the padding.
+        table = np.einsum("ke,oeyx->yxko", embedding, weight).reshape(9, len(embedding), -1)
+        self._conv1 = np.concatenate([table, np.zeros_like(table[:, :1])], axis=1)
+        self._conv2 = parameters["encoder.conv2.weight"].transpose(2, 3, 1, 0).reshape(-1, weight.shape[0] * 2)
+
+    @in_one_thread
+    def __call__(self, grids: npt.NDArray[np.uint8], telemetry: Array) -> Array:
+        """The values of the actions."""
+        p = self.parameters
+        x = np.concatenate([self._encode(grids), telemetry], axis=1)
+        x = x @ p["head.0.weight"].T + p["head.0.bias"]
+        centred = x - x.mean(axis=1, keepdims=True)
+        x = centred / np.sqrt(np.mean(centred**2, axis=1, keepdims=True) + EPSILON)
+        x = np.maximum(x * p["head.1.weight"] + p["head.1.bias"], 0)
+        x = np.maximum(x @ p["head.3.weight"].T + p["head.3.bias"], 0)
+        x = np.maximum(x @ p["head.5.weight"].T + p["head.5.bias"], 0)
+        return x @ p["head.7.weight"].T + p["head.7.bias"]
+
+    def _encode(self, grids: npt.NDArray[np.uint8]) -> Array:
+        p = self.parameters
+        n, height, width = grids.shape
+        padded = np.pad(grids, ((0, 0), (1, 1), (1, 1)), constant_values=N_CELL_KINDS)
+        x = np.broadcast_to(p["encoder.conv1.bias"], (n, height, width, self._conv1.shape[2])).copy()
+        for i in range(9):
+            x += self._conv1[i][padded[:, i // 3 : i // 3 + height, i % 3 : i % 3 + width]]
+        x = np.pad(np.maximum(x, 0), ((0, 0), (1, 1), (1, 1), (0, 0)))
+        patches = [x[:, i // 3 : i // 3 + height, i % 3 : i % 3 + width] for i in range(9)]
+        x = np.maximum(np.concatenate(patches, axis=3) @ self._conv2 + p["encoder.conv2.bias"], 0)
+        x = np.einsum("ph,nhwc,qw->npqc", pooling(height), x, pooling(width), optimize=True)
+        return np.maximum(x.reshape(n, -1) @ p["encoder.linear.weight"].T + p["encoder.linear.bias"], 0)
+
+
+@lru_cache(maxsize=16)
+def pooling(size: int) -> Array:
+    """Adaptive average pooling along one side as a matrix, float32[4, size].
+
+    Part i is the mean of the cells from floor(i * size / 4) up to ceil((i + 1) * size / 4).
+    """
+    matrix = np.zeros((POOLED, size), np.float32)
+    for i in range(POOLED):
+        start, stop = i * size // POOLED, -(-(i + 1) * size // POOLED)
+        matrix[i, start:stop] = 1 / (stop - start)
+    return matrix
+
+
+def load_network(path: Path) -> Network:
+    """Read an exported network.
 
     Raises:
         OSError: if the file cannot be read.
-        CheckpointError: if it holds no network, or one that takes other telemetry than the task has.
+        CheckpointError: if it is not an exported network; the message says why.
+    """
+    return Network(read_weights(path, PATHQNET, _shapes))
+
+
+def _shapes(metadata: dict[str, Any]) -> Shapes:
+    telemetry_size = metadata.get("telemetry_size")
+    if type(telemetry_size) is not int or not 0 < telemetry_size <= MAP_FEATURES:
+        raise ValueError("its metadata lack telemetry_size, the number of values that it takes beside the map")
+    rows, inputs = SHAPES["head.0.weight"]
+    return SHAPES | {"head.0.weight": (rows, inputs + telemetry_size)}
+
+
+CHUNK = 256
+"""Maximum number of maps per call of the network: their arrays fit into the processor's cache."""
+
+
+def shipped_network(task: TaskConfig) -> Path:
+    """The file of a task's shipped network, if there is one."""
+    return WEIGHTS / f"{task.id}_v{task.version}.safetensors"
+
+
+class PathQNetAgent(StatelessAgent):
+    """Takes the action with the highest value.
+
+    Args:
+        task: The task.
+        network: The file of an exported network; None for the shipped one.
+
+    Raises:
+        OSError: if the file cannot be read.
+        CheckpointError: if it is no network, or takes other telemetry than the task has.
         UnsupportedTaskError: if no network is shipped with the task.
     """
-
-    stateless = True
 
     def __init__(self, task: TaskConfig, network: Path | None = None) -> None:
         path = shipped_network(task) if network is None else network
         if network is None and not path.is_file():
             raise UnsupportedTaskError(
                 f"no network is shipped for {task.id!r}: train one (drone-env train --task {task.short_name}) and name "
-                f"its file with --checkpoint (data/{task.short_name}.npz)"
+                f"its file with --checkpoint (data/{task.short_name}.safetensors)"
             )
         self._network = load_network(path)
         takes = self._network.metadata["telemetry_size"]
@@ -49,27 +150,13 @@ class PathQNetAgent:
             )
         self.config: Mapping[str, object] = {"agent": "pathqnet", "version": 1, "network": self._network.digest}
 
-    def reset(self, seed: int) -> None:
-        """Nothing to forget."""
-
     def q_values(self, observation: Observation) -> npt.NDArray[np.float32]:
-        """The network's values of the actions, float32[5]."""
+        """The values of the actions, float32[5]."""
         return self._network(observation["grid"][None], observation["telemetry"][None])[0]
 
-    def act(self, observation: Observation) -> int:
-        """The action of the highest value."""
-        return int(self.q_values(observation).argmax())
-
-    def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
-        """Nothing to forget."""
-
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The actions of the highest values, int64[N]."""
-        parts = range(0, len(grids), CHUNK)
+        """The actions with the highest values, int64[N]."""
+        chunks = range(0, len(grids), CHUNK)
         return np.concatenate(
-            [self._network(grids[i : i + CHUNK], telemetry[i : i + CHUNK]).argmax(axis=1) for i in parts]
+            [self._network(grids[i : i + CHUNK], telemetry[i : i + CHUNK]).argmax(axis=1) for i in chunks]
         )
-
-
-CHUNK = 256
-"""Maps at a time, so that what is worked on stays in the cache."""

@@ -1,7 +1,7 @@
-"""What agents share that plan a whole flight and then fly it."""
+"""Agents that plan a whole flight and then fly it, and the optimal one among them."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -11,19 +11,20 @@ from drone_env.core.episode import Episode, Observation
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidValueError
 from drone_env.planning.from_observation import episode_of, require_observations
+from drone_env.planning.optimal import best_actions
 
 TARGET_TELEMETRY = (3, 4)
-"""Where the target stands in the telemetry. Of equally near parcels it is the first by number, which nobody sees."""
+"""Indices of the target in the telemetry. It is the first by number of equally near parcels, which no one observes."""
 
 
 class PlannedAgent(ABC):
-    """Plans from what it sees and flies the plan; plans again when the world is not what it expected.
+    """Plans from the observation and flies the plan; plans again after an unexpected observation.
 
     Args:
         task: The task.
 
     Attributes:
-        seeds: int64[N], the maps that are flown; of one that flies alone, its own.
+        seeds: int64[N], the seeds of the flights; one for a single flight.
     """
 
     def __init__(self, task: TaskConfig) -> None:
@@ -35,11 +36,11 @@ class PlannedAgent(ABC):
 
     @abstractmethod
     def plan(self, episode: Episode) -> list[Action]:
-        """The actions of a flight from where an episode stands; at their end there may be nothing left but to wait."""
+        """The remaining actions of a flight over an episode; the agent waits after them."""
 
     @abstractmethod
     def plan_all(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
-        """The actions of a flight over each of N maps, int64[N, T], WAIT behind its end."""
+        """The actions of a flight over each of N maps, int64[N, T], padded with WAIT."""
 
     def reset(self, seed: int) -> None:
         """Forget the last flight."""
@@ -64,8 +65,7 @@ class PlannedAgent(ABC):
         """The next actions of the plans, int64[N]. The first call makes them: no parcel may be delivered yet.
 
         Raises:
-            InvalidValueError: if they are no observations of the task, or not as many as the maps that `reset_batch`
-                was told of.
+            InvalidValueError: if they are no observations of the task, or not one for each seed of `reset_batch`.
         """
         if len(grids) != len(self.seeds):
             raise InvalidValueError(f"reset_batch was told of {len(self.seeds)} maps, and these are {len(grids)}")
@@ -76,9 +76,33 @@ class PlannedAgent(ABC):
 
 
 def _shows(episode: Episode, observation: Observation) -> bool:
-    """Whether an episode shows this observation, whichever of the parcels is its target."""
+    """Whether an episode has this observation, whichever parcel is its target."""
     expected = episode.observation()
     own = [i for i in range(len(expected["telemetry"])) if i not in TARGET_TELEMETRY]
     return np.array_equal(expected["grid"], observation["grid"]) and np.array_equal(
         expected["telemetry"][own], observation["telemetry"][own]
     )
+
+
+class OptimalAgent(PlannedAgent):
+    """Plans a best flight and flies it.
+
+    Raises:
+        TooLargeError: when it is to plan on a map that is too large to be solved.
+    """
+
+    def __init__(self, task: TaskConfig) -> None:
+        super().__init__(task)
+        self.config: Mapping[str, object] = {"agent": "optimal", "version": 2}
+
+    def plan(self, episode: Episode) -> list[Action]:
+        """The actions of a best flight."""
+        return best_actions(episode)
+
+    def plan_all(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The actions of a best flight over each map, int64[N, T]."""
+        plans = np.full((len(grids), self.task.max_steps), Action.WAIT, np.int64)
+        for plan, grid, values in zip(plans, grids, telemetry, strict=True):
+            actions = best_actions(episode_of(self.task, {"grid": grid, "telemetry": values}))
+            plan[: len(actions)] = actions
+        return plans

@@ -1,4 +1,4 @@
-"""A policy of Stable-Baselines3 as an agent: from a model, or from the file that `model.save` writes."""
+"""Policies of Stable-Baselines3 as agents: from a model, or from the file that `model.save` writes."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -27,13 +27,13 @@ AT_ONCE: Mapping[Any, Callable[[Any], Any]] = {
     wrappers.FlatObservation: to_vector,
     wrappers.OneHotPlanes: to_planes,
 }
-"""What the wrappers of this package, or none, make of the observations of many drones at once."""
+"""The batched form of this package's wrappers, and of none."""
 
 
 def open_actions(
     task: TaskConfig, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.bool_]:
-    """What `action_masks` of an environment says, bool[N, 5], from grids uint8[N, H, W] and their telemetry."""
+    """The environment's `action_masks`, bool[N, 5], from grids uint8[N, H, W] and their telemetry."""
     closed = np.pad(np.isin(grids, [*task.impassable]), ((0, 0), (1, 1), (1, 1)), constant_values=True)
     x, y = drone_positions(task, grids, telemetry).T + 1
     each = np.arange(len(grids))
@@ -42,13 +42,13 @@ def open_actions(
 
 
 class Sb3Agent:
-    """Flies by a policy; one that was trained with masks (MaskablePPO) is told what would bump.
+    """Flies by a policy; one trained with masks (MaskablePPO) gets the action mask.
 
     Args:
         task: The task.
         policy: The policy of a model.
-        wrapper: The wrapper of observations that it was trained behind; None for none.
-        sampled: Whether actions are drawn by their probabilities, from the seed of each flight; else the likeliest.
+        wrapper: The wrapper of observations in its training; None for none.
+        sampled: Sample actions by their probabilities and the agent seed; else take the likeliest.
 
     Raises:
         CheckpointError: if the policy sees other observations than those of the task behind the wrapper.
@@ -87,10 +87,10 @@ class Sb3Agent:
             "wrapper": name,
             "sampled": sampled,
         }
-        self._lots: Any = np.zeros(1, np.int64)
+        self._keys: Any = np.zeros(1, np.int64)
 
     def reset(self, seed: int) -> None:
-        """Start the lots of one flight."""
+        """Seed the sampling of one flight."""
         self.reset_batch(np.array([seed]))
 
     def act(self, observation: Observation) -> int:
@@ -98,25 +98,25 @@ class Sb3Agent:
         return int(self.act_batch(observation["grid"][None], observation["telemetry"][None])[0])
 
     def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
-        """Start the lots of each flight from `seeds`, int64[N]."""
+        """Seed the sampling of each flight, int64[N]."""
         as_integers: Any = seeds
-        self._lots = map_key(KEY, as_integers)
+        self._keys = map_key(KEY, as_integers)
 
     def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """The next actions, int64[N]."""
-        seen, masks = self._seen(grids, telemetry), {}
+        obs, masks = self._obs(grids, telemetry), {}
         if self._masked:
             masks = {"action_masks": open_actions(self._task, grids, telemetry)}
         if not self.stochastic:
-            return np.asarray(self._policy.predict(seen, deterministic=True, **masks)[0], np.int64)
-        told = self._policy.get_distribution(self._policy.obs_to_tensor(seen)[0], **masks)
-        shares = told.distribution.probs.detach().cpu().numpy().astype(np.float64).cumsum(axis=1)
-        self._lots = next_key(self._lots)
-        drawn = two_halves(self._lots)[0] / 2**32 * shares[:, -1]
-        return (shares <= np.asarray(drawn)[:, None]).sum(axis=1)
+            return np.asarray(self._policy.predict(obs, deterministic=True, **masks)[0], np.int64)
+        distribution = self._policy.get_distribution(self._policy.obs_to_tensor(obs)[0], **masks)
+        shares = distribution.distribution.probs.detach().cpu().numpy().astype(np.float64).cumsum(axis=1)
+        self._keys = next_key(self._keys)
+        thresholds = two_halves(self._keys)[0] / 2**32 * shares[:, -1]
+        return (shares <= np.asarray(thresholds)[:, None]).sum(axis=1)
 
-    def _seen(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Any:
-        """What the policy sees of N drones."""
+    def _obs(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Any:
+        """The observations of N drones as the policy takes them."""
         if self._form is not None:
             return self._form({"grid": grids, "telemetry": telemetry})
         each = zip(grids, telemetry, strict=True)
@@ -127,7 +127,7 @@ class Sb3Agent:
 
 
 def load_policy(file: Path, task: TaskConfig, wrapper: Any, sampled: bool) -> Sb3Agent:
-    """The policy in a file that `model.save` wrote, of any algorithm. Reading it runs code that the file holds.
+    """The policy in a file that `model.save` wrote, of any algorithm. Reading it runs code from the file.
 
     Raises:
         OSError: if the file cannot be read.
@@ -162,7 +162,7 @@ def load_policy(file: Path, task: TaskConfig, wrapper: Any, sampled: bool) -> Sb
 
 
 def _no_rate(_: float) -> float:
-    """The learning rate of who learns nothing."""
+    """Dummy schedule for inference."""
     return 0.0
 
 

@@ -1,4 +1,4 @@
-"""Whole plans of the tour network, flown in the simulator: which of K is the best."""
+"""Whole plans of the tour network, flown in the simulator to find the best of K."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents.tour_viewer import Viewer
+from drone_env.agents.tour_encoder import FeatureEncoder
 from drone_env.agents.tournet import Network, best_options
 from drone_env.core import compiled
 from drone_env.core.actions import FLYING, Action
@@ -27,10 +27,10 @@ from drone_env.planning.paths import make_workspace as make_rounds
 WAIT = int(Action.WAIT)
 KEY = task_key("agent/tournet-search", 1)
 TEMPERATURES = 0.7, 2.0
-"""By what the logits are divided before a plan is drawn from them. The second is for half of the plans behind the
-eighth: where the network is sure and wrong, no number of plans that are drawn by the first would leave its way."""
+"""Sampling temperatures. Half of the plans after the eighth use the second: if the network is sure and wrong, no number
+of plans at the first would leave its path."""
 FLIGHTS = 2048
-"""Flights at a time."""
+"""Maximum number of flights at a time."""
 
 
 Watch = Callable[[npt.NDArray[np.int64], npt.NDArray[np.uint8], npt.NDArray[np.uint16], npt.NDArray[np.int64]], None]
@@ -44,22 +44,22 @@ class Flights(NamedTuple):
     states: Any
     """uint16[N, state size]"""
     actions: Any
-    """int8[N, max_steps], those that were flown, by the step; WAIT behind them."""
+    """int8[N, max_steps], the flown actions by step, padded with WAIT."""
     scores: Any
-    """float64[N], graded, as they stand."""
+    """float64[N], the current graded scores."""
 
 
 class Choices(NamedTuple):
-    """The options of M states, those of one behind those of another."""
+    """The options of M states, one after another."""
 
     begins: Any
-    """int64[M + 1], where those of each state begin."""
+    """int64[M + 1], index of the first option of each state."""
     options: Any
     """int32[options, 4]: token, units, steps, first action."""
     logits: Any
     """float32[options]"""
     best: Any
-    """int64[M], the number of the best option of each, -1 where there is none."""
+    """int64[M], index of the best option of each state, -1 if there is none."""
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
@@ -75,16 +75,16 @@ def fly_kernel(
     ways: Ways,
     rounds: Rounds,
 ) -> None:
-    """Fly ways to their ends by the rules.
+    """Fly paths to their ends by the rules.
 
     Args:
         tables: The task's tables.
-        rewards: Those of any profile: they are not used.
+        rewards: The table of any profile; unused.
         counts: 1 if units count beside steps.
         flights: The flights.
-        chosen: int64[n], the numbers of those that fly.
-        options: int64[n, 4], their ways: token, units, steps, first action; 0 steps where nothing is within reach, and
-            they wait to their end.
+        chosen: int64[n], the indices of the flights that move.
+        options: int64[n, 4], their paths: token, units, steps, first action; with 0 steps, the flight waits to its
+            end.
         ground: uint8[cells], working memory, as are the following.
         stop_at: int32[cells]
         ways: For a single stop.
@@ -119,7 +119,7 @@ def fly_kernel(
             steps -= 1
             if steps <= 0:
                 break
-            # Ways that cost more than the rest of this one are not looked for; of the others, one takes as long.
+            # The search skips paths that cost more than the rest of this one; one of the others has its steps.
             most = min(units + 1, state[BATTERY])
             find_ways(tables, ground, state[CELL], most, counts, stop_at, ways, 0, rounds)
             for w in range(ways.count[0]):
@@ -134,16 +134,16 @@ class TourPlanner:
 
     Args:
         task: The task.
-        network: Chooses the ways.
-        plans: K, how many plans there are of each map: the first takes the best ways, the others are drawn.
-        temperatures: By what the logits are divided before a plan is drawn from them; the second is that of `is_hot`.
+        network: Chooses the paths.
+        plans: K, the number of plans for each map: the first takes the best paths, the others are sampled.
+        temperatures: Sampling temperatures; the second is that of `is_hot`.
     """
 
     def __init__(
         self, task: TaskConfig, network: Network, plans: int, temperatures: tuple[float, float] = TEMPERATURES
     ) -> None:
         self._network, self._plans, self._temperatures = network, plans, temperatures
-        self._viewer = Viewer(task)
+        self._encoder = FeatureEncoder(task)
         self._tables, self._rewards = tabulate(task), tabulate_rewards(task, get_reward_profile("score"))
         self._counts = int(counts_units(task))
         cells = self._tables.cells
@@ -152,12 +152,12 @@ class TourPlanner:
     def best(
         self, grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16], seeds: npt.NDArray[np.int64]
     ) -> npt.NDArray[np.int8]:
-        """The actions of the plan of the highest score, the first of equal ones, by the step: int8[M, max_steps].
+        """The actions of the plan with the highest score, the first of equal ones, by step: int8[M, max_steps].
 
         Args:
             grids: uint8[M, cells], of episodes in flight.
             states: uint16[M, state size]
-            seeds: int64[M], what the plans are drawn by, beside the steps flown.
+            seeds: int64[M], the agent seeds; the steps flown vary them.
         """
         together = max(1, FLIGHTS // self._plans)
         parts: list[npt.NDArray[np.int8]] = []
@@ -181,9 +181,9 @@ class TourPlanner:
         Args:
             grids: uint8[M, cells], of episodes in flight.
             states: uint16[M, state size]
-            seeds: int64[M], what the plans are drawn by, beside the steps flown.
-            watch: Called with the numbers of the flights that choose, their grids and states, and which of its options
-                each takes, counted from the first; -1 where it has none.
+            seeds: int64[M], the agent seeds; the steps flown vary them.
+            watch: Called with the indices of the flights that choose, their grids and states, and the number of the
+                option that each takes, -1 if it has none.
         """
         m, plans, max_steps = len(grids), self._plans, self._tables.max_steps
         maps, numbers = np.divmod(np.arange(m * plans), plans)
@@ -197,7 +197,7 @@ class TourPlanner:
             choices, of = self._choices(maps[flying], flights.grids[flying], flights.states[flying])
             keys = next_key(keys)
             number = numbers[flying]
-            warm, hot = (drawn(choices, of, keys[flying], temperature) for temperature in self._temperatures)
+            warm, hot = (sample_options(choices, of, keys[flying], temperature) for temperature in self._temperatures)
             chosen = np.where(number == 0, choices.best[of], np.where(is_hot(number), hot, warm))
             if watch is not None:
                 of_each = np.where(chosen < 0, -1, chosen - choices.begins[of])
@@ -211,7 +211,7 @@ class TourPlanner:
     def _choices(
         self, maps: npt.NDArray[np.int64], grids: npt.NDArray[np.uint8], states: npt.NDArray[np.uint16]
     ) -> tuple[Choices, npt.NDArray[np.int64]]:
-        """The options of all states, those that are equal looked at once; and whose each state has, int64[N]."""
+        """The options of the distinct states, and the index of each state among these, int64[N]."""
         equal = np.column_stack([maps, states[:, [CELL, BATTERY, STEPS]], states[:, PARCELS:]]).astype(np.int32)
         _, which, of = np.unique(equal, axis=0, return_index=True, return_inverse=True)
         grids, now = grids[which], states[which].astype(np.int64)
@@ -219,32 +219,32 @@ class TourPlanner:
         drones = np.stack([now[:, CELL], now[:, BATTERY], self._tables.max_steps - now[:, STEPS]], axis=1)
         parts: list[Choices] = []
         begin = 0
-        for i in range(0, len(grids), self._viewer.most):
-            some = slice(i, i + self._viewer.most)
-            view = self._viewer.views(grids[some], drones[some])
-            of_view, _ = self._network(view)
-            first = best_options(view, of_view)
-            options = np.column_stack([view.token, view.numbers])
+        for i in range(0, len(grids), self._encoder.most):
+            some = slice(i, i + self._encoder.most)
+            features = self._encoder.encode(grids[some], drones[some])
+            logits, _ = self._network(features)
+            first = best_options(features, logits)
+            options = np.column_stack([features.token, features.numbers])
             best = np.where(first < 0, -1, first + begin)
-            parts.append(Choices(view.begins[:-1] + begin, options, of_view, best))
+            parts.append(Choices(features.begins[:-1] + begin, options, logits, best))
             begin += len(options)
         begins, *others = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         return Choices(np.append(begins, begin), *others), of.ravel()
 
 
 def is_hot(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """Whether the plans of these numbers are drawn by the second temperature."""
+    """Whether the plans of these numbers use the second temperature."""
     return (numbers >= 8) & (numbers % 2 == 1)
 
 
-def drawn(choices: Choices, of: npt.NDArray[np.int64], keys: Any, temperature: float) -> npt.NDArray[np.int64]:
-    """An option of each state, drawn by the softmax of its logits / temperature; -1 where there is none.
+def sample_options(choices: Choices, of: npt.NDArray[np.int64], keys: Any, temperature: float) -> npt.NDArray[np.int64]:
+    """Sample an option of each state by the softmax of its logits / temperature; -1 if there is none.
 
     Args:
         choices: Of M states.
-        of: int64[n], the states to draw for.
-        keys: int64[n], where the random numbers are.
-        temperature: Above 0; the higher, the more alike all options are.
+        of: int64[n], the states to sample for.
+        keys: int64[n], the random keys.
+        temperature: Above 0; the higher, the closer to uniform.
     """
     counts = np.diff(choices.begins)
     highest = np.repeat(choices.logits[choices.best], counts) if len(choices.logits) else choices.logits

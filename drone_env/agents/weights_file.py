@@ -1,7 +1,7 @@
-"""Files of networks, and how they are read safely.
+"""The files of networks, which anybody may have written.
 
-A file is NumPy's `.npz`: one array per parameter, under PyTorch's names, and `metadata`, JSON text. Its entry `network`
-says whose the parameters are; where it is missing they are PathQNet's.
+A file is in the safetensors format: float32 parameters under PyTorch's names and, in the metadata, a JSON object as the
+entry `drone_env`. The object's entry `network` names the network, PathQNet if it is missing.
 """
 
 import hashlib
@@ -12,105 +12,110 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+from threadpoolctl import ThreadpoolController
 
 from drone_env.errors import CheckpointError, shown
-from drone_env.files import read_file
-from drone_env.npz import unpack_arrays
+from drone_env.files import read_file, replacing
 
 WEIGHTS = Path(__file__).parents[1] / "weights"
-"""Where the networks lie that are shipped."""
+"""The folder of the shipped networks."""
 Array = npt.NDArray[np.float32]
-Arrays = dict[str, npt.NDArray[Any]]
 Shapes = Mapping[str, tuple[int, ...]]
 """The shape of each parameter of a network, by its name."""
 PATHQNET, TOURNET = "pathqnet", "tournet"
-"""The networks. A file that names none is of the first."""
-METADATA = "metadata"
-NOT_WHOLE = "it does not hold the parameters of a network and its metadata, and nothing else"
+"""The networks."""
+METADATA = "drone_env"
 MOST_BYTES = 1 << 20
-"""More than any network takes, packed or not. No more than that is ever read or unpacked."""
+"""Maximum size of a file."""
 LARGEST = 100.0
-"""No parameter lies beyond it: those that were trained stay below 3, and up to it no value can overflow."""
+"""Maximum absolute value of a parameter: trained ones stay below 3, and up to it nothing overflows."""
+in_one_thread = ThreadpoolController().wrap(limits=1, user_api="blas")
+"""Decorator: NumPy multiplies matrices in the calling thread alone. Ours are small, and the spinning threads of NumPy's
+library take several times as long beside other work."""
 
 
 class Weights(NamedTuple):
-    """What a file of a network holds."""
+    """The content of a network's file."""
 
     parameters: dict[str, Array]
     metadata: dict[str, Any]
-    """What it says about its making."""
     digest: str
-    """First 16 digits of the SHA-256 of the file."""
+    """First 16 digits of the file's SHA-256."""
+
+
+def write_weights(path: Path, parameters: Mapping[str, Array], metadata: Mapping[str, Any]) -> None:
+    """Write the file of a network; folders are made.
+
+    Raises:
+        OSError: if it cannot be written; the previous file stays.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = save(dict(parameters), {METADATA: json.dumps(metadata, sort_keys=True)})
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def read_weights(path: Path, network: str, shapes_of: Callable[[dict[str, Any]], Shapes]) -> Weights:
-    """Read the file of a network. Whatever it says of itself, no more than `MOST_BYTES` are unpacked.
+    """Read the file of a network.
 
     Args:
         path: The file.
-        network: Whose parameters they must be.
-        shapes_of: What they must look like, by the metadata; raises ValueError where these lack something.
+        network: The expected network.
+        shapes_of: Returns the expected shapes, by the metadata; raises ValueError if these are incomplete.
 
     Raises:
         OSError: if the file cannot be read.
         CheckpointError: if it is not such a file; the message says why.
     """
-    arrays, metadata, digest = _read(path)
+    weights = _read(path)
     try:
-        found = metadata.get("network", PATHQNET)
+        found = weights.metadata.get("network", PATHQNET)
         if found != network:
             raise ValueError(f"it holds a network of {shown(found)}, not of {network!r}")
-        parameters = _parameters(arrays, shapes_of(metadata))
+        _require_shapes(weights.parameters, shapes_of(weights.metadata))
     except (ValueError, TypeError) as error:
-        raise _refused(path, error) from None
-    return Weights(parameters, metadata, digest)
+        raise _rejected(path, error) from None
+    return weights
 
 
 def network_of(path: Path) -> str:
-    """Whose parameters a file holds, by its metadata.
+    """The network that a file names in its metadata.
 
     Raises:
         OSError: if it cannot be read.
         CheckpointError: if it is no file of a network.
     """
-    return str(_read(path)[1].get("network", PATHQNET))
+    return str(_read(path).metadata.get("network", PATHQNET))
 
 
-def _read(path: Path) -> tuple[Arrays, dict[str, Any], str]:
-    """The parameters, the metadata and the digest of a file."""
+def _read(path: Path) -> Weights:
     try:
         content = read_file(path, MOST_BYTES)
-        arrays = unpack_arrays(content, MOST_BYTES)
-        metadata = _metadata(arrays.pop(METADATA, None))
-    except (ValueError, RecursionError) as error:
-        raise _refused(path, error) from None
-    return arrays, metadata, hashlib.sha256(content).hexdigest()[:16]
+        parameters = load(content)
+        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        metadata = json.loads(header["__metadata__"][METADATA])
+        if not isinstance(metadata, dict):
+            raise ValueError("its metadata are no JSON object")
+    except KeyError as error:
+        raise _rejected(path, ValueError(f"it lacks {error}")) from None
+    except (SafetensorError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise _rejected(path, error) from None
+    return Weights(parameters, cast(dict[str, Any], metadata), hashlib.sha256(content).hexdigest()[:16])
 
 
-def _refused(path: Path, error: Exception) -> CheckpointError:
-    why = str(error).removeprefix(f"{path} ")
-    return CheckpointError(f"{path} is not an exported network (.npz, beside the checkpoint): {why}")
+def _rejected(path: Path, error: Exception) -> CheckpointError:
+    reason = str(error).removeprefix(f"{path} ")
+    return CheckpointError(f"{path} is not an exported network (.safetensors, beside the checkpoint): {reason}")
 
 
-def _parameters(arrays: Arrays, shapes: Shapes) -> dict[str, Array]:
-    """The parameters in an archive, if they are those of a network: by name, type, shape and size."""
-    if arrays.keys() != shapes.keys():
-        raise ValueError(NOT_WHOLE)
+def _require_shapes(parameters: Mapping[str, npt.NDArray[Any]], shapes: Shapes) -> None:
+    if parameters.keys() != shapes.keys():
+        raise ValueError("its parameters are not those of the network")
     for name, shape in shapes.items():
-        array = arrays[name]
+        array = parameters[name]
         if array.dtype != np.float32 or array.shape != shape:
             raise ValueError(f"{name} is {array.dtype}{list(array.shape)} instead of float32{list(shape)}")
         if not (np.abs(array) <= LARGEST).all():
             raise ValueError(f"{name} has values that are no numbers, or beyond {LARGEST:g}")
-    return arrays
-
-
-def _metadata(array: npt.NDArray[Any] | None) -> dict[str, Any]:
-    if array is None:
-        raise ValueError(NOT_WHOLE)
-    if array.shape != () or array.dtype.kind != "U":
-        raise ValueError("its metadata are no text")
-    metadata = json.loads(str(array))
-    if not isinstance(metadata, dict):
-        raise ValueError("its metadata are no JSON object")
-    return cast(dict[str, Any], metadata)

@@ -41,7 +41,7 @@ def _identity(plugins: str) -> str:
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*")):
-        if file.suffix in (".py", ".npz", ".toml"):
+        if file.suffix in (".py", ".safetensors", ".toml"):
             digest.update(file.relative_to(package).as_posix().encode() + b"\0" + file.read_bytes())
     minor = ".".join(platform.python_version_tuple()[:2])
     own = f"drone-env {__version__} ({digest.hexdigest()[:16]}), NumPy {np.__version__}, Python {minor}"

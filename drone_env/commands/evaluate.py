@@ -70,8 +70,8 @@ def evaluate(
         split: Whose first maps to fly: test if nothing is said. Training never touches validation and test.
         episodes: How many maps of the split, 1000 if nothing is said.
         seeds: Fly the maps from A up to and not including B instead of a split's.
-        checkpoint: Fly by the network in this file (.npz) instead of the shipped one: `pathqnet`, or `tournet`, as the
-            file says.
+        checkpoint: Fly by the network in this file (.safetensors) instead of the shipped one: `pathqnet`, or `tournet`,
+            as the file says.
         json: Write the figures to this file; - prints only the JSON on standard output.
         out: Keep the results of each 1,000 maps in this folder as they arrive; the same command goes on from there.
         repeats: How often an agent that draws lots flies each map; the mean counts.

@@ -12,7 +12,7 @@ REGISTERED: dict[str, Callable[[str], Any]] = {
     "--reward": register_reward_file,
 }
 """Of the options that take a name or a TOML file, what makes the file known by a name."""
-AGENTS = "names of agents, AGENT:FILE.npz and FILE.zip:WRAPPER"
+AGENTS = "names of agents, AGENT:FILE.safetensors and FILE.zip:WRAPPER"
 RECORD = "the record of a flight, as `drone-env fly --record` saves it"
 REWARDS = "a reward profile or a TOML file with one (docs/reward.md)"
 TAKES: dict[str, str] = {
@@ -24,7 +24,7 @@ TAKES: dict[str, str] = {
     "--reward-profile": REWARDS,
     "--reward": REWARDS,
     "--task": "a task or the file of a city, as `drone-env city` writes it",
-    "--checkpoint": "the network of an agent (.npz), as `drone-env train` writes it",
+    "--checkpoint": "the network of an agent (.safetensors), as `drone-env train` writes it",
     "--prompt": "a prompt or a TOML file with one (docs/llm.md)",
     "--prompts": "prompts or TOML files with one (docs/llm.md)",
     "--set": "values, of reward_profile also TOML files with one",

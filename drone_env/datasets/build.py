@@ -1,16 +1,14 @@
 """`build_dataset`: from a configuration to a folder."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from drone_env.datasets.columns import columns
 from drone_env.datasets.config import DatasetConfig
-from drone_env.datasets.minari_writer import FOLDER, dataset_id, minari_writer
-from drone_env.datasets.parquet_writer import FILE, parquet_writer
-from drone_env.datasets.trajectories import Trajectory, Write, fly_map
+from drone_env.datasets.formats import MINARI_FOLDER, PARQUET_FILE, Write, columns, minari_writer, parquet_writer
+from drone_env.datasets.trajectories import Trajectory, fly_map
 from drone_env.errors import InvalidValueError, UnknownNameError, needs
 
 WRITERS: dict[str, Callable[[Path, DatasetConfig], AbstractContextManager[Write]]] = {
@@ -19,7 +17,7 @@ WRITERS: dict[str, Callable[[Path, DatasetConfig], AbstractContextManager[Write]
 }
 
 ROWS_PER_GROUP = 1 << 14
-"""Rows after which they are written: the memory that a data set takes, whatever its size."""
+"""Rows in memory before they are written."""
 
 
 def build_dataset(
@@ -72,13 +70,20 @@ def build_dataset(
 def _write(
     config: DatasetConfig, folder: Path, formats: Sequence[str], rows_per_group: int, on_map: Callable[[], object]
 ) -> int:
-    rows = 0
+    """Write all flights, whole ones in each row group, and return the number of rows."""
+    rows, batch = 0, list[Trajectory]()
     with ExitStack() as stack:
         writers = [stack.enter_context(WRITERS[name](folder, config)) for name in dict.fromkeys(formats)]
-        for batch in _batches(_fly_all(config, on_map), rows_per_group):
-            for write in writers:
-                write(batch)
-            rows += sum(trajectory.steps for trajectory in batch)
+        for seed in config.seeds:
+            for trajectory in fly_map(config, seed):
+                batch.append(trajectory)
+                rows += trajectory.steps
+                last = trajectory.number == config.episodes - 1
+                if last or sum(one.steps for one in batch) >= rows_per_group:
+                    for write in writers:
+                        write(batch)
+                    batch = []
+            on_map()
     return rows
 
 
@@ -94,28 +99,8 @@ def _card(config: DatasetConfig, formats: tuple[str, ...], rows: int) -> str:
         columns=columns(config.task),
         formats=formats,
         rows=rows,
-        parquet=FILE,
-        minari=FOLDER,
-        dataset_id=dataset_id(config),
+        parquet=PARQUET_FILE,
+        minari=MINARI_FOLDER,
+        dataset_id=config.minari_id,
         about=json.dumps(config.as_json(), indent=2),
     )
-
-
-def _fly_all(config: DatasetConfig, on_map: Callable[[], object]) -> Iterator[Trajectory]:
-    for seed in config.seeds:
-        yield from fly_map(config, seed)
-        on_map()
-
-
-def _batches(trajectories: Iterable[Trajectory], rows: int) -> Iterator[list[Trajectory]]:
-    """Whole flights, of at least `rows` steps together; the last ones of what is left."""
-    batch: list[Trajectory] = []
-    steps = 0
-    for trajectory in trajectories:
-        batch.append(trajectory)
-        steps += trajectory.steps
-        if steps >= rows:
-            yield batch
-            batch, steps = [], 0
-    if batch:
-        yield batch

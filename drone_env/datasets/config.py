@@ -1,4 +1,4 @@
-"""What a data set is made from: equal configurations give equal rows."""
+"""The configuration of a data set: equal configurations give equal rows."""
 
 import hashlib
 import json
@@ -20,13 +20,13 @@ FORMAT_VERSION = 1
 
 @dataclass(frozen=True)
 class DatasetConfig:
-    """Which maps are flown, and how. `dataset_config` makes one.
+    """The maps and agents of a data set. `dataset_config` makes one.
 
     Attributes:
         task: The task.
         keys: One for each agent, all over the same maps.
         epsilon: The probability with which a step flies a uniformly random action instead of the agent's.
-        reward_profile: What the steps pay.
+        reward_profile: The reward profile.
     """
 
     task: TaskConfig
@@ -46,13 +46,18 @@ class DatasetConfig:
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """Who flies, in this order on each map."""
+        """The agents, in this order on each map."""
         return tuple(key.agent for key in self.keys)
 
     @property
     def episodes(self) -> int:
-        """How many flights there are."""
+        """The number of flights."""
         return len(self.seeds) * len(self.keys)
+
+    @property
+    def minari_id(self) -> str:
+        """The name under which Minari loads the data set."""
+        return f"drone_delivery_{self.task.short_name}-v{self.task.version}"
 
     def as_json(self) -> dict[str, Any]:
         """The whole configuration as JSON values, with its hash and the version of this package.

@@ -1,6 +1,6 @@
 """Trajectories: flights with the exact values of every state that they reach."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,19 +18,19 @@ from drone_env.planning.solver import Solver
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One flight to its end: T steps, T + 1 states.
+    """One whole flight: T steps, T + 1 states.
 
     Attributes:
-        number: Which flight of the data set it is, from 0.
+        number: The number of the flight in the data set, from 0.
         seed: The map.
-        agent: Who flew.
+        agent: The name of the agent.
         grids: uint8[T + 1, H, W] of cell ids.
         telemetry: float32[T + 1, telemetry_size].
         action_masks: int8[T + 1, 5], 0 for each action that would bump.
         scores: float64[T + 1], the graded score as it stands.
-        events: int8[T + 1], what led to the state (`Event`).
-        actions: int8[T], what was flown.
-        agent_actions: int8[T], what the agent chose.
+        events: int8[T + 1], the event before the state (`Event`).
+        actions: int8[T], the flown actions.
+        agent_actions: int8[T], the agent's choices.
         rewards: float64[T].
         values: float64[T + 1], V*: the highest score that can still be reached; at the end the score.
         q_values: float64[T, 5], Q*: the highest score that can still be reached after each action.
@@ -62,7 +62,7 @@ class Trajectory:
 
     @property
     def regrets(self) -> npt.NDArray[np.float64]:
-        """float64[T]: V*(s) - Q*(s, a), what the flown action lost for good, in score."""
+        """float64[T]: V*(s) - Q*(s, a) of the flown actions, in score."""
         return self.values[:-1] - self.q_values[np.arange(self.steps), self.actions]
 
     @property
@@ -74,10 +74,6 @@ class Trajectory:
     def returns_to_go(self) -> npt.NDArray[np.float64]:
         """float64[T]: the undiscounted sum of the rewards from this step to the end."""
         return np.cumsum(self.rewards[::-1])[::-1]
-
-
-Write = Callable[[Sequence[Trajectory]], None]
-"""Appends flights to a file."""
 
 
 def fly_map(config: DatasetConfig, seed: int) -> Iterator[Trajectory]:
@@ -109,14 +105,13 @@ def chance(agent: str, seed: int) -> Iterator[tuple[float, int]]:
 
 def _fly(number: int, episode: Episode, solver: Solver, name: str, epsilon: float) -> Trajectory:
     act = begin(make_agent(name, episode.task), name, episode)
-    states, values, chosen = [_state(episode)], list[npt.NDArray[np.float64]](), list[int]()
-    for wish, (share, action) in zip(choices(episode, act), chance(name, episode.seed), strict=False):
-        values.append(solver.q_values(episode))
-        chosen.append(int(wish))
-        episode.step(action if share < epsilon else wish)
+    states, q_values, agent_actions = [_state(episode)], list[npt.NDArray[np.float64]](), list[int]()
+    for choice, (share, action) in zip(choices(episode, act), chance(name, episode.seed), strict=False):
+        q_values.append(solver.q_values(episode))
+        agent_actions.append(int(choice))
+        episode.step(action if share < epsilon else choice)
         states.append(_state(episode))
     grids, telemetry, action_masks, scores, events = map(np.array, zip(*states, strict=True))
-    q_values = np.array(values)
     return Trajectory(
         number=number,
         seed=episode.seed,
@@ -127,14 +122,14 @@ def _fly(number: int, episode: Episode, solver: Solver, name: str, epsilon: floa
         scores=scores,
         events=events.astype(np.int8),
         actions=np.array(episode.actions, np.int8),
-        agent_actions=np.array(chosen, np.int8),
+        agent_actions=np.array(agent_actions, np.int8),
         rewards=np.array(episode.rewards),
-        values=np.append(q_values.max(axis=1), episode.score),
-        q_values=q_values,
+        values=np.append(np.max(q_values, axis=1), episode.score),
+        q_values=np.array(q_values),
     )
 
 
 def _state(episode: Episode) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32], npt.NDArray[np.int8], float, int]:
-    """What is kept of an episode after each step: grid, telemetry, action mask, score and event."""
-    seen = episode.observation()
-    return seen["grid"], seen["telemetry"], episode.action_mask(), episode.score, episode.event
+    """The stored part of a state: grid, telemetry, action mask, score and event."""
+    obs = episode.observation()
+    return obs["grid"], obs["telemetry"], episode.action_mask(), episode.score, episode.event

@@ -1,131 +1,171 @@
-"""All that decides how a training run goes. A new hyperparameter is one more field."""
+"""The settings of a DQN training, and its presets. A new hyperparameter is one more field."""
 
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from functools import cache
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_type_hints
+
+from pydantic_core import SchemaValidator, ValidationError
 
 from drone_env.core.rewards import DEFAULT_PROFILE, get_reward_profile, own_profile
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.errors import InvalidValueError
 
 
+class Bounds(NamedTuple):
+    """The bounds of a number, as Pydantic's `Field` names them. Importing all of Pydantic would slow every command."""
+
+    gt: float | None = None
+    ge: float | None = None
+    lt: float | None = None
+    le: float | None = None
+    multiple_of: int | None = None
+
+
+PositiveInt = Annotated[int, Bounds(gt=0)]
+NonNegativeInt = Annotated[int, Bounds(ge=0)]
+NonNegativeFloat = Annotated[float, Bounds(ge=0)]
+PositiveFloat = Annotated[float, Bounds(gt=0)]
+Share = Annotated[float, Bounds(ge=0, le=1)]
+ShareBelowOne = Annotated[float, Bounds(ge=0, lt=1)]
+
+
+@cache
+def _checks(settings: type) -> dict[str, SchemaValidator]:
+    """Pydantic's check of each number of a dataclass."""
+    checks: dict[str, SchemaValidator] = {}
+    hints: dict[str, Any] = get_type_hints(settings, include_extras=True)
+    for name, hint in hints.items():
+        for bounds in getattr(hint, "__metadata__", ()):
+            if isinstance(bounds, Bounds):
+                given = {key: bound for key, bound in bounds._asdict().items() if bound is not None}
+                finite = {} if hint.__origin__ is int else {"allow_inf_nan": False}
+                schema: Any = {"type": hint.__origin__.__name__, "strict": True, **finite, **given}
+                checks[name] = SchemaValidator(schema)
+    return checks
+
+
+def check_numbers(settings: object) -> None:
+    """Check every number of a dataclass against the bounds in its annotation.
+
+    Raises:
+        InvalidValueError: if a value is out of bounds; the message names the first.
+    """
+    for name, check in _checks(type(settings)).items():
+        value = getattr(settings, name)
+        try:
+            check.validate_python(value)
+        except ValidationError as error:
+            reason = error.errors()[0]["msg"].replace("Input", name)
+            raise InvalidValueError(f"{reason}, got {value!r}") from None
+
+
 @dataclass(frozen=True)
 class TrainConfig:
-    """One training run; `PRESETS` holds two to start from.
+    """The settings of one DQN training; `preset` makes one to start from.
 
     Raises:
         UnknownNameError: if there is no such task or reward profile.
-        InvalidValueError: if a number is out of range.
+        InvalidValueError: if a value is out of range.
     """
+
+    unit: ClassVar[str] = "episodes"
+    """The field that sets the length of a training."""
+    unsaved: ClassVar[tuple[str, ...]] = ("episodes", "checkpoint_episodes", "checkpoint_seconds")
+    """Fields that may change when a training resumes."""
 
     task: str = "easy"
     """The task, by its short name, id or grader."""
-    episodes: int = 3_000
-    """Episodes to fly in all; a resumed run goes on up to this number."""
-    seed: int = 0
-    """Of the weights, the maps, the exploration and the replay: equal seeds, equal runs (on a CPU)."""
+    episodes: PositiveInt = 3_000
+    """Number of episodes, those before a resume included."""
+    seed: NonNegativeInt = 0
+    """Seed of the weights, maps, exploration and replay: equal seeds give equal runs on a CPU."""
     reward_profile: str = DEFAULT_PROFILE
-    """What steps pay. Its shaping, if it has one, is set to `gamma`."""
+    """Reward profile. Potential-based shaping, if the profile has it, uses `gamma`."""
     gpu: bool = False
     """Train on a CUDA device."""
-    num_threads: int = 2
-    """Threads that PyTorch computes with. Runs with other numbers differ in the last bits."""
-    num_envs: int = 512
-    """Episodes flown side by side: as many maps are in the replay from the first step on."""
-    gamma: float = 0.99
-    """Discount."""
-    reward_scale: float = 10.0
-    """What rewards are multiplied by for the network: brings the differences between actions, some hundredths of a
-    score, above what its output jitters by at this learning rate."""
-    n_step: int = 1
-    """Steps over which rewards are summed before the network's own estimate takes over."""
-    batch_size: int = 256
+    num_threads: PositiveInt = 2
+    """Number of PyTorch threads. It changes the last bits of a run."""
+    num_envs: PositiveInt = 512
+    """Number of parallel environments."""
+    gamma: Share = 0.99
+    """Discount factor."""
+    reward_scale: PositiveFloat = 10.0
+    """Factor on the rewards that the network learns. Q-values differ by some hundredths of a score between actions;
+    the factor lifts these differences above the noise of the output at this learning rate."""
+    n_step: PositiveInt = 1
+    """Steps of reward before the target bootstraps."""
+    batch_size: PositiveInt = 256
     """Transitions per update."""
-    learning_rate: float = 5e-4
-    """Of Adam, at the start."""
-    final_learning_rate: float = 1e-5
-    """At the last episode; it falls in a straight line."""
-    replay_size: int = 200_000
-    """Transitions that are kept."""
-    learning_starts: int = 5_000
+    learning_rate: PositiveFloat = 5e-4
+    """Learning rate of Adam at the start."""
+    final_learning_rate: NonNegativeFloat = 1e-5
+    """Learning rate at the last episode; the decay is linear."""
+    replay_size: PositiveInt = 200_000
+    """Capacity of the replay buffer in transitions."""
+    learning_starts: NonNegativeInt = 5_000
     """Steps before the first update."""
-    steps_per_update: float = 64.0
-    """Steps flown for each update."""
+    steps_per_update: PositiveFloat = 64.0
+    """Environment steps per update."""
     double: bool = True
     """Whether the online network chooses the action that the target network values (Double DQN)."""
-    advantage_learning: float = 0.9
-    """By which share of its disadvantage an action is valued lower still (advantage learning): 0.9 makes the gap
-    between the best action and another 1 / (1 - 0.9) times as wide, and leaves the best one's value as it is."""
+    advantage_learning: ShareBelowOne = 0.9
+    """Weight of advantage learning, which widens the gap between the best action and the others: 0.9 makes it
+    1 / (1 - 0.9) times as wide and keeps the value of the best action."""
     loss: Literal["huber", "mse"] = "huber"
-    """What the error of an estimate costs."""
-    max_grad_norm: float = 10.0
-    """Gradients longer than this are shortened to it; 0 for never."""
+    """Loss of the TD error."""
+    max_grad_norm: NonNegativeFloat = 10.0
+    """Maximum norm of the gradient; 0 for no clipping."""
     target_update: Literal["soft", "episodes"] = "soft"
-    """Whether the target network follows a little at every update, or is copied every few episodes."""
-    tau: float = 0.02
-    """How much it follows, where it is `soft`."""
-    target_every: int = 10
-    """Every how many episodes it is copied, where it is by `episodes`."""
+    """Update the target network a little at every update, or copy it every few episodes."""
+    tau: Share = 0.02
+    """Weight of the online network in a soft update."""
+    target_every: PositiveInt = 10
+    """Episodes between two copies, if `target_update` is `episodes`."""
     exploration: Literal["linear", "multiplicative"] = "linear"
-    """Whether epsilon falls in a line over steps, or by a factor per episode."""
-    epsilon_start: float = 1.0
-    """Share of random actions at the start."""
-    epsilon_end: float = 0.5
-    """And at the end."""
-    epsilon_steps: int = 80_000
-    """Steps over which it falls, where it is `linear`."""
-    epsilon_factor: float = 0.995
-    """Factor per episode, where it is `multiplicative`."""
-    validation_every: int = 100
+    """Decay of epsilon: linear over steps, or a factor per episode."""
+    epsilon_start: Share = 1.0
+    """Probability of a random action at the start."""
+    epsilon_end: Share = 0.5
+    """Probability of a random action at the end."""
+    epsilon_steps: PositiveInt = 80_000
+    """Steps of the linear decay."""
+    epsilon_factor: Annotated[float, Bounds(gt=0, le=1)] = 0.995
+    """Factor per episode of the multiplicative decay."""
+    validation_every: PositiveInt = 100
     """Episodes between two validations."""
-    validation_maps: int = 500
-    """Maps of the validation split that each flies."""
-    log_every: int = 20
+    validation_maps: PositiveInt = 500
+    """Number of validation maps."""
+    log_every: PositiveInt = 20
     """Episodes per line of the log."""
-    checkpoint_episodes: int = 50
-    """Episodes up to the first checkpoint, and at least this many between two."""
-    checkpoint_seconds: float = 10.0
-    """At least this many seconds between two checkpoints."""
+    checkpoint_episodes: NonNegativeInt = 50
+    """Minimum number of episodes before the first checkpoint and between two."""
+    checkpoint_seconds: NonNegativeFloat = 10.0
+    """Minimum time between two checkpoints in seconds."""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         get_task(self.task)
         get_reward_profile(self.reward_profile)
-        positive = (
-            "episodes", "num_threads", "num_envs", "n_step", "batch_size", "learning_rate", "replay_size",
-            "reward_scale", "steps_per_update", "target_every", "epsilon_steps", "epsilon_factor", "validation_every",
-            "validation_maps", "log_every",
-        )  # fmt: skip
-        for name in positive:
-            _require(getattr(self, name) > 0, f"{name} must be above 0, got {getattr(self, name)}")
-        not_below = ("final_learning_rate", "learning_starts", "max_grad_norm", "seed")
-        for name in (*not_below, "checkpoint_episodes", "checkpoint_seconds"):
-            _require(getattr(self, name) >= 0, f"{name} must not be below 0, got {getattr(self, name)}")
-        for name in ("gamma", "tau", "advantage_learning", "epsilon_start", "epsilon_end", "epsilon_factor"):
-            _require(0 <= getattr(self, name) <= 1, f"{name} must be in [0, 1], got {getattr(self, name)}")
-        _require(self.advantage_learning < 1, f"advantage_learning must be below 1, got {self.advantage_learning}")
-        _require(
-            self.replay_size >= self.num_envs * (self.n_step + 2),
-            f"replay_size {self.replay_size} does not hold {self.n_step + 2} steps of {self.num_envs} episodes",
-        )
+        if self.replay_size < self.num_envs * (self.n_step + 2):
+            raise InvalidValueError(
+                f"replay_size {self.replay_size} does not hold {self.n_step + 2} steps of {self.num_envs} episodes"
+            )
+
+    @property
+    def name(self) -> str:
+        """The name of the training's files."""
+        return get_task(self.task).short_name
 
     def identity(self) -> dict[str, Any]:
-        """What a resumed run must share with the one that it goes on from: all but how long and how often.
-
-        Of a reward profile that is none of the package's, all that it holds; of such a task, the digest of its rules.
-        """
-        own = own_profile(self.reward_profile)
+        """The settings that a resumed run shares with its checkpoint, task and reward profile in full."""
+        task, own = get_task(self.task), own_profile(self.reward_profile)
         rewards = {} if own is None else {f"reward {name}": term for name, term in own.terms().items()}
-        free = ("episodes", "checkpoint_episodes", "checkpoint_seconds")
-        return {name: value for name, value in asdict(self).items() if name not in free} | {
-            "task": get_task(self.task).id,
-            "task_version": get_task(self.task).version,
-            **own_rules(get_task(self.task)),
+        return {name: value for name, value in asdict(self).items() if name not in self.unsaved} | {
+            "task": task.id,
+            "task_version": task.version,
+            **own_rules(task),
             **rewards,
         }
-
-
-def _require(holds: bool, message: str) -> None:
-    if not holds:
-        raise InvalidValueError(message)
 
 
 ORIGINAL = TrainConfig(
@@ -159,25 +199,26 @@ FAST: dict[str, TrainConfig] = {
     "skyline_medium": TrainConfig(episodes=8_000, epsilon_end=0.1, validation_every=500),
     "skyline_hard": TrainConfig(episodes=6_000, epsilon_end=0.1, validation_every=500),
 }
-"""What was found to learn fastest, for each of the three delivery tasks; others take the numbers of `hard_delivery`."""
+"""Settings tuned for learning speed; other tasks use those of `hard_delivery`."""
 
 PRESETS = ("fast", "original")
 
 
 def preset(name: str, task: str, episodes: int | None = None) -> TrainConfig:
-    """The configuration of a preset for a task.
+    """The settings of a preset for a task.
 
     Args:
         name: `fast` or `original`.
         task: The task.
-        episodes: How many to fly; None for as many as the preset has. `fast` flies the fewer side by side the fewer
-            there are to fly, so that the later ones can be flown by what was learned from the earlier.
+        episodes: Number of episodes; None for the preset's own. With fewer episodes, `fast` flies fewer in parallel,
+            so that later episodes use what earlier ones taught.
 
     Raises:
         UnknownNameError: if there is no such task.
-        InvalidValueError: if there is no such preset, or no such number of episodes.
+        InvalidValueError: if there is no such preset, or the number of episodes is out of range.
     """
-    _require(name in PRESETS, f"preset must be one of {', '.join(PRESETS)}, got {name!r}")
+    if name not in PRESETS:
+        raise InvalidValueError(f"preset must be one of {', '.join(PRESETS)}, got {name!r}")
     known = get_task(task)
     config = replace(ORIGINAL if name == "original" else FAST.get(known.id, FAST["hard_delivery"]), task=task)
     if episodes is None:
@@ -185,7 +226,7 @@ def preset(name: str, task: str, episodes: int | None = None) -> TrainConfig:
     config, usual = replace(config, episodes=episodes), config.episodes
     if name == "original" or episodes >= usual:
         return config
-    # A power of two; each place flies at least 16 of the episodes, one after the other.
+    # A power of two that leaves at least 16 episodes to each environment.
     num_envs = min(1 << max((episodes // 16).bit_length() - 1, 0), config.num_envs)
     return replace(
         config,

@@ -1,11 +1,11 @@
-"""How much of an agent's flying is chance, and the policy that mixes it in."""
+"""Exploration: schedules of epsilon, and the epsilon-greedy policy."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.errors import InvalidValueError
+from drone_env.rl.config import PositiveInt, Share, check_numbers
 
 
 def linear(start: float, end: float, duration: int, step: int) -> float:
@@ -20,7 +20,7 @@ def multiplicative(start: float, end: float, factor: float, episode: int) -> flo
 
 @dataclass(frozen=True)
 class EpsilonGreedyPolicy:
-    """A uniformly random action with probability epsilon, else the one of the highest value.
+    """A uniformly random action with probability epsilon, else the action with the highest value.
 
     Args:
         eps_start: Probability at step 0.
@@ -31,15 +31,12 @@ class EpsilonGreedyPolicy:
         InvalidValueError: if a probability is not in [0, 1] or `decay_steps` is below 1.
     """
 
-    eps_start: float = 1.0
-    eps_end: float = 0.05
-    decay_steps: int = 5000
+    eps_start: Share = 1.0
+    eps_end: Share = 0.05
+    decay_steps: PositiveInt = 5000
 
     def __post_init__(self) -> None:
-        if not (0 <= self.eps_end <= 1 and 0 <= self.eps_start <= 1):
-            raise InvalidValueError(f"epsilon is a probability, got {self.eps_start} to {self.eps_end}")
-        if self.decay_steps < 1:
-            raise InvalidValueError(f"the decay takes at least 1 step, got {self.decay_steps}")
+        check_numbers(self)
 
     def epsilon(self, step: int) -> float:
         """The probability of a random action after this many steps."""
@@ -53,11 +50,11 @@ class EpsilonGreedyPolicy:
 def epsilon_greedy(
     q_values: npt.NDArray[np.float32], epsilon: float, rng: np.random.Generator
 ) -> npt.NDArray[np.int64]:
-    """Actions, int64[N], from values float32[N, actions]: random with probability epsilon, else of the highest value.
+    """Actions, int64[N], from values float32[N, actions]: random with probability epsilon, else the best.
 
-    It draws the same numbers whatever epsilon is, so that a run can be compared with one that explores less.
+    The random numbers do not depend on epsilon, so runs with different exploration stay comparable.
     """
     n, n_actions = q_values.shape
     explores = np.asarray(rng.random(n), np.float64) < epsilon
-    chance = np.asarray(rng.integers(0, n_actions, n), np.int64)
-    return np.where(explores, chance, q_values.argmax(axis=1))
+    random_actions = np.asarray(rng.integers(0, n_actions, n), np.int64)
+    return np.where(explores, random_actions, q_values.argmax(axis=1))

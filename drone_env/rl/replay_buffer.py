@@ -1,6 +1,6 @@
-"""What the trainer has seen, in arrays that are allocated once."""
+"""The replay buffer, in arrays that are allocated once."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,18 +18,18 @@ class Transitions(NamedTuple):
     actions: npt.NDArray[np.int64]
     """int64[B]"""
     returns: npt.NDArray[np.float32]
-    """float32[B], the discounted rewards of the steps"""
+    """float32[B], discounted rewards of the steps"""
     discounts: npt.NDArray[np.float32]
-    """float32[B], what the value of the next state counts: gamma^n, or 0 where the episode ended on the way"""
+    """float32[B], discount of the next state's value: gamma^n, or 0 if the episode ended before"""
     next_grids: npt.NDArray[np.uint8]
     next_telemetry: npt.NDArray[np.float32]
 
 
 class ReplayBuffer:
-    """The last steps of N episodes flown side by side, one row of N for each step.
+    """The last steps of N environments, one row of N for each step.
 
-    An observation is stored once: the next one of an episode stands in the next row. Where an episode ended, that row
-    holds the first observation of the one after it, which is never used, since nothing follows an end.
+    Each observation is stored once: the next one is in the next row. After an end, the next row holds the first
+    observation of another episode, which no target uses.
 
     Args:
         capacity: Transitions to hold; rounded down to whole rows.
@@ -38,7 +38,7 @@ class ReplayBuffer:
         telemetry_size: Values in the telemetry.
 
     Raises:
-        InvalidValueError: if the capacity does not hold two rows.
+        InvalidValueError: if the capacity is below two rows.
     """
 
     def __init__(self, capacity: int, num_envs: int, height: int, width: int, telemetry_size: int) -> None:
@@ -55,8 +55,12 @@ class ReplayBuffer:
 
     @property
     def held(self) -> int:
-        """Rows that it holds now."""
+        """Rows in the buffer."""
         return min(self.added, len(self.grids))
+
+    @property
+    def _columns(self) -> dict[str, npt.NDArray[Any]]:
+        return {name: column for name, column in vars(self).items() if name != "added"}
 
     def add(
         self,
@@ -66,13 +70,12 @@ class ReplayBuffer:
         rewards: npt.NDArray[np.float64],
         terminated: npt.NDArray[np.bool_],
     ) -> None:
-        """Store one step of all episodes: what was seen, what was done, and what came next; the oldest goes."""
+        """Store one step of all environments; it replaces the oldest."""
         row = self.added % len(self.grids)
-        self.grids[row] = grids
-        self.telemetry[row] = telemetry
-        self.actions[row] = actions
-        self.rewards[row] = rewards
-        self.terminated[row] = terminated
+        for column, values in zip(
+            self._columns.values(), (grids, telemetry, actions, rewards, terminated), strict=True
+        ):
+            column[row] = values
         self.added += 1
 
     def can_sample(self, n_step: int) -> bool:
@@ -80,10 +83,10 @@ class ReplayBuffer:
         return self.held > n_step
 
     def sample(self, batch_size: int, n_step: int, gamma: float, rng: np.random.Generator) -> Transitions:
-        """Transitions drawn uniformly, each over `n_step` steps or up to the end of its episode.
+        """Uniformly sampled transitions, each over `n_step` steps or up to the end of its episode.
 
         Raises:
-            InvalidValueError: if fewer than `n_step` + 1 rows have been written.
+            InvalidValueError: if there are fewer than `n_step` + 1 rows.
         """
         if not self.can_sample(n_step):
             raise InvalidValueError(f"{self.added} steps have been stored; {n_step + 1} are needed")
@@ -106,3 +109,13 @@ class ReplayBuffer:
             self.grids[later, env],
             self.telemetry[later, env],
         )
+
+    def get_state(self) -> dict[str, npt.NDArray[Any]]:
+        """The rows in the buffer, and how many were written."""
+        return {name: column[: self.held] for name, column in self._columns.items()} | {"added": np.array(self.added)}
+
+    def set_state(self, state: dict[str, npt.NDArray[Any]]) -> None:
+        """Take the rows of another buffer of the same size."""
+        self.added = int(state["added"])
+        for name, column in self._columns.items():
+            column[: self.held] = state[name]

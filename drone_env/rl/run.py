@@ -1,111 +1,196 @@
-"""A training run and its files: checkpoint, log, curves, and the exported network."""
+"""A training run and its files: checkpoint, log, curves, and the exported network.
+
+A checkpoint contains only tensors and plain values, so `weights_only=True` reads it and it cannot run code. It replaces
+the previous one atomically. An exported network is read by `agents`, without PyTorch.
+"""
 
 import csv
 import math
+import os
+import pickle
 import shutil
 import signal
+import struct
 import sys
 import time
-from collections.abc import Callable, Generator, Iterator
-from contextlib import AbstractContextManager, contextmanager
+import zipfile
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, fields
 from pathlib import Path
 from types import FrameType
-from typing import Any, Generic, TextIO
+from typing import TYPE_CHECKING, Any, BinaryIO, Generic, TextIO, TypeVar, cast
 
+import torch
+
+from drone_env.agents.weights_file import write_weights
 from drone_env.errors import CheckpointError, InvalidValueError, needs
-from drone_env.files import locked, replacing
-from drone_env.rl.checkpoint import UNREADABLE, export_network, load_checkpoint, save_checkpoint
-from drone_env.rl.curves import draw_curves
-from drone_env.rl.learner import AnyLearner, DifferentRunError, figure, figures_of
+from drone_env.files import locked, open_file, replacing
+from drone_env.rl.common import DifferentRunError, figure
 
+if TYPE_CHECKING:
+    from drone_env.rl.dqn import Trainer
+    from drone_env.rl.tournet import TourTrainer
+
+AnyTrainer = TypeVar("AnyTrainer", "Trainer", "TourTrainer")
+FORMAT, VERSION = "drone_env/checkpoint", 1
+UNREADABLE = (pickle.UnpicklingError, zipfile.BadZipFile, struct.error, RuntimeError, EOFError, MemoryError,
+              ValueError, TypeError, LookupError, AttributeError, AssertionError, ArithmeticError)  # fmt: skip
+"""What reading a damaged archive, its pickle or its tensors raises."""
 DIGITS = {"epsilon": 3, "loss": 6, "success": 3, "length": 1, "learning_rate": 6, "regret": 6, "cpu_seconds": 1}
-"""Decimal places of the figures of a line in the log; 4 for those not named."""
+"""Decimal places of the log; 4 for other figures."""
 MOST_KEPT = 9
-"""Earlier trainings of one name that a folder keeps: a checkpoint takes up to 100 MB."""
+"""Maximum number of earlier trainings of one name in a folder: a checkpoint takes up to 100 MB."""
 
 
-class TrainingRun(Generic[AnyLearner]):
-    """Trains, and keeps what comes of it.
-
-        data/<name>.pth                    the last checkpoint, to go on from; it holds the best network too
-        data/<name>.npz                    the best network by validation, exported
-        data/train.log                     one line per `log_every` episodes or updates
-        data/train.lock                    held while a training writes to this folder
-        results/<name>/history.csv         the same as a table
-        results/<name>/*.png               the same as curves
-        results/<name>/tensorboard/        the same for TensorBoard
-
-    A training that starts from nothing keeps the checkpoint, network and results of an earlier one under the next free
-    number, such as `<name>.pth.1`. The earlier network also stays in place until a validated one replaces it.
-
-    Args:
-        trainer: What learns; its name is that of the files.
-        data: Folder of checkpoint and log.
-        results: Folder of tables and curves.
-        fresh: Start from nothing, even if there is a checkpoint.
-        clock: Gives the time in seconds, by which checkpoints are due.
+def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
+    """Write a checkpoint; folders are made.
 
     Raises:
-        CheckpointError: if the checkpoint cannot be read or is of another run; it is left as it was.
+        OSError: if it cannot be written; the previous file stays.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        try:
+            torch.save({"format": FORMAT, "version": VERSION, **state}, file)
+        except RuntimeError as error:  # PyTorch's error for a full disk
+            raise OSError(f"{path} could not be written: {str(error).splitlines()[0]}") from error
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint, onto the CPU.
+
+    Raises:
+        OSError: if it cannot be read.
+        CheckpointError: if it is cut short, or no checkpoint of this project.
+    """
+    try:
+        with open_file(path) as file:
+            _require_uncompressed(file)
+            state: Any = torch.load(file, map_location="cpu", weights_only=True)
+    except InvalidValueError as error:
+        raise CheckpointError(str(error)) from None
+    except UNREADABLE as error:
+        raise CheckpointError(f"{path} cannot be read: cut short, or no checkpoint ({type(error).__name__})") from None
+    if not isinstance(state, dict) or cast(dict[str, Any], state).get("format") != FORMAT:
+        raise CheckpointError(f"{path} is not a checkpoint of this project")
+    version = cast(dict[str, Any], state).get("version")
+    if version != VERSION:
+        raise CheckpointError(f"{path} is a checkpoint of version {version}; this program reads version {VERSION}")
+    return cast(dict[str, Any], state)
+
+
+def _require_uncompressed(file: BinaryIO) -> None:
+    """Reject an archive that unpacks to more than its size: `torch.save` compresses nothing."""
+    size = os.fstat(file.fileno()).st_size
+    with zipfile.ZipFile(file) as archive:
+        if sum(entry.file_size for entry in archive.infolist()) > size:
+            raise zipfile.BadZipFile("it is compressed")
+    file.seek(0)
+
+
+class TrainingRun(Generic[AnyTrainer]):
+    """A training with its files.
+
+        data/<name>.pth                    the last checkpoint; it contains the best network too
+        data/<name>.safetensors            the best network by validation, exported
+        data/train.log                     one line per `log_every` episodes or updates
+        data/train.lock                    held while a training writes to this folder
+        results/<name>/history.csv         the log as a table
+        results/<name>/*.png               the log as curves
+        results/<name>/tensorboard/        the log for TensorBoard
+
+    A training from scratch keeps the checkpoint, network and results of an earlier one under the next free number, such
+    as `<name>.pth.1`. The earlier network also stays in place until a validated one replaces it.
+
+    Args:
+        trainer: The trainer; its settings name the files.
+        data: Folder of checkpoint and log.
+        results: Folder of tables and curves.
+        fresh: Start from scratch, even if there is a checkpoint.
+        clock: Returns the time in seconds, for the time between checkpoints.
+
+    Raises:
+        CheckpointError: if the checkpoint cannot be read or is of another run; the file stays as it is.
     """
 
     def __init__(
         self,
-        trainer: AnyLearner,
+        trainer: AnyTrainer,
         data: Path,
         results: Path,
         fresh: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.trainer = trainer
-        self._clock = clock
-        name = trainer.name
-        self.checkpoint = data / f"{name}.pth"
+        self.trainer, self._clock = trainer, clock
+        self.name: str = trainer.config.name
+        self.unit: str = trainer.config.unit
+        self.checkpoint = data / f"{self.name}.pth"
         self.log = data / "train.log"
-        self.network = data / f"{name}.npz"
-        self.results = results / name
+        self.network = data / f"{self.name}.safetensors"
+        self.results = results / self.name
         self.resumed = not fresh and self.checkpoint.exists()
+        self.stopped = False
+        """Whether the run ends after the current step, or has ended."""
         self._seconds, self._since = 0.0, clock()
         if self.resumed:
-            try:
-                state = load_checkpoint(self.checkpoint, str(self.trainer.device))
-                self.trainer.set_state(state)
-                self._seconds = state["seconds"]
-            except DifferentRunError as error:
-                again = "use those to go on, or add --fresh to start again"
-                raise CheckpointError(f"{self.checkpoint} has other settings: {error}; {again}") from None
-            except UNREADABLE as error:
-                wrong = "lacks" if isinstance(error, KeyError) else "does not fit this training:"
-                first = (str(error).splitlines() or [type(error).__name__])[0]  # PyTorch adds lines
-                why = error if isinstance(error, CheckpointError) else f"{self.checkpoint} {wrong} {first}"
-                raise CheckpointError(f"{why}; add --fresh to start again and keep the file") from None
-        self.stopped = False
-        """Whether the run is to end after the present step, or has."""
+            self._resume()
+
+    def _resume(self) -> None:
+        try:
+            state = load_checkpoint(self.checkpoint)
+            self.trainer.set_state(state)
+            self._seconds = state["seconds"]
+        except DifferentRunError as error:
+            again = "use those to go on, or add --fresh to start again"
+            raise CheckpointError(f"{self.checkpoint} has other settings: {error}; {again}") from None
+        except UNREADABLE as error:
+            wrong = "lacks" if isinstance(error, KeyError) else "does not fit this training:"
+            first = (str(error).splitlines() or [type(error).__name__])[0]  # PyTorch adds lines
+            why = error if isinstance(error, CheckpointError) else f"{self.checkpoint} {wrong} {first}"
+            raise CheckpointError(f"{why}; add --fresh to start again and keep the file") from None
+
+    @property
+    def done(self) -> int:
+        """Episodes or updates so far."""
+        return getattr(self.trainer, self.unit)
+
+    @property
+    def total(self) -> int:
+        """Episodes or updates at the end of the training."""
+        return getattr(self.trainer.config, self.unit)
+
+    @property
+    def seconds(self) -> float:
+        """Time of this training, including validations, files and the parts before a resume."""
+        return self._seconds + self._clock() - self._since
 
     def train(self) -> Iterator[Any]:
-        """Train to the end, or until `stopped` is set: the run then saves and ends after that step.
+        """Train to the end, or save and end after the step in which `stopped` is set.
 
-        Yields every line of the log when it is written.
+        Yields every line of the log after it is written.
 
         Raises:
-            InvalidValueError: if another process trains in the same folder, or it keeps too many earlier trainings.
+            InvalidValueError: if another process trains in the same folder, or it has too many earlier trainings.
         """
-        trainer = self.trainer
-        most, seconds = trainer.checkpoint_gap
-        self.log.parent.mkdir(parents=True, exist_ok=True)
-        with self._alone():
+        trainer, config, data = self.trainer, self.trainer.config, self.log.parent
+        data.mkdir(parents=True, exist_ok=True)
+        taken = f"another process is training in {data}: wait for its end, or add --data FOLDER"
+        with locked(data / "train.lock", taken):
             if not self.resumed:
                 self._keep_earlier()
             self.results.mkdir(parents=True, exist_ok=True)
             self._since = self._clock()
-            saved_at, saved_done = self._since if self.resumed else None, trainer.done
+            saved_at, saved_done = self._since if self.resumed else None, self.done
             with self._log_file() as log, self._tensorboard() as board:
                 for lines in trainer.train():
-                    late = saved_at is None or self._clock() - saved_at >= seconds
-                    if late and trainer.done - saved_done >= most:
-                        # Saved before it is logged: what the log shows survives a kill.
+                    late = saved_at is None or self._clock() - saved_at >= config.checkpoint_seconds
+                    if late and self.done - saved_done >= config.checkpoint_episodes:
+                        # Saved before it is logged: a kill loses no line of the log.
                         self.save()
-                        saved_at, saved_done = self._clock(), trainer.done
+                        saved_at, saved_done = self._clock(), self.done
                     for line in lines:
                         log.write(f"{log_line(line)}\n")
                         (_, count), *figures = figures_of(line).items()
@@ -118,28 +203,18 @@ class TrainingRun(Generic[AnyLearner]):
             self.save()
             if trainer.history:
                 self._write_history()
-                draw_curves({trainer.name: trainer.history}, trainer.name, trainer.curves, self.results)
-
-    @property
-    def seconds(self) -> float:
-        """How long this run has been trained, in all its parts, validations and files included."""
-        return self._seconds + self._clock() - self._since
+                draw_curves({self.name: trainer.history}, self.name, trainer.curves, self.results)
 
     def save(self) -> None:
-        """Write the checkpoint and, once there has been a validation, the best network beside it."""
+        """Write the checkpoint and, after a validation, the best network beside it."""
         save_checkpoint(self.checkpoint, self.trainer.get_state() | {"seconds": self.seconds})
         network = self.trainer.best_network()
         if network is not None:
-            export_network(network, self.network, self.trainer.metadata() | {"seconds": round(self.seconds, 1)})
-
-    def _alone(self) -> AbstractContextManager[None]:
-        """Keeps a second process from the same files. The folder has one log, and so one training at a time."""
-        data = self.log.parent
-        taken = f"another process is training in {data}: wait for its end, or add --data FOLDER"
-        return locked(data / "train.lock", taken)
+            parameters = {name: tensor.numpy() for name, tensor in network.state_dict().items()}
+            write_weights(self.network, parameters, self.trainer.metadata() | {"seconds": round(self.seconds, 1)})
 
     def _keep_earlier(self) -> None:
-        """Keep what an earlier training left, under the next free number."""
+        """Keep the files of an earlier training under the next free number."""
         files = (self.network, self.checkpoint, self.results)
         if not any(file.exists() for file in files):
             return
@@ -160,9 +235,9 @@ class TrainingRun(Generic[AnyLearner]):
             print(f"the earlier training is kept as {checkpoint}", file=sys.stderr)
 
     def _log_file(self) -> TextIO:
-        """The log, with the lines of the checkpoint alone: what was logged after it is flown again.
+        """The log, with the lines of the checkpoint alone: training repeats what came after it.
 
-        It is changed in place, so that whoever follows it, as `tail -f` does, goes on reading.
+        It is changed in place, so `tail -f` continues.
         """
         text = "".join(f"{log_line(line)}\n" for line in self.trainer.history).encode()
         if not self.log.exists() or self.log.is_file():
@@ -175,14 +250,22 @@ class TrainingRun(Generic[AnyLearner]):
         return self.log.open("a", encoding="utf-8", buffering=1)
 
     def _tensorboard(self) -> Any:
-        """TensorBoard's writer. What it got after the checkpoint is flown again, and so taken back."""
+        """TensorBoard's writer; it drops what came after the checkpoint."""
         with needs("train"):
             from torch.utils.tensorboard import SummaryWriter
-        return SummaryWriter(self.results / "tensorboard", purge_step=self.trainer.done + 1)
+        return SummaryWriter(self.results / "tensorboard", purge_step=self.done + 1)
+
+    def _write_history(self) -> None:
+        path = self.results / "history.csv"
+        with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+            rows = list(map(figures_of, self.trainer.history))
+            table = csv.DictWriter(file, list(rows[0]))
+            table.writeheader()
+            table.writerows(rows)
 
     @contextmanager
     def stopping_on_interrupt(self) -> Generator[None, None, None]:
-        """Inside of the `with`, Ctrl-C sets `stopped`, and a second one ends at once. For the main thread."""
+        """Inside the `with`, Ctrl-C sets `stopped`; a second one ends at once. For the main thread."""
 
         def stop(signum: int, frame: FrameType | None) -> None:
             if self.stopped:
@@ -196,20 +279,63 @@ class TrainingRun(Generic[AnyLearner]):
         finally:
             signal.signal(signal.SIGINT, before)
 
-    def _write_history(self) -> None:
-        with (
-            replacing(self.results / "history.csv") as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as file,
-        ):
-            rows = list(map(figures_of, self.trainer.history))
-            table = csv.DictWriter(file, list(rows[0]))
-            table.writeheader()
-            table.writerows(rows)
+
+def figures_of(line: Any) -> dict[str, float]:
+    """The figures of a log line, in order; each task's entry of `shares` is named like `validation_hard`."""
+    figures = asdict(line)
+    shares = figures.pop("shares", {})
+    return figures | {f"validation_{task}": share for task, share in shares.items()}
 
 
 def log_line(line: Any) -> str:
-    """A line of `data/train.log`, from a line of the history; a figure that there is not yet is `-`."""
+    """A line of `data/train.log`; `-` for an unknown figure."""
     return " ".join(
         f"{name.removeprefix('validation_')}={value if isinstance(value, int) else figure(value, DIGITS.get(name, 4))}"
         for name, value in figures_of(line).items()
     )
+
+
+def summary(line: Any) -> str:
+    """A log line in few words."""
+    validation = f"validation {figure(line.validation, 4)}"
+    if hasattr(line, "epsilon"):
+        optimum = figure(line.validation_optimum, 4)
+        return f"{validation} of {optimum}  loss {figure(line.loss, 4)}  epsilon {line.epsilon:.2f}"
+    return f"{validation}  regret {figure(line.regret, 5)}  completion {line.completion:.4f}"
+
+
+def draw_curves(runs: Mapping[str, Sequence[Any]], title: str, curves: Mapping[str, str], folder: Path) -> None:
+    """Draw curves over the first field of the log lines, one line per run, into `folder/<name>.png`.
+
+    Args:
+        runs: The log lines of each run, by its name.
+        title: Title of every curve.
+        curves: The fields to draw, with their labels; a field of several figures is a line for each.
+        folder: Made if it is missing.
+
+    Raises:
+        MissingPackageError: if Matplotlib is missing.
+        OSError: if a file cannot be written.
+    """
+    with needs("train"):
+        from matplotlib.figure import Figure
+    folder.mkdir(parents=True, exist_ok=True)
+    last = next(iter(runs.values()))[-1]
+    counted = fields(last)[0].name
+    for name, label in curves.items():
+        figure: Any = Figure(figsize=(7, 4), layout="constrained")
+        axes: Any = figure.add_subplot()
+        for run, history in runs.items():
+            x = [getattr(line, counted) for line in history]
+            values: list[Any] = [getattr(line, name) for line in history]
+            series: list[dict[str, float]] = values if isinstance(values[0], Mapping) else [{run: y} for y in values]
+            for part in series[0]:
+                axes.plot(x, [figures[part] for figures in series], label=part)
+        if name in ("validation", "shares"):
+            if not math.isnan(last.validation_optimum):
+                axes.axhline(last.validation_optimum, color="black", linestyle="--", label="exact optimum")
+            axes.set_ylim(0, 1)
+        axes.set(xlabel=f"{counted}s", ylabel=label, title=title)
+        axes.grid(alpha=0.3)
+        axes.legend()
+        figure.savefig(folder / f"{name}.png", dpi=120)

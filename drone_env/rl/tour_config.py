@@ -1,13 +1,23 @@
-"""All that decides how a tour network is trained. A new hyperparameter is one more field."""
+"""The settings of a tour network's training, and the tasks that it trains on."""
 
 import math
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
 from drone_env.core.tasks import TASKS, TaskConfig, get_task, own_rules
 from drone_env.errors import InvalidValueError
+from drone_env.rl.config import (
+    Bounds,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Share,
+    ShareBelowOne,
+    check_numbers,
+)
 
 ALL = "all"
 SHARES = {
@@ -18,7 +28,7 @@ SHARES = {
     "skyline_medium": 0.20,
     "skyline_hard": 0.35,
 }
-"""How much of a training on all tasks each of them takes; what is left goes to `VARIANTS`."""
+"""Share of the samples from each task in a training on all tasks; the rest goes to `VARIANTS`."""
 VARIANTS = (
     ("skyline_easy", 2, 4),
     ("skyline_easy", 4, 3),
@@ -27,117 +37,100 @@ VARIANTS = (
     ("skyline_hard", 3, 6),
     ("skyline_hard", 4, 4),
 )
-"""Task, parcels, pads: so that a network sees other counts than those of the tasks."""
+"""Tasks with other numbers of parcels and pads."""
 LARGEST_SIDE, FEW = 48, 4
-"""Side of the largest map that a task is enlarged to, and the most parcels there: exact values of more take seconds."""
-MOST = {"seed": 2**63 - 1, "num_threads": 256, "batch_size": 1 << 16}
-"""The largest that some fields may be: PyTorch takes no greater seeds."""
-MOST_STATES = 1 << 17
-"""In a chunk: those of 128 kB each take 16 GB."""
+"""Maximum side and number of parcels of an enlarged map: exact values of more take seconds."""
+MAX_STATES = 1 << 17
+"""Maximum number of states in a chunk: at 128 kB each they take 16 GB."""
 
 
 @dataclass(frozen=True)
 class TourConfig:
-    """One training of a tour network.
+    """The settings of one training of a tour network.
 
     Raises:
         UnknownNameError: if there is no such task.
-        InvalidValueError: if a number is out of range.
+        InvalidValueError: if a value is out of range.
     """
 
+    unit: ClassVar[str] = "updates"
+    """The field that sets the length of a training."""
+    checkpoint_episodes: ClassVar[int] = 1
+    """Minimum number of updates between two checkpoints."""
+
     task: str = ALL
-    """The task, by its short name, id or grader; `all` for one network that learns all of them, and variants."""
+    """The task, by its short name, id or grader; `all` for one network on all tasks and variants of them."""
     kind: Literal["distilled", "rewards"] = "distilled"
-    """What it learns from: the exact value of each option, or the scores of plans that it tries alone."""
+    """Learn from the exact value of each option, or from the scores of the network's own plans."""
     initial: str = ""
-    """File of an exported tour network whose weights it starts from; random ones if empty."""
-    updates: int = 12_000
-    """Updates in all; the learning rate falls to its end over them."""
-    seed: int = 0
-    """Of the weights, the maps and the batches: equal seeds, equal runs (on a CPU)."""
-    num_threads: int = 1
-    """Threads that PyTorch computes with; one more draws lessons. Runs with other numbers differ in the last bits."""
-    batch_size: int = 512
-    """States per update, of one task: a quarter of each of four chunks."""
-    learning_rate: float = 1e-3
-    """Of AdamW, at its highest."""
-    final_learning_rate: float = 1e-5
-    """At the last update; it falls along half a cosine."""
-    warm_up: int = 200
-    """Updates over which the learning rate rises."""
-    weight_decay: float = 1e-4
-    """Of AdamW."""
-    max_grad_norm: float = 1.0
-    """Gradients longer than this are shortened to it."""
-    temperature: float = 0.004
-    """Regret, in score, at which the wanted probability of an option has fallen to 1 / e of the best one's."""
-    regret_weight: float = 100.0
-    """What expected regret costs, beside the cross-entropy."""
-    completion_weight: float = 2.0
-    """What the error about missions that can still be completed costs."""
-    average: float = 0.998
-    """Share that the average of the weights, which is what flies, keeps at each update."""
-    maps_per_chunk: int = 8
-    """Maps that are drawn together; one chunk is drawn for each update."""
-    states_per_map: int = 128
-    """States of each map."""
-    randomised: float = 0.6
-    """Probability that a chunk is drawn on a task with other numbers (`randomise`), if it learns from exact values."""
-    plans: int = 16
-    """Plans that are flown from each state where it learns from rewards."""
-    window: int = 24
-    """Chunks of each task that batches are drawn from: the last ones."""
-    validation_every: int = 1_000
+    """File of an exported tour network to start from; empty for random weights."""
+    updates: PositiveInt = 12_000
+    """Number of updates, and length of the learning rate's decay."""
+    seed: Annotated[int, Bounds(ge=0, lt=2**63)] = 0
+    """Seed of the weights, maps and batches: equal seeds give equal runs on a CPU."""
+    num_threads: Annotated[int, Bounds(gt=0, le=256)] = 1
+    """Number of PyTorch threads, beside one that generates samples. It changes the last bits of a run."""
+    batch_size: Annotated[int, Bounds(gt=0, le=1 << 16, multiple_of=4)] = 512
+    """States per update, all of one task: a quarter from each of four chunks."""
+    learning_rate: PositiveFloat = 1e-3
+    """Maximum learning rate of AdamW."""
+    final_learning_rate: NonNegativeFloat = 1e-5
+    """Learning rate at the last update, after a cosine decay."""
+    warm_up: NonNegativeInt = 200
+    """Updates of linear warm-up."""
+    weight_decay: NonNegativeFloat = 1e-4
+    """Weight decay of AdamW."""
+    max_grad_norm: PositiveFloat = 1.0
+    """Maximum norm of the gradient."""
+    temperature: PositiveFloat = 0.004
+    """Regret, in score, at which the target probability of an option is 1 / e of the best one's."""
+    regret_weight: NonNegativeFloat = 100.0
+    """Weight of the expected regret in the loss."""
+    completion_weight: NonNegativeFloat = 2.0
+    """Weight of the completion loss."""
+    average: ShareBelowOne = 0.998
+    """Decay of the moving average of the weights, which is the network that flies."""
+    maps_per_chunk: PositiveInt = 8
+    """Maps in a chunk of samples; each update generates one chunk."""
+    states_per_map: PositiveInt = 128
+    """States sampled from each map."""
+    randomised: Share = 0.6
+    """Probability that a chunk of exact values comes from a task with other numbers (`randomise`)."""
+    plans: PositiveInt = 16
+    """Plans flown from each state, if the network learns from rewards."""
+    window: PositiveInt = 24
+    """Number of latest chunks of each task that batches come from."""
+    validation_every: PositiveInt = 1_000
     """Updates between two validations."""
-    validation_maps: int = 200
-    """Maps of the validation split of each task that each flies."""
-    log_every: int = 100
+    validation_maps: PositiveInt = 200
+    """Number of validation maps of each task."""
+    log_every: PositiveInt = 100
     """Updates per line of the log."""
-    checkpoint_seconds: float = 30.0
-    """At least this many seconds between two checkpoints."""
+    checkpoint_seconds: NonNegativeFloat = 30.0
+    """Minimum time between two checkpoints in seconds."""
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         if self.task != ALL:
             task = get_task(self.task)
-            one_way = task.uniform and task.deliveries == 1
-            _require(not one_way, f"there is nothing to choose on {task.id!r}: one parcel, and one way to it")
-        positive = (
-            "updates", "num_threads", "batch_size", "learning_rate", "temperature", "maps_per_chunk", "states_per_map",
-            "window", "plans", "validation_every", "validation_maps", "log_every", "max_grad_norm",
-        )  # fmt: skip
-        for name in positive:
-            _require(getattr(self, name) > 0, f"{name} must be above 0, got {getattr(self, name)}")
-        for name in (
-            "final_learning_rate", "warm_up", "weight_decay", "regret_weight", "completion_weight", "seed",
-            "checkpoint_seconds",
-        ):  # fmt: skip
-            _require(getattr(self, name) >= 0, f"{name} must not be below 0, got {getattr(self, name)}")
-        for name, value in asdict(self).items():
-            _require(
-                not isinstance(value, float) or math.isfinite(value), f"{name} must be a finite number, got {value}"
-            )
-            most = MOST.get(name)
-            _require(most is None or value <= most, f"{name} must be at most {most}, got {value}")
+            if task.uniform and task.deliveries == 1:
+                raise InvalidValueError(f"there is nothing to choose on {task.id!r}: one parcel, and one way to it")
         states = self.maps_per_chunk * self.states_per_map
-        _require(
-            states <= MOST_STATES, f"maps_per_chunk times states_per_map must be at most {MOST_STATES}, got {states}"
-        )
-        _require(self.batch_size % 4 == 0, f"batch_size must be a multiple of 4, got {self.batch_size}")
-        _require(0 <= self.average < 1, f"average must be in [0, 1), got {self.average}")
-        _require(0 <= self.randomised <= 1, f"randomised must be in [0, 1], got {self.randomised}")
+        if states > MAX_STATES:
+            raise InvalidValueError(f"maps_per_chunk times states_per_map must be at most {MAX_STATES}, got {states}")
 
     @property
     def name(self) -> str:
-        """Of the files."""
+        """The name of the training's files."""
         parts = ["tournet", *(["rewards"] if self.kind == "rewards" else [])]
         return "_".join(parts if self.task == ALL else [*parts, get_task(self.task).short_name])
 
     def tasks(self) -> list[TaskConfig]:
-        """The tasks that are learned and validated."""
+        """The tasks that the network learns and is validated on."""
         return list(map(get_task, SHARES)) if self.task == ALL else [get_task(self.task)]
 
-    def lessons(self) -> dict[TaskConfig, float]:
-        """What lessons are drawn on, and the share of each."""
+    def sampled_tasks(self) -> dict[TaskConfig, float]:
+        """The tasks that samples come from, with the share of each."""
         if self.task != ALL:
             return {get_task(self.task): 1.0}
         shares = {get_task(name): share for name, share in SHARES.items() if share}
@@ -145,7 +138,7 @@ class TourConfig:
         return shares | {variant(*of): rest / len(VARIANTS) for of in VARIANTS}
 
     def identity(self) -> dict[str, Any]:
-        """What a resumed run must share with the one that it goes on from."""
+        """The settings that a resumed run shares with its checkpoint, tasks in full."""
         return {name: value for name, value in asdict(self).items() if name != "checkpoint_seconds"} | {
             "task": ALL if self.task == ALL else get_task(self.task).id,
             "tasks": {task.id: task.version for task in self.tasks()},
@@ -154,14 +147,14 @@ class TourConfig:
 
 
 def variant(name: str, deliveries: int, pads: int) -> TaskConfig:
-    """A task with other counts of parcels and pads; it is registered nowhere."""
+    """An unregistered task with other numbers of parcels and pads."""
     task = TASKS[name]
     changed = f"{task.id}_{deliveries}_{pads}"
     return replace(task, id=changed, short_name=changed, grader="", deliveries=deliveries, pads=pads)
 
 
 def randomise(task: TaskConfig, random: np.random.Generator) -> TaskConfig:
-    """The task with other numbers: each is drawn anew with probability 1/2, and one map in three is larger."""
+    """The task with other numbers: each changes with probability 1/2, and one map in three is larger."""
 
     def scaled(number: int, low: float, high: float) -> int:
         factor = math.exp(random.uniform(math.log(low), math.log(high)))
@@ -181,7 +174,7 @@ def randomise(task: TaskConfig, random: np.random.Generator) -> TaskConfig:
 
 
 def enlarge(task: TaskConfig, side: int) -> TaskConfig:
-    """The task on square maps of another size: as densely built, with battery and time for the longer ways."""
+    """The task on square maps of another size, equally dense, with battery and time for the longer distances."""
     area, length = side * side / (task.width * task.height), side / task.width
     return replace(
         task,
@@ -194,8 +187,3 @@ def enlarge(task: TaskConfig, side: int) -> TaskConfig:
         max_steps=round(task.max_steps * length),
         deliveries=task.deliveries if length == 1 else min(task.deliveries, FEW),
     )
-
-
-def _require(holds: bool, message: str) -> None:
-    if not holds:
-        raise InvalidValueError(message)

@@ -63,8 +63,8 @@ class Networks:
     is written again, as training does, is read again, so nothing has to be restarted. Safe to share between threads.
 
     Args:
-        shipped: Folder of the networks that are shipped, `<task id>_v<version>.npz` and `tournet_v1.npz`.
-        trained: The data folder, `<short name>.npz`, `tournet_<short name>.npz` and `tournet.npz`.
+        shipped: Folder of the shipped networks, `<task id>_v<version>.safetensors` and `tournet_v1.safetensors`.
+        trained: The data folder, with `<short name>`, `tournet_<short name>` and `tournet`, all `.safetensors`.
     """
 
     def __init__(self, shipped: Path, trained: Path) -> None:
@@ -175,12 +175,16 @@ class Networks:
     def _file(self, source: str, task: TaskConfig) -> Path:
         agent, trained = SOURCES[source]
         if agent == "pathqnet":
-            return self._trained / f"{task.short_name}.npz" if trained else self._shipped / shipped_network(task).name
+            return (
+                self._trained / f"{task.short_name}.safetensors"
+                if trained
+                else self._shipped / shipped_network(task).name
+            )
         if not trained:
             return self._shipped / tournet.SHIPPED.name
         # The one that has learned this task alone goes before the one that has learned all.
-        alone = self._trained / f"tournet_{task.short_name}.npz"
-        return alone if alone.exists() else self._trained / "tournet.npz"
+        alone = self._trained / f"tournet_{task.short_name}.safetensors"
+        return alone if alone.exists() else self._trained / "tournet.safetensors"
 
     def _at(self, source: str, task: TaskConfig) -> PathQNetAgent | Path | CheckpointError | None:
         """What flies by a file as it is now: PathQNet, or the file of a tour network, whose agents are not shared.

@@ -98,7 +98,7 @@ class TestPredictions:
         told = Prediction.model_validate(answer.json())
         episode = Episode(task)
         episode.reset(7)
-        agent = PathQNetAgent(config, settings["weights"] / f"{config.id}_v{config.version}.npz")
+        agent = PathQNetAgent(config, settings["weights"] / f"{config.id}_v{config.version}.safetensors")
         values = agent.q_values(episode.observation())
         assert list(told.q_values.values()) == pytest.approx(values.tolist())
         assert told.action == Action(int(values.argmax())).name
@@ -121,11 +121,11 @@ class TestPredictions:
         session = {"X-Session-Id": client.post("/reset", json={"task_name": "hard"}).json()["session_id"]}
         answer = client.post("/predict", headers=session)
         assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
-        assert "hard_delivery_v1.npz" in answer.json()["detail"]
+        assert "hard_delivery_v1.safetensors" in answer.json()["detail"]
         assert "Retry-After" not in answer.headers
 
     def test_a_file_that_is_no_network_is_told(self, client: TestClient, settings: dict[str, Any]) -> None:
-        (settings["weights"] / "hard_delivery_v1.npz").write_bytes(b"nothing")
+        (settings["weights"] / "hard_delivery_v1.safetensors").write_bytes(b"nothing")
         session = {"X-Session-Id": client.post("/reset", json={"task_name": "hard"}).json()["session_id"]}
         answer = client.post("/predict", headers=session)
         assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
@@ -143,12 +143,12 @@ class TestPredictions:
             return {pilot["id"]: pilot["tasks"] for pilot in client.get("/pilots").json()["pilots"]}
 
         shipped = told()
-        assert shipped[0] == "easy_delivery_v1.npz"
+        assert shipped[0] == "easy_delivery_v1.safetensors"
         assert "trained" not in pilots()
         for times in (-1, -2):
             file = put_trained(get_task("easy"), settings["data"], times)
             digest = PathQNetAgent(get_task("easy"), file).config["network"]
-            assert told() == ("easy.npz", digest, pytest.approx([times * value for value in shipped[2]]))
+            assert told() == ("easy.safetensors", digest, pytest.approx([times * value for value in shipped[2]]))
         assert pilots()["trained"] == ["easy_delivery"]
         assert pilots()["pathqnet"] == ["easy_delivery", "skyline_easy"]
         file.unlink()
@@ -157,10 +157,10 @@ class TestPredictions:
     def test_a_broken_file_is_refused_by_name_and_nothing_flies_in_its_stead(
         self, client: TestClient, settings: dict[str, Any], session: Header
     ) -> None:
-        (settings["data"] / "easy.npz").write_bytes(b"nothing")
+        (settings["data"] / "easy.safetensors").write_bytes(b"nothing")
         answer = client.post("/predict", headers=session)
         assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
-        assert "easy.npz is not an exported network" in answer.json()["detail"]
+        assert "easy.safetensors is not an exported network" in answer.json()["detail"]
         assert {pilot["id"] for pilot in client.get("/pilots").json()["pilots"]} == {
             "pathqnet", "tournet", "tournet-search", "greedy", "optimal", "random", "human",
         }  # fmt: skip
@@ -175,18 +175,18 @@ class TestPredictions:
             return client.app.state.shared.networks.agent("trained-tournet", get_task(task)).config["network"]  # type: ignore[attr-defined]
 
         assert pilots()["tournet"] == pilots()["tournet-search"] == []
-        put_tour(settings["weights"] / "tournet_v1.npz")
+        put_tour(settings["weights"] / "tournet_v1.safetensors")
         assert pilots()["tournet"] == pilots()["tournet-search"] == list(TASKS)
         assert "trained-tournet" not in pilots()
-        alone = put_tour(settings["data"] / "tournet_hard.npz", 1)
+        alone = put_tour(settings["data"] / "tournet_hard.safetensors", 1)
         assert pilots()["trained-tournet"] == ["hard_delivery"]
-        every = put_tour(settings["data"] / "tournet.npz", 2)
+        every = put_tour(settings["data"] / "tournet.safetensors", 2)
         assert pilots()["trained-tournet"] == list(TASKS)
         digests = [load_tour_network(file).digest for file in (alone, every)]
         assert [flown_by("hard"), flown_by("easy")] == digests
-        every.write_bytes((settings["weights"] / "easy_delivery_v1.npz").read_bytes())
+        every.write_bytes((settings["weights"] / "easy_delivery_v1.safetensors").read_bytes())
         assert pilots()["trained-tournet"] == ["hard_delivery"]
-        with pytest.raises(CheckpointError, match=r"tournet.npz holds a network of 'pathqnet', not of 'tournet'"):
+        with pytest.raises(CheckpointError, match=r"tournet\.safetensors holds a network of 'pathqnet', not"):
             flown_by("easy")
         assert "trained" not in pilots()
 

@@ -83,7 +83,7 @@ def test_the_network_that_was_trained_here_flies_beside_the_shipped_one(
 
 def test_tournet_and_its_search_fly_as_their_agents_do_beside_what_pathqnet_thinks(tmp_path: Path) -> None:
     weights, data = tmp_path / "weights", tmp_path / "data"
-    shipped, trained = put_tour(weights / "tournet_v1.npz"), put_tour(data / "tournet.npz", 1)
+    shipped, trained = put_tour(weights / "tournet_v1.safetensors"), put_tour(data / "tournet.safetensors", 1)
     put_network(get_task("hard"), weights)
     pilots = {
         "trained-tournet": f"tournet:{trained}",
@@ -104,13 +104,13 @@ def test_tournet_and_its_search_fly_as_their_agents_do_beside_what_pathqnet_thin
 
 
 def test_a_broken_network_grounds_its_own_pilot_alone(client: TestClient, settings: dict[str, Any]) -> None:
-    (settings["data"] / "easy.npz").write_bytes(b"nothing")
+    (settings["data"] / "easy.safetensors").write_bytes(b"nothing")
     with client.websocket_connect("/live") as socket:
         page = Page(socket)
         page.send("start", task="easy", seed=7, pilots=["greedy", "trained"])
         told = page.until("error")
         assert told["code"] == "no_network"
-        assert told["detail"].startswith("easy.npz is not an exported network")
+        assert told["detail"].startswith("easy.safetensors is not an exported network")
         shipped, greedy = page.start("pathqnet", "greedy")
         assert shipped["frames"][0]["q_values"] is not None
         assert greedy["frames"][0]["q_values"] is None

@@ -10,7 +10,7 @@ import pytest
 from starlette.testclient import TestClient
 
 import drone_env
-from drone_env.agents.network import Network
+from drone_env.agents.pathqnet import Network
 from drone_env.core.episode import Episode
 from tests.api.live_page import Page
 

@@ -140,7 +140,7 @@ def test_the_network_says_at_the_drone_what_it_flies_and_disagrees_where_that_is
     disagreed = 0
     for step in range(0, len(flown.actions), 6):
         answer = ask(shared_client, task, 7, flown.actions[:step])
-        assert (answer["network"]["pilot"], answer["network"]["file"]) == ("tournet", "tournet_v1.npz")
+        assert (answer["network"]["pilot"], answer["network"]["file"]) == ("tournet", "tournet_v1.safetensors")
         assert answer["network"]["digest"] == TournetAgent(TASKS[answer["task"]]).config["network"]
         x, y = answer["position"]
         cells = answer["cells"]
@@ -175,9 +175,9 @@ def test_which_network_is_asked(tmp_path: Path) -> None:
         assert asked(client) == ("pathqnet", True)
         put_trained(easy, data)
         assert asked(client) == ("trained", True)
-        put_tour(weights / "tournet_v1.npz")
+        put_tour(weights / "tournet_v1.safetensors")
         assert asked(client) == ("tournet", True)
-        put_tour(data / "tournet.npz")
+        put_tour(data / "tournet.safetensors")
         assert asked(client) == ("trained-tournet", True)
 
 

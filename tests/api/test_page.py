@@ -120,7 +120,7 @@ class TestPreview:
             (
                 "task=skyline_easy&seed=7&pilot=pathqnet",
                 422,
-                "'pathqnet' has no skyline_easy_v2.npz; it flies easy, medium, hard",
+                "'pathqnet' has no skyline_easy_v2.safetensors; it flies easy, medium, hard",
             ),
             ("episode=nothing", 404, "there is no episode 'nothing'"),
         ],

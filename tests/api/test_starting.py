@@ -72,7 +72,7 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
         # In the environment of the tests, as it is: what `uv run` would install is there.
         rest = ["-c", RUN_UV, find_uv(), sys.prefix, *rest]
     put_trained(get_task("medium"), tmp_path / "data")
-    (tmp_path / "data/easy.npz").write_bytes(b"nothing")
+    (tmp_path / "data/easy.safetensors").write_bytes(b"nothing")
     with serving(tmp_path / "data", tuple(rest)) as server:
         with httpx.Client(base_url=server.url, timeout=60) as http:
             assert http.get("/health").json()["status"] == "healthy"
@@ -86,9 +86,9 @@ def test_each_way_to_start_it_starts_it_and_it_ends_when_it_is_asked(
         # Which network flies which task, the trained one before the shipped, and which file is none.
         told = server.log.read_text()
         for line in (
-            rf"easy: refused, and so is /predict: {tmp_path}/data/easy.npz is not .*; 'pathqnet' flies by .*easy_del",
-            rf"medium: 'trained' flies by {tmp_path}/data/medium.npz \(trained here\); 'pathqnet' flies by .*medium_d",
-            r"hard: 'pathqnet' flies by .*hard_delivery_v1.npz \(shipped\)",
+            rf"easy: refused, and so is /predict: {tmp_path}/data/easy\..* is not .*; 'pathqnet' flies by .*easy_del",
+            rf"medium: 'trained' flies by {tmp_path}/data/medium\..* \(trained here\); 'pathqnet' flies by .*medium_d",
+            r"hard: 'pathqnet' flies by .*hard_delivery_v1.safetensors \(shipped\)",
         ):
             assert len(re.findall(line, told)) == 1, told
         server.process.send_signal(asked)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from drone_env.agents.network import load_network
+from drone_env.agents.pathqnet import load_network
 from drone_env.cli import main
 from drone_env.cluster.sweep.config import Trial
 from drone_env.cluster.sweep.driver import is_done
@@ -91,7 +91,7 @@ def test_killed_drivers_and_workers_change_nothing(
     words = shlex.split(figures["trials"][0]["command"])
     assert words[:2] == ["python", "train.py"]
     assert main(["train", *words[2:]]) == 0
-    alone, own = Path("alone/setting0-seed0/easy.npz"), folder.folder(Trial(0, 0)) / "easy.npz"
+    alone, own = Path("alone/setting0-seed0/easy.safetensors"), folder.folder(Trial(0, 0)) / "easy.safetensors"
     assert network_digest(alone) == network_digest(own) == figures["trials"][0]["network"]
     assert load_network(alone).metadata["updates"] == figures["trials"][0]["updates"]
 

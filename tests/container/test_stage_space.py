@@ -108,7 +108,7 @@ def test_git_sends_binary_files_as_large_ones(space: Path) -> None:
     large = {line.split()[0].removeprefix("*") for line in attributes if "filter=lfs" in line}
     binary = {file.suffix for file in space.rglob("*") if file.is_file() and b"\0" in file.read_bytes()}
     assert binary <= large
-    assert {".npz", ".woff2"} <= binary
+    assert {".safetensors", ".woff2"} <= binary
 
 
 def test_its_clients_can_be_imported(space: Path) -> None:

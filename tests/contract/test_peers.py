@@ -11,7 +11,7 @@ import pytest
 from drone_env.agents import AGENTS
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-from drone_env.rl.validation import Validation
+from drone_env.rl.common import Validation
 from tests.package.installed import ROOT
 
 

@@ -210,7 +210,7 @@ def test_what_brings_an_extra_is_a_command_of_the_installer_in_use(
 FAULTS = {
     "server/predict.py": ("from tenacity import retry", "drone_env.server.app (server) loads tenacity"),
     "core/tasks.py": ("import httpx", "drone_env.core.batch (no extra) loads httpx"),
-    "rl/policy.py": ("if 1:\n    import fastapi", "drone_env.rl.trainer (train) loads fastapi"),
+    "rl/policy.py": ("if 1:\n    import fastapi", "drone_env.rl.dqn (train) loads fastapi"),
     "commands/fly.py": ("def f():\n    import torch", "drone_env.commands.fly imports torch (torch)"),
     "commands/train.py": (
         "def f():\n    from drone_env.server import app",

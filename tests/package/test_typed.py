@@ -182,7 +182,7 @@ def test_the_first_training_reads_as_one_that_learns(clone: Clone) -> None:
     with clone.serving() as served:
         assert clone.ask("curl http://localhost:8000/logs")["lines"] == logged.splitlines()[-50:]
         # It listens first, and tells this before it answers.
-        assert "easy.npz" in served.read_text()
+        assert "easy.safetensors" in served.read_text()
         answers = [clone.ask(call) for call in CALLS if "/reset" in call or "/predict" in call]
         assert answers[-1]["model"]
 

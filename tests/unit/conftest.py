@@ -19,8 +19,8 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The file of a tour network of random weights."""
     import torch  # slow to load
 
-    from drone_env.rl.tour_model import TourNet
-    from tests.unit.tour_views import parameters_of, save
+    from drone_env.rl.models import TourNet
+    from tests.unit.tour_features import parameters_of, save
 
     torch.manual_seed(0)
-    return save(tmp_path_factory.mktemp("network") / "tour.npz", parameters_of(TourNet()))
+    return save(tmp_path_factory.mktemp("network") / "tour.safetensors", parameters_of(TourNet()))

@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 import torch
 
 from drone_env.rl.config import TrainConfig
+from drone_env.rl.dqn import Trainer
 from drone_env.rl.run import TrainingRun
 from drone_env.rl.tour_config import TourConfig
-from drone_env.rl.tour_trainer import TourTrainer
-from drone_env.rl.trainer import Trainer
+from drone_env.rl.tournet import TourTrainer
 
 SMALL = TrainConfig(
     task="easy",

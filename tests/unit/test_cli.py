@@ -231,8 +231,8 @@ def test_a_named_network_must_fit_one_of_the_tasks(tmp_path: Path, capsys: pytes
     assert "unsupported" not in tasks["easy_delivery"]["agents"][f"pathqnet:{network}"]
     assert main(["evaluate", "--task", "skyline_easy", "skyline_hard", *given]) == 2
     assert "takes 5 values of telemetry, and 'skyline_easy' has 13" in " ".join(capsys.readouterr().err.split())
-    (tmp_path / "none.npz").write_text("no network")
-    assert main(["evaluate", *given[:4], str(tmp_path / "none.npz"), *given[5:]]) == 2
+    (tmp_path / "none.safetensors").write_text("no network")
+    assert main(["evaluate", *given[:4], str(tmp_path / "none.safetensors"), *given[5:]]) == 2
     assert "is not an exported network" in " ".join(capsys.readouterr().err.split())
 
 
@@ -240,7 +240,7 @@ def test_a_damaged_network_of_the_package_is_an_error(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(pathqnet, "WEIGHTS", tmp_path)
-    (tmp_path / "easy_delivery_v1.npz").write_text("no network")
+    (tmp_path / "easy_delivery_v1.safetensors").write_text("no network")
     assert main(["evaluate", "--task", "easy", "--agents", "greedy", "pathqnet", "--seeds", "3:4"]) == 2
     assert "is not an exported network" in " ".join(capsys.readouterr().err.split())
 
@@ -296,7 +296,7 @@ def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.Cap
         (["fly", "easy"], "unknown argument easy; see drone-env fly --help"),
         (["sweep", "--set", "speed=1"], "allowed: advantage_learning, batch_size"),
         (["evaluate", "--json", ""], "--json"),
-        (["evaluate", "--checkpoint", "net.npz", "--agents", "greedy"], "pathqnet"),
+        (["evaluate", "--checkpoint", "net.safetensors", "--agents", "greedy"], "pathqnet"),
         (["evaluate", "--address", "auto"], "--engine ray"),
         (["evaluate", "--json", "/missing/x.json"], "'/missing/x.json'"),
         (["fly", "--picture", "flight.xyz"], ".png"),

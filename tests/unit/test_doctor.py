@@ -115,8 +115,8 @@ def test_a_network_that_is_not_whole(
     weights = tmp_path / "weights"
     shutil.copytree(WEIGHTS, weights)
     monkeypatch.setattr("drone_env.agents.pathqnet.WEIGHTS", weights)
-    monkeypatch.setattr("drone_env.agents.tournet.SHIPPED", weights / "tournet_v1.npz")
-    file = weights / f"{name}_v1.npz"
+    monkeypatch.setattr("drone_env.agents.tournet.SHIPPED", weights / "tournet_v1.safetensors")
+    file = weights / f"{name}_v1.safetensors"
     if harm == "missing":
         file.unlink()
     else:
@@ -133,7 +133,7 @@ def test_a_network_that_is_not_the_installed_one(
     class Recorded(metadata.PathDistribution):
         @property
         def files(self) -> list[metadata.PackagePath]:
-            other = metadata.PackagePath(WEIGHTS / "easy_delivery_v1.npz")
+            other = metadata.PackagePath(WEIGHTS / "easy_delivery_v1.safetensors")
             other.hash, other.dist = metadata.FileHash("sha256=another"), self
             return [other]
 

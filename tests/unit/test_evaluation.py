@@ -119,7 +119,7 @@ def test_a_key_is_of_this_configuration_of_a_registered_task_and_of_its_split() 
 
 def test_a_key_names_a_network_by_what_its_file_holds(tmp_path: Path) -> None:
     easy, medium = shipped_network(get_task("easy")), shipped_network(get_task("medium"))
-    copy = tmp_path / "mine.npz"
+    copy = tmp_path / "mine.safetensors"
     copy.write_bytes(easy.read_bytes())
     shipped, same, other = (
         episodes_key("easy", agent, range(1)).config_hash

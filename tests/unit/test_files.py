@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from drone_env.agents.network import load_network
+from drone_env.agents.pathqnet import load_network
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.city.city_file import read_city
 from drone_env.city.movingai import read_movingai
@@ -22,7 +22,7 @@ from drone_env.llm.transcript import read_calls
 from drone_env.results.folder import stored_results
 from drone_env.results.record import load_record, read_records
 from drone_env.reward_file import load_reward_profile
-from drone_env.rl.checkpoint import load_checkpoint
+from drone_env.rl.run import load_checkpoint
 from drone_env.server.train_log import TrainLog
 
 PARSERS: dict[str, Callable[[Path], object]] = {
@@ -31,8 +31,8 @@ PARSERS: dict[str, Callable[[Path], object]] = {
     "prompt.toml": read_prompt,
     "arena.map": read_movingai,
     "town.osm": extent,
-    "easy.npz": load_network,
-    "tournet.npz": load_tour_network,
+    "easy.safetensors": load_network,
+    "tournet.safetensors": load_tour_network,
     "easy.pth": load_checkpoint,
     "flight.json": load_record,
     "flights of records.jsonl": lambda path: list(read_records(path)),

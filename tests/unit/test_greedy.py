@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drone_env.agents import make_agent
-from drone_env.agents.greedy import GreedyAgent
+from drone_env.agents.simple import GreedyAgent
 from drone_env.core.actions import Action, Event
 from drone_env.core.batch import Batch
 from drone_env.core.cells import Cell

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from drone_env.agents import make_agent
+from drone_env.agents.tour_encoder import CHUNK, FeatureEncoder
+from drone_env.agents.tour_features import Features
 from drone_env.agents.tour_network import SHAPES, TourNetwork, load_tour_network
-from drone_env.agents.tour_view import View
-from drone_env.agents.tour_viewer import CHUNK, Viewer
 from drone_env.agents.tournet import TournetAgent, best_options
 from drone_env.agents.weights_file import LARGEST, MOST_BYTES, Weights, network_of
 from drone_env.commands import evaluate as command
@@ -21,9 +21,9 @@ from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import CheckpointError, InvalidValueError, TooLargeError
 from drone_env.planning.solver import ExactSolver
-from drone_env.rl.tour_model import TourNet
+from drone_env.rl.models import TourNet
 from tests.toy import toy_episode
-from tests.unit.tour_views import EVERY_TASK, HARD, observations, parameters_of, save, view_of
+from tests.unit.tour_features import EVERY_TASK, HARD, features_of, observations, save
 from tests.which_tasks import SMALL
 
 
@@ -46,12 +46,12 @@ def test_a_file_holds_what_the_model_in_torch_has(model: TourNet, network: Path)
 
 @pytest.mark.parametrize("name", EVERY_TASK)
 def test_the_network_without_torch_is_the_same(name: str, model: TourNet, network: Path) -> None:
-    view = Viewer(EVERY_TASK[name])(*observations(EVERY_TASK[name], 6, 30))
-    choices, completions = load_tour_network(network)(view)
-    owner = torch.from_numpy(np.repeat(np.arange(len(view.tokens)), np.diff(view.begins)))
-    arrays = (torch.from_numpy(array) for array in (view.tokens, view.present, view.edges))
+    features = FeatureEncoder(EVERY_TASK[name])(*observations(EVERY_TASK[name], 6, 30))
+    choices, completions = load_tour_network(network)(features)
+    owner = torch.from_numpy(np.repeat(np.arange(len(features.tokens)), np.diff(features.begins)))
+    arrays = (torch.from_numpy(array) for array in (features.tokens, features.present, features.edges))
     with torch.no_grad():
-        options = owner, torch.from_numpy(view.token).long(), torch.from_numpy(view.features)
+        options = owner, torch.from_numpy(features.token).long(), torch.from_numpy(features.options)
         preference, completion = model(*arrays, *options)
         choice = preference + 2 * torch.nn.functional.logsigmoid(completion)
     assert len(choices) > 20
@@ -60,31 +60,26 @@ def test_the_network_without_torch_is_the_same(name: str, model: TourNet, networ
 
 
 def test_the_largest_weights_that_are_taken_do_not_overflow() -> None:
-    view = Viewer(HARD)(*observations(HARD, 6, 30))
+    features = FeatureEncoder(HARD)(*observations(HARD, 6, 30))
     rng = np.random.default_rng(0)
     for signs in ([1], [-1, 1]):
         large = {name: (LARGEST * rng.choice(signs, shape)).astype(np.float32) for name, shape in SHAPES.items()}
-        for logits in TourNetwork(Weights(large, {}, ""))(view):
+        for logits in TourNetwork(Weights(large, {}, ""))(features):
             assert np.isfinite(logits).all()
 
 
 def test_what_is_no_tour_network_is_refused(network: Path, tmp_path: Path) -> None:
-    with np.load(network) as file:
-        whole = {name: file[name] for name in file.files if name != "metadata"}
-    path = tmp_path / "tour.npz"
+    whole, path = load_tour_network(network).parameters, tmp_path / "tour.safetensors"
     for parameters, metadata, why in (
         (whole, {"network": "atlas"}, "it holds a network of 'atlas', not of 'tournet'"),
         ({**whole, "norm.bias": whole["norm.bias"][:-1]}, {}, r"norm.bias is float32\[63\] instead of float32\[64\]"),
-        ({**whole, "norm.bias": np.full(64, np.inf, np.float32)}, {}, "norm.bias has values that are no numbers"),
-        ({**whole, "more": whole["norm.bias"]}, {}, "and nothing else"),
+        ({**whole, "more": whole["norm.bias"]}, {}, "its parameters are not those of the network"),
     ):
         save(path, parameters, {"network": "tournet"} | metadata)
         with pytest.raises(CheckpointError, match=why):
             make_agent(f"tournet:{path}", "easy")
     with pytest.raises(CheckpointError, match="it holds a network of 'tournet', not of 'pathqnet'"):
         make_agent(f"pathqnet:{network}", "easy")
-    with pytest.raises(FileNotFoundError):
-        make_agent(f"tournet:{tmp_path / 'gone.npz'}", "easy")
 
 
 # What it sees
@@ -96,11 +91,13 @@ def test_the_options_on_a_map_that_is_drawn_by_hand() -> None:
         ["@B0.", "..PO", "TTT1"], max_steps=50, battery_capacity=12, charge_rate=4,
         drain=((Cell.BUILDING, 5), (Cell.TREE, 2)), impassable=frozenset({Cell.OBSTACLE}),
     )  # fmt: skip
-    viewer = Viewer(episode.task)
+    encoder = FeatureEncoder(episode.task)
 
     def seen() -> list[tuple[int, ...]]:
-        view = view_of(viewer, episode.observation())
-        return [(int(token), *numbers) for token, numbers in zip(view.token, view.numbers.tolist(), strict=True)]
+        features = features_of(encoder, episode.observation())
+        return [
+            (int(token), *numbers) for token, numbers in zip(features.token, features.numbers.tolist(), strict=True)
+        ]
 
     down, right = Action.DOWN, Action.RIGHT
     # (token, units, steps, first action); tokens are 1 and 2 for the parcels, 3 for the pad.
@@ -115,21 +112,21 @@ def test_the_options_on_a_map_that_is_drawn_by_hand() -> None:
 def test_a_parcel_that_waits_ends_a_way() -> None:
     """The second parcel lies behind the first: nobody can fly there without delivering that."""
     episode = toy_episode(["@0.1", "OOOO"], max_steps=50, impassable=frozenset({Cell.OBSTACLE}))
-    viewer = Viewer(episode.task)
-    assert view_of(viewer, episode.observation()).numbers.tolist() == [[1, 1, Action.RIGHT]]
+    encoder = FeatureEncoder(episode.task)
+    assert features_of(encoder, episode.observation()).numbers.tolist() == [[1, 1, Action.RIGHT]]
     episode.step(Action.RIGHT)
-    assert view_of(viewer, episode.observation()).numbers.tolist() == [[2, 2, Action.RIGHT]]
+    assert features_of(encoder, episode.observation()).numbers.tolist() == [[2, 2, Action.RIGHT]]
 
 
 @pytest.mark.parametrize("name", EVERY_TASK)
 def test_a_way_is_as_it_is_offered_and_goes_on_with_every_step(name: str) -> None:
     task = EVERY_TASK[name]
-    viewer, episode = Viewer(task), Episode(task, seed=3)
+    encoder, episode = FeatureEncoder(task), Episode(task, seed=3)
     for option in range(40):
-        view = view_of(viewer, episode.observation())
-        if not len(view.numbers):
+        features = features_of(encoder, episode.observation())
+        if not len(features.numbers):
             break
-        units, steps, action = view.numbers[option * 7 % len(view.numbers)].tolist()
+        units, steps, action = features.numbers[option * 7 % len(features.numbers)].tolist()
         charge, battery, done = units < 0, episode.battery_units, episode.deliveries_done
         while True:
             episode.step(action)
@@ -137,7 +134,7 @@ def test_a_way_is_as_it_is_offered_and_goes_on_with_every_step(name: str) -> Non
             drained = battery - episode.battery_units
             if steps == 0:
                 break
-            now = view_of(viewer, episode.observation()).numbers.tolist()
+            now = features_of(encoder, episode.observation()).numbers.tolist()
             # Where the battery tells no more than the time, units are steps.
             action = next(first for u, s, first in now if (u, s) == (units - drained, steps))
         assert drained == units
@@ -151,14 +148,14 @@ def test_a_way_is_as_it_is_offered_and_goes_on_with_every_step(name: str) -> Non
 def test_the_optimum_can_be_flown_by_the_options_that_are_offered(name: str) -> None:
     """Whatever the best option is, by the exact value of where its first step leads."""
     task = TASKS[name]
-    viewer = Viewer(task)
+    encoder = FeatureEncoder(task)
     for seed in range(1 if name in ("skyline_hard", "hard_delivery", "city_small") else 4):
         episode = Episode(task, seed=seed)
         solver = ExactSolver(episode)
         optimum = solver.value(episode)
         while not episode.ended:
             values = solver.q_values(episode)
-            offered = view_of(viewer, episode.observation()).numbers[:, 2]
+            offered = features_of(encoder, episode.observation()).numbers[:, 2]
             if not len(offered):  # nothing can be won any more
                 break
             episode.step(max(offered, key=lambda action: values[action]))
@@ -166,33 +163,29 @@ def test_the_optimum_can_be_flown_by_the_options_that_are_offered(name: str) -> 
 
 
 @pytest.mark.parametrize("name", EVERY_TASK)
-def test_what_is_kept_of_a_map_is_what_would_be_found_anew(name: str) -> None:
+@pytest.mark.parametrize("cached", [True, False])
+def test_what_is_kept_of_a_map_is_what_would_be_found_anew(
+    name: str, cached: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     task = EVERY_TASK[name]
-    grids, telemetry = observations(task, 4, 30)
-    viewer = Viewer(task)
-    kept = [np.array(part) for part in viewer(grids[-viewer.most :], telemetry[-viewer.most :])]
-    alone = [Viewer(task)(*one) for one in zip(grids[:, None], telemetry[:, None], strict=True)]
-    for part, array in enumerate(kept):
-        if part != 3:
-            assert np.array_equal(array, np.concatenate([view[part] for view in alone[-viewer.most :]]))
-
-
-def test_more_maps_than_are_kept_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drone_env.agents.tour_viewer.KEPT_BYTES", 0)
-    monkeypatch.setattr("drone_env.agents.tour_viewer.CHUNK", 3)
-    viewer = Viewer(HARD)
-    grids, telemetry = observations(HARD, 8, 6)
-    for i in range(0, len(grids), 3):
-        some = slice(i, i + 3)
-        alone = [Viewer(HARD)(*one).edges for one in zip(grids[some, None], telemetry[some, None], strict=True)]
-        assert np.array_equal(viewer(grids[some], telemetry[some]).edges, np.concatenate(alone))
+    grids, telemetry = observations(task, 4, 9)
+    alone = [FeatureEncoder(task)(*one) for one in zip(grids[:, None], telemetry[:, None], strict=True)]
+    if not cached:  # more maps than the cache holds
+        monkeypatch.setattr("drone_env.agents.tour_encoder.KEPT_BYTES", 0)
+        monkeypatch.setattr("drone_env.agents.tour_encoder.CHUNK", 3)
+    encoder = FeatureEncoder(task)
+    for i in range(0, len(grids), encoder.most):
+        some = slice(i, i + encoder.most)
+        for name, array in encoder(grids[some], telemetry[some])._asdict().items():
+            if name != "begins":
+                assert np.array_equal(array, np.concatenate([getattr(features, name) for features in alone[some]]))
 
 
 def test_an_observation_of_no_map_of_the_task_is_refused() -> None:
     grids, telemetry = observations(HARD, 2, 1)
     for kind in (Cell.PAD, Cell.DELIVERY):
         with pytest.raises(InvalidValueError, match="more parcels or pads than"):
-            Viewer(HARD)(np.full_like(grids, kind), telemetry)
+            FeatureEncoder(HARD)(np.full_like(grids, kind), telemetry)
     for place, amount, why in (
         (0, 1.5, "beside the grid"),
         (2, 1.5, "battery or steps"),
@@ -201,13 +194,13 @@ def test_an_observation_of_no_map_of_the_task_is_refused() -> None:
         wrong = telemetry.copy()
         wrong[1, place] = amount
         with pytest.raises(InvalidValueError, match=why):
-            Viewer(HARD)(grids, wrong)
+            FeatureEncoder(HARD)(grids, wrong)
 
 
 def test_a_task_with_too_much_to_see_is_refused() -> None:
     pads = {"pads": 4000, "deliveries": 16, "buildings": 0, "trees": 0, "obstacles": 0, "street_spacing": 0}
-    with pytest.raises(TooLargeError, match=r"the view of a map of 'large' would take .* GB"):
-        Viewer(replace(HARD, id="large", width=64, height=64, battery_capacity=32_000, **pads))
+    with pytest.raises(TooLargeError, match=r"the features of a map of 'large' would take .* GB"):
+        FeatureEncoder(replace(HARD, id="large", width=64, height=64, battery_capacity=32_000, **pads))
 
 
 # The agent
@@ -227,14 +220,14 @@ def test_the_agent_flies_alone_as_in_a_batch(name: str, network: Path) -> None:
 
 def test_the_first_of_the_highest_is_chosen() -> None:
     empty = np.zeros(0, np.float32)
-    view = View(empty, empty, empty, np.array([0, 2, 2, 5]), empty, empty, empty)
-    assert best_options(view, np.array([1, 2, 3, 3.00001, 1], np.float32)).tolist() == [1, -1, 2]
-    assert best_options(view._replace(begins=np.zeros(3, np.int64)), empty).tolist() == [-1, -1]
+    features = Features(empty, empty, empty, np.array([0, 2, 2, 5]), empty, empty, empty)
+    assert best_options(features, np.array([1, 2, 3, 3.00001, 1], np.float32)).tolist() == [1, -1, 2]
+    assert best_options(features._replace(begins=np.zeros(3, np.int64)), empty).tolist() == [-1, -1]
     # So large that one less a tie is the same number.
-    assert best_options(view, np.array([1e6, 0, 1, 0, 0], np.float32)).tolist() == [0, -1, 2]
+    assert best_options(features, np.array([1e6, 0, 1, 0, 0], np.float32)).tolist() == [0, -1, 2]
     for none in (np.nan, np.inf):
         with pytest.raises(CheckpointError, match="values that are no numbers"):
-            best_options(view, np.array([none, 0, 1, 0, 0], np.float32))
+            best_options(features, np.array([none, 0, 1, 0, 0], np.float32))
 
 
 def test_a_charge_that_fills_the_battery_is_like_any_other_that_does(network: Path) -> None:
@@ -243,20 +236,6 @@ def test_a_charge_that_fills_the_battery_is_like_any_other_that_does(network: Pa
         agent = TournetAgent(replace(HARD, id="own", charge_rate=charge), network)
         flights.append(agent.act_batch(*observations(HARD, 20, 40)).tolist())
     assert flights[0] == flights[1]
-
-
-def test_where_nothing_is_within_reach_it_waits(network: Path) -> None:
-    episode = toy_episode(["@..0", "...."], max_steps=9, battery_capacity=2)
-    agent = TournetAgent(episode.task, network)
-    assert agent.act(episode.observation()) == Action.WAIT
-
-
-def test_another_network_is_another_agent(network: Path, tmp_path: Path) -> None:
-    torch.manual_seed(1)
-    other = save(tmp_path / "other.npz", parameters_of(TourNet()))
-    configs = [make_agent(f"tournet:{file}", "easy").config for file in (network, other)]
-    assert configs[0] != configs[1]
-    assert [{**config, "network": ""} for config in configs] == [{"agent": "tournet", "version": 1, "network": ""}] * 2
 
 
 def test_evaluate_flies_the_agent_that_a_checkpoint_is_of(

@@ -1,25 +1,24 @@
 """The agent that tries whole plans of the tour network before it flies."""
 
-from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from drone_env.agents import make_agent
+from drone_env.agents.tour_encoder import FeatureEncoder
 from drone_env.agents.tour_network import load_tour_network
-from drone_env.agents.tour_plans import Choices, drawn
-from drone_env.agents.tour_viewer import Viewer
-from drone_env.agents.tournet import best_options
-from drone_env.agents.tournet_search import TournetSearchAgent
+from drone_env.agents.tour_plans import Choices, sample_options
+from drone_env.agents.tournet import TournetAgent, TournetSearchAgent, best_options
 from drone_env.core.actions import Action
 from drone_env.core.batch import Batch
 from drone_env.core.episode import Episode, rollout
 from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.errors import InvalidValueError
 from tests.toy import toy_episode
-from tests.unit.tour_views import EVERY_TASK, HARD, view_of
+from tests.unit.tour_features import EVERY_TASK, HARD, features_of
 
 SEEDS = np.array([0, 2**53 - 1, 7, 2**52], np.int64)
 
@@ -29,23 +28,23 @@ def flown(agent: TournetSearchAgent, seed: int) -> Episode:
     return rollout(Episode(agent.task, seed=seed), agent.act)
 
 
-def whole_ways(task: TaskConfig, network: Path, seed: int) -> Episode:
-    """A flight of the preferred ways, each flown to its end before the next is chosen."""
-    episode, viewer, net = Episode(task, seed=seed), Viewer(task), load_tour_network(network)
+def whole_paths(task: TaskConfig, network: Path, seed: int) -> Episode:
+    """A flight of the preferred paths, each flown to its end before the next choice."""
+    episode, encoder, net = Episode(task, seed=seed), FeatureEncoder(task), load_tour_network(network)
     while not episode.ended:
-        view = view_of(viewer, episode.observation())
-        best = best_options(view, net(view)[0])[0]
+        features = features_of(encoder, episode.observation())
+        best = best_options(features, net(features)[0])[0]
         if best < 0:
             return episode.waited_out()
-        units, steps, action = view.numbers[best].tolist()
-        stop = int(view.token[best])
+        units, steps, action = features.numbers[best].tolist()
+        stop = int(features.token[best])
         while steps > 0:
             before = episode.battery_units
             episode.step(action)
             units, steps = units - before + episode.battery_units, steps - 1
             if steps:
-                view = view_of(viewer, episode.observation())
-                rest = zip(view.token.tolist(), view.numbers.tolist(), strict=True)
+                features = features_of(encoder, episode.observation())
+                rest = zip(features.token.tolist(), features.numbers.tolist(), strict=True)
                 action = next(first for token, (u, s, first) in rest if (token, u, s) == (stop, units, steps))
     return episode
 
@@ -54,7 +53,7 @@ def whole_ways(task: TaskConfig, network: Path, seed: int) -> Episode:
 def test_the_only_plan_of_one_is_to_fly_the_preferred_ways(name: str, network: Path) -> None:
     agent = TournetSearchAgent(EVERY_TASK[name], network, plans=1)
     for seed in SEEDS[:2].tolist():
-        assert flown(agent, seed).actions == whole_ways(agent.task, network, seed).actions
+        assert flown(agent, seed).actions == whole_paths(agent.task, network, seed).actions
 
 
 @pytest.mark.parametrize("name", EVERY_TASK)
@@ -62,13 +61,12 @@ def test_the_plan_is_the_best_of_those_that_were_tried(name: str, network: Path)
     """More plans are never worse: the first are the same."""
     task = EVERY_TASK[name]
     seeds = SEEDS[: 1 if task.deliveries == 16 else 4].tolist()
-    scores = [
+    few, some, many = (
         [flown(TournetSearchAgent(task, network, plans=plans), seed).score for seed in seeds] for plans in (1, 4, 32)
-    ]
-    for fewer, more in pairwise(scores):
-        assert all(np.array(more) >= np.array(fewer))
+    )
+    assert all(a <= b <= c for a, b, c in zip(few, some, many, strict=True))
     if not task.uniform:
-        assert sum(scores[2]) > sum(scores[0])
+        assert sum(many) > sum(few)
 
 
 @pytest.mark.parametrize("name", EVERY_TASK)
@@ -110,10 +108,10 @@ def test_it_goes_on_from_wherever_it_is_put(network: Path) -> None:
     assert rollout(episode, agent.act).ended
 
 
-def test_where_nothing_is_within_reach_it_waits_to_the_end(network: Path) -> None:
+@pytest.mark.parametrize("agent", [TournetAgent, TournetSearchAgent])
+def test_where_nothing_is_within_reach_it_waits_to_the_end(agent: Any, network: Path) -> None:
     episode = toy_episode(["@..0", "...."], max_steps=9, battery_capacity=2)
-    agent = TournetSearchAgent(episode.task, network)
-    assert rollout(episode, agent.act).actions == [Action.WAIT] * 2
+    assert rollout(episode, agent(episode.task, network).act).actions == [Action.WAIT] * 2
 
 
 def test_options_are_drawn_by_their_logits() -> None:
@@ -121,9 +119,9 @@ def test_options_are_drawn_by_their_logits() -> None:
     choices = Choices(np.array([0, 2, 2, 3]), None, logits, np.array([1, -1, 2]))
     keys = np.arange(40_000) * 7919
     for state, expected in ((0, [0.25, 0.75, 0]), (2, [0, 0, 1])):
-        found = drawn(choices, np.full(len(keys), state), keys, 0.7)
+        found = sample_options(choices, np.full(len(keys), state), keys, 0.7)
         assert np.bincount(found, minlength=3) / len(keys) == pytest.approx(expected, abs=0.01)
-    assert drawn(choices, np.ones(3, np.int64), keys[:3], 0.7).tolist() == [-1, -1, -1]
+    assert sample_options(choices, np.ones(3, np.int64), keys[:3], 0.7).tolist() == [-1, -1, -1]
 
 
 def test_the_budget_is_part_of_what_it_is(network: Path) -> None:

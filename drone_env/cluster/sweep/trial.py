@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from drone_env.agents.network import load_network
+from drone_env.agents.pathqnet import load_network
 from drone_env.cluster.sweep.config import SweepConfig, Trial
 from drone_env.cluster.sweep.folder import MapScores, SweepFolder, TrialState
 from drone_env.core.seeds import split_seeds
 from drone_env.errors import InvalidValueError
 from drone_env.results.evaluate import episodes_key, run_episodes
+from drone_env.rl.dqn import Progress, Trainer
 from drone_env.rl.run import TrainingRun
-from drone_env.rl.trainer import Progress, Trainer
 
 
 def train_trial(out: Path, until: int, checkpoint_seconds: float, trial: Trial) -> Iterator[dict[str, Any]]:

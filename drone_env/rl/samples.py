@@ -1,8 +1,8 @@
-"""Lessons for a tour network: states of flights, with the exact value of each of their options.
+"""Training samples of a tour network: states of flights, with the exact value of each of their options.
 
 The values are those of `planning.legs`. Flights begin at the start of a map or anywhere on it; they follow the best
-options and at times others. A choice that would lose the mission is labelled but not flown, so flights stay where
-decisions matter. Which states are drawn depends on the seeds of the maps alone: not on the network that learns.
+options and at times others. An option that loses the mission is labelled but not flown, so flights stay where decisions
+matter. The states depend on the seeds of the maps alone, not on the network.
 """
 
 from typing import Any, NamedTuple
@@ -11,13 +11,14 @@ import numpy as np
 import numpy.typing as npt
 from numba.extending import register_jitable  # pyright: ignore
 
-from drone_env.agents.tour_view import (
+from drone_env.agents.tour_features import (
     Distances,
-    View,
+    Features,
     find_distances,
+    first_states,
     make_distances,
-    make_view,
-    write_view,
+    make_features,
+    write_features,
 )
 from drone_env.core import compiled
 from drone_env.core.actions import FLYING, Action
@@ -39,18 +40,18 @@ from drone_env.planning.states import UNPAID, delivered_set, put_drone, put_parc
 
 WAIT = int(Action.WAIT)
 COMPLETE = 0.8 - 1e-9
-"""Values from here on are those of whole missions. (On a uniform task of more than 8 parcels, where battery and time do
-not end together, those of others can be as high.)"""
+"""Minimum value of a complete mission. (On a uniform task of more than 8 parcels, where battery and time do not end
+together, incomplete ones can be as high.)"""
 FROM_START, OTHER, NEARLY_BEST, GOES_ON = 40, 35, 20, 85
-"""In percent: flights that begin at the start; choices that are not the best; those of them that cost at most `NEAR`;
-how often a flight goes on along its way instead of choosing anew."""
+"""Percentages: flights from the start; options that are not the best; those of them with a regret of at most `NEAR`;
+steps after which a flight stays on its path instead of choosing again."""
 NEAR = 0.02
 KEPT_BEGUN, KEPT_ON_THE_WAY, KEPT_LOST = 75, 20, 20
-"""In percent, the states that are kept: where a way begins, on the way, and once the mission cannot be completed."""
+"""Percentages of kept states: at the start of a path, on it, and after the mission is lost."""
 
 
-class World(NamedTuple):
-    """What the maps of a task are drawn into."""
+class Workspace(NamedTuple):
+    """Working memory for a map of a task."""
 
     tables: Tables
     rewards: Rewards
@@ -59,52 +60,56 @@ class World(NamedTuple):
     state: Any
     """uint16[state size]"""
     parcels: Any
-    """int64[deliveries], the entries of `state` that hold the parcels."""
+    """int64[deliveries], the indices of the parcels in `state`."""
 
 
-def place_stops(world: World, legs: Legs) -> None:
-    """Write the map that stands in the world, without its drone, into the legs."""
-    for cell in range(world.tables.cells):
+def place_stops(workspace: Workspace, legs: Legs) -> None:
+    """Write the map of the workspace, without its drone, into the legs."""
+    for cell in range(workspace.tables.cells):
         legs.stop_at[cell] = NO_STOP
-        legs.ground[cell] = world.grid[cell]
+        legs.ground[cell] = workspace.grid[cell]
     stop = legs.parcels
-    for cell in range(world.tables.cells):
-        if stop < len(legs.stops) and world.grid[cell] == PAD_CELL:
+    for cell in range(workspace.tables.cells):
+        if stop < len(legs.stops) and workspace.grid[cell] == PAD_CELL:
             legs.stops[stop] = cell
             stop += 1
     for i in range(legs.parcels):
-        legs.stops[i] = world.state[PARCELS + i]
+        legs.stops[i] = workspace.state[PARCELS + i]
     for i in range(len(legs.stops)):
         legs.stop_at[legs.stops[i]] = i
 
 
-def option_row(legs: Legs, delivered: int, done: int, view: View, option: int, units: int) -> int:
-    """The row of `legs.ranks` that an option leads to, `view.numbers[option, 1]` steps later."""
-    stop, drained = view.token[option] - 1, view.numbers[option, 0]
+def option_row(legs: Legs, delivered: int, done: int, features: Features, option: int, units: int) -> int:
+    """The row of `legs.ranks` after an option, `features.numbers[option, 1]` steps later."""
+    stop, drained = features.token[option] - 1, features.numbers[option, 0]
     after = units - drained if legs.counts else 1
     if drained < 0:
         return row_of(legs, delivered, stop, after)
     return row_after(legs, delivered, done, stop, after)
 
 
-def find_option(view: View, m: int, token: int, units: int, steps: int) -> int:
-    """The option of state m that leads to a token by a way of these units and steps; -1 if there is none."""
-    for option in range(view.begins[m], view.begins[m + 1]):
-        if view.token[option] == token and view.numbers[option, 0] == units and view.numbers[option, 1] == steps:
+def find_option(features: Features, m: int, token: int, units: int, steps: int) -> int:
+    """The option of state m to a token with these units and steps; -1 if there is none."""
+    for option in range(features.begins[m], features.begins[m + 1]):
+        if (
+            features.token[option] == token
+            and features.numbers[option, 0] == units
+            and features.numbers[option, 1] == steps
+        ):
             return option
     return -1
 
 
-def take_off(world: World, counts: int, start: int, key: int) -> tuple[int, bool]:
-    """Begin a flight at the start of the map, or anywhere on it, and return the next key and whether it could.
+def sample_start_state(workspace: Workspace, counts: int, start: int, key: int) -> tuple[int, bool]:
+    """Place the drone at the start of the map or anywhere on it; return the next key and whether the cell is free.
 
     Args:
-        world: The map, without the drone; receives the state.
+        workspace: The map, without the drone; it receives the state.
         counts: 1 if units count beside steps.
-        start: Where the map's flights start.
-        key: What is drawn from.
+        start: The cell of the map's start.
+        key: The random key.
     """
-    tables, _, grid, state, parcels = world
+    tables, _, grid, state, parcels = workspace
     delivered, cell, units, left = 0, start, tables.capacity, tables.max_steps
     key = next_key(key)
     if uniform_below(key, 100) >= FROM_START:
@@ -126,13 +131,13 @@ def take_off(world: World, counts: int, start: int, key: int) -> tuple[int, bool
     return key, True
 
 
-for function in (place_stops, option_row, find_option, take_off):
+for function in (place_stops, option_row, find_option, sample_start_state):
     register_jitable(**compiled.OPTIONS)(function)
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
-def lesson_kernel(
-    world: World,
+def sample_kernel(
+    workspace: Workspace,
     legs: Legs,
     scores: Any,
     distances: Distances,
@@ -140,34 +145,31 @@ def lesson_kernel(
     rounds: Rounds,
     seeds: Any,
     per_map: int,
-    view: View,
+    features: Features,
     values: Any,
 ) -> int:
-    """Draw up to `per_map` states of each map.
+    """Write up to `per_map` states of each map and return their number.
 
     Args:
-        world: Working memory.
-        legs: Working memory; its ends are those of a whole episode.
+        workspace: Working memory.
+        legs: Working memory, for whole episodes.
         scores: float64[ranks], the score of each rank.
         distances: Working memory.
         ways: Working memory.
         rounds: Working memory.
         seeds: int64[maps]
-        per_map: States of each map.
-        view: Receives the states.
-        values: float32[options], receives the value of each option.
-
-    Returns:
-        How many states there are.
+        per_map: Maximum number of states of each map.
+        features: The output.
+        values: float32[options], the values of the options, also output.
     """
-    tables, rewards, grid, state, parcels = world
+    tables, rewards, grid, state, parcels = workspace
     m, n = 0, legs.parcels
-    view.begins[0] = 0
+    features.begins[0] = 0
     for seed in seeds:
         reset(tables, grid, state, seed)
         start = state[CELL] * 1
         grid[start] = state[UNDER]
-        place_stops(world, legs)
+        place_stops(workspace, legs)
         mark_delivered(legs, (1 << n) - 1)
         find_distances(tables, legs.ground, legs.stops, legs.counts, legs.stop_at, distances, ways, rounds)
         value_kernel(legs, ways, rounds)
@@ -175,7 +177,7 @@ def lesson_kernel(
         for _ in range(4 * per_map):
             if m == wanted:
                 break
-            key, flies = take_off(world, legs.counts, start, key)
+            key, flies = sample_start_state(workspace, legs.counts, start, key)
             if not flies:
                 continue
             chosen_token, way_units, way_steps = -1, 0, 0
@@ -185,12 +187,14 @@ def lesson_kernel(
                 still = left if legs.counts else min(left, units)
                 done = mark_delivered(legs, delivered)
                 find_ways(tables, legs.ground, cell, units, legs.counts, legs.stop_at, ways, 0, rounds)
-                write_view(tables, legs.stops, n, delivered, cell, units, left, legs.counts, distances, ways, view, m)
-                first, behind = view.begins[m], view.begins[m + 1]
+                write_features(
+                    tables, legs.stops, n, delivered, cell, units, left, legs.counts, distances, ways, features, m
+                )
+                first, behind = features.begins[m], features.begins[m + 1]
                 best, lost, alike = -1, 0, True
                 for option in range(first, behind):
-                    row = option_row(legs, delivered, done, view, option, units)
-                    values[option] = scores[legs.ranks[row, still - view.numbers[option, 1]]]
+                    row = option_row(legs, delivered, done, features, option, units)
+                    values[option] = scores[legs.ranks[row, still - features.numbers[option, 1]]]
                     alike &= values[option] == values[first]
                     lost += values[option] < COMPLETE
                     if best < 0 or values[option] > values[best]:
@@ -199,7 +203,7 @@ def lesson_kernel(
                     break
                 key = next_key(key)
                 drawn = uniform_below(key, 200)
-                chosen = find_option(view, m, chosen_token, way_units, way_steps)
+                chosen = find_option(features, m, chosen_token, way_units, way_steps)
                 keep = KEPT_ON_THE_WAY if chosen >= 0 else KEPT_BEGUN
                 if values[best] < COMPLETE:
                     chosen, keep = best, KEPT_LOST
@@ -216,11 +220,11 @@ def lesson_kernel(
                         if values[option] >= max(COMPLETE, values[best] - allowed):
                             chosen = option
                             break
-                action, before = view.numbers[chosen, 2], units
+                action, before = features.numbers[chosen, 2], units
                 chosen_token, way_units, way_steps = (
-                    view.token[chosen],
-                    view.numbers[chosen, 0],
-                    view.numbers[chosen, 1],
+                    features.token[chosen],
+                    features.numbers[chosen, 0],
+                    features.numbers[chosen, 1],
                 )
                 if not alike and drawn < 2 * keep:
                     m += 1
@@ -234,21 +238,21 @@ def lesson_kernel(
     return m
 
 
-class Lessons(NamedTuple):
-    """States of one task and what they teach."""
+class Samples(NamedTuple):
+    """States of one task, with the values of their options."""
 
-    view: View
+    features: Features
     values: npt.NDArray[np.float32]
-    """float32[options], the highest score that can still be reached after each."""
+    """float32[options], the highest score that is still possible after each."""
 
 
-class Teacher:
-    """Draws lessons on one task.
+class SampleGenerator:
+    """Generates samples on one task.
 
     Args:
         task: The task.
-        maps: How many maps a chunk of lessons is drawn from.
-        per_map: States of each.
+        maps: Maximum number of maps in a chunk of samples.
+        per_map: Maximum number of states of each map.
 
     Raises:
         UnsupportedTaskError: if `planning.legs` does not cover the task.
@@ -258,42 +262,21 @@ class Teacher:
     def __init__(self, task: TaskConfig, maps: int, per_map: int) -> None:
         self.task, self._per_map = task, per_map
         tables = tabulate(task)
-        self._scores, _ = ranked_scores(task)
-        # Every map has as many stops as this one.
+        # All maps of a task have the same number of stops.
         ground, state, entries = state_arrays(Episode(task, seed=0))
-        self._legs = make_legs(task, ground, state[entries].tolist(), 0, tables.capacity, tables.max_steps)
-        stops = len(self._legs.stops)
-        self._ways, self._rounds = working_memory(task, self._legs)
-        self._distances = make_distances(stops)
-        self._world = World(
-            tables,
-            tabulate_rewards(task, UNPAID),
-            np.zeros(tables.cells, np.uint8),
-            np.zeros(state_size(tables), np.uint16),
-            entries,
-        )
+        legs = make_legs(task, ground, state[entries].tolist(), 0, tables.capacity, tables.max_steps)
+        ways, rounds = working_memory(task, legs)
+        scores, _ = ranked_scores(task)
+        grid, state = np.zeros(tables.cells, np.uint8), np.zeros(state_size(tables), np.uint16)
+        workspace = Workspace(tables, tabulate_rewards(task, UNPAID), grid, state, entries)
+        stops = len(legs.stops)
+        self._working_memory = workspace, legs, scores, make_distances(stops), ways, rounds
         states = maps * per_map + 1
-        room = states * stops * self._ways.units.shape[1]
-        self._view, self._values = make_view(states, stops, room), np.zeros(room, np.float32)
+        options = states * stops * ways.units.shape[1]
+        self._features, self._values = make_features(states, stops, options), np.zeros(options, np.float32)
 
-    def draw(self, seeds: npt.NDArray[np.int64]) -> Lessons:
-        """The lessons of these maps."""
-        view = self._view
-        m = lesson_kernel(
-            self._world,
-            self._legs,
-            self._scores,
-            self._distances,
-            self._ways,
-            self._rounds,
-            seeds,
-            self._per_map,
-            view,
-            self._values,
-        )
-        options = int(view.begins[m])
-        drawn = View(
-            view.tokens[:m].copy(), view.present[:m].copy(), view.edges[:m].copy(), view.begins[: m + 1].copy(),
-            view.token[:options].copy(), view.features[:options].copy(), view.numbers[:options].copy(),
-        )  # fmt: skip
-        return Lessons(drawn, self._values[:options].copy())
+    def generate(self, seeds: npt.NDArray[np.int64]) -> Samples:
+        """The samples of these maps."""
+        m = sample_kernel(*self._working_memory, seeds, self._per_map, self._features, self._values)
+        features = Features(*(array.copy() for array in first_states(self._features, m)))
+        return Samples(features, self._values[: len(features.token)].copy())

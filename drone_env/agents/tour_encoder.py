@@ -1,20 +1,21 @@
-"""From observations to the views of the tour network (`tour_view`)."""
+"""From observations to the features of the tour network (`tour_features`)."""
 
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents.tour_view import (
+from drone_env.agents.tour_features import (
     EDGE_FEATURES,
     OPTION_FEATURES,
     TOKEN_FEATURES,
     Distances,
-    View,
+    Features,
     find_distances,
+    first_states,
     make_distances,
-    make_view,
-    write_view,
+    make_features,
+    write_features,
 )
 from drone_env.core import compiled
 from drone_env.core.cells import DELIVERED_CELL, DELIVERY_CELL, PAD_CELL
@@ -32,15 +33,15 @@ from drone_env.planning.paths import make_workspace as make_rounds
 from drone_env.planning.states import require_memory
 
 CHUNK = 256
-"""Views at a time, so that what is worked on stays in the cache."""
+"""Maximum number of states per call: their features fit into the processor's cache."""
 CHUNK_BYTES = 1 << 25
-"""Where a view is large they are fewer: all together take no more than this, unless a single one does."""
+"""Maximum size of their features, unless a single state takes more."""
 KEPT_BYTES = 1 << 24
-"""What the distances take that are kept."""
+"""Size of the cache of distances."""
 
 
 @compiled_once(nogil=True, **compiled.OPTIONS)
-def view_kernel(
+def encode_kernel(
     tables: Tables,
     grounds: Any,
     drones: Any,
@@ -55,28 +56,28 @@ def view_kernel(
     distances: Distances,
     ways: Ways,
     rounds: Rounds,
-    view: View,
+    features: Features,
 ) -> int:
-    """Write the views of M observations; returns how many. It ends before one that shows too many parcels or pads.
+    """Write the features of M observations and return their number. It stops at one with too many parcels or pads.
 
     Args:
         tables: The task's tables.
         grounds: uint8[M, cells], without the drones.
         drones: int64[M, 3]: cell, units left, steps left.
         counts: 1 if units count beside steps.
-        pads: How many pads a map has, 0 where they are no stops.
-        kept: int32[places, N, N] each, the distances between all parcels, delivered or not, and pads of a map.
+        pads: Number of pads of a map, 0 if they are no stops.
+        kept: int32[places, N, N] each, the cached distances between all parcels, delivered or not, and pads of a map.
         places: int64[M], the place in `kept` of each state's map.
-        unknown: bool[M], whether they have to be found first.
+        unknown: bool[M], whether the distances are missing there.
         ground: uint8[cells], working memory, as are the following.
         sites: int64[2, N]
         stop_at: int32[cells]
         distances: Between the stops of one state.
         ways: From its drone to them.
         rounds: Of the search.
-        view: Receives them.
+        features: The output.
     """
-    view.begins[0] = 0
+    features.begins[0] = 0
     stops, numbers = sites
     room = len(stops)
     for m in range(len(grounds)):
@@ -125,29 +126,29 @@ def view_kernel(
         cell, units, left = drones[m]
         find_ways(tables, ground, cell, units, counts, stop_at, ways, 0, rounds)
         for t in range(stop + 1, room + 1):
-            view.present[m, t] = False
+            features.present[m, t] = False
             for f in range(TOKEN_FEATURES):
-                view.tokens[m, t, f] = 0.0
+                features.tokens[m, t, f] = 0.0
             for s in range(room + 1):
                 for f in range(EDGE_FEATURES):
-                    view.edges[m, s, t, f] = view.edges[m, t, s, f] = 0.0
-        write_view(tables, stops[:stop], waiting, 0, cell, units, left, counts, distances, ways, view, m)
+                    features.edges[m, s, t, f] = features.edges[m, t, s, f] = 0.0
+        write_features(tables, stops[:stop], waiting, 0, cell, units, left, counts, distances, ways, features, m)
     return len(grounds)
 
 
-class Viewer:
-    """Turns observations of one task into views. Not to be shared between threads.
+class FeatureEncoder:
+    """Encodes observations of one task as features. Not thread-safe.
 
-    What lies between the stops of a map is kept from one call to the next: it depends on nothing that flies.
+    It caches the distances between the stops of a map, which do not depend on the flight.
 
     Args:
         task: The task.
 
     Attributes:
-        most: How many observations a call takes.
+        most: Maximum number of observations per call.
 
     Raises:
-        TooLargeError: if a single view would take too much memory.
+        TooLargeError: if the features of one state would take too much memory.
     """
 
     def __init__(self, task: TaskConfig) -> None:
@@ -160,16 +161,16 @@ class Viewer:
         ways = make_ways(task, n)
         options = n * ways.units.shape[1]
         size = 4 * ((n + 1) ** 2 * EDGE_FEATURES + options * (OPTION_FEATURES + 4))
-        require_memory("the view", task, size)
+        require_memory("the features", task, size)
         self.most = max(1, min(CHUNK, CHUNK_BYTES // size))
         self._work = make_distances(n), ways, make_rounds(task)
-        self._view = make_view(self.most, n, self.most * options)
+        self._features = make_features(self.most, n, self.most * options)
         self._room = max(self.most, KEPT_BYTES // (12 * n * n)) if self._counts else self.most
         self._kept = Distances(*np.zeros((3, self._room, n, n), np.int32))
         self._place_of: dict[bytes, int] = {}
 
-    def __call__(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> View:
-        """The views of M observations, at most `most`: overwritten by the next call.
+    def __call__(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Features:
+        """The features of M observations, at most `most`; the next call overwrites them.
 
         Args:
             grids: uint8[M, height, width]
@@ -185,10 +186,10 @@ class Viewer:
             raise InvalidValueError(f"an observation has battery or steps left that {self._task.id!r} does not have")
         grounds = grids.reshape(len(grids), -1).copy()
         grounds[np.arange(len(grids)), drones[:, 0]] = self._below(grounds, telemetry)
-        return self.views(grounds, drones)
+        return self.encode(grounds, drones)
 
-    def views(self, grounds: npt.NDArray[np.uint8], drones: npt.NDArray[np.int64]) -> View:
-        """The same of M states.
+    def encode(self, grounds: npt.NDArray[np.uint8], drones: npt.NDArray[np.int64]) -> Features:
+        """The features of M states.
 
         Args:
             grounds: uint8[M, cells], without the drones.
@@ -199,19 +200,14 @@ class Viewer:
         """
         m = len(grounds)
         places, unknown = self._places(grounds)
-        written = view_kernel(
+        written = encode_kernel(
             self._tables, grounds, drones, int(self._counts), self._pads, self._kept, places, unknown,
-            self._ground, self._sites, self._stop_at, *self._work, self._view,
+            self._ground, self._sites, self._stop_at, *self._work, self._features,
         )  # fmt: skip
         if written < m:
             self._place_of.clear()
             raise InvalidValueError(f"an observation shows more parcels or pads than {self._task.id!r} has")
-        view = self._view
-        options = view.begins[m]
-        return View(
-            view.tokens[:m], view.present[:m], view.edges[:m], view.begins[: m + 1],
-            view.token[:options], view.features[:options], view.numbers[:options],
-        )  # fmt: skip
+        return first_states(self._features, m)
 
     def _drones(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
         """Cell, units left and steps left of each drone, int64[M, 3]."""
@@ -222,13 +218,13 @@ class Viewer:
         return np.stack([y * task.width + x, units, left], axis=1).astype(np.int64)
 
     def _below(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> Any:
-        """The kinds of the cells below the drones; road where no kind makes a difference."""
+        """The kinds of the cells below the drones; road if the kind makes no difference."""
         if self._task.telemetry_size > 6:
             return np.array(TERRAIN)[telemetry[:, 6:].argmax(axis=1)]
         return [hidden_kind(self._task, grid) for grid in grids] if self._counts else 0
 
     def _places(self, grounds: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-        """Where the distances of each map are kept, and whether they have to be found first."""
+        """The place of each map's distances in the cache, and whether they are missing there."""
         m = len(grounds)
         if not self._counts:  # found faster than looked up
             return np.arange(m), np.ones(m, np.bool_)

@@ -1,4 +1,4 @@
-"""The agent that chooses blindly."""
+"""The agents without a plan: random actions, and the way to the nearest parcel."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,16 +6,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from drone_env.agents.base import StatelessAgent
 from drone_env.core.actions import N_ACTIONS
 from drone_env.core.episode import Observation
 from drone_env.core.seeds import map_key, next_key, task_key, uniform_below
 from drone_env.core.tasks import TaskConfig
+from drone_env.planning.greedy import greedy_action, greedy_actions
 
 KEY = task_key("agent/random", 1)
 
 
 class RandomAgent:
-    """Each action is drawn uniformly from all five; the same map gets the same actions in every run."""
+    """Uniformly random actions; equal seeds give equal actions."""
 
     stochastic = True
 
@@ -24,7 +26,7 @@ class RandomAgent:
         self._key: Any = 0
 
     def reset(self, seed: int) -> None:
-        """Start the sequence of actions that belongs to map `seed`."""
+        """Start the sequence of actions of this seed."""
         self._key = map_key(KEY, seed)
 
     def act(self, observation: Observation) -> int:
@@ -33,7 +35,7 @@ class RandomAgent:
         return uniform_below(self._key, N_ACTIONS)
 
     def reset_batch(self, seeds: npt.NDArray[np.int64]) -> None:
-        """Start the sequences that belong to the maps `seeds`, int64[N]."""
+        """Start the sequences of these seeds, int64[N]."""
         as_integers: Any = seeds  # arrays of 64-bit integers wrap as compiled ones do
         self._key = map_key(KEY, as_integers)
 
@@ -42,3 +44,19 @@ class RandomAgent:
         self._key = next_key(self._key)
         actions: Any = uniform_below(self._key, N_ACTIONS)
         return actions
+
+
+class GreedyAgent(StatelessAgent):
+    """Flies to the nearest target, by the cheapest way if terrain costs or blocks."""
+
+    def __init__(self, task: TaskConfig) -> None:
+        self.config: Mapping[str, object] = {"agent": "greedy", "version": 1}
+        self._task = task
+
+    def act(self, observation: Observation) -> int:
+        """The next action towards the nearest target."""
+        return greedy_action(self._task, observation)
+
+    def act_batch(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The next actions towards the nearest targets, int64[N]."""
+        return greedy_actions(self._task, grids, telemetry)

@@ -1,6 +1,5 @@
 """Tasks, observations and networks that the tests of the tour network share."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,12 +8,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.agents.tour_view import View
-from drone_env.agents.tour_viewer import Viewer
+from drone_env.agents.tour_encoder import FeatureEncoder
+from drone_env.agents.tour_features import Features
+from drone_env.agents.weights_file import write_weights
 from drone_env.core.batch import Batch
 from drone_env.core.episode import Observation
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.rl.tour_model import TourNet
+from drone_env.rl.models import TourNet
 from tests.which_tasks import SMALL
 
 HARD = get_task("skyline_hard")
@@ -26,12 +26,12 @@ OWN = {
     "uniform, a short battery": replace(get_task("hard"), battery_capacity=25),
     "uniform, 16 parcels, not square": replace(get_task("hard"), deliveries=16, width=30, height=9),
 }
-"""Tasks of one's own."""
+"""Custom tasks."""
 EVERY_TASK = {**SMALL, **{name: replace(task, id="own", short_name="own") for name, task in OWN.items()}}
 
 
 def save(path: Path, parameters: dict[str, Any], metadata: Mapping[str, object] | None = None) -> Path:
-    np.savez(path, metadata=np.array(json.dumps(metadata or {"network": "tournet"})), **parameters)
+    write_weights(path, parameters, metadata or {"network": "tournet"})
     return path
 
 
@@ -40,7 +40,7 @@ def parameters_of(model: TourNet) -> dict[str, Any]:
 
 
 def observations(task: TaskConfig, maps: int, steps: int) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32]]:
-    """What drones see that fly at random, at every third step."""
+    """Observations of random flights, at every third step."""
     batch, rng = Batch(task, maps), np.random.default_rng(0)
     batch.reset(np.arange(maps))
     grids: list[Any] = []
@@ -53,5 +53,5 @@ def observations(task: TaskConfig, maps: int, steps: int) -> tuple[npt.NDArray[n
     return np.concatenate(grids), np.concatenate(telemetry)
 
 
-def view_of(viewer: Viewer, observation: Observation) -> View:
-    return viewer(observation["grid"][None], observation["telemetry"][None])
+def features_of(encoder: FeatureEncoder, observation: Observation) -> Features:
+    return encoder(observation["grid"][None], observation["telemetry"][None])

@@ -1,8 +1,8 @@
-"""What the tour network sees of a state: tokens, the edges between them, and the options to choose from.
+"""The features of the tour network: tokens, the edges between them, and the options to choose from.
 
-Token 0 is the drone; then come the parcels that wait and the pads. An option is one undominated way to one of them
+Token 0 is the drone; the waiting parcels and the pads follow. An option is one undominated path to one of them
 (`planning.paths`), or one WAIT on the pad below. All features are ratios of units to the battery's capacity and of
-steps to `max_steps`: no coordinates, so that maps of any size look alike.
+steps to `max_steps`. They contain no coordinates, so they do not depend on the size of a map.
 """
 
 from typing import Any, NamedTuple
@@ -22,12 +22,12 @@ from drone_env.planning.paths import find_paths as find_ways
 
 WAIT = int(Action.WAIT)
 FAR = 1.5
-"""Stands for what cannot be reached, in capacities or in eighths of `max_steps`."""
+"""Value of an unreachable distance, in capacities or in eighths of `max_steps`."""
 STEP_SCALE = 8.0
-"""Steps count for less than units: what a leg takes is brought to the same size."""
+"""Scale of steps, which brings them to the size of units."""
 
-# The features, by where they stand. Units are in capacities of the battery, steps in eighths of `max_steps`, what may
-# be true or not is 1 or 0. The numbers and their meaning are frozen: weights depend on them.
+# The indices of the features. Units are in capacities of the battery, steps in eighths of `max_steps`, truth values
+# are 1 or 0. The indices and their meaning are frozen: weights depend on them.
 
 TOKEN_FEATURES = 22
 IS_DRONE, IS_PARCEL, IS_PAD = 0, 1, 2
@@ -86,8 +86,8 @@ class Distances(NamedTuple):
     """Steps of the fastest way."""
 
 
-class View(NamedTuple):
-    """Views of M states of one task with N stops, and all their options, one after another."""
+class Features(NamedTuple):
+    """The features of M states of one task with N stops, and of all their options, one after another."""
 
     tokens: Any
     """float32[M, N + 1, 22]"""
@@ -96,23 +96,23 @@ class View(NamedTuple):
     edges: Any
     """float32[M, N + 1, N + 1, 10], from the first token to the second."""
     begins: Any
-    """int64[M + 1], where the options of each state begin."""
+    """int64[M + 1], index of the first option of each state."""
     token: Any
     """int32[options], the token that each leads to."""
-    features: Any
+    options: Any
     """float32[options, 9]"""
     numbers: Any
     """int32[options, 3]: units (below zero for a charge), steps, first action."""
 
 
 def make_distances(stops: int) -> Distances:
-    """Room for the distances between this many stops."""
+    """Allocate the distances between this many stops."""
     return Distances(*np.zeros((3, stops, stops), np.int32))
 
 
-def make_view(states: int, stops: int, options: int) -> View:
-    """Room for this many views and options in all."""
-    return View(
+def make_features(states: int, stops: int, options: int) -> Features:
+    """Allocate the features of this many states and options in all."""
+    return Features(
         np.zeros((states, stops + 1, TOKEN_FEATURES), np.float32),
         np.zeros((states, stops + 1), np.bool_),
         np.zeros((states, stops + 1, stops + 1, EDGE_FEATURES), np.float32),
@@ -121,6 +121,13 @@ def make_view(states: int, stops: int, options: int) -> View:
         np.zeros((options, OPTION_FEATURES), np.float32),
         np.zeros((options, 3), np.int32),
     )
+
+
+def first_states(features: Features, m: int) -> Features:
+    """The features of the first m states, without copying."""
+    options = features.begins[m]
+    by_state = (features.tokens[:m], features.present[:m], features.edges[:m], features.begins[: m + 1])
+    return Features(*by_state, features.token[:options], features.options[:options], features.numbers[:options])
 
 
 def find_distances(
@@ -133,7 +140,7 @@ def find_distances(
     ways: Ways,
     rounds: Rounds,
 ) -> None:
-    """Find the distances between all stops, on a ground where no parcel waits."""
+    """Find the distances between all stops, on a map without waiting parcels."""
     cheap_units, cheap_steps, fast_steps = distances
     for i in range(len(stops)):
         find_ways(tables, ground, stops[i], tables.capacity, counts, stop_at, ways, 0, rounds)
@@ -149,7 +156,7 @@ def find_distances(
                 fast_steps[i, j] = ways.steps[j, 0]
 
 
-def write_view(
+def write_features(
     tables: Tables,
     stops: Any,
     parcels: int,
@@ -160,10 +167,10 @@ def write_view(
     counts: int,
     distances: Distances,
     ways: Ways,
-    view: View,
+    features: Features,
     m: int,
 ) -> None:
-    """Write the view of one state, whose ways have been found, behind the m that stand there.
+    """Write the features of one state, whose paths are known, as number m.
 
     Args:
         tables: The task's tables.
@@ -176,20 +183,20 @@ def write_view(
         counts: 1 if units count beside steps.
         distances: Between the stops.
         ways: From the drone to the stops.
-        view: Receives it.
-        m: How many views stand there.
+        features: The output.
+        m: The number of the state; those below it are written.
     """
     capacity, max_steps = np.float32(tables.capacity), np.float32(tables.max_steps)
     per_step = np.float32(STEP_SCALE) / max_steps
     cheap_units, cheap_steps, fast_steps = distances
     n = len(stops)
-    tokens, present, edges = view.tokens, view.present, view.edges
-    # More than a battery holds fills it and nothing else, whatever the task says of it.
+    tokens, present, edges = features.tokens, features.present, features.edges
+    # A larger charge than the capacity only fills the battery.
     charge = min(-tables.drain[PAD_CELL * N_ACTIONS + WAIT], tables.capacity)
     waiting = 0
     for i in range(parcels):
         waiting += 1 - (delivered >> i & 1)
-    option = view.begins[m]
+    option = features.begins[m]
     for f in range(TOKEN_FEATURES):
         tokens[m, 0, f] = 0.0
     present[m, 0] = True
@@ -223,16 +230,16 @@ def write_view(
             charged = units_left(tables, units, -charge)
             tokens[m, t, ARRIVAL] = units / capacity
             if charged > units and left > 0:
-                view.token[option] = t
-                view.numbers[option, 0], view.numbers[option, 1] = units - charged, 1
-                view.numbers[option, 2] = WAIT
+                features.token[option] = t
+                features.numbers[option, 0], features.numbers[option, 1] = units - charged, 1
+                features.numbers[option, 2] = WAIT
                 for f in range(OPTION_FEATURES):
-                    view.features[option, f] = 0.0
-                view.features[option, DRAINED] = (units - charged) / capacity
-                view.features[option, TAKEN] = per_step
-                view.features[option, AFTER] = view.features[option, AFTER_SPARE] = charged / capacity
-                view.features[option, AFTER_SAFE] = view.features[option, CHARGES] = 1.0
-                view.features[option, LEFT_AFTER] = (left - 1) / max_steps
+                    features.options[option, f] = 0.0
+                features.options[option, DRAINED] = (units - charged) / capacity
+                features.options[option, TAKEN] = per_step
+                features.options[option, AFTER] = features.options[option, AFTER_SPARE] = charged / capacity
+                features.options[option, AFTER_SAFE] = features.options[option, CHARGES] = 1.0
+                features.options[option, LEFT_AFTER] = (left - 1) / max_steps
                 option += 1
         elif k_ways == 0:
             tokens[m, t, CHEAP_UNITS] = tokens[m, t, CHEAP_STEPS] = tokens[m, t, FAST_STEPS] = FAR
@@ -253,23 +260,23 @@ def write_view(
                 drained = (min(ways.units[i, k], units) if i < parcels else ways.units[i, k]) if counts else steps
                 if drained > units or (drained == units and i >= parcels) or steps > left:
                     continue
-                view.token[option] = t
-                view.numbers[option, 0], view.numbers[option, 1] = drained, steps
-                view.numbers[option, 2] = ways.first[i, k]
-                view.features[option, DRAINED] = drained / capacity
-                view.features[option, TAKEN] = steps * per_step
-                view.features[option, AFTER] = (units - drained) / capacity
-                view.features[option, AFTER_SPARE] = (units - drained) / capacity - safe
-                view.features[option, AFTER_SAFE] = view.features[option, AFTER_SPARE] > 0.0
-                view.features[option, CHARGES] = 0.0
-                view.features[option, MORE_UNITS] = (drained - cheapest) / capacity
-                view.features[option, MORE_STEPS] = (steps - fastest) * per_step
-                view.features[option, LEFT_AFTER] = (left - steps) / max_steps
+                features.token[option] = t
+                features.numbers[option, 0], features.numbers[option, 1] = drained, steps
+                features.numbers[option, 2] = ways.first[i, k]
+                features.options[option, DRAINED] = drained / capacity
+                features.options[option, TAKEN] = steps * per_step
+                features.options[option, AFTER] = (units - drained) / capacity
+                features.options[option, AFTER_SPARE] = (units - drained) / capacity - safe
+                features.options[option, AFTER_SAFE] = features.options[option, AFTER_SPARE] > 0.0
+                features.options[option, CHARGES] = 0.0
+                features.options[option, MORE_UNITS] = (drained - cheapest) / capacity
+                features.options[option, MORE_STEPS] = (steps - fastest) * per_step
+                features.options[option, LEFT_AFTER] = (left - steps) / max_steps
                 option += 1
         tokens[m, t, SPARE] = tokens[m, t, ARRIVAL] - safe
         tokens[m, t, SAFE] = tokens[m, t, SPARE] > 0.0
     tokens[m, 0, TO_PAD] = np.float32(home) / capacity if home < UNREACHED else np.float32(FAR)
-    view.begins[m + 1] = option
+    features.begins[m + 1] = option
     for t in range(n + 1):
         if present[m, t]:
             tokens[m, t, UNITS] = units / capacity
@@ -315,5 +322,5 @@ def write_view(
             edges[m, s, t, WITHIN_CAPACITY] = out_units < 1.0
 
 
-for function in (find_distances, write_view):
+for function in (find_distances, write_features):
     register_jitable(**compiled.OPTIONS)(function)

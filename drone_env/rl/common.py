@@ -1,0 +1,105 @@
+"""What the trainers share: validation, and the check of a checkpoint's settings."""
+
+import ctypes
+import math
+import sys
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import nn
+
+from drone_env.agents.together import ActBatch, fly_together
+from drone_env.core.seeds import split_seeds
+from drone_env.core.tasks import TaskConfig
+from drone_env.errors import CheckpointError
+from drone_env.planning.optimal import best_of
+
+MAX_NAMED = 2
+"""Settings that a message names: it fits two lines."""
+
+
+class Validation(NamedTuple):
+    """The result of flying the validation maps."""
+
+    score: float
+    """Mean graded score."""
+    optimum: float
+    """Mean exact optimum of the same maps; NaN if one of them is too large to be solved."""
+    success: float
+    """Share of maps with all parcels delivered."""
+
+
+class Validator:
+    """Flies the first maps of the validation split, which training never sees.
+
+    Args:
+        task: The task.
+        maps: Number of maps.
+    """
+
+    def __init__(self, task: TaskConfig, maps: int) -> None:
+        self._task = task
+        self._seeds = np.array(split_seeds("validation", maps))
+        best = [best_of(task, seed) for seed in self._seeds.tolist()]
+        self.optimum = float(np.mean([math.nan if one is None else one.score for one in best]))
+
+    def validate(self, act: ActBatch) -> Validation:
+        """Fly each map once; `act` is stateless."""
+        ends = fly_together(self._task, self._seeds, act, stateless=True)
+        success = ends.deliveries_done == self._task.deliveries
+        return Validation(float(ends.scores.mean()), self.optimum, float(success.mean()))
+
+
+class DifferentRunError(CheckpointError):
+    """A checkpoint of a run with other settings, some of which the message names."""
+
+
+def require_same(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> None:
+    """Check that a checkpoint has these settings.
+
+    Raises:
+        DifferentRunError: if it has not.
+    """
+    names = [name for name in ours if ours[name] != theirs.get(name)]
+    if names:
+        different = [f"{name} {theirs.get(name)!r} (now {ours[name]!r})" for name in names[:MAX_NAMED]]
+        more = len(names) - MAX_NAMED
+        raise DifferentRunError(", ".join(different) + (f" and {more} more" if more > 0 else ""))
+
+
+def figure(value: float, digits: int) -> str:
+    """A number with this many decimal places; `-` for NaN."""
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def clone_state(network: nn.Module) -> dict[str, torch.Tensor]:
+    """A copy of a network's parameters."""
+    return {name: tensor.clone() for name, tensor in network.state_dict().items()}
+
+
+def set_learning_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
+    """Set the learning rate of the next step."""
+    for group in optimizer.param_groups:
+        group["lr"] = rate
+
+
+@torch.no_grad()
+def update_average(average: nn.Module, network: nn.Module, weight: float) -> None:
+    """Move each parameter of `average` towards `network` by this weight (Polyak averaging)."""
+    for mean, parameter in zip(average.parameters(), network.parameters(), strict=True):
+        mean.lerp_(parameter, weight)
+
+
+def keep_freed_memory() -> None:
+    """Let glibc keep up to 1 GiB that PyTorch frees; other C libraries are left alone.
+
+    Otherwise each update returns megabytes to the kernel and faults them in again, which took up to a third of the
+    training time on a CPU.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if mallopt is not None:
+        mallopt(-3, 32 << 20)  # M_MMAP_THRESHOLD
+        mallopt(-1, 1 << 30)  # M_TRIM_THRESHOLD
+        mallopt(-2, 64 << 20)  # M_TOP_PAD

@@ -1,0 +1,352 @@
+"""Deep Q-learning from the batched simulator.
+
+Mnih et al., "Human-level control through deep reinforcement learning", Nature 2015; van Hasselt, Guez, Silver, "Deep
+reinforcement learning with double Q-learning", AAAI 2016; Bellemare et al., "Increasing the action gap: new operators
+for reinforcement learning", AAAI 2016 (advantage learning). N environments step together; each step adds N transitions
+to the replay buffer, and the network gets one update every `steps_per_update` environment steps.
+
+Every end is part of the task: targets never bootstrap over an end, and nothing truncates an episode.
+"""
+
+import math
+from collections.abc import Iterator
+from copy import copy
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn.functional import mse_loss, smooth_l1_loss
+
+from drone_env.core.batch import Batch
+from drone_env.core.rewards import get_reward_profile, profile_for_discount
+from drone_env.core.seeds import SPLITS
+from drone_env.core.tasks import get_task
+from drone_env.errors import InvalidValueError
+from drone_env.rl.common import (
+    Validation,
+    Validator,
+    clone_state,
+    figure,
+    keep_freed_memory,
+    require_same,
+    set_learning_rate,
+    update_average,
+)
+from drone_env.rl.config import TrainConfig
+from drone_env.rl.models import PathQNet
+from drone_env.rl.policy import epsilon_greedy, linear, multiplicative
+from drone_env.rl.replay_buffer import ReplayBuffer
+
+LOSSES = {"huber": smooth_l1_loss, "mse": mse_loss}
+Result = tuple[float, float, bool, int]
+"""Of an episode: undiscounted return, score, whether all parcels were delivered, steps."""
+MODULES = ("online", "target", "optimizer")
+VARIABLES = (
+    *("steps", "updates", "episodes", "updates_due", "validated_updates", "best", "best_score"),
+    *("ended", "early", "window", "unlogged", "losses"),
+)
+"""The attributes that a checkpoint stores as state dictionaries, and as they are."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One line of a training's log.
+
+    Short episodes finish first, so the means cover episodes in the order of their starts, up to the first that still
+    flies: all that no earlier line covers, and at least the last `log_every`. NaN if there are none.
+
+    Attributes:
+        episode: Episodes ended so far.
+        steps: Environment steps.
+        updates: Updates of the network.
+        epsilon: Probability of a random action.
+        loss: Mean loss of the updates since the previous line, else the previous line's; NaN before the first update.
+        reward: Mean undiscounted return.
+        score: Mean graded score.
+        success: Share of episodes with all parcels delivered.
+        length: Mean steps of an episode.
+        validation: Mean score of the network on the validation maps, at the last validation; NaN before it.
+        validation_optimum: Exact optimum of the same maps; NaN if it is unknown.
+    """
+
+    episode: int
+    steps: int
+    updates: int
+    epsilon: float
+    loss: float
+    reward: float
+    score: float
+    success: float
+    length: float
+    validation: float
+    validation_optimum: float
+
+
+class Trainer:
+    """One DQN training, from its first step or from a checkpoint.
+
+    Args:
+        config: The settings.
+
+    Raises:
+        InvalidValueError: if the settings name a GPU and there is none.
+    """
+
+    curves: ClassVar = {
+        "reward": "mean reward of an episode",
+        "length": "mean steps of an episode",
+        "loss": "loss",
+        "epsilon": "share of random actions",
+        "validation": "score on validation maps",
+    }
+
+    def __init__(self, config: TrainConfig) -> None:
+        if config.gpu and not torch.cuda.is_available():
+            raise InvalidValueError("--gpu needs a CUDA device, and PyTorch sees none; train without it on the CPU")
+        keep_freed_memory()
+        torch.set_num_threads(config.num_threads)
+        torch.manual_seed(config.seed)
+        self.config = config
+        self.task = task = get_task(config.task)
+        self.device = torch.device("cuda" if config.gpu else "cpu")
+        self.rng = np.random.default_rng(config.seed)
+        profile = profile_for_discount(get_reward_profile(config.reward_profile), config.gamma)
+        self.batch = Batch(task, config.num_envs, profile, same_step=True)
+        self.batch.reset(self.rng.integers(SPLITS["train"].start, SPLITS["train"].stop, config.num_envs))
+        self.online = PathQNet(task.telemetry_size).to(self.device)
+        self.target = PathQNet(task.telemetry_size).to(self.device)
+        self.target.load_state_dict(self.online.state_dict())
+        self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate)
+        self.replay = ReplayBuffer(config.replay_size, config.num_envs, task.height, task.width, task.telemetry_size)
+        self.validator = Validator(task, config.validation_maps)
+        self.validation = Validation(math.nan, self.validator.optimum, math.nan)
+        self.best, self.best_score = clone_state(self.judged), -1.0
+        self.steps = self.updates = self.episodes = 0
+        self.updates_due = 0.0
+        self.validated_updates = -1
+        self.returns = np.zeros(config.num_envs)
+        """Of the running episodes, undiscounted."""
+        self.numbers = np.arange(config.num_envs)
+        """Numbers of the running episodes, in the order of their starts."""
+        self.ended: list[tuple[int, float, int, int]] = []
+        """Environment, score, steps and deliveries of the episodes that the last step ended, until they are counted."""
+        self.early: dict[int, Result] = {}
+        """Results of episodes that ended before an older one, by number."""
+        self.window: list[Result] = []
+        """The latest results that the log may show."""
+        self.unlogged = 0
+        """How many of them no line covers yet."""
+        self.losses: list[float] = []
+        self.history: list[Progress] = []
+
+    def train(self) -> Iterator[list[Progress]]:
+        """Train until `config.episodes` episodes have ended; yields the new log lines after each step.
+
+        The caller may save the state between two steps, or stop.
+        """
+        config = self.config
+        while self.episodes < config.episodes:
+            if not self.ended:  # a run may stop amid the episodes that one step ended
+                self.fly()
+                if self.steps > config.learning_starts and self.replay.can_sample(config.n_step):
+                    self.updates_due += config.num_envs / config.steps_per_update
+                while self.updates_due >= 1:
+                    self.learn()
+                    self.updates_due -= 1
+            yield self.finish_episodes()
+
+    def fly(self) -> None:
+        """Fly one step in every environment and store it."""
+        batch = self.batch
+        obs = batch.grids.copy(), batch.telemetry.copy()
+        actions = epsilon_greedy(self.q_values(*obs, self.online), self.epsilon, self.rng)
+        batch.step(actions)
+        self.replay.add(*obs, actions, batch.rewards * self.config.reward_scale, batch.terminated)
+        self.returns += batch.rewards
+        self.steps += self.config.num_envs
+        finals = batch.finals()
+        columns = (batch.ended, finals["score"], finals["steps"], finals["deliveries"])
+        self.ended = list(zip(*(column.tolist() for column in columns), strict=True))
+
+    def learn(self) -> None:
+        """Fit the online network to one batch of the replay buffer."""
+        config = self.config
+        sample = self.replay.sample(config.batch_size, config.n_step, config.gamma, self.rng)
+        grids, telemetry, actions, returns, discounts, next_grids, next_telemetry = map(self.tensor, sample)
+        actions = actions.unsqueeze(1)
+        with torch.no_grad():
+            next_q = self.target(next_grids, next_telemetry)
+            selector = self.online(next_grids, next_telemetry) if config.double else next_q
+            td_target = returns + discounts * next_q.gather(1, selector.argmax(1, keepdim=True)).squeeze(1)
+            if config.advantage_learning:
+                q = self.target(grids, telemetry)
+                td_target += config.advantage_learning * (q.gather(1, actions).squeeze(1) - q.amax(1))
+
+        q_values = self.online(grids, telemetry).gather(1, actions).squeeze(1)
+        loss = LOSSES[config.loss](q_values, td_target)
+        set_learning_rate(self.optimizer, self.learning_rate)
+        self.optimizer.zero_grad()
+        loss.backward()
+        if config.max_grad_norm:
+            torch.nn.utils.clip_grad_norm_(self.online.parameters(), config.max_grad_norm)
+        self.optimizer.step()
+        self.losses.append(float(loss.item()))
+        self.updates += 1
+        if config.target_update == "soft":
+            update_average(self.target, self.online, config.tau)
+
+    def finish_episodes(self) -> list[Progress]:
+        """Count the episodes that the last step ended, up to `config.episodes`; validate and log when due.
+
+        A run with more episodes counts the rest.
+        """
+        config = self.config
+        lines: list[Progress] = []
+        while self.ended and self.episodes < config.episodes:
+            i, score, steps, deliveries = self.ended.pop(0)
+            number, self.numbers[i] = int(self.numbers[i]), self.episodes + config.num_envs
+            self.early[number] = (float(self.returns[i]), score, deliveries == self.task.deliveries, steps)
+            self.returns[i] = 0.0
+            self.episodes += 1
+            last = self.episodes == config.episodes
+            if config.target_update == "episodes" and self.episodes % config.target_every == 0:
+                self.target.load_state_dict(self.online.state_dict())
+            if (last or self.episodes % config.validation_every == 0) and self.updates != self.validated_updates:
+                self.validate()
+            if last or self.episodes % config.log_every == 0:
+                lines.append(self.log())
+        return lines
+
+    def validate(self) -> None:
+        """Fly the validation maps with the network alone, and keep it if it is the best so far."""
+        self.validation = self.validator.validate(self.act)
+        self.validated_updates = self.updates
+        if self.validation.score >= self.best_score:
+            self.best, self.best_score = clone_state(self.judged), self.validation.score
+
+    @property
+    def judged(self) -> PathQNet:
+        """The network that is validated and exported.
+
+        A soft target is a moving average of the online network and flies far better: on hard, after 2,000 updates,
+        0.990 of the optimum against 0.905 (Polyak and Juditsky, "Acceleration of stochastic approximation by
+        averaging", 1992). A periodic target is only older.
+        """
+        return self.target if self.config.target_update == "soft" else self.online
+
+    def log(self) -> Progress:
+        """Append the next line to the log."""
+        oldest = self.numbers.min()
+        finished = [self.early.pop(number) for number in sorted(self.early) if number < oldest]
+        self.unlogged += len(finished)
+        self.window = [*self.window, *finished][-max(self.unlogged, self.config.log_every) :]
+        reward, score, success, length = np.mean(self.window, axis=0).tolist() if self.window else [math.nan] * 4
+        before = self.history[-1].loss if self.history else math.nan
+        line = Progress(
+            episode=self.episodes,
+            steps=self.steps,
+            updates=self.updates,
+            epsilon=self.epsilon,
+            loss=float(np.mean(self.losses)) if self.losses else before,
+            reward=reward,
+            score=score,
+            success=success,
+            length=length,
+            validation=self.validation.score,
+            validation_optimum=self.validation.optimum,
+        )
+        self.losses, self.unlogged = [], 0
+        self.history.append(line)
+        return line
+
+    @property
+    def epsilon(self) -> float:
+        """The current probability of a random action."""
+        config = self.config
+        if config.exploration == "linear":
+            return linear(config.epsilon_start, config.epsilon_end, config.epsilon_steps, self.steps)
+        return multiplicative(config.epsilon_start, config.epsilon_end, config.epsilon_factor, self.episodes)
+
+    @property
+    def learning_rate(self) -> float:
+        """The current learning rate."""
+        config = self.config
+        return linear(config.learning_rate, config.final_learning_rate, config.episodes, self.episodes)
+
+    def q_values(
+        self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32], network: PathQNet
+    ) -> npt.NDArray[np.float32]:
+        """The network's values of the actions, float32[N, 5]."""
+        with torch.no_grad():
+            return network(self.tensor(grids), self.tensor(telemetry)).cpu().numpy()
+
+    def act(self, grids: npt.NDArray[np.uint8], telemetry: npt.NDArray[np.float32]) -> npt.NDArray[np.int64]:
+        """The actions of the judged network, int64[N]."""
+        return self.q_values(grids, telemetry, self.judged).argmax(axis=1)
+
+    def tensor(self, array: npt.NDArray[Any]) -> Tensor:
+        """The array on the training device."""
+        return torch.from_numpy(array).to(self.device)
+
+    def get_state(self) -> dict[str, Any]:
+        """The state of the training as tensors and plain values."""
+        return {
+            "config": self.config.identity(),
+            **{name: getattr(self, name).state_dict() for name in MODULES},
+            **{name: copy(getattr(self, name)) for name in VARIABLES},
+            "returns": self.returns.tolist(),
+            "numbers": self.numbers.tolist(),
+            "replay": {name: torch.from_numpy(array) for name, array in self.replay.get_state().items()},
+            "batch": {name: torch.from_numpy(array) for name, array in self.batch.get_state().items()},
+            "rng": self.rng.bit_generator.state,
+            "history": [vars(line) for line in self.history],
+            "validation": list(self.validation),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Continue from a state of `get_state`.
+
+        Raises:
+            CheckpointError: if it comes from a run with other settings, which the message names.
+        """
+        require_same(self.config.identity(), state["config"])
+        for name in MODULES:
+            getattr(self, name).load_state_dict(state[name])
+        for name in VARIABLES:
+            setattr(self, name, copy(state[name]))
+        self.returns, self.numbers = np.array(state["returns"]), np.array(state["numbers"])
+        self.replay.set_state({name: tensor.numpy() for name, tensor in state["replay"].items()})
+        self.batch.set_state({name: tensor.numpy() for name, tensor in state["batch"].items()})
+        self.rng.bit_generator.state = state["rng"]
+        self.history = [Progress(**line) for line in state["history"]]
+        self.validation = Validation(*state["validation"])
+
+    @property
+    def result(self) -> str:
+        """The score of the best network beside the optimum, for people."""
+        return f"{self.best_score:.4f} of {figure(self.validator.optimum, 4)}"
+
+    def metadata(self) -> dict[str, Any]:
+        """The metadata of the exported network."""
+        return {
+            "task": self.task.id,
+            "task_version": self.task.version,
+            "telemetry_size": self.task.telemetry_size,
+            "config": self.config.identity(),
+            "episodes": self.episodes,
+            "steps": self.steps,
+            "updates": self.updates,
+            "validation_score": self.best_score,
+            "validation_optimum": None if math.isnan(self.validator.optimum) else self.validator.optimum,
+        }
+
+    def best_network(self) -> PathQNet | None:
+        """The network with the best validation, on the CPU; None before the first validation."""
+        if self.best_score < 0:
+            return None
+        network = PathQNet(self.task.telemetry_size)
+        network.load_state_dict(self.best)
+        return network

@@ -1,0 +1,412 @@
+"""Training of the tour network by distillation of exact values.
+
+For each state the network is fitted to a soft choice, which gives each option exp(-regret / temperature), as in policy
+distillation (Rusu et al., 2016); the loss adds the expected regret, and a second output learns whether the mission can
+still be completed after an option. The exported network is the moving average of the weights (Polyak and Juditsky,
+1992).
+
+A thread generates a chunk of samples for every update. Its states depend on the seed and its number alone, so a resumed
+run generates the last ones again and continues bit for bit.
+"""
+
+import math
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from copy import deepcopy
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits, logsigmoid
+
+from drone_env.agents.tour_encoder import FeatureEncoder
+from drone_env.agents.tour_features import SHORT_TIME, SMALL_BATTERY, Features
+from drone_env.agents.tour_network import load_tour_network
+from drone_env.agents.tournet import choose
+from drone_env.core.seeds import SPLITS
+from drone_env.core.tasks import TaskConfig
+from drone_env.errors import InvalidValueError, TooLargeError
+from drone_env.rl.common import (
+    Validator,
+    clone_state,
+    figure,
+    keep_freed_memory,
+    require_same,
+    set_learning_rate,
+    update_average,
+)
+from drone_env.rl.models import TourNet
+from drone_env.rl.samples import COMPLETE, SampleGenerator, Samples
+from drone_env.rl.tour_config import TourConfig, randomise
+
+CHUNKS = 4
+"""Number of chunks in a batch."""
+MAX_REGRET = 0.1
+"""Maximum regret in the loss: the completion covers a parcel more or less."""
+AHEAD = 3
+"""Number of chunks that are generated ahead."""
+MODULES = ("online", "average", "optimizer")
+VARIABLES = ("updates", "states", "shares", "validated")
+"""The attributes that a checkpoint stores as state dictionaries, and as they are."""
+
+
+class TourBatch:
+    """States and their options as tensors.
+
+    Args:
+        features: The features of the states.
+        values: float32[options], the values of the options.
+    """
+
+    def __init__(self, features: Features, values: npt.NDArray[np.float32]) -> None:
+        counts = np.diff(features.begins)
+        owner = np.repeat(np.arange(len(counts)), counts)
+        self._size = (len(counts), int(counts.max(initial=1)))
+        column = np.arange(len(owner)) - np.repeat(features.begins[:-1], counts)
+        self._at = torch.from_numpy(owner), torch.from_numpy(column)
+        token = features.token.astype(np.int64)
+        arrays = (features.tokens, features.present, features.edges, owner, token, features.options)
+        self.inputs = tuple(torch.from_numpy(array) for array in arrays)
+        """The inputs of the network."""
+        self.values = torch.from_numpy(values)
+
+    def table(self, values: Tensor, missing: float) -> Tensor:
+        """One row for each state of a number for each option, float32[states, most options]."""
+        return torch.full(self._size, missing).index_put(self._at, values)
+
+    def of_options(self, table: Tensor) -> Tensor:
+        """The numbers of the options in such a table, float32[options]."""
+        return table[self._at]
+
+
+def sample_batch(window: Sequence[Samples], size: int, rng: np.random.Generator) -> TourBatch:
+    """Sample states from four chunks, as many from each, with replacement.
+
+    Args:
+        window: Chunks of one task, none of them empty.
+        size: Number of states, a multiple of 4.
+        rng: The source of randomness.
+    """
+    parts: list[tuple[npt.NDArray[Any], ...]] = []
+    chunks = [window[int(rng.integers(len(window)))] for _ in range(CHUNKS)]
+    most = max(features.tokens.shape[1] for features, _ in chunks)
+    for features, values in chunks:
+        padding = (0, most - features.tokens.shape[1])
+        chosen = rng.integers(0, len(features.tokens), size // CHUNKS)
+        counts: npt.NDArray[np.int64] = np.diff(features.begins)[chosen]
+        shifts: npt.NDArray[np.int64] = features.begins[chosen] - np.cumsum(counts) + counts
+        options: npt.NDArray[np.int64] = np.repeat(shifts, counts) + np.arange(int(counts.sum()))
+        by_state = (
+            np.pad(features.tokens[chosen], ((0, 0), padding, (0, 0))),
+            np.pad(features.present[chosen], ((0, 0), padding)),
+            np.pad(features.edges[chosen], ((0, 0), padding, padding, (0, 0))),
+            counts,
+        )
+        by_option = (features.token, features.options, features.numbers, values)
+        parts.append((*by_state, *(array[options] for array in by_option)))
+    tokens, present, edges, counts, *by_option, values = map(np.concatenate, zip(*parts, strict=True))
+    return TourBatch(Features(tokens, present, edges, np.append(0, np.cumsum(counts)), *by_option), values)
+
+
+def choice_logits(preference: Tensor, completion: Tensor) -> Tensor:
+    """The logits of the choice: options that probably lose the mission become unlikely."""
+    return preference + 2 * logsigmoid(completion)
+
+
+def distillation_losses(
+    preference: Tensor, completion: Tensor, batch: TourBatch, temperature: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Cross-entropy of the choices, expected regret, and cross-entropy of the completions: means over a batch.
+
+    Args:
+        preference: float32[options], the network's preferences.
+        completion: float32[options], the logits of whether the mission can be completed after each option.
+        batch: The batch.
+        temperature: Regret at which the target probability is 1 / e of the best option's.
+    """
+    logits = batch.table(choice_logits(preference, completion), -math.inf)
+    values = batch.table(batch.values, -math.inf)
+    regrets = values.amax(1, keepdim=True) - values
+    # At most the cost of a step over a road: else equal mistakes would count for less on larger maps.
+    drone = batch.inputs[0][:, 0]
+    step_cost = drone[:, SMALL_BATTERY] / 100 + drone[:, SHORT_TIME] / 400
+    target = (-regrets / step_cost.clamp(max=temperature)[:, None]).softmax(1)
+    log_probs = logits.log_softmax(1)
+    missing = ~torch.isfinite(values)
+    choice = -(target * log_probs.masked_fill(missing, 0)).sum(1).mean()
+    regret = (log_probs.exp() * regrets.clamp(max=MAX_REGRET).masked_fill(missing, 0)).sum(1).mean()
+    can_complete = (batch.values >= COMPLETE).float()
+    return choice, regret, binary_cross_entropy_with_logits(completion, can_complete)
+
+
+@dataclass(frozen=True)
+class TourProgress:
+    """One line of a training's log.
+
+    Attributes:
+        update: Updates so far.
+        states: States in all batches so far.
+        learning_rate: The current one.
+        choice: Mean cross-entropy of the choices since the previous line.
+        regret: Mean expected regret of a choice, in score, likewise.
+        completion: Mean cross-entropy of the completions, likewise.
+        validation: Mean optimality ratio of the tasks, at the last validation; NaN before it.
+        validation_optimum: 1.
+        cpu_seconds: Processor time of this training.
+        shares: The optimality ratio of each task, at the last validation; NaN before it.
+    """
+
+    update: int
+    states: int
+    learning_rate: float
+    choice: float
+    regret: float
+    completion: float
+    validation: float
+    validation_optimum: float
+    cpu_seconds: float
+    shares: dict[str, float]
+
+
+class TourTrainer:
+    """One training of a tour network, from its first update or from a checkpoint.
+
+    Args:
+        config: The settings.
+
+    Raises:
+        UnsupportedTaskError: if there are no exact values for a task.
+        TooLargeError: if they would take too much memory.
+    """
+
+    curves: ClassVar = {
+        "choice": "cross-entropy of the choices",
+        "regret": "expected regret of a choice, in score",
+        "completion": "cross-entropy of what can be completed",
+        "shares": "share of the optimum on validation maps",
+    }
+
+    def __init__(self, config: TourConfig) -> None:
+        keep_freed_memory()
+        torch.set_num_threads(config.num_threads)
+        torch.manual_seed(config.seed)
+        self.config = config
+        sampled = config.sampled_tasks()
+        self._task_shares = np.array(list(sampled.values()))
+        self._windows: list[deque[Samples]] = [deque(maxlen=config.window) for _ in sampled]
+        self._validators = {task.short_name: Validator(task, config.validation_maps) for task in config.tasks()}
+        self._encoders = {task.short_name: FeatureEncoder(task) for task in config.tasks()}
+        self.online = TourNet()
+        if config.initial:
+            parameters = load_tour_network(Path(config.initial)).parameters
+            self.online.load_state_dict({name: torch.from_numpy(array) for name, array in parameters.items()})
+        self.average = deepcopy(self.online)
+        self.optimizer = torch.optim.AdamW(
+            self.online.parameters(), config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
+        )
+        self.updates = self.states = 0
+        self._losses: list[tuple[float, float, float]] = []
+        self.history: list[TourProgress] = []
+        self.shares: dict[str, float] = {}
+        """The optimality ratio of each task at the last validation."""
+        self.validated: dict[str, Tensor] = {}
+        """The average of the weights at the last validation."""
+        self._cpu_before, self._cpu_since = 0.0, time.process_time()
+        self._make_sources(list(sampled))
+
+    def _make_sources(self, tasks: list[TaskConfig]) -> None:
+        """Make the sources of samples."""
+        config = self.config
+        self._generators = [SampleGenerator(task, config.maps_per_chunk, config.states_per_map) for task in tasks]
+
+    @property
+    def cpu_seconds(self) -> float:
+        """Processor time of this training, including the parts before a resume."""
+        return self._cpu_before + time.process_time() - self._cpu_since
+
+    def train(self) -> Iterator[list[TourProgress]]:
+        """Train until `config.updates` updates; yields the new log lines after each update.
+
+        The caller may save the state between two updates, or stop.
+        """
+        with ThreadPoolExecutor(1) as thread:
+            self._fill_windows(thread)
+            ahead: deque[Future[Samples]] = deque()
+            try:
+                while self.updates < self.config.updates:
+                    while len(ahead) < AHEAD:
+                        ahead.append(thread.submit(self._generate, self.updates + len(ahead)))
+                    self._windows[self._task_of(self.updates)].append(ahead.popleft().result())
+                    self._update()
+                    yield self._log()
+            finally:
+                thread.shutdown(cancel_futures=True)
+
+    def _rng(self, chunk: int, use: int) -> np.random.Generator:
+        return np.random.default_rng((self.config.seed, chunk, use))
+
+    def _task_of(self, chunk: int) -> int:
+        """The index of a chunk's task."""
+        return int(self._rng(chunk, 0).choice(len(self._task_shares), p=self._task_shares))
+
+    def _seeds_of(self, chunk: int) -> tuple[npt.NDArray[np.int64], np.random.Generator]:
+        """The maps of a chunk, and the generator that chose them."""
+        rng, train = self._rng(chunk, 1), SPLITS["train"]
+        return rng.integers(train.start, train.stop, self.config.maps_per_chunk), rng
+
+    def _generate(self, chunk: int) -> Samples:
+        config = self.config
+        seeds, rng = self._seeds_of(chunk)
+        generator = self._generators[self._task_of(chunk)]
+        if rng.random() < config.randomised:
+            with suppress(TooLargeError):  # then the task stays as it is
+                task = randomise(generator.task, rng)
+                generator = SampleGenerator(task, config.maps_per_chunk, config.states_per_map)
+        return generator.generate(seeds)
+
+    def _fill_windows(self, thread: ThreadPoolExecutor) -> None:
+        """Generate the last chunks of a resumed run again."""
+        for window in self._windows:
+            window.clear()
+        missing = [self.config.window] * len(self._windows)
+        again: list[int] = []
+        for chunk in range(self.updates - 1, -1, -1):
+            task = self._task_of(chunk)
+            if missing[task]:
+                again.append(chunk)
+                missing[task] -= 1
+            if not any(missing):
+                break
+        again.reverse()
+        for chunk, samples in zip(again, thread.map(self._generate, again), strict=True):
+            self._windows[self._task_of(chunk)].append(samples)
+
+    def _update(self) -> None:
+        """Fit the network to one batch."""
+        config, rng = self.config, self._rng(self.updates, 2)
+        shares = self._task_shares * [any(len(samples.values) for samples in window) for window in self._windows]
+        if not shares.any():
+            raise InvalidValueError("no choice drawn so far matters: raise maps_per_chunk or states_per_map")
+        window = self._windows[int(rng.choice(len(shares), p=shares / shares.sum()))]
+        batch = sample_batch([samples for samples in window if len(samples.values)], config.batch_size, rng)
+        preference, completions = self.online(*batch.inputs)
+        choice, regret, completion = self._losses_of(preference, completions, batch)
+        loss = choice if regret.isnan() else choice + config.regret_weight * regret
+        loss = loss + config.completion_weight * completion
+        if not loss.isfinite():
+            raise InvalidValueError(
+                f"after {self.updates} updates the loss is no number: lower learning_rate, or raise warm_up. What was "
+                "saved last is as it was"
+            )
+        set_learning_rate(self.optimizer, self.learning_rate)
+        self.optimizer.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.online.parameters(), config.max_grad_norm)
+        self.optimizer.step()
+        self.updates += 1
+        self.states += config.batch_size
+        # The average covers fewer updates at first, to forget the initial weights.
+        update_average(self.average, self.online, 1 - min(config.average, 1 - 1 / (self.updates / 10 + 1)))
+        self._losses.append((choice.item(), regret.item(), completion.item()))
+
+    def _losses_of(self, preference: Tensor, completion: Tensor, batch: TourBatch) -> tuple[Tensor, Tensor, Tensor]:
+        return distillation_losses(preference, completion, batch, self.config.temperature)
+
+    @property
+    def learning_rate(self) -> float:
+        """The current learning rate: linear warm-up, then a cosine decay."""
+        config = self.config
+        decay = (1 + math.cos(math.pi * (self.updates / config.updates))) / 2
+        rate = config.final_learning_rate + (config.learning_rate - config.final_learning_rate) * decay
+        return rate * min(1.0, (self.updates + 1) / (config.warm_up + 1))
+
+    def _log(self) -> list[TourProgress]:
+        """Validate and log if it is due; the new line of the log, if there is one."""
+        config, last = self.config, self.updates == self.config.updates
+        if self.updates % config.validation_every == 0 or last:
+            self.validate()
+        if self.updates % config.log_every and not last:
+            return []
+        choice, regret, completion = np.mean(self._losses, axis=0).tolist()
+        self._losses = []
+        shares = {name: self.shares.get(name, math.nan) for name in self._validators}
+        mean, rate, seconds = float(np.mean(list(shares.values()))), self.learning_rate, self.cpu_seconds
+        line = TourProgress(self.updates, self.states, rate, choice, regret, completion, mean, 1.0, seconds, shares)
+        self.history.append(line)
+        return [line]
+
+    def validate(self) -> None:
+        """Fly the validation maps of each task with the average of the weights."""
+        network = partial(self._logits, self.average)
+        for name, validator in self._validators.items():
+            result = validator.validate(partial(choose, self._encoders[name], network))
+            self.shares[name] = result.score / result.optimum
+        self.validated = clone_state(self.average)
+
+    @staticmethod
+    def _logits(network: TourNet, features: Features) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """The network as an agent takes it: choice and completion logits of each option."""
+        batch = TourBatch(features, np.zeros(len(features.token), np.float32))
+        with torch.no_grad():
+            preference, completion = network(*batch.inputs)
+        return choice_logits(preference, completion).numpy(), completion.numpy()
+
+    def get_state(self) -> dict[str, Any]:
+        """The state of the training as tensors and plain values."""
+        return {
+            "config": self.config.identity(),
+            **{name: getattr(self, name).state_dict() for name in MODULES},
+            **{name: deepcopy(getattr(self, name)) for name in VARIABLES},
+            "losses": list(self._losses),
+            "history": [asdict(line) for line in self.history],
+            "cpu_seconds": self.cpu_seconds,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Continue from a state of `get_state`.
+
+        Raises:
+            CheckpointError: if it comes from a run with other settings, which the message names.
+        """
+        require_same(self.config.identity(), state["config"])
+        for name in MODULES:
+            getattr(self, name).load_state_dict(state[name])
+        for name in VARIABLES:
+            setattr(self, name, deepcopy(state[name]))
+        self._losses = list(state["losses"])
+        self.history = [TourProgress(**line) for line in state["history"]]
+        self._cpu_before, self._cpu_since = state["cpu_seconds"], time.process_time()
+
+    def best_network(self) -> TourNet | None:
+        """The average of the weights at the last validation; None before the first."""
+        if not self.validated:
+            return None
+        network = TourNet()
+        network.load_state_dict(self.validated)
+        return network
+
+    @property
+    def result(self) -> str:
+        """The optimality ratio of each task, for people."""
+        return ", ".join(f"{name} {figure(share, 4)}" for name, share in self.shares.items()) + " of the optimum"
+
+    def metadata(self) -> dict[str, Any]:
+        """The metadata of the exported network."""
+        return {
+            "network": "tournet",
+            "kind": self.config.kind,
+            "tasks": {task.id: task.version for task in self.config.tasks()},
+            "config": self.config.identity(),
+            "updates": self.updates,
+            "states": self.states,
+            "cpu_seconds": round(self.cpu_seconds, 1),
+            "validation_shares": {name: None if math.isnan(share) else share for name, share in self.shares.items()},
+        }

@@ -1,0 +1,179 @@
+"""Samples of the tour network: their values, and their states."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drone_env.agents.tour_encoder import FeatureEncoder
+from drone_env.agents.tour_features import HERE, LEFT, UNITS, Features
+from drone_env.core.cells import Cell
+from drone_env.core.episode import Episode
+from drone_env.core.seeds import GOLDEN, mix64, next_key, uniform_below
+from drone_env.core.tasks import TaskConfig, get_task
+from drone_env.planning.from_observation import episode_from_fields
+from drone_env.planning.solver import ExactSolver
+from drone_env.planning.states import state_arrays
+from drone_env.rl.samples import COMPLETE, FROM_START, SampleGenerator, Samples
+from tests.unit.tour_features import EVERY_TASK
+
+OWN = {
+    "a long battery": replace(get_task("medium"), id="own", battery_capacity=140),
+    "no pads": replace(get_task("skyline_easy"), id="own", pads=0, charge_rate=0, battery_capacity=120),
+}
+Option = tuple[int, int, int, int]
+"""Target cell, units, steps, first action."""
+Flight = tuple[Features, list[int], list[float]]
+"""Its states, and the steps left and the best value of each state of its first flight."""
+
+
+def options_of(features: Features, m: int, stops: list[int]) -> list[Option]:
+    """The options of state m, in order; token t leads to stop t - 1."""
+    some = slice(features.begins[m], features.begins[m + 1])
+    options = zip(features.token[some], features.numbers[some].tolist(), strict=True)
+    return [(stops[token - 1], *numbers) for token, numbers in options]
+
+
+def options_at(encoder: FeatureEncoder, episode: Episode) -> list[Option]:
+    """The options that the agent has there."""
+    ground, _, _ = state_arrays(episode)
+    drone = np.array([[episode.cell, episode.battery_units, episode.task.max_steps - episode.steps]])
+    # The agent knows the stops by their places alone.
+    sites = [*np.flatnonzero(ground == Cell.DELIVERY).tolist(), *np.flatnonzero(ground == Cell.PAD).tolist()]
+    return options_of(encoder.encode(ground[None], drone), 0, sites)
+
+
+def states_of(task: TaskConfig, seed: int, samples: Samples) -> Iterator[tuple[Episode, list[Option], list[float]]]:
+    """Each state as an episode, its options and their values.
+
+    Features lack the cell of the drone: it is the one whose options are the same.
+    """
+    start, state, entries = state_arrays(Episode(task, seed=seed))
+    parcels = state[entries].tolist()
+    stops = [*parcels, *np.flatnonzero(start == Cell.PAD).tolist()]
+    (features, values), encoder = samples, FeatureEncoder(task)
+    for m in range(len(features.tokens)):
+        options = options_of(features, m, stops)
+        units = round(features.tokens[m, 0, UNITS] * task.battery_capacity)
+        steps = task.max_steps - round(features.tokens[m, 0, LEFT] * task.max_steps)
+        waiting = features.present[m, 1 : len(parcels) + 1].tolist()
+        ground = start.copy()
+        ground[parcels] = np.where(waiting, Cell.DELIVERY, Cell.DELIVERED)
+        placed = [(cell, not waits) for cell, waits in zip(parcels, waiting, strict=True)]
+        for cell in np.flatnonzero(~np.isin(ground, [Cell.DELIVERY, *task.impassable])).tolist():
+            episode = episode_from_fields(task, ground, cell, units, steps, placed)
+            if sorted(options_at(encoder, episode)) == sorted(options):
+                yield episode, options, values[features.begins[m] : features.begins[m + 1]].tolist()
+                break
+        else:
+            raise AssertionError(f"no cell has the options of state {m}")
+
+
+def flown_along(encoder: FeatureEncoder, episode: Episode, option: Option) -> Episode:
+    """The episode at the end of the path; each action comes from the rest of the option."""
+    to, units, steps, action = option
+    after = episode.copy()
+    while True:
+        before = after.battery_units
+        after.step(action)
+        units, steps = units - (before - after.battery_units), steps - 1
+        if steps == 0:
+            assert units == 0
+            return after
+        action = next(rest[3] for rest in options_at(encoder, after) if rest[:3] == (to, units, steps))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("medium_delivery", marks=pytest.mark.long),
+        *("skyline_easy", "uniform, a short battery", "no pads", "a long battery"),
+    ],
+)
+def test_an_option_is_worth_what_the_exact_solver_says_of_where_it_leads(name: str) -> None:
+    task = OWN.get(name) or EVERY_TASK[name]
+    generator, encoder, compared = SampleGenerator(task, 1, 12), FeatureEncoder(task), 0
+    for seed in (3, 4):
+        for episode, options, values in states_of(task, seed, generator.generate(np.array([seed]))):
+            solver = ExactSolver(episode)
+            for option, value in zip(options, values, strict=True):
+                assert value == np.float32(solver.value(flown_along(encoder, episode, option)))
+                compared += 1
+    assert compared > 40
+
+
+def assert_equal(a: Samples, b: Samples) -> None:
+    for ours, theirs in zip((*a.features, a.values), (*b.features, b.values), strict=True):
+        assert ours.dtype == theirs.dtype
+        assert np.array_equal(ours, theirs)
+
+
+def test_lessons_depend_on_the_seeds_of_their_maps_alone() -> None:
+    task, seeds = get_task("skyline_easy"), np.array([5, 6])
+    generator = SampleGenerator(task, 2, 16)
+    first = generator.generate(seeds)
+    other = generator.generate(seeds + 2)
+    assert not np.array_equal(first.features.tokens, other.features.tokens)
+    assert_equal(generator.generate(seeds), first)
+    assert_equal(SampleGenerator(task, 2, 16).generate(seeds), first)
+    one = generator.generate(seeds[1:])
+    assert len(first.features.tokens) == 2 * len(one.features.tokens) == 32
+    assert np.array_equal(first.values[-len(one.values) :], one.values)
+
+
+def test_of_every_state_that_is_kept_the_options_differ_in_worth() -> None:
+    for name, fatal in (("hard", False), ("skyline_easy", True)):
+        features, values = SampleGenerator(get_task(name), 8, 32).generate(np.arange(8))
+        assert len(features.tokens) == 256
+        worst, best = (function.reduceat(values, features.begins[:-1]) for function in (np.minimum, np.maximum))
+        assert (worst < best).all()
+        # Where a mission can be lost, a choice often decides on that.
+        assert (((worst < COMPLETE) & (best >= COMPLETE)).sum() > 64) == fatal
+
+
+def test_where_no_choice_matters_no_state_is_kept() -> None:
+    samples = SampleGenerator(get_task("easy"), 2, 8).generate(np.arange(2))
+    assert [len(part) for part in (*samples.features, samples.values)] == [0, 0, 0, 1, 0, 0, 0, 0]
+
+
+@pytest.fixture(scope="module")
+def first_flights() -> list[Flight]:
+    """On each map the first flight, where it begins at the start."""
+    task = get_task("skyline_easy")
+    flights: list[Flight] = []
+    generator = SampleGenerator(task, 1, 16)
+    for seed in range(200):
+        if uniform_below(next_key(mix64(seed ^ GOLDEN)), 100) >= FROM_START:
+            continue
+        features, values = generator.generate(np.array([seed]))
+        left = np.rint(features.tokens[:, 0, LEFT] * task.max_steps).astype(int)
+        # The next flight of the map begins anew, with more steps left.
+        count = 1 + next((m for m in range(len(left) - 1) if left[m + 1] >= left[m]), len(left) - 1)
+        best = np.maximum.reduceat(values, features.begins[:-1])[:count]
+        flights.append((features, left[:count].tolist(), best.tolist()))
+    return flights
+
+
+def test_a_choice_that_loses_the_mission_is_not_flown(
+    first_flights: list[Flight],
+) -> None:
+    assert len(first_flights) > 50
+    assert sum(len(best) for *_, best in first_flights) > 500
+    for *_, best in first_flights:
+        assert min(best) >= COMPLETE
+    # Others than the best are: else all states of a flight would be worth the same.
+    assert sum(len(set(best)) > 1 for *_, best in first_flights) > 20
+
+
+def test_states_are_drawn_on_the_way_too(first_flights: list[Flight]) -> None:
+    """After one step of a way that another state began with, what is left of it is among the options."""
+    on_the_way, capacity = 0, get_task("skyline_easy").battery_capacity
+    for features, left, _ in first_flights:
+        stops = list(range(features.tokens.shape[1]))
+        for m in range(len(left) - 1):
+            if left[m] - left[m + 1] == 1 and not features.tokens[m + 1, :, HERE].any():
+                spent = round((features.tokens[m, 0, UNITS] - features.tokens[m + 1, 0, UNITS]) * capacity)
+                rest = {option[:3] for option in options_of(features, m + 1, stops)}
+                on_the_way += any((t, u - spent, s - 1) in rest for t, u, s, _ in options_of(features, m, stops))
+    assert on_the_way > 20
