@@ -4,8 +4,8 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 from datetime import datetime, timezone
 from itertools import groupby
-from operator import itemgetter
-from typing import Annotated, Any, cast
+from operator import attrgetter
+from typing import Annotated, Any, NamedTuple, cast
 
 from pydantic import Field, PlainSerializer, TypeAdapter, ValidationError, computed_field
 from typing_extensions import Self
@@ -133,32 +133,53 @@ STORED = list(StoredEpisode.model_fields)
 SELECT_STORED = f"SELECT number, {', '.join(STORED)} FROM episodes"
 
 
+class MapRow(NamedTuple):
+    """A row of `SELECT_BY_MAP`: the means of the flights of one agent over one map, of which `id` is the newest."""
+
+    agent: str
+    task: str
+    task_version: int
+    seed: int
+    flights: int
+    id: str
+    score: float
+    success: float
+    steps: float
+    reward: float
+    reward_profile: str | None
+    solved: bool
+    optimum: float | None
+    number: int
+
+
 # Columns beside one max() are those of the row where it is: https://sqlite.org/lang_select.html#bareagg
 SELECT_BY_MAP = """
-    SELECT e.agent, seed, count(*), e.id, avg(e.score), avg(e.outcome = 'delivered'), avg(e.steps), avg(e.reward_total),
-        iif(count(DISTINCT e.reward_profile) = 1, e.reward_profile, NULL), o.score, max(e.number), o.task IS NOT NULL
-    FROM episodes e LEFT JOIN optima o USING (task, task_version, seed) WHERE task = ? AND task_version = ?
+    SELECT e.agent, task, task_version, seed, count(*), e.id, avg(e.score), avg(e.outcome = 'delivered'), avg(e.steps),
+        avg(e.reward_total), iif(count(DISTINCT e.reward_profile) = 1, e.reward_profile, NULL),
+        o.task IS NOT NULL, o.score, max(e.number)
+    FROM episodes e LEFT JOIN optima o USING (task, task_version, seed) {where}
     GROUP BY e.agent, seed ORDER BY e.agent, seed
 """
-"""The means of the flights of each agent over each map of a task, and the newest of these flights."""
+"""With the WHERE of the episodes of one task."""
 
 
-def results_by_agent(task: TaskConfig, rows: Iterable[Sequence[Any]]) -> dict[str, Results]:
-    """The results of each agent on a task, one row per map, from rows of `SELECT_BY_MAP`."""
+def results_by_agent(rows: Iterable[MapRow]) -> dict[str, Results]:
+    """The results of each agent, one row per map."""
     found: dict[str, Results] = {}
-    for agent, of_agent in groupby(rows, key=itemgetter(0)):
-        _, seeds, flights, ids, scores, success, steps, rewards, profiles, optima, *_ = zip(*of_agent, strict=True)
+    for agent, of_agent in groupby(rows, key=attrgetter("agent")):
+        maps = list(of_agent)
+        first, profiles = maps[0], {row.reward_profile for row in maps}
         found[agent] = Results.of_rows(
-            EpisodesKey(task.id, task.version, "custom", (seeds[0], seeds[-1] + 1), agent),
-            seeds=seeds,
-            scores=scores,
-            steps=steps,
-            success=success,
-            optimal_scores=optima,
-            flights=flights,
-            rewards=rewards,
-            reward_profile=profiles[0] if len(set(profiles)) == 1 else None,
-            ids=ids,
+            EpisodesKey(first.task, first.task_version, "custom", (first.seed, maps[-1].seed + 1), agent),
+            seeds=[row.seed for row in maps],
+            scores=[row.score for row in maps],
+            steps=[row.steps for row in maps],
+            success=[row.success for row in maps],
+            optimal_scores=[row.optimum for row in maps],
+            flights=[row.flights for row in maps],
+            rewards=[row.reward for row in maps],
+            reward_profile=first.reward_profile if len(profiles) == 1 else None,
+            ids=[row.id for row in maps],
         )
     return found
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
+from typing import Protocol
 
 from drone_env.core.tasks import TASKS, TaskConfig, get_task
 from drone_env.errors import DroneEnvError, UnknownNameError
@@ -20,8 +21,19 @@ Solve = Callable[[TaskConfig, Sequence[int]], Sequence[float | None]]
 """Returns the optima of the first maps of a task, of one at least; None for a map that is too large to be solved."""
 
 
-Map = tuple[str, int, int]
-"""Task, its version, and seed."""
+class Flown(Protocol):
+    """A map that was flown."""
+
+    @property
+    def task(self) -> str: ...  # noqa: D102
+    @property
+    def task_version(self) -> int: ...  # noqa: D102
+    @property
+    def seed(self) -> int: ...  # noqa: D102
+    @property
+    def solved(self) -> bool:
+        """Whether it has been given to the solver."""
+        ...
 
 
 def solve_maps(task: TaskConfig, seeds: Sequence[int]) -> list[float | None]:
@@ -52,18 +64,20 @@ class Optima:
         self._waiting = threading.Semaphore(WAITING)
         self._jobs: dict[TaskConfig, Future[None]] = {}
 
-    def solve(self, maps: Iterable[Map], patience: float) -> None:
-        """Start to solve maps without a stored optimum.
+    def solve_maps_of(self, rows: Iterable[Flown], patience: float) -> bool:
+        """Start to solve the maps without a stored optimum; whether there were any.
 
         Waits for up to `patience` seconds, unless `WAITING` callers wait already. A task whose maps are being solved is
         not started again. Errors are logged, and the next call tries again.
         """
         unsolved: dict[TaskConfig, list[int]] = {}
-        for task, version, seed in maps:
-            with suppress(UnknownNameError):  # of a plugin that is gone: nobody can solve its maps
-                unsolved.setdefault(get_task(task, version), []).append(seed)
+        for row in rows:
+            if not row.solved:
+                with suppress(UnknownNameError):  # of a plugin that is gone: nobody can solve its maps
+                    unsolved.setdefault(get_task(row.task, row.task_version), []).append(row.seed)
         for task, seeds in unsolved.items():
             self._start(task, list(dict.fromkeys(seeds)), patience / len(unsolved))
+        return bool(unsolved)
 
     def close(self) -> None:
         """Stop; waits for the maps that are being solved."""

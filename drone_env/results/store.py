@@ -23,6 +23,7 @@ from drone_env.results.finished import (
     SELECT_STORED,
     Analysis,
     EpisodeSummary,
+    MapRow,
     StoredEpisode,
     analyse,
     check_agent,
@@ -32,7 +33,7 @@ from drone_env.results.finished import (
     stored_episode,
 )
 from drone_env.results.memory_view import MemoryView
-from drone_env.results.optima import Map, Optima, Solve, solve_maps
+from drone_env.results.optima import Optima, Solve, solve_maps
 from drone_env.results.record import EpisodeRecord, replay
 from drone_env.results.result import Results
 from drone_env.results.sessions import (
@@ -205,8 +206,11 @@ class Store:
         where, values = selection(task, agent, before, after, episode_id, seed)
         chosen = f"{where} {NEWEST}", (*values, _at_most(n))
         found = self._rows(*chosen)
-        unsolved = [(row.task, row.task_version, row.seed) for row in found if not row.solved]
-        return self._rows(*chosen) if self._solve(unsolved, patience) else found
+        return (
+            self._rows(*chosen)
+            if self._optima.solve_maps_of(found, PATIENCE if patience is None else patience)
+            else found
+        )
 
     def by_map(self, task: str | TaskConfig, patience: float | None = None) -> dict[str, Results]:
         """All finished episodes of a task by agent, one row per map; optima as for `listed`.
@@ -215,17 +219,12 @@ class Store:
             UnknownNameError: if there is no such task.
             StoreError: if the store cannot be read.
         """
-        known = get_task(task)
-        chosen = SELECT_BY_MAP, (known.id, known.version)
-        found = self._read(*chosen)
-        if self._solve([(known.id, known.version, row[1]) for row in found if not row[-1]], patience):
-            found = self._read(*chosen)
-        return results_by_agent(known, found)
-
-    def _solve(self, unsolved: list[Map], patience: float | None) -> bool:
-        """Solve maps; whether there were any."""
-        self._optima.solve(unsolved, PATIENCE if patience is None else patience)
-        return bool(unsolved)
+        where, values = selection(task)
+        chosen = SELECT_BY_MAP.format(where=where), values
+        found = [MapRow(*row) for row in self._read(*chosen)]
+        if self._optima.solve_maps_of(found, PATIENCE if patience is None else patience):
+            found = [MapRow(*row) for row in self._read(*chosen)]
+        return results_by_agent(found)
 
     def kept(self, episode_ids: Iterable[str]) -> set[str]:
         """Those of these ids that the store has."""

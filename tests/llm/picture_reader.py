@@ -37,9 +37,11 @@ def read_picture(png: bytes, width: int, height: int) -> npt.NDArray[np.uint8]:
     """
     picture = np.array(Image.open(io.BytesIO(png)).convert("RGB")) @ np.array([1 << 16, 1 << 8, 1])
     joined = not (picture == LAWN).any()
-    lawn = np.argwhere(picture == (STREET if joined else LAWN))
-    # Its lawn, or its squares, reach beyond the outermost cells by a ninetieth of the picture's height.
-    (top, left), (bottom, right) = lawn.min(0) + len(picture) // 90, lawn.max(0) + 1 - len(picture) // 90
+    lawn, rim = picture == (STREET if joined else LAWN), len(picture) // 90
+    # Its lawn, or its squares, reach beyond the outermost cells by a ninetieth of the picture's height. A few pixels of
+    # that colour may also be in figures of the panel.
+    (top, *_, bottom), (left, *_, right) = (np.flatnonzero(lawn.sum(axis) > 20) for axis in (1, 0))
+    top, bottom, left, right = top + rim, bottom + 1 - rim, left + rim, right + 1 - rim
     rows, columns = np.linspace(top, bottom, height + 1).round(), np.linspace(left, right, width + 1).round()
     kinds = np.zeros((height, width), np.uint8)
     for y, x in np.ndindex(height, width):
