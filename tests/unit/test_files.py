@@ -13,7 +13,6 @@ from drone_env.agents.tour_network import load_tour_network
 from drone_env.city.city_file import read_city
 from drone_env.city.movingai import read_movingai
 from drone_env.city.openstreetmap import extent
-from drone_env.cluster.sweep.folder import SweepFolder
 from drone_env.errors import DroneEnvError
 from drone_env.files import write_text
 from drone_env.llm.prompt import read_prompt
@@ -24,6 +23,7 @@ from drone_env.results.jsonl import read_records
 from drone_env.results.record import load_record
 from drone_env.reward_file import load_reward_profile
 from drone_env.rl.checkpoint import load_checkpoint
+from drone_env.rl.sweep import read_config
 from drone_env.server.train_log import TrainLog
 
 PARSERS: dict[str, Callable[[Path], object]] = {
@@ -41,7 +41,7 @@ PARSERS: dict[str, Callable[[Path], object]] = {
     "run.json": lambda path: load_config(path.parent),
     "flights.jsonl": lambda path: load_results(path.parent),
     "evaluation.json": lambda path: kept_results(path.parent),
-    "sweep.json": lambda path: SweepFolder(path.parent).config(),
+    "sweep.json": lambda path: read_config(path.parent),
 }
 """Readers of files that somebody else may have written, by the name of the file."""
 READERS: dict[str, Callable[[Path], object]] = {
