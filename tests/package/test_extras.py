@@ -32,7 +32,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
 """Which extras a module may count on, and all below it that are not named themselves."""
 ASKED_FIRST = {"drone_env.cluster.connect"}
 """Who calls these has been told what is missing before anything else is imported."""
-LOOKED_FOR = {("drone_env.commands.diagnosis", "torch")}
+LOOKED_FOR = {("drone_env.commands.doctor", "torch")}
 """What a module imports only where it has seen that it is there."""
 OF_NO_EXTRA = {"stable_baselines3"}
 
