@@ -256,12 +256,12 @@ def open_study(out: Path, config: SweepConfig) -> optuna.Study:
     """Open Optuna's study of a sweep, which is made if it does not exist yet."""
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     training = config.training(config.settings[0], 0)
-    least = min(training.validation_every, training.episodes)
-    pruner = optuna.pruners.HyperbandPruner(least, training.episodes) if config.early_stopping else None
+    # Rungs at a ninth and at a third of the episodes.
+    pruner = optuna.pruners.HyperbandPruner(max(training.episodes // 9, 1), training.episodes)
     with locked(out / "lock", f"another process holds {out / 'lock'}", LOCK_SECONDS):
         return optuna.create_study(
             storage=optuna.storages.JournalStorage(JournalFileBackend(str(out / "journal.log"))),
-            pruner=pruner or optuna.pruners.NopPruner(),
+            pruner=pruner if config.early_stopping else optuna.pruners.NopPruner(),
             study_name=NAME,
             direction="maximize",
             load_if_exists=True,
