@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from statistics import median
 
-from drone_env.city.city_file import read_city
-from drone_env.city.city_task import task_of
+from drone_env.city.city_file import read_city, task_of
 from drone_env.core import compiled
 from drone_env.core.cells import Cell
 from drone_env.core.compile_cache import compiled_once

@@ -8,9 +8,14 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, shown, text_of
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    Model = TypeVar("Model", bound=BaseModel)
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -71,6 +76,25 @@ def parse_toml(content: str | bytes, parse_float: Callable[[str], Any] = float) 
         raise InvalidValueError("not TOML that can be read: the exponent of a number is too large") from None
     except (ValueError, RecursionError) as error:
         raise InvalidValueError(f"not TOML that can be read: {error}") from None
+
+
+def read_toml(content: str | bytes, model: "type[Model]", parse_float: Callable[[str], Any] = float) -> "Model":
+    """Parse a TOML text and validate it.
+
+    Raises:
+        InvalidValueError: if it is not TOML, or does not fit the model; the message names the keys that are allowed.
+    """
+    from pydantic import ValidationError  # slow to load
+
+    table = parse_toml(content, parse_float)
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        unknown = [name for name in table if name not in model.model_fields]
+        if unknown:
+            allowed = ", ".join(model.model_fields)
+            raise InvalidValueError(f"unknown key {shown(unknown[0])}; allowed: {allowed}") from None
+        raise InvalidValueError(text_of(error)) from None
 
 
 def _require_simple(text: str) -> None:

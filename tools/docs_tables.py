@@ -9,7 +9,7 @@ from pathlib import Path
 
 from docs_imports import diagram
 
-from drone_env.city.layers import Rule, layers
+from drone_env.city.openstreetmap import Rule, layers
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.tasks import TASKS, TaskConfig

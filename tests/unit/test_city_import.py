@@ -8,9 +8,8 @@ import pytest
 
 from drone_env.city.city_file import city_text, text_rows
 from drone_env.city.importer import import_city
-from drone_env.city.layers import layers
-from drone_env.city.raster import paint_area, water_beside
-from drone_env.city.sheet import metres_per_degree, sheet_of
+from drone_env.city.openstreetmap import layers
+from drone_env.city.raster import metres_per_degree, paint_area, projection_of, water_beside
 from drone_env.commands.city import city
 from drone_env.errors import InvalidValueError
 from tests.unit.osm_files import BOX, Drawing
@@ -172,11 +171,11 @@ def test_the_length_of_a_degree(latitude: float, longitude_km: float, latitude_k
 def test_a_box_of_too_many_cells_is_refused_with_what_is_allowed() -> None:
     allowed = "6 x 4 cells of 16 metres; --size allows 4 x 4: take a smaller --bbox, or a larger --size, or --cell 22"
     with pytest.raises(InvalidValueError, match=allowed):
-        sheet_of(BOX, 16.0, (4, 4))
+        projection_of(BOX, 16.0, (4, 4))
     with pytest.raises(InvalidValueError, match=r"take a smaller --bbox$"):
-        sheet_of((0, 0, 1, 1), 16.0, (4, 4))
-    assert sheet_of(BOX, 22.0, (4, 4))[1:3] == (4, 3)
-    assert sheet_of(BOX, 16.0, (4, 4), middle=True)[1:3] == (4, 4)
+        projection_of((0, 0, 1, 1), 16.0, (4, 4))
+    assert projection_of(BOX, 22.0, (4, 4))[1:3] == (4, 3)
+    assert projection_of(BOX, 16.0, (4, 4), middle=True)[1:3] == (4, 4)
 
 
 def test_rings_are_filled_by_the_even_odd_rule() -> None:

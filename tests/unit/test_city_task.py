@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from drone_env.city.city_file import City, write_city
-from drone_env.city.city_task import city_task, task_of
+from drone_env.city.city_file import City, city_task, task_of, write_city
 from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS

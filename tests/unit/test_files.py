@@ -11,7 +11,7 @@ import pytest
 from drone_env.agents.network import load_network
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.city.city_file import read_city
-from drone_env.city.movingai import read_movingai
+from drone_env.city.importer import read_movingai
 from drone_env.city.openstreetmap import extent
 from drone_env.errors import DroneEnvError
 from drone_env.files import write_text

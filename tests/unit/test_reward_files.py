@@ -108,5 +108,5 @@ def test_environments_pay_by_the_file(mine: Path) -> None:
     sb3.reset()
     assert sb3.step(np.array([4, 2]))[1].tolist() == [0.5, -0.25]
     mine.write_text("id = 3")
-    with pytest.raises(InvalidTaskError, match=r"mine\.toml: id must be a text"):
+    with pytest.raises(InvalidTaskError, match=r"mine\.toml: id: Input should be a valid string"):
         gymnasium.make(EASY, reward_profile="mine.toml")
