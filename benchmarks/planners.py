@@ -1,4 +1,4 @@
-"""What the planners take for a map: make bench-planners, or this file; `--city FILE.toml` for the maps of a city.
+"""What the planners take for a map; `--city FILE.toml` for the maps of a city.
 
 The values of all decisions by legs and by the exact solver, which are equal to the last bit (tests/unit/test_legs.py).
 CPU time, Python included; everything is compiled before.

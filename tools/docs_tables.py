@@ -1,13 +1,11 @@
-"""Write the tables of the documentation that follow from the code, and the diagram of its imports: takes seconds.
+"""Write the tables of the documentation that follow from the code: takes seconds.
 
-python tools/docs_tables.py            writes them between their markers, and docs/images/imports.svg
+python tools/docs_tables.py            writes them between their markers
 python tools/docs_tables.py --check    changes nothing, and names what is not up to date
 """
 
 import sys
 from pathlib import Path
-
-from docs_imports import diagram
 
 from drone_env.city.openstreetmap import Rule, layers
 from drone_env.core.actions import Event
@@ -153,7 +151,7 @@ def put(page: str, name: str, text: str) -> str:
 
 def changes() -> dict[Path, str]:
     """The files that are not up to date, and what they should hold."""
-    files: dict[Path, str] = {DOCS / "images" / "imports.svg": diagram()}
+    files: dict[Path, str] = {}
     for (page, name), text in tables().items():
         path = DOCS / page
         files[path] = put(files.get(path) or path.read_text(encoding="utf-8"), name, text)

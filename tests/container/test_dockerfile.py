@@ -1,4 +1,4 @@
-"""The Dockerfile as a text; `make image-check` builds it and proves the image."""
+"""The Dockerfile as a text; `tools/check_image.py` builds it and proves the image."""
 
 import json
 import re

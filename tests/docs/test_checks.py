@@ -39,7 +39,7 @@ def run(tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.Monk
         "<!-- any other comment -->\n\n```json\n{}\n```",
         f"{SKIP}```nginx\nserver {{}}\n```",
         f"{SKIP}```bash\ndrone-env fly --task easy \\\n  --seed 7\n```",
-        f"{SKIP}```bash\nmake bench ARGS=--quick && drone-env train --task easy --episodes 5 > log 2>&1 | tail\n```",
+        f"{SKIP}```bash\nmake serve ARGS=x && drone-env train --task easy --episodes 5 > log 2>&1 | tail\n```",
         f"{SKIP}```bash\nMODEL_NAME=x python inference.py; cp docs/rules.md .; pip install '.[server,llm]'\n```",
         f"{SKIP}```python\nfrom drone_env.llm.trl_environment import DroneEnvironment\n```",
     ],
