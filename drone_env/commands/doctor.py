@@ -8,6 +8,7 @@ import socket
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache, partial
 from importlib import metadata
 from importlib.util import find_spec
@@ -100,20 +101,6 @@ def _checked(topic: str, name: str, check: Callable[[], str]) -> Finding:
         return Finding(topic, name, "broken", str(error))
 
 
-# The extras share most requirements, and reading metadata is slow.
-_version = cache(metadata.version)
-
-
-def _unmet(requirement: Requirement) -> str | None:
-    """Why a requirement is not met; None if it is met."""
-    try:
-        version = _version(requirement.name)
-    except metadata.PackageNotFoundError:
-        return requirement.name
-    met = requirement.specifier.contains(version, prereleases=True)
-    return None if met else f"{requirement.name}{requirement.specifier} (there is {version})"
-
-
 def _missing(extra: str = "") -> set[str]:
     """The unmet requirements of this package with an extra, and with the extras that it names."""
     missing: set[str] = set()
@@ -122,32 +109,34 @@ def _missing(extra: str = "") -> set[str]:
             continue
         if requirement.name == DISTRIBUTION:
             missing.update(*map(_missing, requirement.extras))
-        elif unmet := _unmet(requirement):
-            missing.add(unmet)
+            continue
+        version = _version(requirement.name)
+        if version is None or not requirement.specifier.contains(version, prereleases=True):
+            missing.add(f"{requirement.name}{requirement.specifier} ({version or 'not'} installed)")
     return missing
 
 
+@cache  # the extras share most requirements, and reading metadata is slow
+def _version(name: str) -> str | None:
+    with suppress(metadata.PackageNotFoundError):
+        return metadata.version(name)
+    return None
+
+
 def _packages() -> Iterator[Finding]:
-    try:
-        extras = sorted(metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or [])
-    except metadata.PackageNotFoundError:
+    if _version(DISTRIBUTION) is None:
         yield Finding("packages", DISTRIBUTION, "attention", "not installed: requirements are not checked")
         return
-    for unmet in sorted(_missing()):
-        yield Finding("packages", unmet.partition(" ")[0], "broken", f"missing: {unmet}")
-    for name in ("numpy", "numba", "gymnasium"):
-        yield Finding("packages", name, "ok", _version(name))
-    if find_spec("torch") is None:
-        yield Finding("packages", "torch", "absent", "needed to train, not to fly")
-    else:
-        import torch
-
-        device = torch.cuda.get_device_name() if torch.cuda.is_available() else "no CUDA device"
-        yield Finding("packages", "torch", "ok", f"{torch.__version__}, {device}")
-    for extra in extras:
-        missing = sorted(_missing(extra))
-        detail = f"{install_command(extra)} brings {', '.join(missing)}" if missing else "complete"
-        yield Finding("extras", extra, "absent" if missing else "ok", detail)
+    for name in ("numpy", "numba", "gymnasium", "torch"):
+        absent = _version(name) is None
+        yield Finding("packages", name, "absent" if absent else "ok", _version(name) or "not installed")
+    for extra in ("", *sorted(metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or [])):
+        missing = ", ".join(sorted(_missing(extra)))
+        if not extra:
+            yield Finding("packages", "required", "broken" if missing else "ok", missing or "complete")
+        else:
+            detail = f"{install_command(extra)} brings {missing}" if missing else "complete"
+            yield Finding("extras", extra, "absent" if missing else "ok", detail)
 
 
 def _network(name: str) -> str:
@@ -173,17 +162,13 @@ def _writable(folder: Path) -> str:
 
 def _port(host: str, port: str) -> Finding:
     name = f"{host}:{port}"
-    if not port.isdecimal() or int(port) > LAST_PORT:  # some systems would use the remainder
+    if not port.isdecimal() or int(port) > LAST_PORT:
         return Finding("port", name, "attention", f"a port is 0 to {LAST_PORT}")
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            # As servers do: a connection that has just been closed does not block the port.
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
+        socket.create_server((host, int(port))).close()
     except OSError as error:
         taken = error.errno == errno.EADDRINUSE
-        detail = "taken: give a server another with --port" if taken else f"cannot be listened on: {error.strerror}"
+        detail = "taken: give a server another with --port" if taken else f"cannot be listened on: {error}"
         return Finding("port", name, "attention", detail)
     return Finding("port", name, "ok", "free")
 
@@ -198,23 +183,15 @@ def _settings() -> Iterator[Finding]:
 
     for name, meant in server.misspelt_variables().items():
         yield Finding("settings", name, "attention", f"is not a setting and is ignored; is {meant} meant?")
-    yield _checked("settings", "server", lambda: _set(server.load_settings().model_fields_set))
-    try:
-        settings, ignored = llm.load_settings(), llm.ignored_variables()
-    except DroneEnvError as error:
-        yield Finding("settings", "llm", "broken", str(error))
-        return
-    for name, hint in ignored.items():
+    for name, hint in llm.ignored_variables().items():
         yield Finding("settings", name, "attention", hint)
+    yield _checked("settings", "server", lambda: f"valid: {sorted(server.load_settings().model_fields_set)}")
     try:
+        settings = llm.load_settings()
         token = "without a token" if llm.token_for(settings, settings.api_base_url) is None else "with a token"
         yield Finding("settings", "llm", "ok", f"valid: {settings.model_name}, called {token}")
     except DroneEnvError as error:
         yield Finding("settings", "llm", "absent", f"no language model can be called: {error}")
-
-
-def _set(names: set[str]) -> str:
-    return f"valid: {', '.join(f'DRONE_ENV_{name.upper()}' for name in sorted(names)) or 'none is set'}"
 
 
 def _plugin(name: str) -> str:
