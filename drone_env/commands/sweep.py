@@ -26,7 +26,6 @@ def sweep(
     test_maps: int = 1000,
     out: Path | None = None,
     resume: bool = False,
-    retry_failed: bool = False,
     dry_run: bool = False,
     processes: Whole = None,
     cpus_per_trial: int = 1,
@@ -52,7 +51,6 @@ def sweep(
         test_maps: How many test maps each finished network flies.
         out: The folder of the sweep. The default is sweep/ in DRONE_ENV_DATA, or runs/sweep without that.
         resume: Fail if there is no sweep to continue.
-        retry_failed: Train the settings that failed again.
         dry_run: List the trials and train nothing.
         processes: Trials at a time on this machine; by default as many as its CPUs allow.
         cpus_per_trial: Threads of each trial.
@@ -86,8 +84,6 @@ def sweep(
                 print(f"trial{number}/seed{seed}\t{config.label(setting)}\t{command}")
         return 0
     sweeps.begin(folder, config)
-    if retry_failed:
-        sweeps.retry_failed(folder, config)
     try:
         sweeps.run(folder, processes, checkpoint_seconds)
     except KeyboardInterrupt:

@@ -4,7 +4,7 @@
     journal.log             Optuna's journal: the setting, the validation scores and the result of each trial
     trial0/lock             held while a process trains the trial
     trial0/seed0/           the files of one training run
-    report.md, report.json, curves.png, history.png
+    report.md, report.json, curves.png
 
 A trial is one setting with all its seeds, so pruning never keeps the lucky seeds of a setting and stops the others.
 Any number of processes work on a sweep, on all machines that share its folder. A killed process leaves a trial that is
@@ -19,7 +19,7 @@ import shlex
 import sys
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +30,6 @@ import matplotlib
 import numpy as np
 import optuna
 from filelock import FileLock, Timeout
-from matplotlib.axes import Axes
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
@@ -268,16 +267,6 @@ def open_study(out: Path, config: SweepConfig) -> optuna.Study:
         )
 
 
-def retry_failed(out: Path, config: SweepConfig) -> None:
-    """Queue the setting of each failed trial that has not been retried."""
-    study = open_study(out, config)
-    trials = study.get_trials()
-    retried = {trial.user_attrs.get("retries") for trial in trials}
-    for trial in trials:
-        if trial.state == TrialState.FAIL and trial.number not in retried:
-            study.enqueue_trial(trial.params, user_attrs={"retries": trial.number})
-
-
 def run(out: Path, processes: int, checkpoint_seconds: float) -> None:
     """Train in several processes until no trial is left that another process does not train."""
     if processes == 1:
@@ -325,15 +314,13 @@ def _take(study: optuna.Study, config: SweepConfig, out: Path) -> tuple[Trial, F
                 lock.acquire()
                 study_id = storage.get_study_id_from_name(NAME)
                 return Trial(study, storage.get_trial_id_from_study_id_trial_number(study_id, running.number)), lock
-        trials = study.get_trials()
-        if not any(trial.state == TrialState.WAITING for trial in trials):
-            begun = sum("retries" not in trial.user_attrs for trial in trials)
-            if begun == (config.samples or len(config.settings)):
-                return None
-            if config.samples is None:
-                study.enqueue_trial(config.settings[begun])
-        # Each process has its own sampler, so that one seed for all would sample the same setting in each.
-        study.sampler = optuna.samplers.TPESampler(seed=config.samples_seed + len(trials))
+        begun = len(study.get_trials())
+        if begun == (config.samples or len(config.settings)):
+            return None
+        if config.samples is None:
+            study.enqueue_trial(config.settings[begun])
+        # Each process has a sampler, and with one seed all would sample the same setting.
+        study.sampler = optuna.samplers.TPESampler(seed=config.samples_seed + begun)
         trial = study.ask(config.distributions)
         folder = out / f"trial{trial.number}"
         folder.mkdir(exist_ok=True)
@@ -435,13 +422,11 @@ def write_report(out: Path, config: SweepConfig) -> Counter[str]:
     text = (
         f"# Sweep of {config.task}, preset {config.preset}\n\nEach setting is trained with {config.seeds} seeds. Test "
         f"scores are means over {config.test_maps:,} test maps, with 95 % intervals over seeds and maps.\n\n"
-        f"{markdown_table(head, table)}\n\n![validation scores](curves.png)\n\n![results of the trials](history.png)\n"
+        f"{markdown_table(head, table)}\n\n![validation scores](curves.png)\n"
         f"\n## Commands\n\nEach trains one network of a trial alone.\n\n```bash\n{commands}\n```\n"
     )
     write_text(out / "report.md", text)
-    optimum = next((row["validation_optimum"] for row in rows if row["validation_optimum"]), None)
-    for name, plot in (("curves", plots.plot_intermediate_values), ("history", plots.plot_optimization_history)):
-        _draw(study, plot, optimum, out / f"{name}.png")
+    _draw(study, next((row["validation_optimum"] for row in rows if row["validation_optimum"]), None), out)
     return Counter(row["state"] for row in rows)
 
 
@@ -450,7 +435,7 @@ def _figure(figure: Sequence[float] | None) -> str:
 
 
 def _row(config: SweepConfig, trial: FrozenTrial) -> dict[str, Any]:
-    unknown = {"validation_optimum": None, "test": None, "error": None, "retries": None}
+    unknown = {"validation_optimum": None, "test": None, "error": None}
     return {
         "trial": trial.number,
         "setting": trial.params,
@@ -463,16 +448,16 @@ def _row(config: SweepConfig, trial: FrozenTrial) -> dict[str, Any]:
     }
 
 
-def _draw(study: optuna.Study, plot: Callable[[optuna.Study], Axes], optimum: float | None, path: Path) -> None:
+def _draw(study: optuna.Study, optimum: float | None, out: Path) -> None:
     matplotlib.use("Agg")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        axes = plot(study)
+        axes = plots.plot_intermediate_values(study)
     if optimum is not None:
         axes.axhline(optimum, color="black", linestyle="dotted", label="optimum")
         axes.legend()
     axes.set_ylabel("validation score")
     figure = axes.get_figure(root=True)
     assert figure is not None
-    with replacing(path) as temporary:
+    with replacing(out / "curves.png") as temporary:
         figure.savefig(temporary, format="png")

@@ -172,7 +172,7 @@ def test_the_interval_covers_seeds_and_maps() -> None:
 
 
 @pytest.mark.usefixtures("no_curves")
-def test_a_trial_that_fails_is_reported_and_retried_if_asked(tmp_path: Path) -> None:
+def test_a_trial_that_fails_is_reported_and_the_others_go_on(tmp_path: Path) -> None:
     config, out = config_of("episodes=20", "lr=1e-3,1e-6", early_stopping=False), tmp_path / "sweep"
     sweep.begin(out, config)
     broken = out / "trial1" / "seed1"
@@ -185,16 +185,7 @@ def test_a_trial_that_fails_is_reported_and_retried_if_asked(tmp_path: Path) -> 
     assert failed["error"] in (out / "report.md").read_text()
     assert len(finished["test"]["seed_scores"]) == 2
     assert finished["test"]["optimum"] >= finished["test"]["score"][0]
-    # Nothing is trained again unless somebody asks for it, and then only once.
-    assert swept(out, config) == report
-    for _ in range(2):
-        sweep.retry_failed(out, config)
-        report = swept(out, config)
-        assert sorted((row["trial"], row["state"]) for row in report["trials"]) == [
-            (0, "complete"), (1, "failed"), (2, "complete")
-        ]  # fmt: skip
-    assert next(row for row in report["trials"] if row["trial"] == 2)["setting"] == failed["setting"]
-    assert finished in report["trials"]
+    assert swept(out, config) == report  # nothing is trained again
 
 
 @pytest.mark.usefixtures("no_curves")
@@ -266,6 +257,6 @@ def test_two_processes_share_a_sweep(tmp_path: Path, capfd: pytest.CaptureFixtur
     command = ["sweep", "--seeds", "1", *sets, "--test-maps", "20", "--out", str(out)]
     assert main([*command, "--processes", "2"]) == 0
     assert "2 trials finished, 0 stopped early, 0 failed" in capfd.readouterr().err
-    for name in ("curves.png", "history.png", "report.md"):
+    for name in ("curves.png", "report.md"):
         assert (out / name).stat().st_size > 500
     assert (out / "trial1" / "seed0" / "easy.npz").exists()
