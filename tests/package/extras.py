@@ -23,9 +23,6 @@ else:
 PACKAGE = ROOT / "drone_env"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
-COLLECTIONS = {"all", "dev", "test"}
-"""Extras that no hint names, and whose names are words: of all tasks, of the test maps."""
-
 
 class Import(NamedTuple):
     """One imported name, such as `drone_env.core.tasks.get_task` or `torch.nn`."""
@@ -150,24 +147,3 @@ def loaded_by(module: str) -> frozenset[str]:
                 seen.add(own)
                 pending.append(own)
     return frozenset(foreign - set(sys.stdlib_module_names))
-
-
-def imported_later(module: str) -> Iterator[str]:
-    """What a module imports only in its functions, or where it is there."""
-    file = file_of(module)
-    assert file is not None, module
-    yield from (found.name for found in imports(file) if not found.at_once)
-
-
-@cache
-def extras_named(module: str) -> frozenset[str]:
-    """The extras that strings of a module name: alone, as `extra` or as [extra]; its errors say what to install."""
-    file = file_of(module)
-    assert file is not None, module
-    nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-    texts = [node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
-    return frozenset(
-        extra
-        for extra in set(PROJECT["optional-dependencies"]) - COLLECTIONS
-        if any(text == extra or f"`{extra}`" in text or f"[{extra}]" in text for text in texts)
-    )

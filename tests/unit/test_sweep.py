@@ -39,7 +39,7 @@ def config_of(*sets: str, samples: int | None = None, early_stopping: bool = Tru
 
 def swept(out: Path, config: sweep.SweepConfig) -> dict[str, Any]:
     sweep.begin(out, config)
-    sweep.run(out, 1, 0.0)
+    sweep.run(out, 1, 30.0)
     sweep.write_report(out, config)
     return json.loads((out / "report.json").read_text())
 
@@ -231,7 +231,7 @@ def worker(out: Path, victim: bool) -> None:
 @pytest.mark.usefixtures("no_curves")
 def test_a_killed_process_changes_nothing(tmp_path: Path) -> None:
     """Another process continues its trial; the networks are those of a sweep without a kill."""
-    config = config_of("episodes=80", "lr=1e-3,1e-6", early_stopping=False)
+    config = config_of("episodes=60", "lr=1e-3,1e-6", early_stopping=False)
     whole = swept(tmp_path / "whole", config)
     out = tmp_path / "killed"
     sweep.begin(out, config)
@@ -248,7 +248,7 @@ def test_a_killed_process_changes_nothing(tmp_path: Path) -> None:
             folder = Path(f"trial{trial}") / name
             assert parameters(out / folder) == parameters(tmp_path / "whole" / folder)
             lines = [line.split()[0] for line in (out / folder / "train.log").read_text().splitlines()]
-            assert lines == [f"episode={n}" for n in range(5, 81, 5)]  # each episode once
+            assert lines == [f"episode={n}" for n in range(5, 61, 5)]  # each episode once
 
 
 def test_two_processes_share_a_sweep(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
