@@ -12,7 +12,7 @@ from drone_env.cli import main
 from drone_env.core.rewards import REWARD_PROFILES
 from drone_env.envs.sb3 import DroneDeliveryVecEnv
 from drone_env.errors import InvalidTaskError
-from drone_env.rl.checkpoint import load_checkpoint, save_checkpoint
+from drone_env.rl.checkpoint import load_checkpoint
 
 EASY = "drone_env:DroneDelivery-Easy-v1"
 MINE = """
@@ -54,8 +54,7 @@ def test_a_command_pays_by_the_file_and_forgets_it(mine: Path, capsys: pytest.Ca
     mine.write_text('id = "mine"\nbonus = 1')
     assert run(*flight, "mine.toml") == 2
     captured = capsys.readouterr()
-    said = " ".join(captured.err.replace("│", "").split())
-    assert "reward profile mine.toml: unknown key 'bonus'; allowed: id" in said
+    assert "reward profile mine.toml: unknown key 'bonus'; allowed: id" in captured.err
     assert captured.out == ""
 
 
@@ -79,11 +78,6 @@ def test_a_training_goes_on_by_the_same_rewards_only(mine: Path, capsys: pytest.
     assert (kept["reward_profile"], kept["reward events"]) == ("mine", "delivery 7, wait 0.5, step -0.25")
     shutil.copy(mine, "copy.toml")
     assert run(*TRAIN, "--reward-profile", "copy.toml", "--resume") == 0
-    assert "nothing to do" in capsys.readouterr().err
-    state = load_checkpoint(Path("data/easy.pth"))
-    older = {name: value for name, value in kept.items() if not name.startswith("reward ")}
-    save_checkpoint(Path("older/easy.pth"), state | {"config": older})
-    assert run(*TRAIN, "--reward-profile", "mine.toml", "--resume", "--data", "older") == 0
     assert "nothing to do" in capsys.readouterr().err
     assert run("train", "--task", "easy") == 2
     assert "has other settings: reward_profile 'mine' (now 'aligned'); use those" in capsys.readouterr().err
