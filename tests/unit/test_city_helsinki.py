@@ -1,106 +1,16 @@
 """The centre of Helsinki: from the extract to the file, and what is wrong with an extract."""
 
-import math
 import sys
-from collections import Counter
-from collections.abc import Iterable, Iterator
-from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
-from xml.etree import ElementTree
 
-import numpy as np
-import numpy.typing as npt
 import pytest
 
-from drone_env.city.city_file import read_city
 from drone_env.city.importer import import_city
 from drone_env.cli import main
-from drone_env.core.cells import Cell
 from drone_env.errors import InvalidValueError
 from tests.unit.osm_files import Drawing, converted
 
 HELSINKI = Path(__file__).parents[2] / "examples" / "cities" / "helsinki.osm.pbf"
-XY = tuple[float, float]
-
-
-def inside(at: XY, sides: Iterable[tuple[XY, XY]]) -> bool:
-    """Whether a ray from a point crosses the sides of an area an odd number of times."""
-    x, y = at
-    crossings = 0
-    for (x0, y0), (x1, y1) in sides:
-        if (y0 > y) != (y1 > y):
-            crossings += x < x0 + (y - y0) / (y1 - y0) * (x1 - x0)
-    return crossings % 2 == 1
-
-
-class Read(NamedTuple):
-    """The city of the extract, and the XML of the same extract, read by ElementTree; places are (x, y) in cells."""
-
-    grid: npt.NDArray[np.uint8]
-    nodes: dict[str, XY]
-    ways: dict[str, list[str]]
-    tags: list[tuple[ElementTree.Element, dict[str, str]]]
-
-    def cell(self, node: str) -> tuple[int, int]:
-        x, y = self.nodes[node]
-        return math.floor(x), math.floor(y)
-
-    def holds(self, at: tuple[int, int]) -> bool:
-        return 0 <= at[0] < self.grid.shape[1] and 0 <= at[1] < self.grid.shape[0]
-
-
-@pytest.fixture(scope="module")
-def read(tmp_path_factory: pytest.TempPathFactory) -> Read:
-    folder = tmp_path_factory.mktemp("helsinki")
-    city = read_city(made(HELSINKI, folder / "helsinki.toml"))
-    assert city.bbox is not None
-    west, south, east, north = city.bbox
-    height, width = city.grid.shape
-    root = ElementTree.parse(converted(HELSINKI, folder / "helsinki.osm")).getroot()
-    nodes: dict[str, XY] = {}
-    for node in root.iter("node"):
-        lon, lat = float(node.attrib["lon"]), float(node.attrib["lat"])
-        nodes[node.attrib["id"]] = (lon - west) / (east - west) * width, (north - lat) / (north - south) * height
-    ways = {way.attrib["id"]: [nd.attrib["ref"] for nd in way.iter("nd")] for way in root.iter("way")}
-    tags = [(thing, {tag.attrib["k"]: tag.attrib["v"] for tag in thing.iter("tag")}) for thing in root]
-    return Read(city.grid, nodes, ways, tags)
-
-
-def buildings(read: Read) -> Iterator[list[tuple[XY, XY]]]:
-    """The sides of each building, whether they are a ring's or several rings'."""
-    for thing, tags in read.tags:
-        if tags.get("building", "no") in ("no", "roof") or tags.get("location") == "underground":
-            continue
-        refs: list[str] = []
-        if thing.tag == "way":
-            refs = [thing.attrib["id"]]
-        elif thing.tag == "relation" and tags.get("type") == "multipolygon":
-            refs = [member.attrib["ref"] for member in thing.iter("member") if member.attrib["type"] == "way"]
-        ways = [read.ways.get(ref, ["missing"]) for ref in refs]
-        ends = Counter(ref for way in ways for ref in (way[0], way[-1]))
-        if all(ref in read.nodes for way in ways for ref in way) and all(n % 2 == 0 for n in ends.values()):
-            yield [(read.nodes[a], read.nodes[b]) for way in ways for a, b in pairwise(way)]
-
-
-def test_the_buildings_agree_with_the_file(read: Read) -> None:
-    """By casting a ray from each of 100 points of a cell."""
-    height, width = read.grid.shape
-    covered = np.zeros((height, width, 100), bool)
-    for sides in filter(None, buildings(read)):
-        xs, ys = ([corner[i] for side in sides for corner in side] for i in (0, 1))
-        for y in range(max(0, math.floor(min(ys))), min(height, math.ceil(max(ys)))):
-            for x in range(max(0, math.floor(min(xs))), min(width, math.ceil(max(xs)))):
-                for i in np.flatnonzero(~covered[y, x]).tolist():
-                    at = x + (i % 10 + 0.5) / 10, y + (i // 10 + 0.5) / 10
-                    covered[y, x, i] = inside(at, sides)
-    share = covered.mean(axis=2)
-    is_building = read.grid == Cell.BUILDING
-    assert is_building.sum() > 1000
-    assert (is_building | (read.grid == Cell.PAD))[share > 0.55].all()
-    assert not is_building[share < 0.45].any()
-    # What the two samplings may decide differently is little.
-    assert (abs(share - 0.5) <= 0.05).sum() < 0.15 * is_building.sum()
 
 
 def made(source: Path, out: Path, *more: str) -> Path:
