@@ -63,11 +63,6 @@ def survive(cases: Iterable[int], source: Path, folder: Path) -> Counter[bool]:
     return went_well
 
 
-def saved(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 def few(kind: str, number: int) -> bool:
     return kind == "r" or number % 11 == 0
 
@@ -99,7 +94,6 @@ FILES: dict[str, Callable[[Path], Path]] = {
         .relation({4: "outer", 5: "inner"}, landuse="forest")
         .save(folder / "s.osm")
     ),
-    "map": lambda folder: saved(folder / "s.map", "type octile\nheight 4\nwidth 5\nmap\n" + "..@T.\n" * 4),
 }
 
 

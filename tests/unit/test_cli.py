@@ -25,29 +25,6 @@ from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.results.interval import with_interval
 
-STEP = re.compile(r"\[STEP\] step=(\d+) action=([A-Z]+) reward=(\d\.\d\d) done=(true|false) error=null")
-
-
-@pytest.mark.parametrize(
-    ("task", "agent"), [("easy", "optimal"), ("medium_delivery", "random"), ("drone_env.graders:grade_hard", "greedy")]
-)
-def test_fly_prints_log_lines_that_say_what_was_flown(
-    task: str, agent: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["fly", "--task", task, "--agent", agent, "--seed", "7"]) == 0
-    first, *steps, last = capsys.readouterr().out.splitlines()
-    episode = Episode(task, "tiered")
-    episode.reset(7)
-    assert first == f"[START] task={episode.task.grader} env=drone_env_v1 model={agent}"
-    rewards = []
-    for number, line in enumerate(steps, start=1):
-        step, action, reward, done = STEP.fullmatch(line).groups()
-        rewards.append(f"{episode.step(Action[action]):.2f}")
-        assert (int(step), reward, done) == (number, rewards[-1], "true" if episode.ended else "false")
-    assert episode.ended
-    success = "true" if episode.success else "false"
-    assert last == f"[END] success={success} steps={len(steps)} score={episode.score:.3f} rewards={','.join(rewards)}"
-
 
 def test_fly_to_the_byte_on_a_map_by_hand(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
     # Map 14 of easy: start (6, 3), parcel (5, 1). Two steps closer at 0.10 + 0.05, then 0.95 + 0.05 clamped to 0.99;
@@ -171,12 +148,6 @@ def test_maps_that_are_too_large_to_be_solved_are_flown_and_have_bounds(
     assert "full, optimal: the exact values" in capsys.readouterr().out
 
 
-def test_where_nobody_flies_anything_the_reason_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
-    tasks = ["skyline_easy", "skyline_medium"]
-    assert main(["evaluate", "--task", *tasks, "--agents", "pathqnet", "--episodes", "2"]) == 2
-    assert "no network is shipped for 'skyline_easy'" in capsys.readouterr().err
-
-
 def test_a_named_network_must_fit_one_of_the_tasks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     network = str(shipped_network(get_task("easy")))
     given = ["--agents", "greedy", "pathqnet", "--checkpoint", network, "--seeds", "3:4"]
@@ -297,17 +268,6 @@ def test_the_output_may_be_cut_off() -> None:
     assert result.stdout.startswith("[START]")
     assert "Traceback" not in result.stderr
     assert "BrokenPipe" not in result.stderr
-
-
-def test_play_from_a_pipe_against_the_optimum() -> None:
-    keys = {Action.UP: "w", Action.DOWN: "s", Action.LEFT: "a", Action.RIGHT: "d", Action.WAIT: " "}
-    solution = solve("easy", 7)
-    flown = run(
-        ["play", "--task", "easy", "--seed", "7"], input="?" + "".join(keys[action] for action in solution.actions)
-    )
-    assert flown.returncode == 0
-    assert f"Your score: {solution.score * 100:.1f} in {solution.steps} steps" in flown.stdout
-    assert "You flew the optimum!" in flown.stdout
 
 
 def test_keys_are_told_apart_wherever_the_stream_is_cut() -> None:

@@ -11,15 +11,17 @@ from drone_env.toml_text import parse_toml
 
 SIZE = 1 << 17
 HOSTILE = {
-    "dotted key": ("a." * 12_000 + "a = 1", "64 dots outside strings"),
-    "keys below a deep header": ("[" + "a." * 60 + "a]\n" + "x = 1\n" * 9_000, "64 keys"),
+    "dotted key": ("a." * 12_000 + "a = 1", "1024 keys"),
+    "many dots": ("a." * 100 + "a = 1", "64 dots outside strings"),
+    "keys below a deep header": ("[" + "a." * 60 + "a]\n" + "x = 1\n" * 100, "64 keys"),
     "nested lists": ("x = " + "[" * SIZE, "64 tables and lists"),
-    "a long list": ("x = [" + "1," * 60_000, "1024"),
-    "many strings": ("x = [" + "'', " * 30_000, "1024"),
+    "a long list": ("x = [" + "1," * 60_000, "1024|5120"),
+    "many strings": ("x = [" + "'', " * 30_000, "1024|5120"),
     "a long number": ("x = " + "9" * SIZE, "word of more than 64"),
-    "a long string": ("x = '" + "a" * SIZE + "'", "string of more than 65536"),
+    "a long string": ("x = '" + "a" * SIZE + "'", "one of more than 65536"),
     "many lines": ("\n" * SIZE, "4096 lines"),
-    "an open long string": ('x = """' + 'a""' * (SIZE // 3), "not closed"),
+    "an open long string": ('x = """' + 'a""' * (SIZE // 3), "not closed|one of more"),
+    "an open string": ('x = "' + '\\"' * (SIZE // 2), "not closed"),
     "an exponent": ("x = 1e99999999999999999999", "exponent"),
     "a lone surrogate": ("# \ud800", "surrogates not allowed"),
     "no UTF-8": (b"x = '\xff'", "utf-8"),
