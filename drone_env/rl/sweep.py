@@ -21,7 +21,7 @@ import warnings
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Literal, get_type_hints
@@ -152,7 +152,8 @@ def distribution_of(text: str) -> tuple[str, BaseDistribution]:
         raise InvalidValueError(f"--set takes NAME=VALUE,VALUE... such as lr=1e-3,3e-4; got {text!r}")
     if name in ELSEWHERE:
         raise InvalidValueError(f"--set does not take {name}: use {ELSEWHERE[name]}")
-    kinds = get_type_hints(TrainConfig)
+    hints = get_type_hints(TrainConfig)
+    kinds = {field.name: hints[field.name] for field in fields(TrainConfig)}
     if name not in kinds:
         raise UnknownNameError("setting", given, [*(kinds.keys() - ELSEWHERE), *ALIASES])
     parse = TypeAdapter[Any](kinds[name], config=ConfigDict(allow_inf_nan=False)).validate_strings
