@@ -39,6 +39,13 @@ KEPT_SOLVERS = 16 << 20
 GROWTH = 32 << 20
 """Bytes by which a process may grow over its jobs; then another takes its place."""
 
+NEXT, LAST, AGAIN = range(3)
+"""What a process does after a job: take the next, end, or end because the job needs a new process."""
+
+
+class FullError(BaseException):
+    """Memory ran out in a process that keeps memory of earlier jobs. The job runs again in a new process."""
+
 
 class Bench:
     """What the jobs of a process share.
@@ -52,12 +59,14 @@ class Bench:
         self.runs = ModelRuns(settings.data / RUNS)
         self.evaluations = Evaluations(settings.data / EVALUATIONS)
         self._solvers: OrderedDict[tuple[TaskConfig, int], Solver] = OrderedDict()
+        self.is_new = True
+        """Whether this process runs its first job."""
 
     def solver_of(self, task: TaskConfig, seed: int) -> "Solver":
         """What can still be reached on a map, from its start.
 
         Raises:
-            TooLargeError: if solving it would take too much memory.
+            TooLargeError: if solving it would take too much memory, even in a new process.
         """
         from drone_env.planning.solvers import solver_of  # loads Numba, which the process that serves does without
 
@@ -65,12 +74,18 @@ class Bench:
         try:
             solver = self._solvers.get(key) or solver_of(Episode(task, seed=seed))
         except MemoryError:
+            self.require_new()
             raise TooLargeError(f"the exact values of this map of {task.id!r} take too much memory") from None
         self._solvers[key] = solver
         self._solvers.move_to_end(key)
         while len(self._solvers) > 1 and sum(kept.nbytes for kept in self._solvers.values()) > KEPT_SOLVERS:
             self._solvers.popitem(last=False)
         return solver
+
+    def require_new(self) -> None:
+        """Call this when memory has run out: a process that has run other jobs leaves the job to a new one."""
+        if not self.is_new:
+            raise FullError
 
 
 _benches: list[Bench] = []
@@ -131,12 +146,16 @@ def serve(connection: Connection, others: Connection, settings: Settings, enviro
                 result = function(*arguments)
         except DroneEnvError as raised:
             error = raised
-        except MemoryError:
+        except (FullError, MemoryError):
+            if not bench().is_new:
+                connection.send((None, None, AGAIN))
+                return
             error = TooLargeError(limits.too_much)
         except Exception:
             log.exception("%s failed", function.__qualname__)
             error = RequestError(500, "internal", FAILED)
-        connection.send((result, error, limits.outgrown))
+        bench().is_new = False
+        connection.send((result, error, LAST if limits.outgrown else NEXT))
 
 
 class Limits:
@@ -184,7 +203,7 @@ class Limits:
             used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
             _set_soft_limit(resource.RLIMIT_CPU, int(used) + 2 * self.seconds)
             if sys.platform == "linux":
-                _set_soft_limit(resource.RLIMIT_DATA, _allocated() + self._bytes)
+                _set_soft_limit(resource.RLIMIT_DATA, self._first + self._bytes)
             signal.setitimer(signal.ITIMER_PROF, self.seconds)
 
     def __exit__(self, *error: object) -> None:

@@ -23,7 +23,7 @@ from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES
 from drone_env.core.tasks import PACKAGE_TASKS, TASKS, TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.results.optima import solve_maps
-from drone_env.server.jobs import serve, too_long
+from drone_env.server.jobs import AGAIN, NEXT, serve, too_long
 from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import FAILED, RequestError
 from drone_env.server.settings import Settings
@@ -164,23 +164,7 @@ class Workers:
     def _serve(self, reserved: bool) -> None:
         process: _Process | None = None
         while (job := self._next(reserved)) is not None:
-            try:
-                if process is None:
-                    process = _Process(self._settings)
-                with self._condition:
-                    job.process = process
-                    if job.dropped and (self._closed or not job.quick):
-                        process.kill()
-                result, error, outgrown = process.call(job.function, job.arguments)
-                if outgrown:
-                    process.end()
-                    process = None
-            except (EOFError, OSError):
-                result, error = None, self._error_of(process, job)
-                process = None
-            except Exception:  # such as what cannot be pickled; the next job must still run
-                log.exception("%s failed", job.function)
-                result, error = None, RequestError(500, "internal", FAILED)
+            result, error, process = self._run(job, process)
             with self._condition:
                 self._running.remove(job)
                 self._reserved_is_busy &= not reserved
@@ -190,6 +174,36 @@ class Workers:
                 job.set_exception(error)
         if process is not None:
             process.end()
+
+    def _run(self, job: Job, process: "_Process | None") -> "tuple[Any, DroneEnvError | None, _Process | None]":
+        """Run a job in a process that has run others, or in a new one.
+
+        If an old process dies or runs out of memory, a new one runs the job again: what a request gets must not depend
+        on the requests before it.
+
+        Returns:
+            The result, or the error; and the process, unless it has ended.
+        """
+        is_new = process is None
+        try:
+            process = process or _Process(self._settings)
+            with self._condition:
+                job.process = process
+                if job.dropped and (self._closed or not job.quick):
+                    process.kill()
+            result, error, then = process.call(job.function, job.arguments)
+        except (EOFError, OSError):
+            result, error, then = None, self._error_of(process, job), AGAIN
+            if is_new or job.dropped or isinstance(error, TooLargeError):
+                return None, error, None
+        except Exception:  # such as what cannot be pickled; the next job must still run
+            log.exception("%s failed", job.function)
+            return None, RequestError(500, "internal", FAILED), process
+        if then == NEXT:
+            return result, error, process
+        if process is not None:
+            process.end()
+        return self._run(job, None) if then == AGAIN else (result, error, None)
 
     def _next(self, reserved: bool) -> Job | None:
         """The job whose turn it is, once there is one; None when the pool is closed."""
@@ -239,8 +253,8 @@ class _Process:
 
     def call(
         self, function: Callable[..., Any], arguments: tuple[object, ...]
-    ) -> tuple[Any, DroneEnvError | None, bool]:
-        """The result of a function, or what it raised; and whether the process has grown too large to be kept.
+    ) -> tuple[Any, DroneEnvError | None, int]:
+        """The result of a function, or what it raised; and what the process does next: `NEXT`, `LAST` or `AGAIN`.
 
         Raises:
             EOFError, OSError: if the process has ended.

@@ -119,6 +119,15 @@ def test_a_worker_that_dies_fails_one_job(pool: Workers) -> None:
     assert pool.submit(abs, -3, caller="a").result() == 3
 
 
+def test_what_a_job_gets_does_not_depend_on_the_jobs_before_it(pool: Workers) -> None:
+    kept = pool.submit(hoard, 24, caller="a").result()
+    assert pool.submit(allocate, 50, caller="a").result(), "a new process has room for it"
+    after = pool.submit(os.getpid, caller="a").result()
+    assert after != kept
+    os.kill(after, signal.SIGKILL)
+    assert pool.submit(abs, -3, caller="a").result() == 3, "the process died before the job"
+
+
 def test_callers_take_turns_and_dropped_jobs_do_not_run(
     pool: Workers, gate: Path, tmp_path: Path, eventually: Callable[[Callable[[], bool]], None]
 ) -> None:

@@ -16,13 +16,14 @@ from drone_env.core.tasks import MAX_DELIVERIES, MAX_SIDE, TaskConfig, get_task
 from drone_env.core.terrain import PLACED
 from drone_env.errors import InvalidTaskError, TooLargeError
 from drone_env.models import MAX_SEED, Count, Message, Position, Score
-from drone_env.planning.optimal import solve_episode
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
+from drone_env.server.jobs import bench
 from drone_env.server.local import stranger_address
 from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import answers
 from drone_env.server.routes.catalogue import describe
+from drone_env.server.routes.replay import best_flight
 from drone_env.server.schemas import OneTask
 from drone_env.server.state import SharedParts
 
@@ -131,7 +132,9 @@ class MapWorth(Message):
     toml: str = Field(description="Its file: the city that every command flies.")
     numbers: dict[Number, Count] = Field(description="The numbers that it is flown with.")
     optimum: BestFlight | None = Field(description="A best flight; null where the map is too large to be solved.")
-    bounds: tuple[Score, Score] | None = Field(description="What the optimum lies between where it is null.")
+    bounds: tuple[Score, Score] | None = Field(
+        description="What the optimum lies between if that is null; null as well if the map is too large for it."
+    )
 
 
 class CityFile(Message):
@@ -202,16 +205,18 @@ def _worth(drawn: DrawnMap) -> str:
     episode = Episode(drawn_task(city, "map"), seed=0)
     optimum = between = None
     try:
-        best = solve_episode(episode)
-        steps = episode.copy().fly(best.actions).path
-        path = [position for position, _ in groupby([episode.position, *((step.x, step.y) for step in steps)])]
+        best, flown = best_flight(episode.task, episode.seed)
+        path = [position for position, _ in groupby(flown)]
         optimum = BestFlight(
             score=best.score, success=best.success, deliveries=best.deliveries, steps=best.steps, path=path
         )
-    except (MemoryError, TooLargeError):
+    except TooLargeError:
         from drone_env.planning.bounds import bounds  # loads a compiler, which is rarely needed here
 
-        between = bounds(episode)
+        try:
+            between = bounds(episode)
+        except MemoryError:
+            bench().require_new()
     answer = MapWorth(
         name=name_of(text.encode()), toml=text, numbers=_numbers(episode), optimum=optimum, bounds=between
     )

@@ -423,6 +423,7 @@ export function mount(root, context) {
 /** The optimum in words. */
 function inWords(optimum, bounds, parcels) {
   if (!optimum) {
+    if (!bounds) return "Too large to be solved";
     const [least, most] = bounds.map((bound) => points(bound));
     return `Too large to be solved: ${least === most ? `about ${least}` : `between ${least} and ${most}`}`;
   }
