@@ -33,11 +33,16 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from drone_env.installer import DISTRIBUTION  # noqa: E402
-from tests.package.installed import build, megabytes  # noqa: E402
+from tests.package.installed import build  # noqa: E402
 
 ORIGINAL = ("openenv-core[core]>=0.2.1", "torch>=2.0.0", "openai>=1.0.0", "python-multipart>=0.0.9")
 MEGABYTE = 1e6
 FLIGHT = ("fly", "--task", "hard", "--agent", "pathqnet", "--seed", "7")
+
+
+def megabytes(folder: Path) -> float:
+    """The total size of the files in a folder, in MB."""
+    return sum(file.lstat().st_size for file in folder.rglob("*") if not file.is_dir()) / 1e6
 
 
 def resolve(requirements: Sequence[str], folder: Path) -> list[dict[str, Any]]:

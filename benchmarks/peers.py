@@ -1,4 +1,4 @@
-"""What people would try first on Skyline: PPO of Stable-Baselines3 and MaskablePPO of sb3-contrib: make bench-peers.
+"""What people would try first on Skyline: PPO of Stable-Baselines3 and MaskablePPO of sb3-contrib.
 
 Both see the raw observation (one-hot planes through a small convolutional network, and the telemetry), are paid by
 `aligned` with the shaping of their discount, learn in one thread for the same seconds of CPU time, and are validated

@@ -1,4 +1,4 @@
-"""What the planners take for a map: make bench-planners, or this file; `--city FILE.toml` for the maps of a city.
+"""What the planners take for a map; `--city FILE.toml` for the maps of a city.
 
 The values of all decisions by legs and by the exact solver, which are equal to the last bit (tests/unit/test_legs.py).
 CPU time, Python included; everything is compiled before.
@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from statistics import median
 
-from drone_env.city.city_file import read_city
-from drone_env.city.city_task import task_of
+from drone_env.city.city_file import read_city, task_of
 from drone_env.core import compiled
 from drone_env.core.cells import Cell
 from drone_env.core.compile_cache import compiled_once

@@ -1,4 +1,4 @@
-"""How fast the batched simulator is, beside its peers and the machine's limits: make bench, or this file.
+"""How fast the batched simulator is, beside its peers and the machine's limits.
 
 Whoever flies N episodes at once is compared with Gymnasium's CartPole of as many. `--other CHECKOUT` times another
 checkout's `Batch` in the same rounds, in a process of its own: before and after a change.

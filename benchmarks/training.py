@@ -1,4 +1,4 @@
-"""How soon our trainer and Stable-Baselines3's DQN fly near the optimum: make bench-training, or this file.
+"""How soon our trainer and Stable-Baselines3's DQN fly near the optimum.
 
 Both learn on the same simulator with the same network, reward and validation maps, in turn, in one run. Every few
 seconds of computing the network is validated, which is not counted; what is printed is when its mean score first

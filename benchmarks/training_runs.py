@@ -1,4 +1,4 @@
-"""Train every task from scratch with several seeds and fly the test maps: make evidence, or this file.
+"""Train every task from scratch with several seeds and fly the test maps.
 
 Each run is `drone-env train` with its defaults, in a folder of its own under `results/evidence/`. A run that is
 finished is not repeated, and one that was interrupted goes on, so this may be stopped and started at will; the time of

@@ -1,4 +1,4 @@
-"""Fly tasks that are no training task of the tour network: make bench-unseen, or this file.
+"""Fly tasks that are no training task of the tour network.
 
 Prints the optimum, and for each agent the optimality ratio and the share of maps on which everything is delivered.
 """

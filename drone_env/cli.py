@@ -1,63 +1,52 @@
-"""`drone-env`: the command line. A new subcommand is one more name in `COMMANDS`."""
+"""`drone-env`: the command line. A new command is a module of `drone_env.commands` and a name in `COMMANDS`."""
 
 import io
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
+from typing import Any
 
 from tyro.extras import SubcommandApp
 
 from drone_env import __version__
-from drone_env.commands.analyse_flight import analyse_flight
-from drone_env.commands.arguments import own_profiles_forgotten
-from drone_env.commands.audit import audit
-from drone_env.commands.city import city
-from drone_env.commands.compare import compare
-from drone_env.commands.dataset import dataset
-from drone_env.commands.doctor import doctor
-from drone_env.commands.evaluate import evaluate
-from drone_env.commands.fly import fly
-from drone_env.commands.infer import infer
-from drone_env.commands.leaderboard import leaderboard
+from drone_env.commands.arguments import own_profiles_forgotten, parsed
 from drone_env.commands.named_files import told, with_names
-from drone_env.commands.parsing import parsed
-from drone_env.commands.play import play
 from drone_env.commands.printing import print_error
-from drone_env.commands.replay import replay
-from drone_env.commands.serve import serve
-from drone_env.commands.solve import solve
-from drone_env.commands.sweep import sweep
-from drone_env.commands.train import train, train_commands
 from drone_env.envs.registry import load_plugins
 from drone_env.errors import AgentError, DroneEnvError, InvalidValueError, UnknownNameError
 
 DESCRIPTION = (
     "A drone delivers parcels on a generated city grid. `drone-env COMMAND --help` is the manual of a command."
 )
+COMMANDS = (
+    *("fly", "evaluate", "compare", "leaderboard", "solve", "audit", "analyse-flight"),
+    *("train", "sweep", "infer", "play", "replay", "dataset", "city", "serve", "doctor"),
+)
 
 
-COMMANDS: dict[str, Callable[..., int | None]] = {
-    command.__name__.replace("_", "-"): command
-    for command in (
-        *(fly, evaluate, compare, leaderboard, solve, audit, analyse_flight),
-        *(train, sweep, infer, play, replay, dataset, city, serve, doctor),
-    )
-}
+def command_named(name: str) -> Callable[..., int | None]:
+    """Import a command, and nothing that the others need."""
+    return getattr(_module(name), name.replace("-", "_"))
+
+
+def _module(name: str) -> Any:
+    return import_module(f"drone_env.commands.{name.replace('-', '_')}")
 
 
 def _calls(arguments: Sequence[str]) -> Iterator[Callable[[], int | None]]:
     """What the arguments ask for: one call, or several to train several tasks."""
     if arguments[:1] in (["-h"], ["--help"]):
         overview = SubcommandApp()
-        for command in COMMANDS.values():
-            overview.command(command)
+        for name in COMMANDS:
+            overview.command(command_named(name))
         overview.cli(prog="drone-env", description=DESCRIPTION, args=["--help"])
     if not arguments or arguments[0].startswith("-"):
         raise InvalidValueError("name a command, such as fly, evaluate or train; drone-env --help lists all")
     name, *rest = with_names(arguments)
     if name not in COMMANDS:
         raise UnknownNameError("command", name, COMMANDS)
-    for command in train_commands(rest, arguments[1:]) if name == "train" else [COMMANDS[name]]:
+    for command in _module(name).train_commands(rest, arguments[1:]) if name == "train" else [command_named(name)]:
         yield parsed(command, f"drone-env {name}", rest)
 
 

@@ -17,26 +17,57 @@ Every key but `id` may be left out.
 
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from drone_env.core.actions import Event
 from drone_env.core.rewards import PACKAGE_PROFILES, RewardProfile, get_reward_profile
-from drone_env.errors import InvalidTaskError, InvalidValueError, shown
+from drone_env.errors import InvalidTaskError, InvalidValueError, UnknownNameError, shown
 from drone_env.files import read_file
-from drone_env.toml_text import parse_toml
+from drone_env.toml_text import read_toml
 
 MAX_FILE = 1 << 16
-KEYS: dict[str, tuple[type, ...]] = {
-    "id": (str,),
-    "summary": (str,),
-    "task_events": (bool,),
-    "events": (dict,),
-    "shaping": (Decimal, int),
-    "clamp": (list,),
-    "shaping_gamma": (Decimal, int),
-    "pays_score": (bool,),
-}
 EVENTS = {event.name.lower(): event for event in Event if event is not Event.NONE}
+
+
+def _number(value: object) -> Decimal:
+    # TOML's decimals are parsed as `Decimal`, so that 0.1 is exactly that.
+    if type(value) not in (int, Decimal):
+        raise ValueError(f"must be a number, got {shown(value)}")
+    return Decimal(value)  # pyright: ignore[reportArgumentType]
+
+
+def _event(name: str) -> str:
+    if name not in EVENTS:
+        raise ValueError(str(UnknownNameError("event", name, EVENTS)))
+    return name
+
+
+def _free(name: str) -> str:
+    if not name.isprintable():
+        raise ValueError(f"must be printable, got {shown(name)}")
+    if name in PACKAGE_PROFILES:
+        raise ValueError(f"{shown(name)} is taken by a profile of the package")
+    return name
+
+
+Number = Annotated[Decimal, BeforeValidator(_number)]
+
+
+class RewardFile(BaseModel):
+    """The file of a reward profile."""
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    id: Annotated[str, Field(min_length=1), AfterValidator(_free)]
+    summary: str = ""
+    shaping: Number = Decimal(0)
+    clamp: Annotated[tuple[Number, Number] | None, Field(strict=False)] = None
+    shaping_gamma: Number | None = None
+    pays_score: bool = False
+    task_events: bool = False
+    events: dict[Annotated[str, AfterValidator(_event)], Number] = {}
 
 
 def chosen_profile(name: str | RewardProfile) -> RewardProfile:
@@ -59,46 +90,10 @@ def load_reward_profile(path: str | Path) -> RewardProfile:
         OSError: if the file cannot be read.
         InvalidTaskError: if it is not a reward profile; the message says why.
     """
-    path = Path(path)
-
-    def require(holds: bool, message: str) -> None:
-        if not holds:
-            raise InvalidTaskError(f"reward profile {path}: {message}")
-
     try:
-        content = read_file(path, MAX_FILE)
+        file = read_toml(read_file(path, MAX_FILE), RewardFile, parse_float=Decimal)
     except InvalidValueError as error:
-        raise InvalidTaskError(f"reward profile {error}") from None
-    try:
-        table = parse_toml(content, parse_float=Decimal)
-    except InvalidValueError as error:
-        raise InvalidTaskError(f"reward profile {path}: {error}") from None
-    for key, value in table.items():
-        require(key in KEYS, f"unknown key {shown(key)}; allowed: {', '.join(KEYS)}")
-        fits = isinstance(value, KEYS[key]) and (bool in KEYS[key] or not isinstance(value, bool))
-        require(fits, f"{key} must be {_named(KEYS[key])}, got {shown(value)}")
-    require(bool(table.get("id")), "id is missing")
-    require(table["id"].isprintable(), f"id must be printable, got {shown(table['id'])}")
-    require(table["id"] not in PACKAGE_PROFILES, f"id {shown(table['id'])} is taken by a profile of the package")
-    events: dict[str, Any] = table.pop("events", {})
-    for name, value in events.items():
-        require(name in EVENTS, f"unknown event {shown(name)}; allowed: {', '.join(EVENTS)}")
-        require(_is_number(value), f"events.{name} must be a number, got {shown(value)}")
-    clamp: list[Any] | None = table.pop("clamp", None)
-    require(clamp is None or (len(clamp) == 2 and all(map(_is_number, clamp))), "clamp must be [lowest, highest]")
-    numbers = {key: Decimal(table.pop(key)) for key in ("shaping", "shaping_gamma") if key in table}
-    fields: dict[str, Any] = {"summary": "", **table, **numbers}
-    return RewardProfile(
-        **fields,
-        events=tuple((EVENTS[name], Decimal(value)) for name, value in events.items()),
-        clamp=None if clamp is None else (Decimal(clamp[0]), Decimal(clamp[1])),
-    )
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (Decimal, int)) and not isinstance(value, bool)
-
-
-def _named(types: tuple[type, ...]) -> str:
-    names = {str: "a text", bool: "true or false", dict: "a table", Decimal: "a number", list: "a list"}
-    return names[types[0]]
+        message = str(error).removeprefix(f"{path} ")  # of a file that is too large, or none
+        raise InvalidTaskError(f"reward profile {path}: {message}") from None
+    events: Any = tuple((EVENTS[name], pay) for name, pay in file.events.items())
+    return RewardProfile(**{**dict(file), "events": events})

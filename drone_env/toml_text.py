@@ -6,50 +6,42 @@ files of this package are flat: a few keys, and one list of rows.
 
 import re
 import sys
-from collections import Counter
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from drone_env.errors import InvalidValueError
+from drone_env.errors import InvalidValueError, shown, text_of
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    Model = TypeVar("Model", bound=BaseModel)
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-LONGEST_TEXT, LONGEST_WORD = 1 << 16, 64
-"""Characters of a string, and of a bare key or number."""
+MOST_TEXTS, LONGEST_TEXT, LONGEST_WORD = 5120, 1 << 16, 64
+"""Number of strings and comments, characters of one, and characters of a bare key or number."""
 MOST = {
-    "string": (1024, "strings"),
-    "comment": (4096, "comments"),
-    "newline": (4096, "lines"),
-    "word": (1024, "keys and numbers"),
-    "dot": (64, "dots outside strings"),
-    "bracket": (64, "tables and lists"),
-    "equals": (64, "keys"),
-    "comma": (1024, "commas"),
-    "other": (8192, "signs"),
+    r"\n": (4096, "lines"),
+    r"[\w+-]+": (1024, "keys and numbers"),
+    r"\.": (64, "dots outside strings"),
+    r"[\[{]": (64, "tables and lists"),
+    "=": (64, "keys"),
+    ",": (1024, "commas"),
 }
-"""Maximum number of tokens of each kind, about twice that of the largest city, and their plural."""
-TOKEN = re.compile(
-    r"""(?P<string>
-            \"{3} [^"\\]* (?: (?: \\. | "{1,2}(?!") ) [^"\\]* )* "{3,5}
-          | '{3} [^']* (?: '{1,2}(?!') [^']* )* '{3,5}
-          | (?!"{3}) " [^"\\\n]* (?: \\. [^"\\\n]* )* "
-          | (?!'{3}) ' [^'\n]* '
-        )
-      | (?P<unclosed>["'])
-      | (?P<comment>\#[^\n]*)
-      | (?P<newline>\n)
-      | (?P<word>[\w+-]+)
-      | (?P<dot>\.)
-      | (?P<bracket>[\[{])
-      | (?P<equals>=)
-      | (?P<comma>,)
-      | (?P<other>[^"'\#\n\w+\-.\[{=,]+)""",
+"""Maximum number of what matches outside strings and comments, about twice that of the largest city, and its plural."""
+TEXT = re.compile(
+    r"""  \"{3} [^"\\]* (?: (?: \\. | "{1,2}(?!") ) [^"\\]* )* "{3,5}
+        | '{3} [^']* (?: '{1,2}(?!') [^']* )* '{3,5}
+        | (?!"{3}) " [^"\\\n]* (?: \\. [^"\\\n]* )* "
+        | (?!'{3}) ' [^'\n]* '
+        | \#[^\n]*
+        | (?P<unclosed>["'].*)""",
     re.VERBOSE | re.DOTALL,
 )
-"""Every character belongs to a token; strings and comments are those that `tomllib` finds."""
+"""A string or a comment, as `tomllib` finds them. The last alternative takes the rest: no second try from there."""
 
 
 def parse_toml(content: str | bytes, parse_float: Callable[[str], Any] = float) -> dict[str, Any]:
@@ -73,16 +65,34 @@ def parse_toml(content: str | bytes, parse_float: Callable[[str], Any] = float) 
         raise InvalidValueError(f"not TOML that can be read: {error}") from None
 
 
+def read_toml(content: str | bytes, model: "type[Model]", parse_float: Callable[[str], Any] = float) -> "Model":
+    """Parse a TOML text and validate it.
+
+    Raises:
+        InvalidValueError: if it is not TOML, or does not fit the model; the message names the keys that are allowed.
+    """
+    from pydantic import ValidationError  # slow to load
+
+    table = parse_toml(content, parse_float)
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        unknown = [name for name in table if name not in model.model_fields]
+        if unknown:
+            allowed = ", ".join(model.model_fields)
+            raise InvalidValueError(f"unknown key {shown(unknown[0])}; allowed: {allowed}") from None
+        raise InvalidValueError(text_of(error)) from None
+
+
 def _require_simple(text: str) -> None:
-    found: Counter[str] = Counter()
-    for token in TOKEN.finditer(text):
-        kind = str(token.lastgroup)
-        if kind == "unclosed":
+    for number, found in enumerate(TEXT.finditer(text)):
+        if found["unclosed"]:
             raise ValueError("a string is not closed")
-        found[kind] += 1
-        most, plural = MOST[kind]
-        if found[kind] > most:
+        if number == MOST_TEXTS or found.end() - found.start() > LONGEST_TEXT:
+            raise ValueError(f"it has more than {MOST_TEXTS} strings, or one of more than {LONGEST_TEXT} characters")
+    bare = TEXT.sub(" ", text)
+    for pattern, (most, plural) in MOST.items():
+        if sum(1 for _ in re.finditer(pattern, bare)) > most:
             raise ValueError(f"it has more than {most} {plural}")
-        longest = {"string": LONGEST_TEXT, "word": LONGEST_WORD}.get(kind)
-        if longest is not None and token.end() - token.start() > longest:
-            raise ValueError(f"it has a {kind} of more than {longest} characters")
+    if re.search(rf"[\w+-]{{{LONGEST_WORD + 1}}}", bare):
+        raise ValueError(f"it has a word of more than {LONGEST_WORD} characters")

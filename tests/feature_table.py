@@ -1,4 +1,4 @@
-"""The table of features: what was promised, by id, and whether its tests pass. `make features` prints it.
+"""The table of features: what was promised, by id, and whether its tests pass. `pytest --features` prints it.
 
 A test speaks for a feature by its mark: `@pytest.mark.feature("E1")`.
 """

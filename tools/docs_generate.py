@@ -1,4 +1,4 @@
-"""Write the generated parts of the documentation: `make docs-data`, some minutes.
+"""Write the generated parts of the documentation, in some minutes.
 
     tasks   docs/tasks.md: the numbers of every task, a picture, and how the agents fly it; docs/images/<task>.png;
             README.md: the table of what the agents reach

@@ -1,4 +1,4 @@
-"""Take the pictures of the page: `make screenshots`, half a minute.
+"""Take the pictures of the page, in half a minute.
 
     docs/images/dashboard-fly.png        the trained network over hard map 7
     docs/images/dashboard-fly-light.png  the same in light colours

@@ -1,6 +1,6 @@
-"""Write the tables of the documentation that follow from the code, and the diagram of its imports: takes seconds.
+"""Write the tables of the documentation that follow from the code: takes seconds.
 
-python tools/docs_tables.py            writes them between their markers, and docs/images/imports.svg
+python tools/docs_tables.py            writes them between their markers
 python tools/docs_tables.py --check    changes nothing, and names what is not up to date
 """
 
@@ -8,10 +8,9 @@ import sys
 from pathlib import Path
 from typing import cast
 
-from docs_imports import diagram
 from pydantic_settings import BaseSettings
 
-from drone_env.city.layers import Rule, layers
+from drone_env.city.openstreetmap import Rule, layers
 from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.tasks import TASKS, TaskConfig
@@ -166,7 +165,7 @@ def put(page: str, name: str, text: str) -> str:
 
 def changes() -> dict[Path, str]:
     """The files that are not up to date, and what they should hold."""
-    files: dict[Path, str] = {DOCS / "images" / "imports.svg": diagram()}
+    files: dict[Path, str] = {}
     for (page, name), text in tables().items():
         path = DOCS / page
         files[path] = put(files.get(path) or path.read_text(encoding="utf-8"), name, text)

@@ -1,4 +1,4 @@
-"""A city: the terrain of a place, and its file.
+"""A city: the terrain of a place, its file, and its task.
 
     format = 1
     attribution = "© OpenStreetMap contributors"
@@ -23,23 +23,24 @@ for a road, 🏢, 🌳, 🚧 for what cannot be entered, 🔋 for a pad.
 """
 
 import json
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from drone_env.core.cells import SYMBOLS, Cell
-from drone_env.core.tasks import MAX_DELIVERIES
-from drone_env.core.terrain import PLACED, XY, pieces
+from drone_env.core.tasks import MAX_DELIVERIES, TaskConfig, task_on
+from drone_env.core.tasks import MAX_SIDE as MAX_FLOWN
+from drone_env.core.terrain import PLACED, XY, Terrain, pieces
 from drone_env.errors import InvalidTaskError, InvalidValueError, shown
 from drone_env.files import read_file, write_text
-from drone_env.toml_text import parse_toml
+from drone_env.toml_text import read_toml
 
-FORMAT = 1
 MIN_SIDE, MAX_SIDE = 2, 512
 """Cells along a side of a city. A task flies at most `core.tasks.MAX_SIDE` of them."""
 MAX_FILE = 2 << 20
@@ -49,9 +50,11 @@ MAX_TEXT = 200
 CELL_OF = {SYMBOLS[kind]: kind for kind in PLACED}
 ALLOWED = ", ".join(f"{symbol!r} {kind.name.lower()}" for symbol, kind in CELL_OF.items())
 TEXTS = ("attribution", "licence", "source")
-KEYS = ("format", *TEXTS, "cell", "bbox", "start", "parcels", "task", "terrain")
-NUMBERS = ("width", "height", "deliveries", "max_steps", "battery_capacity", "charge_rate", "pads")
-"""The numbers of a task that a city may name; `city_task` says what they are where it does not."""
+Number = Literal["width", "height", "deliveries", "max_steps", "battery_capacity", "charge_rate", "pads"]
+"""The numbers of a task that a city may name; `task_of` says what the others are."""
+DELIVERIES, PADS, CHARGE_RATE = 5, 4, 5
+BBox = tuple[float, float, float, float]
+"""West, south, east, north in degrees (WGS 84)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,7 @@ class City:
         bbox: West, south, east, north in degrees (WGS 84).
         start: (x, y) of the start, a road.
         parcels: (x, y) of each parcel, by its index: roads that can be reached from the start and from each other.
-        numbers: Those of `NUMBERS` that the city names for its task.
+        numbers: Those that the city names for its task.
 
     Raises:
         InvalidTaskError: on construction, if it contradicts this; the message says where.
@@ -77,7 +80,7 @@ class City:
     licence: str = ""
     source: str = ""
     cell: float | None = None
-    bbox: tuple[float, float, float, float] | None = None
+    bbox: BBox | None = None
     start: XY | None = None
     parcels: tuple[XY, ...] = ()
     numbers: Mapping[str, int] = field(default_factory=dict[str, int])
@@ -90,7 +93,7 @@ class City:
             text = getattr(self, name)
             fits = text.isprintable() and len(text) <= MAX_TEXT
             _require(fits, f"{name} must be one printable line of at most {MAX_TEXT} characters, got {shown(text)}")
-        _require(self.cell is None or 0 < self.cell < math.inf, f"cell must be metres above 0, got {self.cell}")
+        _require(self.cell is None or 0 < self.cell < inf, f"cell must be metres above 0, got {self.cell}")
         if self.bbox is not None:
             check_bbox(self.bbox)
         _require(len(self.parcels) <= MAX_DELIVERIES, f"at most {MAX_DELIVERIES} parcels, got {len(self.parcels)}")
@@ -111,6 +114,31 @@ class City:
                 _require(bool(piece[at[1], at[0]] == piece[y, x]), message)
 
 
+class Rows(BaseModel):
+    """The table `[terrain]` of a city's file."""
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    rows: Annotated[list[str], Field(min_length=1)]
+
+
+class CityFile(BaseModel):
+    """The file of a city; `City` checks what its values mean."""
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    format: Literal[1]
+    attribution: str = ""
+    licence: str = ""
+    source: str = ""
+    cell: FiniteFloat | None = None
+    bbox: Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None, Field(strict=False)] = None
+    start: Annotated[XY | None, Field(strict=False)] = None
+    parcels: Annotated[tuple[Annotated[XY, Field(strict=False)], ...], Field(strict=False)] = ()
+    task: dict[Number, int] = {}
+    terrain: Rows
+
+
 def check_bbox(bbox: Iterable[float]) -> None:
     """See that west, south, east, north span a piece of the world.
 
@@ -126,13 +154,13 @@ def check_bbox(bbox: Iterable[float]) -> None:
 
 def city_text(city: City) -> str:
     """The file of a city; equal cities give equal texts."""
-    lines = [f"format = {FORMAT}"]
+    lines = ["format = 1"]
     lines += [f"{name} = {json.dumps(text, ensure_ascii=False)}" for name in TEXTS if (text := getattr(city, name))]
     lines += [f"cell = {city.cell!r}"] * (city.cell is not None)
     lines += [f"bbox = {list(city.bbox or ())!r}"] * (city.bbox is not None)
     lines += [f"start = {list(city.start or ())!r}"] * (city.start is not None)
     lines += [f"parcels = {[list(parcel) for parcel in city.parcels]!r}"] * bool(city.parcels)
-    numbers = [f"{name} = {city.numbers[name]}" for name in NUMBERS if name in city.numbers]
+    numbers = [f"{name} = {city.numbers[name]}" for name in get_args(Number) if name in city.numbers]
     lines += ["", "[task]", *numbers] if numbers else []
     lines += ["", "[terrain]", "rows = [", *(f'    "{row}",' for row in text_rows(city.grid)), "]"]
     return "\n".join(lines) + "\n"
@@ -176,49 +204,68 @@ def parse_city(content: str | bytes) -> City:
         InvalidTaskError: if it is not a city; the message says why.
     """
     try:
-        table = parse_toml(content)
+        file = read_toml(content, CityFile)
     except InvalidValueError as error:
         raise InvalidTaskError(str(error)) from None
-    for key in table:
-        _require(key in KEYS, f"unknown key {shown(key)}; allowed: {', '.join(KEYS)}")
-    version = table.get("format")
-    _require(type(version) is int and version == FORMAT, f"format must be {FORMAT}, got {shown(version)}")
-    terrain = table.get("terrain")
-    given = list(cast(dict[str, Any], terrain)) if isinstance(terrain, dict) else terrain
-    _require(given == ["rows"], f"[terrain] holds rows and nothing else, got {shown(given)}")
-    values: dict[str, Any] = {}
-    for name in TEXTS:
-        values[name] = table.get(name, "")
-        _require(isinstance(values[name], str), f"{name} must be a text, got {shown(values[name])}")
-    if "cell" in table:
-        _require(_is_number(table["cell"]), f"cell must be a number of metres, got {shown(table['cell'])}")
-        values["cell"] = float(table["cell"])
-    if "bbox" in table:
-        box = _list(table["bbox"], "bbox", _is_number, 4, "[west, south, east, north]")
-        values["bbox"] = tuple(map(float, box))
-    if "start" in table:
-        values["start"] = _position(table["start"], "start")
-    if "parcels" in table:
-        parcels = table["parcels"]
-        _require(isinstance(parcels, list), f"parcels must be [[x, y], ...], got {shown(parcels)}")
-        values["parcels"] = tuple(_position(parcel, f"parcel {i}") for i, parcel in enumerate(parcels))
-    numbers = table.get("task", {})
-    _require(isinstance(numbers, dict), f"[task] must be a table, got {shown(numbers)}")
-    for name, number in numbers.items():
-        _require(name in NUMBERS, f"unknown number {shown(name)} in [task]; allowed: {', '.join(NUMBERS)}")
-        _require(type(number) is int, f"{name} must be an integer, got {shown(number)}")
-    return City(numbers=numbers, grid=_grid_of(table["terrain"]["rows"]), **values)
-
-
-def _grid_of(rows: Any) -> npt.NDArray[np.uint8]:
-    texts = cast(list[Any], rows) if isinstance(rows, list) else []
-    is_texts = bool(texts) and all(isinstance(row, str) for row in texts)
-    _require(is_texts, "rows must be a list of texts, one for each row")
-    grid = [_kinds(row, y) for y, row in enumerate(texts)]
+    grid = [_kinds(row, y) for y, row in enumerate(file.terrain.rows)]
     for y, row in enumerate(grid):
         wide = f"rows must be equally wide: row 0 has {len(grid[0])} cells, row {y} has {len(row)}"
         _require(len(row) == len(grid[0]), wide)
-    return np.array(grid, np.uint8)
+    values = {name: getattr(file, name) for name in (*TEXTS, "cell", "bbox", "start", "parcels")}
+    return City(np.array(grid, np.uint8), numbers={**file.task}, **values)
+
+
+def task_of(city: City, name: str) -> TaskConfig:
+    """The task whose maps are drawn on a city: as `skyline`, obstacles are closed, and buildings and trees cost more.
+
+    What the city's numbers leave open: maps as large as the city, or else windows of it with 4 pads; 5 parcels, or as
+    many as it fixes; as many steps as five times width and height of a map; where there is a pad, half as many again as
+    width and height of battery units, else as many as steps.
+
+    Args:
+        city: The city.
+        name: Id and short name of the task.
+
+    Raises:
+        InvalidTaskError: if the name is none, the city is too large, or its numbers do not fit; the message says why.
+    """
+    rows, columns = city.grid.shape
+    width, height = city.numbers.get("width", columns), city.numbers.get("height", rows)
+    terrain = Terrain(city.grid.tobytes(), columns, city.start, city.parcels, city.attribution)
+    pads = city.numbers.get("pads", terrain.count(Cell.PAD) if (width, height) == (columns, rows) else PADS)
+    max_steps = 5 * (width + height)
+    numbers = {
+        "deliveries": len(city.parcels) or DELIVERIES,
+        "max_steps": max_steps,
+        "battery_capacity": 3 * (width + height) // 2 if pads else city.numbers.get("max_steps", max_steps),
+        "charge_rate": CHARGE_RATE if pads else 0,
+        **city.numbers,
+        "width": width,
+        "height": height,
+        "pads": pads,
+    }
+    if max(width, height) > MAX_FLOWN:
+        sides = f"width and height must be 2 to {MAX_FLOWN}, got {(width, height)}"
+        raise InvalidTaskError(
+            f"task {name!r}: {sides}; a city may name less in [task], for maps that are windows of it"
+        )
+    task = task_on(terrain, name, **numbers)
+    _ = task.windows  # what does not fit is refused here
+    return task
+
+
+def city_task(path: str | Path) -> TaskConfig:
+    """The task of a city's file; its name is the file's, without the suffix.
+
+    Raises:
+        OSError: if the file cannot be read.
+        InvalidTaskError: if it is no city, or none that can be a task; the message says why.
+    """
+    city = read_city(path)
+    try:
+        return task_of(city, Path(path).stem)
+    except InvalidTaskError as error:
+        raise InvalidTaskError(f"city {path}: {error}") from None
 
 
 def _kinds(row: str, y: int) -> list[int]:
@@ -233,21 +280,6 @@ def _kinds(row: str, y: int) -> list[int]:
         kinds.append(CELL_OF[symbol])
         at += len(symbol)
     return kinds
-
-
-def _position(value: Any, name: str) -> XY:
-    x, y = _list(value, name, lambda item: type(item) is int, 2, "[x, y], two integers")
-    return x, y
-
-
-def _list(value: Any, name: str, fits: Callable[[object], bool], length: int, form: str) -> list[Any]:
-    items = cast(list[Any], value) if isinstance(value, list) else []
-    _require(len(items) == length and all(map(fits, items)), f"{name} must be {form}, got {shown(cast(object, value))}")
-    return items
-
-
-def _is_number(value: object) -> bool:
-    return type(value) in (int, float) and math.isfinite(float(value))  # pyright: ignore[reportArgumentType]
 
 
 def _named(kind: Cell) -> str:

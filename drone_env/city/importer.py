@@ -1,5 +1,10 @@
-"""A city from an extract of OpenStreetMap, or from a map of the MovingAI benchmark."""
+"""A city from an extract of OpenStreetMap, or from a map of the MovingAI benchmark.
 
+The format of the latter: https://movingai.com/benchmarks/formats.html (Sturtevant, "Benchmarks for Grid-Based
+Pathfinding", IEEE Transactions on Computational Intelligence and AI in Games 4(2), 2012).
+"""
+
+import re
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,17 +12,36 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from drone_env.city.city_file import MAX_SIDE, MIN_SIDE, City
-from drone_env.city.layers import Layer, layers
-from drone_env.city.movingai import read_movingai
-from drone_env.city.openstreetmap import ATTRIBUTION, LICENCE, Extract, Found, extent, read_extract
-from drone_env.city.raster import paint_area, paint_line, water_beside
-from drone_env.city.sheet import MAX_CELL, MIN_CELL, BBox, Sheet, sheet_of
+from drone_env.city.city_file import MAX_SIDE, MIN_SIDE, BBox, City
+from drone_env.city.openstreetmap import ATTRIBUTION, LICENCE, Extract, Found, Layer, extent, layers, read_extract
+from drone_env.city.raster import (
+    MAX_CELL,
+    MIN_CELL,
+    GridProjection,
+    paint_area,
+    paint_line,
+    projection_of,
+    water_beside,
+)
 from drone_env.core.cells import Cell
 from drone_env.errors import InvalidValueError
+from drone_env.files import read_file
 
 FINE = 16
 """Samples along the side of a cell: one a metre, where nothing else is said."""
+CELL_OF = {
+    ".": Cell.ROAD,
+    "G": Cell.ROAD,
+    "S": Cell.TREE,
+    "@": Cell.OBSTACLE,
+    "O": Cell.OBSTACLE,
+    "T": Cell.OBSTACLE,
+    "W": Cell.OBSTACLE,
+}
+"""What is passable, swamp (passable too, and dearer where a task has trees so), and what cannot be entered."""
+MAX_FILE = 8 << 20
+"""Bytes: room for 2,800 x 2,800 cells."""
+HEAD = re.compile(r"type octile\s+height (\d{1,5})\s+width (\d{1,5})\s+map[ \t]*\n")
 
 
 @dataclass
@@ -68,22 +92,55 @@ def import_city(path: Path, bbox: BBox | None = None, cell: float = 16.0, size: 
         return _cut(path, bbox, size)
     covered = extent(path)
     try:
-        sheet = sheet_of(bbox or covered, cell, size, middle=bbox is None)
+        projection = projection_of(bbox or covered, cell, size, middle=bbox is None)
     except InvalidValueError as error:
         raise InvalidValueError(f"{path}: {error}") from None
-    extract = read_extract(path, sheet)
+    extract = read_extract(path, projection)
     if not any(found.things for found in extract.layers.values()):
         west, south, east, north = covered
         raise InvalidValueError(f"{path}: nothing of the layers lies there; it covers {west} {south} {east} {north}")
-    grid, owner = _terrain(extract, sheet)
+    grid, owner = _terrain(extract, projection)
     rows = [
         (layer.name, layer.kind, extract.layers[layer.name].things, int((owner == i).sum()))
         for i, layer in enumerate(layers())
     ]
-    city = City(grid, ATTRIBUTION, LICENCE, path.name, cell, sheet.bbox)
-    whole = None if bbox else sheet_of(covered, cell, (1 << 30, 1 << 30))
+    city = City(grid, ATTRIBUTION, LICENCE, path.name, cell, projection.bbox)
+    whole = None if bbox else projection_of(covered, cell, (1 << 30, 1 << 30))
     of = whole and (whole.columns, whole.rows)
     return Imported(city, of, rows, extract.outside, extract.broken, extract.unknown)
+
+
+def read_movingai(path: Path) -> npt.NDArray[np.uint8]:
+    """The cells of a `.map` file: uint8[height, width], ids of kinds.
+
+    Raises:
+        InvalidValueError: if it is none; the message says why.
+        OSError: if it cannot be read.
+    """
+
+    def require(holds: bool, message: str) -> None:
+        if not holds:
+            raise InvalidValueError(f"{path}: {message}")
+
+    text = read_file(path, MAX_FILE).decode("ascii", errors="replace").replace("\r\n", "\n")
+    head = HEAD.match(text)
+    if head is None:
+        begins = "`type octile`, `height H`, `width W`, `map`, a line each"
+        raise InvalidValueError(
+            f"{path}: not a map of the MovingAI benchmark, which begins with {begins}; got {text[:40]!r}"
+        )
+    height, width = int(head[1]), int(head[2])
+    rows = text[head.end() :].split("\n")
+    while rows and not rows[-1]:
+        rows.pop()
+    require(len(rows) == height, f"height is {height}, and there are {len(rows)} rows")
+    for y, row in enumerate(rows):
+        require(len(row) == width, f"width is {width}, and row {y} has {len(row)} cells")
+        unknown = next((x for x, sign in enumerate(row) if sign not in CELL_OF), None)
+        if unknown is not None:
+            allowed = " ".join(CELL_OF)
+            require(False, f"unknown sign {row[unknown]!r} in row {y}, column {unknown}; allowed: {allowed}")
+    return np.array([[CELL_OF[sign] for sign in row] for row in rows], np.uint8).reshape(height, width)
 
 
 def _cut(path: Path, box: BBox | None, size: tuple[int, int]) -> Imported:
@@ -106,27 +163,27 @@ def _cut(path: Path, box: BBox | None, size: tuple[int, int]) -> Imported:
     return Imported(City(np.ascontiguousarray(piece), source=path.name), whole)
 
 
-def _terrain(extract: Extract, sheet: Sheet) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+def _terrain(extract: Extract, projection: GridProjection) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
     """The kind of each cell, and the number of the layer that it belongs to; -1 for none."""
-    grid = np.full((sheet.rows, sheet.columns), Cell.ROAD, np.uint8)
+    grid = np.full((projection.rows, projection.columns), Cell.ROAD, np.uint8)
     owner = np.full(grid.shape, -1)
     for number, layer in enumerate(layers()):
-        claimed = _claims(layer, extract.layers[layer.name], sheet) & (owner < 0)
+        claimed = _claims(layer, extract.layers[layer.name], projection) & (owner < 0)
         owner[claimed] = number
         grid[claimed] = layer.kind
     return grid, owner
 
 
-def _claims(layer: Layer, found: Found, sheet: Sheet) -> npt.NDArray[np.bool_]:
+def _claims(layer: Layer, found: Found, projection: GridProjection) -> npt.NDArray[np.bool_]:
     """bool[rows, columns]: the cells that a layer claims."""
-    claimed = np.zeros((sheet.rows, sheet.columns), np.bool_)
+    claimed = np.zeros((projection.rows, projection.columns), np.bool_)
     if found.areas or found.lines:
-        covered = np.zeros((sheet.rows * FINE, sheet.columns * FINE), np.bool_)
+        covered = np.zeros((projection.rows * FINE, projection.columns * FINE), np.bool_)
         for rings in found.areas:
             paint_area(covered, [ring * FINE for ring in rings])
         for line, width in found.lines:
-            paint_line(covered, line * FINE, width / sheet.cell * FINE)
-        samples = np.reshape(covered, (sheet.rows, FINE, sheet.columns, FINE)).sum(axis=(1, 3))
+            paint_line(covered, line * FINE, width / projection.cell * FINE)
+        samples = np.reshape(covered, (projection.rows, FINE, projection.columns, FINE)).sum(axis=(1, 3))
         claimed |= samples >= layer.share * FINE**2
     if found.coasts:
         claimed |= water_beside(found.coasts, claimed.shape)

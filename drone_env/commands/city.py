@@ -8,8 +8,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from drone_env.city.city_file import MAX_SIDE, write_city
-from drone_env.city.city_task import task_of
+from drone_env.city.city_file import MAX_SIDE, task_of, write_city
 from drone_env.city.importer import Imported, import_city
 from drone_env.commands.flights import prepare_file
 from drone_env.core.cells import Cell

@@ -2,7 +2,6 @@
 
 import os
 import re
-import signal
 import sys
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing
@@ -22,16 +21,11 @@ if sys.platform != "win32":  # where keys come with Enter
     import tty
 
 KEYS = {
-    "\x1b[A": Action.UP,
-    "\x1b[B": Action.DOWN,
-    "\x1b[C": Action.RIGHT,
-    "\x1b[D": Action.LEFT,
-    "w": Action.UP,
-    "s": Action.DOWN,
-    "a": Action.LEFT,
-    "d": Action.RIGHT,
-    " ": Action.WAIT,
-    ".": Action.WAIT,
+    **dict.fromkeys(("\x1b[A", "w"), Action.UP),
+    **dict.fromkeys(("\x1b[B", "s"), Action.DOWN),
+    **dict.fromkeys(("\x1b[C", "d"), Action.RIGHT),
+    **dict.fromkeys(("\x1b[D", "a"), Action.LEFT),
+    **dict.fromkeys((" ", "."), Action.WAIT),
 }
 QUIT = {"q", "\x04"}
 HELP = "Arrow keys or w a s d fly, space or . waits, q gives up."
@@ -73,12 +67,9 @@ def play(task: TaskName = "easy", seed: Seed = None, reward_profile: ProfileName
         console.print("The optimum of this task is not known.")
         return
     console.print(f"The optimum: {optimum.score * 100:.1f} in {optimum.steps} steps")
-    if score == optimum.score:
-        console.print("You flew the optimum!")
-    else:
-        regret = (optimum.score - score) * 100
-        see = f"drone-env solve --task {task_argument(episode.task)} --seed {episode.seed}"
-        console.print(f"Regret: {regret:.1f}. See the best flight: {see}")
+    see = f"See the best flight: drone-env solve --task {task_argument(episode.task)} --seed {episode.seed}"
+    regret = (optimum.score - score) * 100
+    console.print(f"Regret: {regret:.1f}. {see}" if score < optimum.score else "You flew the optimum!")
 
 
 def _show(console: Console, episode: Episode) -> None:
@@ -89,30 +80,17 @@ def _show(console: Console, episode: Episode) -> None:
 
 
 def _keys() -> Generator[str, None, None]:
-    """Keys as they are pressed; characters of standard input where that is no terminal."""
+    """Keys as they are pressed; the characters of standard input if that is no terminal."""
     if sys.platform == "win32" or not sys.stdin.isatty():
         yield from split_keys(iter(lambda: sys.stdin.read(1), ""))
         return
     terminal = sys.stdin.fileno()
     before = termios.tcgetattr(terminal)
-
-    def set_cbreak(*_: object) -> None:
-        # Without flushing: what is typed while the map is drawn counts.
-        tty.setcbreak(terminal, termios.TCSADRAIN)
-
-    def leave(*_: object) -> None:
-        sys.exit(143)
-
-    handlers = {
-        signal.SIGCONT: signal.signal(signal.SIGCONT, set_cbreak),
-        signal.SIGTERM: signal.signal(signal.SIGTERM, leave),
-    }
     try:
-        set_cbreak()
+        # TCSADRAIN: keys that were typed before the map was drawn count.
+        tty.setcbreak(terminal, termios.TCSADRAIN)
         yield from split_keys(iter(lambda: os.read(terminal, 64).decode(errors="replace"), ""))
     finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)
 
 

@@ -95,7 +95,7 @@ def register_city(path: str | Path) -> TaskConfig:
 
 
 def _register_city(path: str | Path) -> TaskConfig:
-    from drone_env.city.city_task import city_task  # which few need
+    from drone_env.city.city_file import city_task  # which few need
 
     return register_task(city_task(path))
 

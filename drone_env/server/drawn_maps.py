@@ -11,8 +11,7 @@ from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
-from drone_env.city.city_file import MAX_FILE, City, parse_city
-from drone_env.city.city_task import task_of
+from drone_env.city.city_file import MAX_FILE, City, parse_city, task_of
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import InvalidTaskError, InvalidValueError, StoreError
 from drone_env.files import read_file, write_text

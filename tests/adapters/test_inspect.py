@@ -1,4 +1,4 @@
-"""The drone as a task of Inspect, flown through Inspect's own evaluation: `make adapters`."""
+"""The drone as a task of Inspect, flown through Inspect's own evaluation: `tools/verify.sh adapters`."""
 
 import subprocess
 import sys

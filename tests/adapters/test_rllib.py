@@ -1,4 +1,4 @@
-"""Drones in RLlib, one by one and many at once: `make adapters`."""
+"""Drones in RLlib, one by one and many at once: `tools/verify.sh adapters`."""
 
 from collections.abc import Generator
 from pathlib import Path

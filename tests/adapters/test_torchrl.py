@@ -1,4 +1,4 @@
-"""Many drones in TorchRL: its own check, and rollouts beside the environment flown by hand: `make adapters`."""
+"""Many drones in TorchRL: its check, and rollouts beside the environment flown by hand (tools/verify.sh adapters)."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The drone in TRL's own GRPOTrainer: `make adapters`, as TRL is no part of the development tools."""
+"""The drone in TRL's own GRPOTrainer: `tools/verify.sh adapters`, as TRL is no part of the development tools."""
 
 from pathlib import Path
 from typing import Any

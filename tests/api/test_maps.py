@@ -10,8 +10,7 @@ import pytest
 from pydantic import SecretStr
 from starlette.testclient import TestClient
 
-from drone_env.city.city_file import City, city_text, read_city, write_city
-from drone_env.city.city_task import city_task
+from drone_env.city.city_file import City, city_task, city_text, read_city, write_city
 from drone_env.core.tasks import get_task
 from drone_env.errors import UnknownNameError
 from drone_env.planning.optimal import solve
@@ -101,7 +100,7 @@ def test_a_bad_drawing_is_refused_with_what_is_allowed(
 @pytest.mark.parametrize(
     ("toml", "detail"),
     [
-        ("format = 2", "format must be 1, got 2"),
+        ("format = 2", "format: Input should be 1"),
         ("a." * 12_000 + "a = 1", "not TOML that can be read: it has more than 64 dots outside strings"),
         (f"{HALF}\n[task]\nmax_steps = 121", "max_steps must be at most 120 on a drawn map of 3 x 3 cells"),
     ],

@@ -8,7 +8,7 @@ import gymnasium
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from drone_env.city.city_task import city_task
+from drone_env.city.city_file import city_task
 from drone_env.cli import main
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS

@@ -1,4 +1,4 @@
-"""The Dockerfile as a text; `make image-check` builds it and proves the image."""
+"""The Dockerfile as a text; `tools/check_image.py` builds it and proves the image."""
 
 import json
 import re
@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from tests.api.serving import Server
-from tests.package.extras import brought, loaded_by
 from tests.tools import missing_tool, reserved_port
 
 from .commands import ROOT, linter
@@ -37,42 +36,27 @@ def test_hadolint_finds_nothing() -> None:
 
 
 @pytest.mark.feature("P2")
-def test_it_starts_as_documented() -> None:
-    assert json.loads(only("CMD")) == START
-    assert only("EXPOSE") == "8000"
-    assert only("USER") == "1000:1000"
-    assert [name for name, _ in instructions(ROOT / "Dockerfile")].count("FROM") == 2
-    assert health_command(9000)[-1].count("127.0.0.1:9000/health") == 1
-
-
-def test_it_declares_no_volume() -> None:
-    # OpenEnv's validator refuses an image with one.
-    assert "VOLUME" not in [name for name, _ in instructions(ROOT / "Dockerfile")]
-
-
-def test_the_stages_share_a_base_that_can_be_chosen() -> None:
+def test_it_has_two_stages_and_starts_as_documented() -> None:
     known = instructions(ROOT / "Dockerfile")
     assert known[0] == ("ARG", "BASE=python:3.12-slim-bookworm")
     assert [rest for name, rest in known if name == "FROM"] == ["${BASE} AS dependencies", "${BASE}"]
+    assert (json.loads(only("CMD")), only("EXPOSE"), only("USER")) == (START, "8000", "1000:1000")
+    assert "VOLUME" not in dict(known)  # OpenEnv's validator refuses an image with one
 
 
 @pytest.mark.feature("P2")
 def test_the_sources_do_not_invalidate_the_dependencies() -> None:
     known = instructions(ROOT / "Dockerfile")
-    first_stage = known[: [i for i, (name, _) in enumerate(known) if name == "FROM"][1]]
-    assert [rest for name, rest in first_stage if name == "COPY"] == ["pyproject.toml uv.lock ./"]
     lock, sources = known.index(("COPY", "pyproject.toml uv.lock ./")), known.index(("COPY", "drone_env drone_env"))
+    assert [name for name, _ in known[:lock]].count("COPY") == 0
     assert any(name == "RUN" and "pip" in rest for name, rest in known[lock:sources])
 
 
 @pytest.mark.feature("P2")
 def test_a_language_model_can_fly_in_it() -> None:
     (locked,) = [rest for name, rest in instructions(ROOT / "Dockerfile") if name == "RUN" and "uv export" in rest]
-    given = re.findall(r"--extra (\S+)", locked)
-    assert loaded_by("drone_env.llm.runner") | loaded_by("drone_env.llm.report_plots") <= brought(*given)
-    copied = [rest.split() for name, rest in instructions(ROOT / "Dockerfile") if name == "COPY"]
-    assert [sources[-1] for sources in copied if "inference.py" in sources] == ["./"]
-    # Under a read-only root, what a run writes goes where the server's data goes.
+    assert re.findall(r"--extra (\S+)", locked) == ["server", "llm"]
+    # Under a read-only root, a run writes where the server writes.
     (environment,) = [rest for name, rest in instructions(ROOT / "Dockerfile") if name == "ENV" and "DATA" in rest]
     folders = dict(part.split("=") for part in environment.split())
     assert folders["DRONE_ENV_DATA"].startswith("/tmp/")
@@ -95,11 +79,7 @@ def health_command(port: int) -> list[str]:
     return [sys.executable, "-S", "-c", command[2].replace(":8000", f":{port}")]
 
 
-def test_the_healthcheck_tells_a_well_server(server: Server) -> None:
+def test_the_healthcheck_passes_while_a_server_runs(server: Server) -> None:
     port = int(server.url.rpartition(":")[2])
     assert subprocess.run(health_command(port), check=False).returncode == 0
-
-
-def test_the_healthcheck_tells_a_server_that_is_gone() -> None:
-    done = subprocess.run(health_command(reserved_port()), capture_output=True, check=False)
-    assert done.returncode != 0
+    assert subprocess.run(health_command(reserved_port()), capture_output=True, check=False).returncode != 0

@@ -14,7 +14,7 @@ import pytest
 
 from drone_env import cli, get_task
 from drone_env.commands import named_files
-from drone_env.commands.parsing import parsed
+from drone_env.commands.arguments import parsed
 from drone_env.core.rewards import get_reward_profile
 from tests.docs.pages import ROOT, Block
 

@@ -47,14 +47,10 @@ def test_the_source_distribution_holds_what_a_wheel_is_built_from(built: dict[st
     assert names - made == tracked("drone_env", "CITATION.cff", "LICENSE", "MANIFEST.in", "README.md", "pyproject.toml")
 
 
-def test_the_description_renders(built: dict[str, Path]) -> None:
+def test_the_description_renders_and_names_every_python(built: dict[str, Path]) -> None:
     command = [sys.executable, "-m", "twine", "check", "--strict", *map(str, built.values())]
     checked = subprocess.run(command, capture_output=True, text=True, check=False)
     assert checked.returncode == 0, checked.stdout
-    assert checked.stdout.count("PASSED") == 2
-
-
-def test_the_metadata_names_every_python_that_is_supported(built: dict[str, Path]) -> None:
     with zipfile.ZipFile(built[".whl"]) as wheel:
         metadata = Parser().parsestr(wheel.read(f"{NAME}.dist-info/METADATA").decode())
     assert (metadata["Name"], metadata["Version"]) == (DISTRIBUTION, __version__)
@@ -88,18 +84,16 @@ def test_the_version_stands_in_one_place_and_in_files_that_agree() -> None:
 
 def test_the_citation_is_that_of_the_package() -> None:
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
-    assert {name for name in ("cff-version", "message", "title", "authors") if not cited[name]} == set()
-    assert (cited["cff-version"], cited["type"]) == ("1.2.0", "software")
+    assert (cited["cff-version"], cited["type"], cited["license"]) == ("1.2.0", "software", PROJECT["license"])
     assert (ROOT / "README.md").read_text("utf-8").startswith(f"# {cited['title']}\n")
-    assert cited["license"] == PROJECT["license"] == "MIT"
-    assert cited["authors"] == PROJECT["authors"]
-    assert cited["abstract"] == PROJECT["description"]
-    assert cited["keywords"] == PROJECT["keywords"]
+    assert [cited[name] for name in ("authors", "keywords", "abstract")] == [
+        PROJECT[name] for name in ("authors", "keywords", "description")
+    ]
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", [".whl", ".gz"])
 def test_what_is_handed_out_works_outside_the_checkout(built: dict[str, Path], kind: str) -> None:
-    figures = check(built[kind], page_files(built[".whl"]), sys.executable, offline=True)
-    assert figures["version"] == __version__
-    assert figures["page_files"] > 50
+    page = page_files(built[".whl"])
+    assert len(page) > 50
+    check(built[kind], page)

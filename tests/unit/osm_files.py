@@ -7,7 +7,7 @@ from xml.sax.saxutils import quoteattr
 import osmium
 import osmium.io
 
-from drone_env.city.sheet import metres_per_degree
+from drone_env.city.raster import metres_per_degree
 
 CELL, COLUMNS, ROWS = 16.0, 6, 4
 _EAST, _NORTH = metres_per_degree(60.0)

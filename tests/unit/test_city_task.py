@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,10 +11,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from drone_env.city.city_file import City, write_city
-from drone_env.city.city_task import city_task, task_of
+from drone_env.city.city_file import City, city_task, task_of, write_city
 from drone_env.cli import main
-from drone_env.cluster.sweep.config import SweepConfig, make_config
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.envs.registry import PLUGINS, load_plugins, register_city, task_argument
@@ -66,7 +62,6 @@ def test_a_city_is_a_task_of_its_counts_and_numbers(yard: Path) -> None:
         (City(GRID, numbers={"pads": 0}), "pads must be at least the 1 of the terrain, got 0"),
         (City(GRID, numbers={"deliveries": 12}), "13 things do not fit on 12 roads"),
         (City(np.zeros((129, 2), np.uint8)), "must be 2 to 128, got (2, 129); a city may name less in [task]"),
-        (City(GRID, numbers={"max_steps": 0}), "max_steps must be 1 to 32000, got 0"),
     ],
 )
 def test_a_city_that_cannot_be_a_task_is_refused(city: City, said: str, tmp_path: Path) -> None:
@@ -77,23 +72,12 @@ def test_a_city_that_cannot_be_a_task_is_refused(city: City, said: str, tmp_path
     assert said in str(raised.value)
 
 
-def test_the_name_of_the_file_is_that_of_the_task(tmp_path: Path) -> None:
-    write_city(City(GRID), tmp_path / "My Yard.toml")
-    with pytest.raises(InvalidTaskError, match="id must be lower-case letters, digits and _, got 'My Yard'"):
-        city_task(tmp_path / "My Yard.toml")
-
-
 def test_commands_take_the_file_in_place_of_a_task(yard: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["solve", "--task", str(yard), "--seed", "3", "--json"]) == 0
     best = json.loads(capsys.readouterr().out)
     assert (best["task"], best["deliveries"]) == ("yard", 3)
     assert main(["fly", f"--task={yard}", "--agent", "optimal", "--seed", "3"]) == 0
     assert capsys.readouterr().out.splitlines()[0].startswith("[START] task=drone_env.graders:grade_yard ")
-    table = ["evaluate", "--task", str(yard), "easy", "--agents", "greedy", "tournet", "optimal", "--episodes", "3"]
-    assert main(table) == 0
-    shown = capsys.readouterr().out
-    assert shown.count("yard v1") >= 1
-    assert "easy v1" in shown
     assert main(["fly", "--task", str(yard.with_name("none.toml"))]) == 2
     said = (
         "drone-env: --task takes a task or the file of a city, as `drone-env city` writes it; No such file or directory"
@@ -111,14 +95,6 @@ def test_processes_that_are_started_know_the_city(yard: Path) -> None:
     register_city(yard)
     register_city(yard)
     assert os.environ[PLUGINS] == str(yard)
-    code = """
-from drone_env import get_task
-from drone_env.envs.registry import load_plugins
-load_plugins()
-print(get_task("yard").rules()["terrain"])
-"""
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert told.strip() == TASKS["yard"].rules()["terrain"]
 
 
 def test_plugins_may_be_cities(yard: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,30 +112,24 @@ def test_a_record_is_of_one_city_alone(yard: Path, capsys: pytest.CaptureFixture
     assert main(["replay", str(file), "--verify"]) == 0
     kept = json.loads(file.read_text())
     assert kept["terrain"] == TASKS["yard"].terrain.digest()[:16]  # type: ignore[union-attr]
-    # One that was written before records had it.
-    old = yard.with_name("old.json")
-    old.write_text(json.dumps({name: value for name, value in kept.items() if name != "terrain"}))
-    assert main(["replay", str(old), "--verify"]) == 0
     del TASKS["yard"]
     write_city(City(np.roll(GRID, 1, axis=0), numbers={"deliveries": 3}), yard)
     register_city(yard)
     capsys.readouterr()
-    for command in ("replay", "analyse-flight"):
-        assert main([command, str(file)]) == 2
-        told = capsys.readouterr()
-        assert "the record is of another city than 'yard' is now" in told.err
-        assert told.out == ""
+    assert main(["replay", str(file)]) == 2
+    told = capsys.readouterr()
+    assert "the record is of another city than 'yard' is now" in told.err
+    assert told.out == ""
     assert task_argument(TASKS["yard"]) == str(yard)
 
 
 def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
-    def kept() -> tuple[dict[str, Any], dict[str, Any], SweepConfig, RunConfig]:
+    def kept() -> tuple[dict[str, Any], dict[str, Any], RunConfig]:
         run = run_config("minimal", "yard", range(2))
-        sweep = make_config("yard", "fast", [{}], 1, 1, False, 1)
-        return TrainConfig(task="yard").identity(), TourConfig(task="yard").identity(), sweep, run
+        return TrainConfig(task="yard").identity(), TourConfig(task="yard").identity(), run
 
     register_city(yard)
-    training, tour, sweep, run = kept()
+    training, tour, run = kept()
     with Store(yard.parent) as store:
         session = store.open_session("yard", 1, 7, "tiered", "someone", 9)
     Store(yard.parent).close()
@@ -171,12 +141,9 @@ def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
         with pytest.raises(CheckpointError, match="rules of yard '"):
             require_same(after, before)
         require_same(after, after)
-    (told,) = sweep.differences(now[2])
-    assert told.startswith("rules of yard: '")
-    assert sweep.model_copy(update={"rules": {}}).differences(now[2]) == now[2].differences(now[2]) == []
     with pytest.raises(ValidationError, match="the run flew another task of the name 'yard'"):
         RunConfig.model_validate(dict(run))
-    assert RunConfig.model_validate(dict(run) | {"rules": {}}).differences(now[3]) == []
+    assert RunConfig.model_validate(dict(run) | {"rules": {}}).differences(now[2]) == []
     with pytest.raises(StoreError, match="keeps flights of another task 'yard'"):
         Store(yard.parent)
     del TASKS["yard"]
@@ -196,7 +163,3 @@ def test_the_name_of_another_task_cannot_be_taken(yard: Path) -> None:
     write_city(City(GRID.T.copy()), yard)
     with pytest.raises(InvalidTaskError, match="yard already names the task 'yard'"):
         register_city(yard)
-    easy = yard.with_name("easy.toml")
-    write_city(City(GRID), easy)
-    with pytest.raises(InvalidTaskError, match="easy already names the task 'easy_delivery'"):
-        register_city(easy)

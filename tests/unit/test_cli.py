@@ -13,41 +13,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from drone_env import __version__
-from drone_env.agents import AGENTS, GreedyAgent, pathqnet
+from drone_env.agents import pathqnet
 from drone_env.agents.pathqnet import shipped_network
 from drone_env.cli import main
 from drone_env.commands.play import split_keys
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.seeds import split_seeds
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import TooLargeError
+from drone_env.core.tasks import get_task
 from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import episodes_key, run_episodes, summarise
 from drone_env.results.statistics import with_interval
-
-STEP = re.compile(r"\[STEP\] step=(\d+) action=([A-Z]+) reward=(\d\.\d\d) done=(true|false) error=null")
-
-
-@pytest.mark.parametrize("task", ["easy", "medium_delivery", "drone_env.graders:grade_hard"])
-@pytest.mark.parametrize("agent", ["random", "greedy", "optimal"])
-def test_fly_prints_log_lines_that_say_what_was_flown(
-    task: str, agent: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["fly", "--task", task, "--agent", agent, "--seed", "7"]) == 0
-    first, *steps, last = capsys.readouterr().out.splitlines()
-    episode = Episode(task, "tiered")
-    episode.reset(7)
-    assert first == f"[START] task={episode.task.grader} env=drone_env_v1 model={agent}"
-    rewards = []
-    for number, line in enumerate(steps, start=1):
-        step, action, reward, done = STEP.fullmatch(line).groups()
-        rewards.append(f"{episode.step(Action[action]):.2f}")
-        assert (int(step), reward, done) == (number, rewards[-1], "true" if episode.ended else "false")
-    assert episode.ended
-    success = "true" if episode.success else "false"
-    assert last == f"[END] success={success} steps={len(steps)} score={episode.score:.3f} rewards={','.join(rewards)}"
 
 
 def test_fly_to_the_byte_on_a_map_by_hand(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
@@ -80,14 +56,6 @@ def test_fly_without_a_seed_tells_the_map_it_flew(capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out == captured.out
 
 
-def test_fly_pays_by_the_chosen_profile(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["fly", "--seed", "1", "--reward-profile", "score"])
-    end = capsys.readouterr().out.splitlines()[-1]
-    score, rewards = re.search(r"score=(\S+) rewards=(\S+)", end).groups()
-    assert [float(reward) for reward in rewards.split(",")][:-1] == [0.0] * (rewards.count(","))
-    assert float(rewards.split(",")[-1]) == pytest.approx(float(score), abs=0.006)
-
-
 def test_evaluate_prints_only_json_on_request(capsys: pytest.CaptureFixture[str]) -> None:
     tasks, agents = ["--task", "easy", "hard"], ["--agents", "greedy", "random"]
     assert main(["evaluate", *tasks, *agents, "--episodes", "5", "--json", "-"]) == 0
@@ -106,20 +74,6 @@ def test_evaluate_prints_only_json_on_request(capsys: pytest.CaptureFixture[str]
     }  # fmt: skip
 
 
-def test_evaluate_shows_a_table_and_writes_the_same_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "results.json"
-    assert main(["evaluate", "--agents", "optimal", "--seeds", "3:6", "--json", str(file)]) == 0
-    report = json.loads(file.read_text())
-    out = capsys.readouterr().out
-    assert (report["package"], list(report["tasks"])) == (__version__, list(TASKS))
-    for task, of_task in report["tasks"].items():
-        assert (of_task["split"], of_task["seeds"], of_task["episodes"]) == ("custom", [3, 6], 3)
-        assert of_task["agents"]["optimal"]["score_ratio"] == 1
-        assert f"{task.removesuffix('_delivery')} " in out
-        assert f"{of_task['agents']['optimal']['mean_score']:.4f}" in out
-    assert [path.name for path in tmp_path.iterdir()] == ["results.json"]
-
-
 def test_a_bar_is_for_terminals_alone_whatever_colours_are_forced(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -127,13 +81,6 @@ def test_a_bar_is_for_terminals_alone_whatever_colours_are_forced(
     monkeypatch.setenv("TERM", "xterm-256color")
     assert main(["evaluate", "--task", "easy", "--agents", "greedy", "--seeds", "3:5"]) == 0
     assert capsys.readouterr().err == ""
-
-
-def test_evaluate_unless_told_otherwise_flies_a_thousand_test_maps(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["evaluate", "--task", "easy", "--agents", "greedy", "--json", "-"]) == 0
-    easy = json.loads(capsys.readouterr().out)["tasks"]["easy_delivery"]
-    maps = split_seeds("test", 1000)
-    assert (easy["split"], easy["episodes"], easy["seeds"]) == ("test", 1000, [maps.start, maps.stop])
 
 
 def test_the_table_shows_every_figure_in_its_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -178,21 +125,6 @@ def test_an_agent_that_cannot_fly_a_task_leaves_its_row_empty_and_says_why(
     assert json.loads(capsys.readouterr().out)["tasks"]["skyline_easy"]["agents"]["pathqnet"]["unsupported"] == why
 
 
-def test_a_task_that_is_too_large_for_an_agent_leaves_its_row_empty(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def heavy(task: TaskConfig) -> GreedyAgent:
-        if task.width > 10:
-            raise TooLargeError(f"{task.id} is too large")
-        return GreedyAgent(task)
-
-    monkeypatch.setitem(AGENTS, "heavy", heavy)
-    assert main(["evaluate", "--task", "easy", "hard", "--agents", "heavy", "--seeds", "3:4", "--json", "-"]) == 0
-    easy, hard = json.loads(capsys.readouterr().out)["tasks"].values()
-    assert easy["agents"]["heavy"]["mean_score"] > 0.9
-    assert hard["agents"]["heavy"]["unsupported"] == "hard_delivery is too large"
-
-
 def test_maps_that_are_too_large_to_be_solved_are_flown_and_have_bounds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -214,12 +146,6 @@ def test_maps_that_are_too_large_to_be_solved_are_flown_and_have_bounds(
     assert "GB are allowed" in optimal["unsupported"]
     assert main(["compare", "greedy", "optimal", *task, "--episodes", "2"]) == 0
     assert "full, optimal: the exact values" in capsys.readouterr().out
-
-
-def test_where_nobody_flies_anything_the_reason_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
-    tasks = ["skyline_easy", "skyline_medium"]
-    assert main(["evaluate", "--task", *tasks, "--agents", "pathqnet", "--episodes", "2"]) == 2
-    assert "no network is shipped for 'skyline_easy'" in capsys.readouterr().err
 
 
 def test_a_named_network_must_fit_one_of_the_tasks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -275,36 +201,26 @@ def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.Cap
     ("arguments", "allowed"),
     [
         (["fly", "--task", "esy"], "did you mean 'easy'? allowed: city, city_small, easy, hard, medium, skyline_easy"),
-        (["fly", "--agent", "ace"], "greedy, optimal, pathqnet, random"),
         (["fly", "--reward-profile", "generous"], "aligned, composite, score, tiered"),
         (["fly", "--seed", "-1"], "[0, 2^53)"),
-        (["evaluate", "--task", "easy", "extreme"], "easy, hard"),
         (["evaluate", "--agents", "ace"], "greedy, optimal, pathqnet, random"),
-        (["evaluate", "--split", "exam"], "test, train, validation"),
         (["evaluate", "--episodes", "0"], "at least 1"),
         (["evaluate", "--seeds", "5:5"], "A < B"),
-        (["evaluate", "--seeds", "a:b"], "A:B"),
         (["evaluate", "--seeds", "1:2", "--split", "test"], "without --split"),
-        (["evaluate", "--seeds", f"{2**53 - 1}:{2**53 + 1}"], "2^53"),
         (["evaluate", "--seeds", "0:" + "9" * 5000], "2^53"),
-        (["evaluate", "--task", "extreme", "all"], "easy, hard"),
-        (["evaluate", "--agents"], "--agents"),
         (["evaluate", "--engine", "rey"], "unknown --engine 'rey'; did you mean 'ray'? allowed: local, ray"),
         (["train", "--gamma", "high"], "--gamma takes a number, got 'high'"),
         (["dataset"], "--out is missing; see drone-env dataset --help"),
         (["solve", "--task"], "--task needs a value; see drone-env solve --help"),
         (["fly", "easy"], "unknown argument easy; see drone-env fly --help"),
         (["sweep", "--set", "speed=1"], "allowed: advantage_learning, batch_size"),
-        (["evaluate", "--json", ""], "--json"),
         (["evaluate", "--checkpoint", "net.safetensors", "--agents", "greedy"], "pathqnet"),
         (["evaluate", "--address", "auto"], "--engine ray"),
         (["evaluate", "--json", "/missing/x.json"], "'/missing/x.json'"),
-        (["fly", "--picture", "flight.xyz"], ".png"),
         (["fly", "--sped", "1"], "unknown option --sped; did you mean --seed?"),
         (["fly", "--seed", "seven"], "--seed takes an integer, got 'seven'"),
         (["trian"], "unknown command 'trian'; did you mean 'train'?"),
         ([], "name a command, such as fly"),
-        (["--sped"], "name a command, such as fly"),
     ],
 )
 def test_what_is_not_allowed_exits_2_and_says_what_is(
@@ -317,7 +233,7 @@ def test_what_is_not_allowed_exits_2_and_says_what_is(
     assert captured.out == ""
 
 
-@pytest.mark.parametrize("command", [[], ["fly"], ["evaluate"], ["solve"], ["play"]])
+@pytest.mark.parametrize("command", [[], ["fly"], ["evaluate"]])
 def test_help_is_a_manual(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit_:
         main([*command, "--help"])
@@ -354,29 +270,6 @@ def test_the_output_may_be_cut_off() -> None:
     assert "BrokenPipe" not in result.stderr
 
 
-def test_version() -> None:
-    done = run(["--version"])
-    assert (done.returncode, done.stdout, done.stderr) == (0, f"drone-env {__version__}\n", "")
-
-
-def test_play_from_a_pipe_against_the_optimum() -> None:
-    keys = {Action.UP: "w", Action.DOWN: "s", Action.LEFT: "a", Action.RIGHT: "d", Action.WAIT: " "}
-    solution = solve("easy", 7)
-    flown = run(
-        ["play", "--task", "easy", "--seed", "7"], input="?" + "".join(keys[action] for action in solution.actions)
-    )
-    assert flown.returncode == 0
-    assert f"Your score: {solution.score * 100:.1f} in {solution.steps} steps" in flown.stdout
-    assert "You flew the optimum!" in flown.stdout
-
-
-def test_giving_up_is_counted_as_waiting_to_the_end() -> None:
-    flown = run(["play", "--task", "easy", "--seed", "7"], input=" q")
-    assert "Given up after 1 steps" in flown.stdout
-    assert "Your score: 1.0 in 1 steps" in flown.stdout
-    assert "Regret:" in flown.stdout
-
-
 def test_keys_are_told_apart_wherever_the_stream_is_cut() -> None:
     typed = "\x1b[AW\x1bOB \x1b[1;2C\x1b[3~\x1bxq"
     expected = ["\x1b[A", "w", "\x1b[B", " ", "\x1b[1;2C", "\x1b[3~", "\x1bx", "q"]
@@ -384,10 +277,12 @@ def test_keys_are_told_apart_wherever_the_stream_is_cut() -> None:
         assert list(split_keys([typed[:cut], typed[cut:]])) == expected
 
 
-def test_play_where_emoji_cannot_be_printed() -> None:
-    flown = run(["play", "--seed", "7"], input="q", env={**os.environ, "PYTHONIOENCODING": "ascii"})
+def test_giving_up_is_counted_as_waiting_to_the_end_and_emoji_need_not_be_printed() -> None:
+    flown = run(["play", "--seed", "7"], input=" q", env={**os.environ, "PYTHONIOENCODING": "ascii"})
     assert flown.returncode == 0
-    assert "Your score: 1.0" in flown.stdout
+    assert "Given up after 1 steps" in flown.stdout
+    assert "Your score: 1.0 in 1 steps" in flown.stdout
+    assert "Regret:" in flown.stdout
 
 
 def test_play_in_a_terminal_takes_arrow_keys() -> None:

@@ -11,9 +11,8 @@ import pytest
 from drone_env.agents.pathqnet import load_network
 from drone_env.agents.tour_network import load_tour_network
 from drone_env.city.city_file import read_city
-from drone_env.city.movingai import read_movingai
+from drone_env.city.importer import read_movingai
 from drone_env.city.openstreetmap import extent
-from drone_env.cluster.sweep.folder import SweepFolder
 from drone_env.errors import DroneEnvError
 from drone_env.files import write_text
 from drone_env.llm.prompt import read_prompt
@@ -23,6 +22,7 @@ from drone_env.results.folder import stored_results
 from drone_env.results.record import load_record, read_records
 from drone_env.reward_file import load_reward_profile
 from drone_env.rl.run import load_checkpoint
+from drone_env.rl.sweep import read_config
 from drone_env.server.train_log import TrainLog
 
 PARSERS: dict[str, Callable[[Path], object]] = {
@@ -40,7 +40,7 @@ PARSERS: dict[str, Callable[[Path], object]] = {
     "run.json": lambda path: load_config(path.parent),
     "flights.jsonl": lambda path: load_results(path.parent),
     "evaluation.json": lambda path: stored_results(path.parent),
-    "sweep.json": lambda path: SweepFolder(path.parent).config(),
+    "sweep.json": lambda path: read_config(path.parent),
 }
 """Readers of files that somebody else may have written, by the name of the file."""
 READERS: dict[str, Callable[[Path], object]] = {

@@ -54,8 +54,7 @@ def test_a_command_pays_by_the_file_and_forgets_it(mine: Path, capsys: pytest.Ca
     mine.write_text('id = "mine"\nbonus = 1')
     assert run(*flight, "mine.toml") == 2
     captured = capsys.readouterr()
-    said = " ".join(captured.err.replace("│", "").split())
-    assert "reward profile mine.toml: unknown key 'bonus'; allowed: id" in said
+    assert "reward profile mine.toml: unknown key 'bonus'; allowed: id" in captured.err
     assert captured.out == ""
 
 
@@ -103,5 +102,5 @@ def test_environments_pay_by_the_file(mine: Path) -> None:
     sb3.reset()
     assert sb3.step(np.array([4, 2]))[1].tolist() == [0.5, -0.25]
     mine.write_text("id = 3")
-    with pytest.raises(InvalidTaskError, match=r"mine\.toml: id must be a text"):
+    with pytest.raises(InvalidTaskError, match=r"mine\.toml: id: Input should be a valid string"):
         gymnasium.make(EASY, reward_profile="mine.toml")

@@ -1,1 +1,0 @@
-"""Sweeps: the same training under several settings and seeds, on Ray."""

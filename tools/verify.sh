@@ -1,0 +1,65 @@
+#!/usr/bin/env bash
+# The campaigns of `make verify`: all of them in hours, or those that are named, such as `tools/verify.sh adapters`.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+VENV=${VENV:-.venv} TORCH=${TORCH:-torch==2.13.0} OTHER_PYTHON=${OTHER_PYTHON:-python3.13}
+python=$VENV/bin/python
+
+# The same properties over many more cases, kills by the hundred, hostile callers.
+campaigns() {
+  DRONE_ENV_EXAMPLES=30000 DRONE_ENV_PARITY_STEPS=100000000 $python -m pytest -m '' -n auto --timeout 36000 \
+    tests/property tests/parity tests/unit/test_exact.py tests/unit/test_legs.py tests/unit/test_store_processes.py \
+    tests/unit/test_training_run.py tests/unit/test_network.py
+  DRONE_ENV_MUTATIONS=2500 $python -m pytest --timeout 36000 tests/unit/test_city_mutations.py
+  DRONE_ENV_KILLS=100 DRONE_ENV_FRAMES=20000 DRONE_ENV_SOCKET_STEPS=1000000 DRONE_ENV_SCHEMA_EXAMPLES=200 \
+    $python -m pytest -m '' --timeout 36000 tests/api
+  $python tests/api/hostile_callers.py
+  DRONE_ENV_KILLS=50 DRONE_ENV_LLM_MAPS=100 DRONE_ENV_LLM_ROUTES=100 $python -m pytest -m '' --timeout 36000 tests/llm
+  DRONE_ENV_NGINX_SESSIONS=150 $python -m pytest --timeout 36000 tests/cluster/test_nginx.py
+}
+
+# All tests, with a report of the lines that none of them runs: htmlcov/index.html. Compiled code is not counted.
+coverage() {
+  $python -m pytest -m '' -n auto --dist worksteal --ignore tests/cluster --cov --cov-report=
+  $python -m pytest -m '' tests/cluster --cov --cov-append --cov-fail-under=93 --cov-report=term:skip-covered \
+    --cov-report=html
+}
+
+mutants() {
+  $python tools/mutants.py
+}
+
+# environment NAME: a virtual environment beside the other, with PyTorch.
+environment() {
+  [[ -x $VENV/$1/bin/python ]] || $python -m venv "$VENV/$1"
+  "$VENV/$1/bin/python" -m pip install --quiet --no-compile "$TORCH"
+}
+
+# The tests that need TRL, Inspect, TorchRL, RLlib or MoviePy.
+adapters() {
+  environment adapters
+  "$VENV/bin/uv" pip install --quiet --python "$VENV/adapters/bin/python" --editable '.[inspect,trl,video]' \
+    'moviepy>=2' 'ray[rllib]>=2.60' 'stable-baselines3>=2.7' 'torchrl>=0.14' 'pytest>=8.3' 'pytest-timeout>=2.3'
+  "$VENV/adapters/bin/python" -m pytest tests/adapters
+}
+
+# Source distribution and wheel in empty environments of each Python.
+wheels() {
+  $python tests/package/installed.py
+}
+
+# The oldest version of each dependency that pyproject.toml allows, except PyTorch; old ones may warn.
+lowest() {
+  environment lowest
+  "$VENV/bin/uv" pip install --quiet --python "$VENV/lowest/bin/python" --resolution lowest-direct --editable '.[dev]'
+  "$VENV/lowest/bin/python" -m pytest -W default -n auto --dist worksteal
+}
+
+other_python() {
+  make test VENV="$VENV/$OTHER_PYTHON" PYTHON="$OTHER_PYTHON"
+}
+
+(($#)) || set -- campaigns coverage mutants adapters wheels lowest other_python
+for campaign in "$@"; do
+  "$campaign"
+done
