@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from drone_env.models import Count, Message, Seed
 from drone_env.results.by_map import FlownMap
 from drone_env.results.evaluate import EpisodeResults
 from drone_env.results.interval import DIFFERENCES, REGRETS, SCORES, SHARES, ci95
-from drone_env.models import Count, Message, Seed
 
 Bounds = list[float] | None
 SAME = 1e-9

@@ -11,9 +11,9 @@ from typing_extensions import Self
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import get_reward_profile
 from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.results.record import AgentLabel, EpisodeRecord, parse_record, record_of
 from drone_env.errors import EpisodeError, InvalidValueError
 from drone_env.models import DIRECTIONS, Count, Message, OutcomeName, Score, Seed
+from drone_env.results.record import AgentLabel, EpisodeRecord, parse_record, record_of
 
 AGENT_LABEL: TypeAdapter[str] = TypeAdapter(AgentLabel)
 

@@ -12,6 +12,8 @@ from drone_env.agents import network_file
 from drone_env.core.score import HIGHEST, LOWEST
 from drone_env.core.tasks import WITHDRAWN, get_task, withdrawal
 from drone_env.errors import InvalidValueError, TooLargeError, shown
+from drone_env.files import differences, is_begun, read_file, replacing, write_json
+from drone_env.npz import unpack_arrays
 from drone_env.results.evaluate import (
     COLUMNS,
     PIECE,
@@ -21,8 +23,6 @@ from drone_env.results.evaluate import (
     pieces_of,
     run_episodes,
 )
-from drone_env.files import differences, is_begun, read_file, replacing, write_json
-from drone_env.npz import unpack_arrays
 
 if TYPE_CHECKING:
     from drone_env.results.config import EvaluationConfig

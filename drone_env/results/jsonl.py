@@ -6,9 +6,9 @@ from pathlib import Path
 
 from typing_extensions import Self
 
-from drone_env.results.record import LONGEST_RECORD, EpisodeRecord, parse_record
 from drone_env.errors import InvalidValueError
 from drone_env.files import read_lines
+from drone_env.results.record import LONGEST_RECORD, EpisodeRecord, parse_record
 
 
 class RecordWriter:

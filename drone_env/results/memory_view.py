@@ -9,9 +9,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
-from drone_env.results.finished import StoredEpisode
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.files import open_file, write_text
+from drone_env.results.finished import StoredEpisode
 
 LENGTH = 100
 PAUSE_SECONDS = 0.05

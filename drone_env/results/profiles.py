@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from drone_env.errors import InvalidValueError, needs
-from drone_env.results.reliable import profile
 from drone_env.files import replacing
+from drone_env.results.reliable import profile
 
 FORMATS = (".png", ".svg")
 COLUMNS, WIDE, HIGH = 3, 4.2, 3.2

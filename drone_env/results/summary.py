@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pydantic import Field
 
 from drone_env.core.actions import Action
-from drone_env.results.finished import EpisodeSummary
 from drone_env.models import Count, Direction, Message
+from drone_env.results.finished import EpisodeSummary
 
 
 class Analysis(Message):

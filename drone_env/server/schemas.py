@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, JsonValue, create_model, model_validator
 from typing_extensions import Self
 
-from drone_env.core.actions import Event
+from drone_env.core.actions import Action, Event
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES, RewardProfile, tabulate_rewards
 from drone_env.core.tasks import TaskConfig
@@ -98,9 +98,9 @@ class StepRequest(Message):
         return self
 
     @property
-    def chosen(self) -> DroneAction:
+    def chosen(self) -> Action:
         """The action."""
-        return self.action or DroneAction.model_validate({"direction": self.direction})
+        return Action[str(self.direction)] if self.action is None else self.action.action
 
 
 class StepResult(Message):

@@ -13,11 +13,11 @@ from drone_env.core.tasks import FINDERS
 from drone_env.files import MAPS, RUNS
 from drone_env.results.store import Store
 from drone_env.server.drawn_maps import DrawnMaps
-from drone_env.server.local import shared_address
+from drone_env.server.logs import RequestLog
 from drone_env.server.model_runs import ModelRuns
 from drone_env.server.predict import Networks
 from drone_env.server.problems import WHAT_TO_DO, RequestError, answers
-from drone_env.server.request_log import RequestLog
+from drone_env.server.security import shared_address
 from drone_env.server.sessions import Sessions
 from drone_env.server.settings import Settings
 from drone_env.server.workers import Workers
@@ -118,22 +118,19 @@ class Shared:
             OSError: if it cannot be opened.
         """
         self._workers = Workers(self.settings)
-        store = Store(self.settings.data, self._clock, solve=self._workers.solve)
+        store = Store(self.settings.data, self._clock, submit=self._workers.solve)
         self.steps = ThreadPoolExecutor(1, "drone_env-steps")
         self._sessions = Sessions(store, self.settings.capacity, self.settings.idle_seconds)
         FINDERS.append(self.maps.find)
 
     def close(self) -> None:
         """Close it, and drop all long work."""
-        if self._workers is not None:
-            self._workers.close()
-        if self.steps is not None:
+        if self._sessions is not None and self.steps is not None and self._workers is not None:
             self.steps.shutdown()
-            self.steps = None
-        if self._sessions is not None:
             FINDERS.remove(self.maps.find)
             self._sessions.store.close()
             self._sessions = None
+            self._workers.close()
 
 
 def caller_address(connection: HTTPConnection) -> str:
@@ -165,7 +162,7 @@ class Caller(NamedTuple):
             return cls(None if named in ("", NEW) else named, None)
         return cls(None, shared_address(request.scope))
 
-    def session(self, shared: Shared, answer: Response) -> str:
+    def session(self, shared: Shared, answer: Response | None = None) -> str:
         """The session that is meant; where it is shared, the answer says so.
 
         Raises:
@@ -176,7 +173,8 @@ class Caller(NamedTuple):
         session = None if self.address is None else shared.store.unnamed_session(self.address)
         if session is None:
             raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
-        self.tell(session, answer)
+        if answer is not None:
+            self.tell(session, answer)
         return session
 
     def tell(self, session: str, answer: Response) -> None:

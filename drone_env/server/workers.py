@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES
 from drone_env.core.tasks import PACKAGE_TASKS, TASKS, TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
-from drone_env.results.optima import solve_maps
+from drone_env.results.optima import Scores, solve_maps
 from drone_env.server.jobs import serve, too_long
 from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import FAILED, RequestError
@@ -124,15 +124,9 @@ class Workers:
         """Wait for the result of a job; it is dropped if this is cancelled. Raises as `submit`, and as the function."""
         return await asyncio.wrap_future(self.submit(function, *arguments, caller=caller, quick=quick))
 
-    def solve(self, task: TaskConfig, seeds: Sequence[int]) -> list[float | None]:
-        """The optima of the first of some maps, at least of one, for a thread that may wait; None where it is unknown.
-
-        Raises as `submit`.
-        """
-        try:
-            return self.submit(solve_maps, task, seeds, caller="store", quick=is_registered(task.id)).result()
-        except TooLargeError:
-            return [None]
+    def solve(self, task: TaskConfig, seeds: Sequence[int]) -> "Future[Scores]":
+        """Start `solve_maps`, for the store. Raises as `submit`."""
+        return self.submit(solve_maps, task, seeds, caller="store", quick=is_registered(task.id))
 
     def drop(self, job: Job) -> bool:
         """Take a job out of the queue, or kill the worker that runs it; whether it had not ended yet."""

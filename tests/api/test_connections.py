@@ -308,20 +308,6 @@ def test_requests_of_any_shape_are_understood_or_refused(shape: str) -> None:
     assert answered.count(b"ok") == outcome.count("200") * (shape != "without a body") + kept
 
 
-def test_an_invalid_request_after_one_that_was_refused_is_answered(caplog: pytest.LogCaptureFixture) -> None:
-    async def app(scope: Scope, receive: Receive, send: Send) -> None:
-        try:
-            raise RuntimeError("h\xe9")
-        except RuntimeError:
-            await answer(scope, receive, send)
-
-    with running(app) as connect:
-        sock = connect()
-        sock.sendall(WHOLE + b"!\r\n\r\n")
-        assert re.findall(rb"HTTP/1\.1 (\d+)", everything(sock)) == [b"200", b"400"]
-    assert not caplog.messages
-
-
 def test_more_connections_than_allowed_are_refused_with_a_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
     with running(answer, connections=3) as connect:
         first, *_ = kept = [connect() for _ in range(3)]
@@ -433,15 +419,6 @@ def test_a_socket_that_never_answers_a_ping_is_closed_and_the_application_stops(
         assert everything(sock).endswith(b"keepalive ping timeout")
     assert [type(error) for error in ended] == [ClientDisconnected]
     assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
-
-
-@pytest.mark.parametrize("header", [b"Content-Length: 1\r\n", b"a: " + b"x" * 9000 + b"\r\n"])
-def test_a_socket_whose_head_is_refused_is_closed(header: bytes) -> None:
-    with running(echo) as connect:
-        sock = connect()
-        sock.sendall(WHOLE[:-2] + header + UPGRADE + KEY + b"\r\nx")
-        with suppress(ConnectionError):
-            assert b" 101 " not in everything(sock)
 
 
 def test_a_place_in_the_code_logs_a_bounded_number_of_lines(monkeypatch: pytest.MonkeyPatch) -> None:

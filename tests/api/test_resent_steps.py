@@ -9,7 +9,7 @@ from starlette.testclient import TestClient
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.planning.optimal import solve
 from drone_env.server.app import create_app
-from drone_env.server.routes.step import LONGEST_COUNT
+from drone_env.server.routes.flight import LONGEST_COUNT
 from drone_env.server.settings import Settings
 from drone_env.server.state import COOKIE
 

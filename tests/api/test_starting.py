@@ -15,7 +15,6 @@ import pytest
 from drone_env import client
 from drone_env.cli import main as command_line
 from drone_env.core.tasks import get_task
-from drone_env.results.database import MIGRATIONS
 from drone_env.results.store import FILE_NAME, Store
 from drone_env.server import app
 from tests.api.networks import put_trained
@@ -132,9 +131,7 @@ class TestWhereItCannotBe:
         file = sqlite3.connect(tmp_path / "data" / FILE_NAME)
         file.execute("PRAGMA user_version = 99")
         file.close()
-        with pytest.raises(
-            SystemExit, match=rf"^server: .*has version 99, this drone-env knows {len(MIGRATIONS)} and older"
-        ):
+        with pytest.raises(SystemExit, match=r"^server: .*has version 99, this drone-env reads version 1: "):
             app.main([])
 
     @pytest.mark.parametrize("workers", ["1", "2"])

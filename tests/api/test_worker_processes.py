@@ -193,7 +193,7 @@ def test_workers_know_the_tasks_that_the_server_has(pool: Workers, monkeypatch: 
 
 def test_the_store_has_its_maps_solved_here(pool: Workers) -> None:
     easy = get_task("easy")
-    assert pool.solve(easy, [7, 8])[0] == solve(easy, 7).score
+    assert pool.solve(easy, [7, 8]).result()[0] == solve(easy, 7).score
 
 
 def test_what_is_solved_is_kept_as_far_as_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,7 +24,7 @@ from drone_env.results.jsonl import read_records
 from drone_env.results.record import load_record
 from drone_env.reward_file import load_reward_profile
 from drone_env.rl.checkpoint import load_checkpoint
-from drone_env.server.train_log import TrainLog
+from drone_env.server.logs import TrainLog
 
 PARSERS: dict[str, Callable[[Path], object]] = {
     "city.toml": read_city,

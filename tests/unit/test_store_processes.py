@@ -10,7 +10,9 @@ import sys
 import threading
 from pathlib import Path
 
+from drone_env.core.episode import Episode
 from drone_env.results.record import replay
+from drone_env.results.sessions import advance
 from drone_env.results.store import FILE_NAME, Store
 from tests.unit.stores import eventually, opened, view
 
@@ -121,13 +123,8 @@ def test_threads_on_one_session_lose_no_step(store: Store) -> None:
             for _ in range(60):
                 with store.session(session_id) as row:
                     if row.episode_id is not None:
-                        row.reset(row.task, 1, row.seed + 1, "tiered")
-                    episode = row.fly()
-                    action = rng.randrange(5)
-                    episode.step(action)
-                    row.append(action)
-                    if episode.ended:
-                        row.finish(episode)
+                        row.begin(Episode(row.task, "tiered", row.seed + 1))
+                    advance(row, rng.randrange(5))
         except BaseException as error:
             errors.append(error)
 

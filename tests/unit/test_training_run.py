@@ -37,8 +37,8 @@ from drone_env.rl.config import ORIGINAL, TrainConfig, preset
 from drone_env.rl.run import DIGITS, MOST_KEPT, TrainingRun, log_line
 from drone_env.rl.trainer import Progress, Trainer
 from drone_env.server.app import create_app
+from drone_env.server.logs import TrainLog
 from drone_env.server.settings import Settings
-from drone_env.server.train_log import TrainLog
 from tests.unit.small_training import SMALL, assert_same, run_in
 
 ROOT = Path(__file__).parents[2]

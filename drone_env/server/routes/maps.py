@@ -19,11 +19,11 @@ from drone_env.models import MAX_SEED, Count, Message, Position, Score
 from drone_env.planning.optimal import solve_episode
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
-from drone_env.server.local import stranger_address
 from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import answers
 from drone_env.server.routes.catalogue import describe
 from drone_env.server.schemas import OneTask
+from drone_env.server.security import stranger_address
 from drone_env.server.state import SharedParts
 
 router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
