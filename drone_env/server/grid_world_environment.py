@@ -22,8 +22,7 @@ from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError, text_of
 from drone_env.models import DroneState, observation_fields
 from drone_env.server.map_choice import DEFAULT_TASK, TaskApi, start_episode
-from drone_env.server.openenv import DESCRIPTION, ENV_NAME, WireObservation
-from drone_env.server.schemas import ResetOptions, WireAction
+from drone_env.server.schemas import DESCRIPTION, ENV_NAME, ResetOptions, WireAction, WireObservation
 
 
 class DroneEnvAction(WireAction, Action):

@@ -14,14 +14,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, cast
 
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 from pydantic_core import to_json
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from drone_env.core.episode import NOT_STARTED, Episode
 from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, text_of, wrong_parts
-from drone_env.models import DroneObservation, DroneState
+from drone_env.models import DroneState
 from drone_env.results.sessions import Session, advance, flight_of
 from drone_env.server.incoming import SMALL, TRY_LATER, parse_json, received
 from drone_env.server.map_choice import start_episode
@@ -33,18 +33,6 @@ log = logging.getLogger(__name__)
 
 NORMAL, GOING_AWAY = 1000, 1001
 ALLOWED_TYPES = "reset, step, state, close, mcp"
-ENV_NAME = "drone-env"
-DESCRIPTION = (
-    "A drone delivers parcels on a generated city grid, on one battery, in as few steps as possible. Maps are solved "
-    "exactly, so every score stands beside the optimum of its map."
-)
-
-
-class WireObservation(DroneObservation):
-    """An observation with all that OpenEnv adds."""
-
-    reward: float | None = Field(default=None, description="What the step paid; null after a reset.")
-    metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Empty.")
 
 
 class RefusedError(Exception):

@@ -30,6 +30,11 @@ from drone_env.results.summary import Analysis
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
 STAYING = (Event.WALL, Event.BLOCKED, Event.WAIT)
 """Events after which the drone is as far from its target as before."""
+ENV_NAME = "drone-env"
+DESCRIPTION = (
+    "A drone delivers parcels on a generated city grid, on one battery, in as few steps as possible. Maps are solved "
+    "exactly, so every score stands beside the optimum of its map."
+)
 STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
 
 
@@ -79,6 +84,13 @@ class WireAction(DroneAction):
     """One action, as OpenEnv sends it."""
 
     metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Ignored.")
+
+
+class WireObservation(DroneObservation):
+    """An observation with all that OpenEnv adds."""
+
+    reward: float | None = Field(default=None, description="What the step paid; null after a reset.")
+    metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Empty.")
 
 
 class StepRequest(Message):

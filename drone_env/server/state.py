@@ -53,7 +53,7 @@ class Shared:
         self._workers: Workers | None = None
 
     async def work(
-        self, request: Request, function: Callable[..., Result], *arguments: object, quick: bool = False
+        self, request: Request, function: Callable[..., Result], *arguments: object, task: str | None = None
     ) -> Result:
         """Have a worker process call a function of a module, as long as the caller of a request waits for it.
 
@@ -61,14 +61,14 @@ class Shared:
             request: The request. Callers take turns by address.
             function: What to call.
             arguments: Its arguments, which are pickled.
-            quick: Whether it is bounded by a task of the server's own (`is_registered`), not by what a visitor sent.
+            task: The task that bounds it, None if what a visitor sent does.
 
         Raises:
             RequestError: if too many requests are waiting, or the caller has left.
             TooLargeError: if it takes too much time or memory.
             DroneEnvError: what the function raises.
         """
-        job = asyncio.ensure_future(self.workers.run(function, *arguments, caller=caller_address(request), quick=quick))
+        job = asyncio.ensure_future(self.workers.run(function, *arguments, caller=caller_address(request), task=task))
         left = asyncio.create_task(_left(request))
         try:
             await asyncio.wait((job, left), return_when=asyncio.FIRST_COMPLETED)
@@ -78,6 +78,13 @@ class Shared:
         finally:
             left.cancel()
             job.cancel()
+
+    async def json(
+        self, request: Request, function: Callable[..., str], *arguments: object, task: str | None = None
+    ) -> Response:
+        """The answer with the JSON that a worker process makes. Arguments and errors as `work`."""
+        made = await self.work(request, function, *arguments, task=task)
+        return Response(made, media_type="application/json")
 
     @property
     def workers(self) -> Workers:

@@ -26,7 +26,6 @@ from drone_env.server.routes.history import LINES
 from drone_env.server.schemas import Prediction
 from drone_env.server.settings import Settings
 from tests.api.networks import put_network, put_tour, put_trained
-from tests.tools import reserved_port
 
 Header = dict[str, str]
 JSON = "application/json"
@@ -338,13 +337,6 @@ class TestClientInProcess:
         monkeypatch.delenv("DRONE_ENV_TOKEN")
         with DroneEnvClient("http://other") as drone:
             assert "Authorization" not in drone._http.headers
-
-    def test_where_there_is_no_server_it_says_so(self) -> None:
-        with (
-            DroneEnvClient(f"http://127.0.0.1:{reserved_port()}") as drone,
-            pytest.raises(ServerError, match="GET /health"),
-        ):
-            drone.health()
 
 
 def test_an_application_that_is_not_running_says_so(tmp_path: Path) -> None:

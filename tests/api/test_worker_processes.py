@@ -149,7 +149,7 @@ def test_a_running_job_is_dropped_with_its_worker(
 
 def test_quick_jobs_do_not_wait_for_long_ones(pool: Workers, gate: Path) -> None:
     long = pool.submit(wait_at, gate, caller="a")
-    assert pool.submit(abs, -3, caller="a", quick=True).result() == 3
+    assert pool.submit(abs, -3, caller="a", task="easy").result() == 3
     gate.write_text("")
     long.result()
 

@@ -21,7 +21,7 @@ from drone_env.results.finished import check_agent
 from drone_env.results.sessions import Session, advance
 from drone_env.server.frames import Frame, MapOf, Opening, frame_of, frames_json, plan, shows_values, values_along
 from drone_env.server.live.commands import Start
-from drone_env.server.map_choice import is_registered, start_episode
+from drone_env.server.map_choice import start_episode
 from drone_env.server.pilots import HUMAN, PILOTS, Credit, require_pilot
 from drone_env.server.schemas import ResetOptions
 from drone_env.server.sessions import OtherStepError, flat_json
@@ -280,8 +280,8 @@ class LiveEpisode:
         return frames
 
     def _submit(self, function: Callable[..., Result], *arguments: object) -> "asyncio.Future[Result]":
-        quick = is_registered(self.map_of.task.id)
-        job = asyncio.ensure_future(self._workers.run(function, *arguments, caller=self._caller, quick=quick))
+        run = self._workers.run(function, *arguments, caller=self._caller, task=self.map_of.task.id)
+        job = asyncio.ensure_future(run)
         self._jobs.add(job)
         job.add_done_callback(self._jobs.discard)
         return job
@@ -360,10 +360,8 @@ async def attach(session: str, shared: Shared, caller: str) -> tuple[LiveEpisode
         RequestError: if too many requests are waiting for a worker process.
     """
     live = await run_in_threadpool(_attached, session, shared, caller)
-    quick = is_registered(live.map_of.task.id)
-    frames = await shared.workers.run(
-        frames_json, live.map_of, live.row.agent, live.directions, caller=caller, quick=quick
-    )
+    run = partial(shared.workers.run, caller=caller, task=live.map_of.task.id)
+    frames = await run(frames_json, live.map_of, live.row.agent, live.directions)
     return live, await run_in_threadpool(_shown, live, frames)
 
 
@@ -404,8 +402,8 @@ async def _begin(
     shared: Shared, caller: str, map_of: MapOf, agent: str, forked: list[Direction] | None, ahead: int
 ) -> Beginning:
     """What a flight begins with: `forked` if that is given, else, of a pilot, its own first `ahead` steps."""
-    credit, quick = Credit.parse(agent), is_registered(map_of.task.id)
-    run = partial(shared.workers.run, caller=caller, quick=quick)
+    credit = Credit.parse(agent)
+    run = partial(shared.workers.run, caller=caller, task=map_of.task.id)
     directions, planned = forked or [], None
     if forked is None and credit.pilot != HUMAN and ahead:
         planned = await run(plan, map_of, credit.pilot, (), 0)

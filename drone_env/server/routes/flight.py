@@ -13,7 +13,6 @@ from drone_env.core.tasks import TaskConfig, get_task
 from drone_env.graders import GRADERS, make_grader
 from drone_env.models import DIRECTIONS, DroneObservation, DroneState
 from drone_env.server.incoming import LARGE_BODY, JsonRequest, JsonRoute
-from drone_env.server.map_choice import is_registered
 from drone_env.server.predict import arrays_of
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.routes.replay import best_flight
@@ -140,7 +139,7 @@ async def solution(request: Request, shared: SharedParts, caller: CallerOf, answ
     task, seed, score, ended = await run_in_threadpool(flown)
     if not ended:
         raise RequestError(409, "in_flight", "the best flight is shown once the episode has ended")
-    best, path = await shared.work(request, best_flight, task, seed, quick=is_registered(task.id))
+    best, path = await shared.work(request, best_flight, task, seed, task=task.id)
     return SolutionAnswer(
         task=task.id,
         seed=seed,

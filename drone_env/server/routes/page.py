@@ -9,7 +9,6 @@ from starlette.concurrency import run_in_threadpool
 
 from drone_env.errors import DroneEnvError
 from drone_env.server.links import HELLO, Link, draw_preview, title_of
-from drone_env.server.map_choice import is_registered
 from drone_env.server.page_files import PAGE, edition
 from drone_env.server.pilots import called
 from drone_env.server.problems import answers
@@ -43,8 +42,8 @@ async def preview(request: Request, shared: SharedParts, link: Annotated[Link, Q
     A person is not flown for.
     """
     record = (await run_in_threadpool(shared.store.episode, link.episode)).record if link.episode else None
-    quick = is_registered(link.task if record is None else record.task)
-    picture = await shared.work(request, draw_preview, link, record, quick=quick)
+    task = link.task if record is None else record.task
+    picture = await shared.work(request, draw_preview, link, record, task=task)
     return _known(request, picture, "image/png", {"Cache-Control": FRESH})
 
 

@@ -19,7 +19,6 @@ from drone_env.models import DIRECTIONS, Count, Direction, Message, Position, Sc
 from drone_env.results.record import fly_directions
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.jobs import bench
-from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import answers
 from drone_env.server.state import SharedParts
 
@@ -138,12 +137,14 @@ class ValuesAnswer(Message):
     )
 
 
-def values_json(episode: Episode) -> str:
-    """A `ValuesAnswer` for an episode as it stands, as JSON: a job of a worker process.
+def values_json(flight: FlightSoFar) -> str:
+    """The JSON of a `ValuesAnswer`: a job of a worker process.
 
     Raises:
+        UnknownNameError, InvalidValueError: as `FlightSoFar.episode`.
         CheckpointError: if the file of the network holds none.
     """
+    episode = flight.episode()
     solver = unsolved = optimum = value = None
     try:
         solver = bench().solver_of(episode.task, episode.seed)
@@ -181,9 +182,9 @@ def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
         q_values = solver.q_values_of(places.grids[places.flying], places.states[places.flying])
         best = q_values == q_values.max(axis=1, keepdims=True)
     if asked is not None:
-        agent = networks.agent(asked.pilot, task)
+        agent = networks.agent(asked, task)
         assert isinstance(agent, BatchAgent)
-        network = AskedNetwork(pilot=asked.pilot, file=asked.file, digest=str(agent.config["network"]))
+        network = AskedNetwork(pilot=asked, file=networks.file(asked, task).name, digest=str(agent.config["network"]))
         grids = places.grids[places.flying].reshape(-1, task.height, task.width)
         actions = agent.act_batch(grids, places.telemetry[places.flying])
     return {
@@ -246,10 +247,4 @@ async def values(request: Request, shared: SharedParts, flight: Annotated[Flight
     Beside it stands what the network would do at every cell, and how far the battery reaches. No session is needed. Of
     a task whose maps are too large to be solved the exact values are null.
     """
-    found = await shared.work(request, _values, flight, quick=is_registered(flight.task))
-    return Response(found, media_type="application/json")
-
-
-def _values(flight: FlightSoFar) -> str:
-    """A job of a worker process."""
-    return values_json(flight.episode())
+    return await shared.json(request, values_json, flight, task=flight.task)
