@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from functools import partial
+from itertools import islice
 
 from drone_env.core.tasks import TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
@@ -13,6 +14,8 @@ from drone_env.planning.optimal import best_of
 from drone_env.results.database import Database
 
 SOLVE_SECONDS = 0.1
+CHUNK = 100
+"""Most maps of one job."""
 WAITING = 4
 """Most callers that wait for optima at once; others get what is known, so that they hold up no threads."""
 log = logging.getLogger(__name__)
@@ -87,7 +90,7 @@ class Optima:
 
     def _start(self, task: TaskConfig) -> None:
         """Start the next job of a task, holding the lock."""
-        seeds = list(self._wanted[task])
+        seeds = list(islice(self._wanted[task], CHUNK))
         self._solving.add(task)
         try:
             job = self._submit(task, seeds)

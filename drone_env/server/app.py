@@ -103,6 +103,7 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     # The first is the innermost.
     protect(app, settings)
     app.add_middleware(LogRequests, log=shared.requests)
+    app.include_router(flight.stepping)
     for routes in (flight, catalogue, history, compare, runs, replay, values, maps, page, openenv):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))

@@ -10,9 +10,7 @@ import sys
 import threading
 from pathlib import Path
 
-from drone_env.core.episode import Episode
 from drone_env.results.record import replay
-from drone_env.results.sessions import advance
 from drone_env.results.store import FILE_NAME, Store
 from tests.unit.stores import eventually, opened, view
 
@@ -111,30 +109,6 @@ def test_processes_on_one_session_lose_no_step(tmp_path: Path) -> None:
         assert len({seed for seed, _, _ in said(outputs[0])} & {seed for seed, _, _ in said(outputs[1])}) > 0
         expected = store.latest(100)[::-1]
         assert view(tmp_path) == expected
-
-
-def test_threads_on_one_session_lose_no_step(store: Store) -> None:
-    session_id = opened(store, seed=0)
-    errors: list[BaseException] = []
-
-    def fly(number: int) -> None:
-        rng = random.Random(number)
-        try:
-            for _ in range(60):
-                with store.session(session_id) as row:
-                    if row.episode_id is not None:
-                        row.begin(Episode(row.task, "tiered", row.seed + 1))
-                    advance(row, rng.randrange(5))
-        except BaseException as error:
-            errors.append(error)
-
-    threads = [threading.Thread(target=fly, args=(number,)) for number in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert errors == []
-    assert sum(len(actions) for _, actions in whole(store, session_id)) == 8 * 60
 
 
 def test_killed_at_any_moment_nothing_that_was_said_is_lost(tmp_path: Path) -> None:

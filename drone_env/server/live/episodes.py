@@ -2,12 +2,12 @@
 
 import asyncio
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from hashlib import sha256
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
@@ -307,18 +307,8 @@ MAPS = 10_000
 """Where a page names no map, one of so many: people say the numbers to each other."""
 Opened = list[tuple[LiveEpisode, str]]
 """The episodes, and each as it is shown: the JSON of a `ShownEpisode`."""
-
-
-class Beginning(NamedTuple):
-    """What a flight begins with."""
-
-    agent: str
-    """Who flies, as the session has it."""
-    actions: Sequence[int] = ()
-    frames: str | None = None
-    """Its frames as a JSON array; None if there is only the first."""
-    plan: list[int] | None = None
-    """All actions of the pilot to the end, if they are known."""
+Beginning = tuple[Sequence[int], str | None, list[int] | None]
+"""The actions that a flight begins with, its frames as a JSON array, and all actions of its pilot; None if unknown."""
 
 
 async def open_flights(command: Start, shared: Shared, caller: str, last: Episode | None) -> Opened:
@@ -347,7 +337,7 @@ async def open_flights(command: Start, shared: Shared, caller: str, last: Episod
         await begin(agent, fork.actions if fork is not None and number == forking else None, ahead)
         for number, agent in enumerate(agents)
     ]
-    return await run_in_threadpool(_open, shared, caller, map_of, beginnings)
+    return await run_in_threadpool(_open, shared, caller, map_of, zip(agents, beginnings, strict=True))
 
 
 async def attach(session: str, shared: Shared, caller: str) -> tuple[LiveEpisode, str]:
@@ -409,19 +399,19 @@ async def _begin(
         planned = await run(plan, map_of, credit.pilot, (), 0)
         directions = [DIRECTIONS[action] for action in planned[:ahead]]
     if not directions:
-        return Beginning(agent, plan=planned)
+        return (), None, planned
     actions = [int(Action[direction]) for direction in directions]
     frames = await run(frames_json, map_of, agent, directions)  # says if it goes on after the end
     if forked is not None and credit.pilot != HUMAN:
         planned = await run(plan, map_of, credit.pilot, actions, credit.forked_at or 0, True)
-    return Beginning(agent, actions, frames, planned)
+    return actions, frames, planned
 
 
-def _open(shared: Shared, caller: str, map_of: MapOf, beginnings: Sequence[Beginning]) -> Opened:
+def _open(shared: Shared, caller: str, map_of: MapOf, flights: Iterable[tuple[str, Beginning]]) -> Opened:
     task, seed, profile = map_of
     opened: Opened = []
     try:
-        for agent, actions, frames, planned in beginnings:
+        for agent, (actions, frames, planned) in flights:
             options = ResetOptions(task_name=task.id, seed=seed, reward_profile=profile, agent=agent)
             session, _ = shared.sessions.reset(None, options, flat_json)
             live = _attached(session, shared, caller)

@@ -202,7 +202,8 @@ def _advance(shared: Shared, caller: Caller, body: StepRequest, after: int | Non
     return answer
 
 
-stepping = APIRouter(route_class=StepRoute)
+stepping = APIRouter(tags=["flight"], route_class=StepRoute)
+"""Goes before all others: most requests are steps."""
 
 
 @stepping.post("/step", response_model=DroneObservation | StepResult, responses=SESSION_ERRORS | answers(400, 413, 415))
@@ -227,6 +228,3 @@ def step(
     With `X-Step-Count` an action is not flown twice: sent again after a lost answer, it is answered as it was.
     """
     return _advance(shared, caller, body, after)
-
-
-router.include_router(stepping)
