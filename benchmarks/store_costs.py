@@ -10,7 +10,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-from drone_env.core.tasks import get_task
+from drone_env.core.episode import Episode
 from drone_env.results.store import FILE_NAME, Store
 
 STEPS = 20
@@ -39,10 +39,10 @@ class StoreFigures(NamedTuple):
 
 def fill(folder: Path, task: str, counts: Sequence[int]) -> tuple[float, dict[int, float], dict[int, float]]:
     """Bytes of a session's row, milliseconds of a sweep and of a count, by how many rows there are."""
-    known, sweep, counted = get_task(task), dict[int, float](), dict[int, float]()
+    sweep, counted = dict[int, float](), dict[int, float]()
     with Store(folder) as store, closing(sqlite3.connect(folder / FILE_NAME)) as copies:
         empty = folder_bytes(folder)
-        with store.session(store.open_session(known.id, known.version, 1, "tiered", "bench", 1)) as row:
+        with store.session(store.open_session(Episode(task, "tiered", 1), "bench", 1)) as row:
             row.actions = (0, 3, 1, 2) * (STEPS // 4)
         for count in counts:
             # Copies, under names as long as the store's: opening each would count all others each time.
@@ -78,13 +78,12 @@ def middle(call: Callable[[], object], times: int = 7) -> float:
 
 def write_steps(folder: Path, task: str, number: int, results: "multiprocessing.Queue[tuple[float, float]]") -> None:
     """Keep steps in sessions of one's own, and put the time and the CPU time of one into `results`."""
-    known = get_task(task)
     with Store(folder) as store:
-        names = [store.open_session(known.id, known.version, number, "tiered", "bench", UNBOUNDED) for _ in range(64)]
+        names = [store.open_session(Episode(task, "tiered", number), "bench", UNBOUNDED) for _ in range(64)]
         clock, cpu = time.perf_counter(), time.process_time()
         for step in range(TRANSACTIONS):
             with store.session(names[step % 64]) as row:
-                row.append(step % 4)
+                row.actions = (*row.actions, step % 4)
         results.put(((time.perf_counter() - clock) / TRANSACTIONS, (time.process_time() - cpu) / TRANSACTIONS))
 
 
@@ -107,13 +106,13 @@ def write_rates(folder: Path, task: str) -> tuple[dict[int, float], float]:
 
 def log_bytes(folder: Path, task: str) -> float:
     """Bytes that a step adds to SQLite's log, from its length after the first steps since it was empty."""
-    known, log = get_task(task), folder / f"{FILE_NAME}-wal"
+    log = folder / f"{FILE_NAME}-wal"
     with Store(folder) as store:
-        session = store.open_session(known.id, known.version, 1, "tiered", "bench", UNBOUNDED)
+        session = store.open_session(Episode(task, "tiered", 1), "bench", UNBOUNDED)
         before = log.stat().st_size
         for step in range(STEPS):
             with store.session(session) as row:
-                row.append(step % 4)
+                row.actions = (*row.actions, step % 4)
         return (log.stat().st_size - before) / STEPS
 
 

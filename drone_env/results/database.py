@@ -1,10 +1,10 @@
-"""The SQLite file of the store: its tables, how an older file gets them, and who may read and write when."""
+"""The SQLite file of the store: its tables, and who may read and write when."""
 
 import os
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,75 +18,67 @@ PARTS = ("", "-wal", "-shm")
 APPLICATION_ID = 0x44726F6E
 """Marks an SQLite file as a store of this package."""
 
-MIGRATIONS: tuple[str, ...] = (
-    # 1. `record` is the flight as JSON, of whatever format version it was written in (a new one needs a new version
-    # here, too, so that older packages refuse the file); the columns beside it are what analyses need. `number` is the
-    # order of storing, and rises forever. `optima.score` is null where the map is too large to be solved.
-    """
-    CREATE TABLE episodes (
-        number INTEGER PRIMARY KEY AUTOINCREMENT,
-        id TEXT NOT NULL UNIQUE,
-        finished_at REAL NOT NULL,
-        task TEXT NOT NULL,
-        task_version INTEGER NOT NULL,
-        seed INTEGER NOT NULL,
-        reward_profile TEXT NOT NULL,
-        agent TEXT NOT NULL,
-        actions TEXT NOT NULL,
-        deliveries INTEGER NOT NULL,
-        deliveries_total INTEGER NOT NULL,
-        steps INTEGER NOT NULL,
-        reward_total REAL NOT NULL,
-        score REAL NOT NULL,
-        outcome TEXT NOT NULL,
-        record TEXT NOT NULL
-    );
-    CREATE INDEX episodes_by_task ON episodes (task, task_version, number);
-    CREATE TABLE optima (
-        task TEXT NOT NULL,
-        task_version INTEGER NOT NULL,
-        seed INTEGER NOT NULL,
-        score REAL,
-        PRIMARY KEY (task, task_version, seed)
-    ) WITHOUT ROWID;
-    CREATE TABLE sessions (
-        id TEXT NOT NULL PRIMARY KEY,
-        task TEXT NOT NULL,
-        task_version INTEGER NOT NULL,
-        seed INTEGER NOT NULL,
-        reward_profile TEXT NOT NULL,
-        agent TEXT NOT NULL,
-        actions TEXT NOT NULL,
-        episode_id TEXT,
-        opened_at REAL NOT NULL,
-        touched_at REAL NOT NULL
-    ) WITHOUT ROWID;
-    CREATE TABLE gone_sessions (
-        id TEXT NOT NULL PRIMARY KEY,
-        gone_at REAL NOT NULL
-    ) WITHOUT ROWID;
-    """,
-    # 2. Who opens a session counts all, and looks for idle ones and finished ones while nobody else writes.
-    """
-    CREATE INDEX sessions_by_use ON sessions (touched_at);
-    CREATE INDEX finished_sessions_by_use ON sessions (touched_at) WHERE episode_id IS NOT NULL;
-    CREATE INDEX gone_sessions_by_time ON gone_sessions (gone_at);
-    """,
-    # 3. `address` is that of the caller who has opened a session without naming one, until somebody names it.
-    """
-    ALTER TABLE sessions ADD COLUMN address TEXT;
-    CREATE UNIQUE INDEX unnamed_sessions ON sessions (address) WHERE address IS NOT NULL;
-    """,
-    # 4. Which task the rows above mean, where it is none of the package's: another may be registered by its name later.
-    """
-    CREATE TABLE own_tasks (
-        task TEXT NOT NULL,
-        task_version INTEGER NOT NULL,
-        rules TEXT NOT NULL,
-        PRIMARY KEY (task, task_version)
-    ) WITHOUT ROWID;
-    """,
-)
+VERSION = 1
+SCHEMA = """
+CREATE TABLE episodes (
+    number INTEGER PRIMARY KEY AUTOINCREMENT,
+    id TEXT NOT NULL UNIQUE,
+    finished_at REAL NOT NULL,
+    task TEXT NOT NULL,
+    task_version INTEGER NOT NULL,
+    seed INTEGER NOT NULL,
+    reward_profile TEXT NOT NULL,
+    agent TEXT NOT NULL,
+    actions TEXT NOT NULL,
+    deliveries INTEGER NOT NULL,
+    deliveries_total INTEGER NOT NULL,
+    steps INTEGER NOT NULL,
+    reward_total REAL NOT NULL,
+    score REAL NOT NULL,
+    outcome TEXT NOT NULL,
+    record TEXT NOT NULL
+);
+CREATE INDEX episodes_by_task ON episodes (task, task_version, number);
+CREATE TABLE optima (
+    task TEXT NOT NULL,
+    task_version INTEGER NOT NULL,
+    seed INTEGER NOT NULL,
+    score REAL,
+    PRIMARY KEY (task, task_version, seed)
+) WITHOUT ROWID;
+CREATE TABLE sessions (
+    id TEXT NOT NULL PRIMARY KEY,
+    task TEXT NOT NULL,
+    task_version INTEGER NOT NULL,
+    seed INTEGER NOT NULL,
+    reward_profile TEXT NOT NULL,
+    agent TEXT NOT NULL,
+    actions TEXT NOT NULL,
+    episode_id TEXT,
+    opened_at REAL NOT NULL,
+    touched_at REAL NOT NULL,
+    address TEXT
+) WITHOUT ROWID;
+CREATE TABLE gone_sessions (
+    id TEXT NOT NULL PRIMARY KEY,
+    gone_at REAL NOT NULL
+) WITHOUT ROWID;
+CREATE INDEX sessions_by_use ON sessions (touched_at);
+CREATE INDEX finished_sessions_by_use ON sessions (touched_at) WHERE episode_id IS NOT NULL;
+CREATE INDEX gone_sessions_by_time ON gone_sessions (gone_at);
+CREATE UNIQUE INDEX unnamed_sessions ON sessions (address) WHERE address IS NOT NULL;
+CREATE TABLE own_tasks (
+    task TEXT NOT NULL,
+    task_version INTEGER NOT NULL,
+    rules TEXT NOT NULL,
+    PRIMARY KEY (task, task_version)
+) WITHOUT ROWID;
+"""
+"""`episodes.number` is the order of storing, and rises forever; `record` is the flight as JSON, and the columns beside
+it are for queries. `optima.score` is null if the map is too large to be solved. `sessions.address` is that of a caller
+who has opened a session without naming one, until somebody names it. `own_tasks` tells which task the rows mean if it
+is none of the package's: another may be registered by its name later.
+"""
 
 
 class Database:
@@ -98,7 +90,7 @@ class Database:
 
     Raises:
         OSError: if the file cannot be made.
-        StoreError: if it is no store, is newer than this package, or cannot be opened.
+        StoreError: if it is no store of this version, or cannot be opened.
     """
 
     def __init__(self, path: Path, busy_seconds: float = BUSY_SECONDS) -> None:
@@ -159,17 +151,12 @@ class Database:
         if self._writing_thread == threading.get_ident():
             raise StoreError("this thread is inside another transaction of the store: end that first")
         with self._errors(), self._write_lock:
-            connection = self._writer
             self._writing_thread = threading.get_ident()
             try:
-                self._when_free(lambda: connection.execute("BEGIN IMMEDIATE"))
-                yield connection
-                self.check()
-                connection.execute("COMMIT")
-            except BaseException:
-                if connection.in_transaction:
-                    connection.execute("ROLLBACK")
-                raise
+                self._when_free(lambda: self._writer.execute("BEGIN IMMEDIATE"))
+                with self._writer:
+                    yield self._writer
+                    self.check()
             finally:
                 self._writing_thread = None
 
@@ -199,7 +186,7 @@ class Database:
     def _connect(self, busy_seconds: float) -> sqlite3.Connection:
         connection = sqlite3.connect(self.path, timeout=busy_seconds, isolation_level=None, check_same_thread=False)
         try:
-            self._when_free(lambda: migrate(connection, self.path))
+            self._when_free(lambda: _make_tables(connection, self.path))
             self._when_free(lambda: connection.execute("PRAGMA journal_mode = WAL").fetchone())
             connection.execute("PRAGMA synchronous = NORMAL")
         except BaseException:
@@ -228,46 +215,35 @@ class Database:
             time.sleep(POLL_SECONDS)
 
 
-def migrate(connection: sqlite3.Connection, path: Path, migrations: Sequence[str] = MIGRATIONS) -> None:
-    """Bring a file to the last version, in one transaction; several processes may try at once.
+def _make_tables(connection: sqlite3.Connection, path: Path) -> None:
+    """Make the tables of a new file, in one transaction; several processes may try at once."""
+    if _has_tables(connection, path):
+        return
+    with connection:
+        connection.execute("BEGIN IMMEDIATE")
+        if not _has_tables(connection, path):  # another process may have been faster
+            for statement in SCHEMA.split(";"):
+                connection.execute(statement)
+            connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+            connection.execute(f"PRAGMA user_version = {VERSION}")
 
-    Args:
-        connection: In autocommit mode, without an open transaction.
-        path: What the errors call the file.
-        migrations: Scripts that lead from each version to the next; version 0 is an empty file.
+
+def _has_tables(connection: sqlite3.Connection, path: Path) -> bool:
+    """Whether a file is a store; False for an empty one.
 
     Raises:
-        StoreError: if the file is not a store, or is newer than the migrations.
-        sqlite3.Error: if it cannot be read or written.
+        StoreError: if it is of another program or another version.
     """
-    if _version(connection, path, len(migrations)) == len(migrations):
-        return
-    connection.execute("BEGIN IMMEDIATE")
-    try:
-        # Another process may have been faster.
-        version = _version(connection, path, len(migrations))
-        for script in migrations[version:]:
-            for statement in script.split(";"):
-                connection.execute(statement)
-        connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-        connection.execute(f"PRAGMA user_version = {len(migrations)}")
-        connection.execute("COMMIT")
-    except BaseException:
-        if connection.in_transaction:
-            connection.execute("ROLLBACK")
-        raise
-
-
-def _version(connection: sqlite3.Connection, path: Path, newest: int) -> int:
     version = connection.execute("PRAGMA user_version").fetchone()[0]
-    tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
-    if (version or tables) and connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
+    if not version and not connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+        return False
+    if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
         raise StoreError(f"{path} is an SQLite file of another program")
-    if version > newest:
+    if version != VERSION:
         raise StoreError(
-            f"{path} has version {version}, this drone-env knows {newest} and older: update it, or use another folder"
+            f"{path} has version {version}, this drone-env reads version {VERSION}: use another data folder"
         )
-    return version
+    return True
 
 
 def _identity(path: str) -> tuple[int, int] | None:

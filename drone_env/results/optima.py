@@ -1,44 +1,33 @@
-"""The optima of the maps that were flown: each is solved once, in the background, and stored."""
+"""The optima of the maps that were flown: each map is solved once, and its optimum stored."""
 
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import suppress
-from typing import Protocol
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from functools import partial
+from itertools import islice
 
-from drone_env.core.tasks import TASKS, TaskConfig, get_task
-from drone_env.errors import DroneEnvError, UnknownNameError
+from drone_env.core.tasks import TaskConfig
+from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.planning.optimal import best_of
 from drone_env.results.database import Database
 
 SOLVE_SECONDS = 0.1
+CHUNK = 100
+"""Most maps of one job."""
 WAITING = 4
-"""Callers that wait for optima at once. Others get what is known: threads that wait are missing elsewhere."""
+"""Most callers that wait for optima at once; others get what is known, so that they hold up no threads."""
 log = logging.getLogger(__name__)
-Solve = Callable[[TaskConfig, Sequence[int]], Sequence[float | None]]
-"""Returns the optima of the first maps of a task, of one at least; None for a map that is too large to be solved."""
+Scores = list[float | None]
+Submit = Callable[[TaskConfig, Sequence[int]], "Future[Scores]"]
+"""Starts `solve_maps` elsewhere."""
+Map = tuple[TaskConfig, int]
 
 
-class Flown(Protocol):
-    """A map that was flown."""
-
-    @property
-    def task(self) -> str: ...  # noqa: D102
-    @property
-    def task_version(self) -> int: ...  # noqa: D102
-    @property
-    def seed(self) -> int: ...  # noqa: D102
-    @property
-    def solved(self) -> bool:
-        """Whether it has been given to the solver."""
-        ...
-
-
-def solve_maps(task: TaskConfig, seeds: Sequence[int]) -> list[float | None]:
+def solve_maps(task: TaskConfig, seeds: Sequence[int]) -> Scores:
     """The optima of the first maps, as many as `SOLVE_SECONDS` allow and at least one; None where it is unknown."""
-    until, scores = time.monotonic() + SOLVE_SECONDS, list[float | None]()
+    until, scores = time.monotonic() + SOLVE_SECONDS, Scores()
     for seed in seeds:
         best = best_of(task, seed)
         scores.append(None if best is None else best.score)
@@ -48,67 +37,97 @@ def solve_maps(task: TaskConfig, seeds: Sequence[int]) -> list[float | None]:
 
 
 class Optima:
-    """Solves maps, and stores their optima.
+    """Has maps solved, of each task one job after another, and stores their optima.
 
     Args:
-        database: Where to.
-        solve: Solves them. It is called in a thread per task, since one task may have to compile for seconds.
+        database: Where to store them.
+        submit: Starts a job; None for a thread of this object.
     """
 
-    def __init__(self, database: Database, solve: Solve = solve_maps) -> None:
+    def __init__(self, database: Database, submit: Submit | None = None) -> None:
         self._database = database
-        self._solve = solve
-        self._closing = threading.Event()
-        self._threads = ThreadPoolExecutor(len(TASKS), "drone_env-optima")
-        self._lock = threading.Lock()
+        self._thread = ThreadPoolExecutor(1, "drone_env-optima") if submit is None else None
+        self._submit = submit or self._in_thread
+        self._wanted: dict[TaskConfig, dict[int, None]] = {}
+        """The maps to solve, by task."""
+        self._solving: set[TaskConfig] = set()
+        self._changed = threading.Condition()
         self._waiting = threading.Semaphore(WAITING)
-        self._jobs: dict[TaskConfig, Future[None]] = {}
+        self._closed = False
 
-    def solve_maps_of(self, rows: Iterable[Flown], patience: float) -> bool:
-        """Start to solve the maps without a stored optimum; whether there were any.
+    def want(self, maps: Collection[Map], patience: float = 0) -> None:
+        """Have maps solved that have no stored optimum, and wait for them, unless `WAITING` callers wait already.
 
-        Waits for up to `patience` seconds, unless `WAITING` callers wait already. A task whose maps are being solved is
-        not started again. Errors are logged, and the next call tries again.
+        Errors are logged; the next call for the same map tries again.
+
+        Args:
+            maps: The maps.
+            patience: Seconds to wait.
         """
-        unsolved: dict[TaskConfig, list[int]] = {}
-        for row in rows:
-            if not row.solved:
-                with suppress(UnknownNameError):  # of a plugin that is gone: nobody can solve its maps
-                    unsolved.setdefault(get_task(row.task, row.task_version), []).append(row.seed)
-        for task, seeds in unsolved.items():
-            self._start(task, list(dict.fromkeys(seeds)), patience / len(unsolved))
-        return bool(unsolved)
-
-    def close(self) -> None:
-        """Stop; waits for the maps that are being solved."""
-        self._closing.set()
-        self._threads.shutdown()
-
-    def _start(self, task: TaskConfig, seeds: Sequence[int], patience: float) -> None:
-        with self._lock:
-            if task not in self._jobs:
-                self._jobs[task] = self._threads.submit(self._work, task, seeds)
-            job = self._jobs[task]
-        if self._waiting.acquire(blocking=False):
+        with self._changed:
+            for task, seed in maps:
+                self._wanted.setdefault(task, {})[seed] = None
+            for task in {task for task, _ in maps} - self._solving:
+                self._start(task)
+        if patience and self._waiting.acquire(blocking=False):
             try:
-                wait([job], patience)
+                with self._changed:
+                    self._changed.wait_for(
+                        lambda: not any(seed in self._wanted.get(task, ()) for task, seed in maps), patience
+                    )
             finally:
                 self._waiting.release()
-        with self._lock:
-            if job.done() and self._jobs.get(task) is job:
-                del self._jobs[task]
-        error = job.exception() if job.done() else None
-        if error is not None:
-            foreseen = isinstance(error, DroneEnvError)
-            log.warning(
-                "optima of %s could not be solved or stored: %s", task.id, error, exc_info=None if foreseen else error
-            )
 
-    def _work(self, task: TaskConfig, seeds: Sequence[int]) -> None:
-        while seeds and not self._closing.is_set():
-            scores = self._solve(task, seeds)
-            rows = [(task.id, task.version, seed, score) for seed, score in zip(seeds, scores, strict=False)]
-            with self._database.writing() as connection:
-                self._database.check_task(connection, task, claim=True)
-                connection.executemany("INSERT OR IGNORE INTO optima VALUES (?, ?, ?, ?)", rows)
-            seeds = seeds[len(scores) :]
+    def close(self) -> None:
+        """Stop; what is being solved is not stored."""
+        self._closed = True
+        if self._thread is not None:
+            self._thread.shutdown(cancel_futures=True)
+
+    def _in_thread(self, task: TaskConfig, seeds: Sequence[int]) -> "Future[Scores]":
+        assert self._thread is not None
+        return self._thread.submit(solve_maps, task, seeds)
+
+    def _start(self, task: TaskConfig) -> None:
+        """Start the next job of a task, holding the lock."""
+        seeds = list(islice(self._wanted[task], CHUNK))
+        self._solving.add(task)
+        try:
+            job = self._submit(task, seeds)
+        except (DroneEnvError, RuntimeError) as error:  # such as too many jobs, or a pool that is closed
+            job = Future[Scores]()
+            job.set_exception(error)
+        job.add_done_callback(partial(self._store, task, seeds))
+
+    def _store(self, task: TaskConfig, seeds: Sequence[int], job: "Future[Scores]") -> None:
+        """Store what a job has found, and start the next."""
+        scores: Scores = []
+        try:
+            scores = self._scores(job)
+            if not self._closed:
+                rows = [(task.id, task.version, seed, score) for seed, score in zip(seeds, scores, strict=False)]
+                with self._database.writing() as connection:
+                    self._database.check_task(connection, task, claim=True)
+                    connection.executemany("INSERT OR IGNORE INTO optima VALUES (?, ?, ?, ?)", rows)
+        except (CancelledError, Exception) as error:
+            scores = []
+            if not self._closed:
+                foreseen = isinstance(error, DroneEnvError | CancelledError)
+                message = "optima of %s could not be solved or stored: %s"
+                log.warning(message, task.id, error, exc_info=None if foreseen else error)
+        with self._changed:
+            left = self._wanted.pop(task)
+            for seed in seeds[: len(scores)]:
+                del left[seed]
+            self._solving.remove(task)
+            if left and scores and not self._closed:
+                self._wanted[task] = left
+                self._start(task)
+            self._changed.notify_all()
+
+    @staticmethod
+    def _scores(job: "Future[Scores]") -> Scores:
+        try:
+            return job.result()
+        except TooLargeError:
+            return [None]

@@ -1,6 +1,6 @@
-"""A session as it is kept: which map, which actions so far. Flying them again gives its episode.
+"""Sessions: which map, which actions so far. Flying them again gives the episode.
 
-The functions at the end read and write its row, inside a transaction that the store has begun.
+The functions at the end read and write the row of a session, inside a transaction of the store.
 """
 
 import re
@@ -10,12 +10,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 
-from drone_env.core.actions import check_action
 from drone_env.core.episode import Episode
-from drone_env.core.rewards import get_reward_profile
-from drone_env.core.seeds import check_seed
-from drone_env.core.tasks import TaskConfig, get_task
-from drone_env.errors import EpisodeError, InvalidValueError, NoSessionError, SessionGoneError
+from drone_env.core.tasks import get_task
+from drone_env.errors import NoSessionError, SessionGoneError
 from drone_env.results.finished import StoredEpisode, check_agent
 
 FINISHED_SECONDS = 30.0
@@ -25,15 +22,17 @@ CHARACTERS = bytes.maketrans(bytes(range(10)), b"0123456789")
 NUMBERS = bytes.maketrans(b"0123456789", bytes(range(10)))
 """Actions are kept as a text of digits; these turn bytes with their numbers into it, and back."""
 EPISODE_ID = re.compile(r"[0-9a-f]{16}")
-"""What the store names an episode."""
+"""Form of the id of a stored episode."""
+Flight = tuple[str, int, int, str]
+"""Task, its version, seed, reward profile."""
 
 
 @dataclass
-class SessionRow:
-    """One session. Inside `Store.session` its methods note changes, which are kept together when the block ends.
+class Session:
+    """A caller's place on the server. Inside `Store.session` its changes are kept together when the block ends.
 
     Attributes:
-        id: Names the session; who knows it may fly it.
+        id: Names the session; who knows it may fly it. Empty for the session of a connection, which has no row.
         task: Id of the task.
         task_version: Version of the task.
         seed: Number of the map.
@@ -44,7 +43,8 @@ class SessionRow:
         opened_at: When the session was opened, in seconds since 1970.
         touched_at: When it was last used, before this use.
         address: Where those are who fly it without naming it; None for a session that has been named.
-        finished: The episodes that `finish` noted.
+        episode: The episode in memory, which has flown all actions; None if it is not in memory.
+        finished: The episodes that have ended and are to be stored.
     """
 
     id: str
@@ -53,138 +53,91 @@ class SessionRow:
     seed: int
     reward_profile: str
     agent: str
-    actions: tuple[int, ...]
-    episode_id: str | None
-    opened_at: float
-    touched_at: float
+    actions: tuple[int, ...] = ()
+    episode_id: str | None = None
+    opened_at: float = 0.0
+    touched_at: float = 0.0
     address: str | None = None
+    episode: Episode | None = field(default=None, compare=False)
     finished: list[StoredEpisode] = field(default_factory=list[StoredEpisode])
 
     @property
-    def flight(self) -> tuple[str, int, int, str]:
+    def flight(self) -> Flight:
         """What is flown: task, its version, seed, reward profile."""
         return self.task, self.task_version, self.seed, self.reward_profile
 
-    def follows(self, episode: Episode) -> bool:
-        """Whether this session flies the map of an episode, with the same actions as far as that has come."""
-        flown = tuple(episode.actions)
-        return flight_of(episode) == self.flight and self.actions[: len(flown)] == flown
+    def follows(self, other: "Session") -> bool:
+        """Whether this session flies the map of another, and begins with its actions."""
+        return self.flight == other.flight and self.actions[: len(other.actions)] == other.actions
 
-    def step(self, episode: Episode, action: int) -> float:
-        """Fly one action of the episode of this session and note it; after the end nothing changes. Its reward."""
-        over = episode.ended
-        reward = episode.step(action)
-        if not over:
-            self.append(action)
-            if episode.ended:
-                self.finish(episode)
-        return reward
+    def go_on_from(self, other: "Session | None") -> None:
+        """Take over the episode in memory of this session as it was before, and fly what has been flown since."""
+        if other is not None and other.episode is not None and self.follows(other):
+            self.episode = other.episode.fly(self.actions[len(other.actions) :])
 
-    def append(self, action: object) -> None:
-        """Note one more action.
-
-        Raises:
-            EpisodeError: if the episode has been finished: reset first.
-            InvalidValueError: if it is not an action.
-        """
-        if self.episode_id is not None:
-            raise EpisodeError("the episode of this session has ended: reset to fly again")
-        self.actions = (*self.actions, check_action(action))
-
-    def undo(self) -> None:
-        """Take the last action back.
-
-        Raises:
-            EpisodeError: if the episode has been finished, which is kept as it is, or nothing has been flown.
-        """
-        if self.episode_id is not None:
-            raise EpisodeError("the episode of this session has ended: reset to fly again")
-        if not self.actions:
-            raise EpisodeError("nothing has been flown that could be taken back")
-        self.actions = self.actions[:-1]
-
-    def finish(self, episode: Episode, episode_id: str | None = None) -> str:
-        """Note that the episode has ended, and return the id under which the store will know it.
+    def begin(self, episode: Episode, agent: str | None = None) -> None:
+        """Start an episode in this session; one that has not ended is dropped.
 
         Args:
-            episode: The episode of this session, flown to its end with the actions noted here.
-            episode_id: That id, for one that may be stored already, which is then kept as it is; None for a new one.
-
-        Raises:
-            EpisodeError: if it has been finished already, or has not ended.
-            InvalidValueError: if the episode is another one than this session's.
-        """
-        if self.episode_id is not None:
-            raise EpisodeError("the episode of this session has been finished already")
-        stored = StoredEpisode.of(episode_id or new_episode_id(), episode, self.agent)
-        if flight_of(episode) != self.flight:
-            raise InvalidValueError(f"the session flies {self.flight}, this is an episode of {flight_of(episode)}")
-        if tuple(episode.actions) != self.actions:
-            raise InvalidValueError(
-                f"the session has noted {len(self.actions)} actions, which are not the {episode.steps} of this episode"
-            )
-        self.finished.append(stored)
-        self.episode_id = stored.id
-        return stored.id
-
-    def reset(self, task: str, task_version: int, seed: int, reward_profile: str, agent: str | None = None) -> None:
-        """Start a map in this session; an episode that has not ended is dropped.
-
-        Args:
-            task: Name of the task.
-            task_version: Version of the task.
-            seed: Number of the map.
-            reward_profile: Id of the reward profile.
+            episode: The episode, at its start.
             agent: Who flies from now on; None for the present one.
 
         Raises:
-            UnknownNameError: if there is no such task, version or profile.
-            InvalidValueError: if the seed is not in [0, 2^53), or the agent's name is not one printable line.
+            InvalidValueError: if the agent's name is not one printable line.
         """
-        task = known_task(task, task_version, seed, reward_profile).id
         if agent is not None:
             self.agent = check_agent(agent)
-        self.task, self.task_version, self.seed, self.reward_profile = task, task_version, int(seed), reward_profile
-        self.actions = ()
-        self.episode_id = None
+        self.task, self.task_version, self.seed, self.reward_profile = flight_of(episode)
+        self.actions, self.episode_id, self.episode = (), None, episode
 
-    def begin(self) -> Episode:
-        """The episode of this session at its reset.
+    def fly(self) -> Episode:
+        """The episode with all actions flown.
 
         Raises:
             UnknownNameError: if there is no such task or profile any more.
         """
-        return Episode(get_task(self.task, self.task_version), self.reward_profile, self.seed)
+        if self.episode is None:
+            task = get_task(self.task, self.task_version)
+            self.episode = Episode(task, self.reward_profile, self.seed).fly(self.actions)
+        return self.episode
 
-    def fly(self) -> Episode:
-        """The episode of this session, flown again from its reset: some microseconds per action. Raises as `begin`."""
-        return self.begin().fly(self.actions)
 
-
-COLUMNS = [column.name for column in fields(SessionRow) if column.name != "finished"]
+COLUMNS = [column.name for column in fields(Session) if column.name not in ("episode", "finished")]
 ACTIONS = COLUMNS.index("actions")
 SELECT = f"SELECT {', '.join(COLUMNS)} FROM sessions WHERE id = ?"
 
 
-def flight_of(episode: Episode) -> tuple[str, int, int, str]:
-    """The same of an episode as `SessionRow.flight`."""
+def advance(session: Session, action: int) -> float:
+    """Fly one action in a session and note it: the one step of HTTP, OpenEnv and the live page.
+
+    After the end of the episode nothing changes.
+
+    Returns:
+        The reward.
+
+    Raises:
+        InvalidValueError: if it is not an action.
+        SessionGoneError, UnknownNameError: as `Session.fly`.
+    """
+    episode = session.fly()
+    over = episode.ended
+    reward = episode.step(action)
+    if not over:
+        session.actions = (*session.actions, int(action))
+        if episode.ended:
+            stored = StoredEpisode.of(new_episode_id(), episode, session.agent)
+            session.finished.append(stored)
+            session.episode_id = stored.id
+    return reward
+
+
+def flight_of(episode: Episode) -> Flight:
+    """What an episode flies, as `Session.flight`."""
     return episode.task.id, episode.task.version, episode.seed, episode.reward_profile.id
 
 
-def known_task(task: str, task_version: int, seed: int, reward_profile: str) -> TaskConfig:
-    """The task, if this flight can be flown.
-
-    Raises:
-        UnknownNameError: if there is no such task, version or profile.
-        InvalidValueError: if the seed is not in [0, 2^53).
-    """
-    get_reward_profile(reward_profile)
-    check_seed(seed)
-    return get_task(task, task_version)
-
-
 def new_episode_id() -> str:
-    """A name for a finished episode."""
+    """A new id for a finished episode."""
     return secrets.token_hex(8)
 
 
@@ -201,7 +154,7 @@ def steady_clock(
     return lambda: steady() + offset
 
 
-def session_row(connection: sqlite3.Connection, session_id: str) -> SessionRow:
+def session_row(connection: sqlite3.Connection, session_id: str) -> Session:
     """A session.
 
     Raises:
@@ -215,18 +168,18 @@ def session_row(connection: sqlite3.Connection, session_id: str) -> SessionRow:
         if connection.execute("SELECT 1 FROM gone_sessions WHERE id = ?", (known,)).fetchone():
             raise SessionGoneError("this session has ended or was idle for too long: open a new one")
         raise NoSessionError("there is no such session: open one first")
-    row = SessionRow(*found)
-    row.actions = tuple(found[ACTIONS].encode().translate(NUMBERS))
-    return row
+    session = Session(*found)
+    session.actions = tuple(found[ACTIONS].encode().translate(NUMBERS))
+    return session
 
 
-def update_session(connection: sqlite3.Connection, row: SessionRow, now: float) -> None:
+def update_session(connection: sqlite3.Connection, session: Session, now: float) -> None:
     """Write a session as it stands, used just now."""
     connection.execute(
         "UPDATE sessions SET task = :task, task_version = :task_version, seed = :seed, agent = :agent, "
         "reward_profile = :reward_profile, actions = :actions, episode_id = :episode_id, touched_at = :now, "
         "address = :address WHERE id = :id",
-        {**vars(row), "actions": bytes(row.actions).translate(CHARACTERS).decode(), "now": now},
+        {**vars(session), "actions": bytes(session.actions).translate(CHARACTERS).decode(), "now": now},
     )
 
 

@@ -6,8 +6,8 @@ must be on a local disk. A store must not be carried across a fork: open one in 
 """
 
 import secrets
-from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,16 +33,16 @@ from drone_env.results.finished import (
     stored_episode,
 )
 from drone_env.results.memory_view import MemoryView
-from drone_env.results.optima import Optima, Solve, solve_maps
+from drone_env.results.optima import Map, Optima, Submit
 from drone_env.results.record import EpisodeRecord, replay
 from drone_env.results.result import Results
 from drone_env.results.sessions import (
     EPISODE_ID,
-    SessionRow,
+    Session,
     end_finished,
     end_idle,
     end_session,
-    known_task,
+    flight_of,
     new_episode_id,
     session_row,
     steady_clock,
@@ -70,11 +70,12 @@ class Store:
             machine's time and runs on evenly, whatever that is set to. It never tells less than the newest use of a
             session.
         busy_seconds: For how long to wait while others write.
-        solve: Finds the optima of maps, called in threads of the store's.
+        submit: Starts to solve maps elsewhere: the map of each episode that is stored, and those of a list. If None, a
+            thread of the store solves those of a list.
 
     Raises:
         OSError: if the folder or the file cannot be made.
-        StoreError: if the file in it is no store, was written by a newer version of this package, cannot be opened, or
+        StoreError: if the file in it is no store of this version, cannot be opened, or
             keeps flights of another task under the name of one that is registered.
     """
 
@@ -83,7 +84,7 @@ class Store:
         folder: str | Path,
         clock: Callable[[], float] | None = None,
         busy_seconds: float = BUSY_SECONDS,
-        solve: Solve = solve_maps,
+        submit: Submit | None = None,
     ) -> None:
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -97,10 +98,11 @@ class Store:
         except BaseException:
             self._database.close()
             raise
-        self._optima = Optima(self._database, solve)
+        self._solves_all = submit is not None
+        self._optima = Optima(self._database, submit)
 
     def close(self) -> None:
-        """Close the file; a second call does nothing. Waits for `memory.json`, and the map that is being solved."""
+        """Close the file; a second call does nothing. Waits for `memory.json`."""
         self._optima.close()
         self._view.close()
         self._database.close()
@@ -147,7 +149,7 @@ class Store:
         with self._database.writing() as connection:
             self._database.check_task(connection, episode.task, claim=True)
             insert_episode(connection, stored)
-        self._view.refresh()
+        self._noted([stored])
         return stored.id
 
     def episode(self, episode_id: str) -> StoredEpisode:
@@ -206,11 +208,7 @@ class Store:
         where, values = selection(task, agent, before, after, episode_id, seed)
         chosen = f"{where} {NEWEST}", (*values, _at_most(n))
         found = self._rows(*chosen)
-        return (
-            self._rows(*chosen)
-            if self._optima.solve_maps_of(found, PATIENCE if patience is None else patience)
-            else found
-        )
+        return self._rows(*chosen) if self._solve(found, patience) else found
 
     def by_map(self, task: str | TaskConfig, patience: float | None = None) -> dict[str, Results]:
         """All finished episodes of a task by agent, one row per map; optima as for `listed`.
@@ -222,7 +220,7 @@ class Store:
         where, values = selection(task)
         chosen = SELECT_BY_MAP.format(where=where), values
         found = [MapRow(*row) for row in self._read(*chosen)]
-        if self._optima.solve_maps_of(found, PATIENCE if patience is None else patience):
+        if self._solve(found, patience):
             found = [MapRow(*row) for row in self._read(*chosen)]
         return results_by_agent(found)
 
@@ -263,33 +261,27 @@ class Store:
 
     # Sessions
 
-    def open_session(
-        self,
-        task: str,
-        task_version: int,
-        seed: int,
-        reward_profile: str,
-        agent: str,
-        capacity: int,
-        address: str | None = None,
-    ) -> str:
-        """Open a session on a map and return its id, which cannot be guessed.
+    def open_session(self, episode: Episode, agent: str, capacity: int, address: str | None = None) -> str:
+        """Open a session on an episode at its start, and return its id, which cannot be guessed.
 
-        Where there is no room, the session that was finished first gives way, if it has not been used for
-        30 s. `address` makes it the one of those there who name none (`unnamed_session`).
+        If there is no room, the session that was finished first gives way, if it has not been used for 30 s.
+
+        Args:
+            episode: The episode.
+            agent: Who flies.
+            capacity: How many sessions may be open.
+            address: Where the callers are that share it without naming it (`unnamed_session`).
 
         Raises:
             CapacityError: if `capacity` sessions are open already; expire the idle ones first.
-            UnknownNameError: if there is no such task, version or profile.
-            InvalidValueError: if the seed is not in [0, 2^53), or the agent's name is not one printable line.
+            InvalidValueError: if the agent's name is not one printable line.
             StoreError: if it could not be written.
         """
         session_id = secrets.token_urlsafe(24)
-        known = known_task(task, task_version, seed, reward_profile)
         now, agent = self._clock(), check_agent(agent)
-        row = (session_id, known.id, task_version, seed, reward_profile, agent, "", None, now, now, address)
+        row = (session_id, *flight_of(episode), agent, "", None, now, now, address)
         with self._database.writing() as connection:
-            self._database.check_task(connection, known, claim=True)
+            self._database.check_task(connection, episode.task, claim=True)
             (taken,) = connection.execute(COUNT).fetchone()
             if taken >= capacity and not end_finished(connection, now):
                 raise CapacityError(f"all {capacity} sessions are taken: try again later")
@@ -299,14 +291,14 @@ class Store:
         return session_id
 
     @contextmanager
-    def session(self, session_id: str, address: str | None = None) -> Generator[SessionRow, None, None]:
+    def session(self, session_id: str, address: str | None = None) -> Generator[Session, None, None]:
         """A session to be changed. Nobody else writes to the store meanwhile: keep the block short, without `await`.
 
         At the end of the block its changes and the finished episodes are kept together; if the block raises, nothing is
-        kept, and an `Episode` that was stepped inside must be flown again. Entering counts as use.
+        kept, and its `episode` must not be used again. Entering counts as use.
 
-            with store.session(id) as row:
-                reward = row.step(episode, action)
+            with store.session(id) as session:
+                reward = advance(session, action)
 
         Args:
             session_id: The session.
@@ -319,22 +311,34 @@ class Store:
                 same thread.
         """
         with self._database.writing() as connection:
-            row = session_row(connection, session_id)
+            session = session_row(connection, session_id)
             if address is None:
-                row.address = None
-            elif row.address != address:
+                session.address = None
+            elif session.address != address:
                 raise NoSessionError("somebody has named this session meanwhile")
-            flight = row.flight
-            yield row
-            if row.flight != flight or row.finished:
-                self._database.check_task(connection, get_task(row.task, row.task_version), claim=True)
-            for stored in row.finished:
+            flight = session.flight
+            yield session
+            if session.flight != flight or session.finished:
+                self._database.check_task(connection, get_task(session.task, session.task_version), claim=True)
+            for stored in session.finished:
                 insert_episode(connection, stored)
-            update_session(connection, row, self._clock())
-        if row.finished:
-            self._view.refresh()
+            update_session(connection, session, self._clock())
+        self._noted(session.finished)
 
-    def read_session(self, session_id: str) -> SessionRow:
+    def keep(self, session: Session) -> None:
+        """Store the finished episodes of a session that has no row.
+
+        Raises:
+            StoreError: if they could not be written; then the session still holds them.
+        """
+        with self._database.writing() as connection:
+            for stored in session.finished:
+                self._database.check_task(connection, get_task(stored.record.task), claim=True)
+                insert_episode(connection, stored)
+        self._noted(session.finished)
+        session.finished = []
+
+    def read_session(self, session_id: str) -> Session:
         """A session as it stands, to be read only; does not wait for writers and does not count as use.
 
         Raises:
@@ -396,6 +400,25 @@ class Store:
             StoreError: if the store cannot be read.
         """
         return self._read(COUNT)[0][0]
+
+    def _noted(self, stored: Sequence[StoredEpisode]) -> None:
+        """Show new episodes in `memory.json`, and have their maps solved."""
+        if stored:
+            self._view.refresh()
+            if self._solves_all:
+                for one in stored:
+                    self._solve(self._rows("WHERE id = ?", (one.id,)), 0.0)
+
+    def _solve(self, rows: Sequence[EpisodeSummary] | Sequence[MapRow], patience: float | None) -> bool:
+        """Have the maps of rows solved that have no optimum; whether there were any."""
+        unsolved: dict[Map, None] = {}
+        for row in rows:
+            if not row.solved:
+                with suppress(UnknownNameError):  # of a plugin that is gone: nobody can solve its maps
+                    unsolved[get_task(row.task, row.task_version), row.seed] = None
+        if unsolved:
+            self._optima.want(unsolved, PATIENCE if patience is None else patience)
+        return bool(unsolved)
 
     def _continued(self, clock: Callable[[], float]) -> Callable[[], float]:
         """A clock that has gone back since the last start would let sessions live on: it begins where they are."""

@@ -27,15 +27,13 @@ with needs("server", __name__):
     from starlette.routing import WebSocketRoute
 
 from drone_env.envs.registry import load_plugins, register_reward_file
-from drone_env.server.hello import hello
 from drone_env.server.live.socket import LiveSocket
-from drone_env.server.openenv import routes as openenv
-from drone_env.server.openenv.socket import OpenEnvSocket
+from drone_env.server.logs import LogRequests
+from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
 from drone_env.server.problems import answers, install
 from drone_env.server.process import end_with_parent, run
-from drone_env.server.request_log import LogRequests
-from drone_env.server.routes import catalogue, compare, flight, history, maps, page, replay, runs, step, values
+from drone_env.server.routes import catalogue, compare, flight, history, maps, openenv, page, replay, runs, values
 from drone_env.server.security import protect
 from drone_env.server.settings import Settings, load_settings
 from drone_env.server.state import Shared
@@ -74,7 +72,6 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None, None]:
         await run_in_threadpool(shared.open)
-        await run_in_threadpool(hello)
         # Seen where uvicorn itself was started; the command has printed it.
         for line in shared.networks.described():
             logging.getLogger("uvicorn.error").info("%s", line)
@@ -106,7 +103,8 @@ def create_app(settings: Settings | None = None, clock: Callable[[], float] | No
     # The first is the innermost.
     protect(app, settings)
     app.add_middleware(LogRequests, log=shared.requests)
-    for routes in (step, flight, catalogue, history, compare, runs, replay, values, maps, page, openenv):
+    app.include_router(flight.stepping)
+    for routes in (flight, catalogue, history, compare, runs, replay, values, maps, page, openenv):
         app.include_router(routes.router)
     app.router.routes.append(WebSocketRoute("/ws", socket))
     app.router.routes.append(WebSocketRoute("/live", live))

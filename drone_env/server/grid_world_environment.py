@@ -1,3 +1,132 @@
-"""The OpenEnv environment under the name of its original file."""
+"""The environment for those who bring OpenEnv: in process, or behind OpenEnv's own server.
 
-from drone_env.server.openenv.environment import DroneDeliveryEnvironment as DroneDeliveryEnvironment
+    from openenv.core.env_server import create_fastapi_app
+
+    app = create_fastapi_app(
+        DroneDeliveryEnvironment, DroneEnvAction, DroneEnvObservation, max_concurrent_envs=64, state_cls=DroneEnvState
+    )
+
+Importing this module imports OpenEnv's server package, which takes seconds.
+"""
+
+import uuid
+from typing import Any
+
+from openenv.core.env_server.interfaces import Environment
+from openenv.core.env_server.types import Action, EnvironmentMetadata, Observation, State
+from openenv.core.rubrics import Rubric
+from pydantic import ConfigDict, ValidationError
+
+from drone_env import __version__
+from drone_env.core.episode import Episode
+from drone_env.errors import InvalidValueError, text_of
+from drone_env.models import DroneState, observation_fields
+from drone_env.server.map_choice import DEFAULT_TASK, TaskApi, start_episode
+from drone_env.server.schemas import DESCRIPTION, ENV_NAME, ResetOptions, WireAction, WireObservation
+
+
+class DroneEnvAction(WireAction, Action):
+    """One action, as OpenEnv's classes have it."""
+
+    model_config = ConfigDict(frozen=False)
+
+
+class DroneEnvObservation(WireObservation, Observation):
+    """One observation, as OpenEnv's classes have it."""
+
+    model_config = ConfigDict(frozen=False)
+
+
+class DroneEnvState(DroneState, State):
+    """The full state, as OpenEnv's classes have it."""
+
+    model_config = ConfigDict(frozen=False, extra="forbid")
+
+
+class GradeRubric(Rubric):
+    """What the grader says: the graded score of the episode as it stands; provisional until it has ended."""
+
+    def forward(self, action: Any, observation: Any) -> float:
+        """The score of the observation."""
+        return observation.score
+
+
+class DroneDeliveryEnvironment(TaskApi, Environment[DroneEnvAction, DroneEnvObservation, DroneEnvState]):
+    """One drone on one map, by OpenEnv's rules. Rewards are those of the reward profile; `rubric` is the grader.
+
+    Args:
+        task: The task of a reset that names none.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+    """
+
+    SUPPORTS_CONCURRENT_SESSIONS = True
+
+    def __init__(self, task: str = DEFAULT_TASK) -> None:
+        super().__init__(rubric=GradeRubric())
+        self._task, self._episode = task, Episode(task)
+        self._episode_id = ""
+
+    def reset(self, seed: int | None = None, episode_id: str | None = None, **kwargs: Any) -> DroneEnvObservation:
+        """Start an episode. On an error the running one is left as it was.
+
+        Args:
+            seed: Number of the map, 0 to 2^53 - 1; without one, the map after the last on a fixed walk, and at first
+                one that is drawn at random from the train split.
+            episode_id: Names the episode in the state; a random one without.
+            kwargs: `task_name`, `reward_profile`, `agent`, or `split` and `index` of the task API.
+
+        Raises:
+            InvalidValueError: if one of them is unknown or has a value that is not allowed.
+            UnknownNameError: if there is no such task, profile or split.
+        """
+        try:
+            options = ResetOptions(seed=seed, episode_id=episode_id, **kwargs)
+        except ValidationError as error:
+            raise InvalidValueError(text_of(error)) from None
+        last = self._episode.seed if self._episode.started else None
+        self._episode = start_episode(options, last, self._task)
+        self._episode_id = options.episode_id if options.episode_id is not None else str(uuid.uuid4())
+        self._reset_rubric()
+        return self._observe(None)
+
+    def step(self, action: DroneEnvAction, timeout_s: float | None = None, **kwargs: Any) -> DroneEnvObservation:
+        """Fly one action. After the end it changes nothing, pays 0, and `message` says so.
+
+        Args:
+            action: Where to fly.
+            timeout_s: OpenEnv's; a step takes microseconds.
+            kwargs: OpenEnv's; nothing is taken.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        observation = self._observe(self._episode.step(action.action))
+        self._apply_rubric(action, observation)
+        return observation
+
+    async def reset_async(
+        self, seed: int | None = None, episode_id: str | None = None, **kwargs: Any
+    ) -> DroneEnvObservation:
+        """As `reset`: it takes some microseconds, so it needs no thread."""
+        return self.reset(seed, episode_id, **kwargs)
+
+    async def step_async(
+        self, action: DroneEnvAction, timeout_s: float | None = None, **kwargs: Any
+    ) -> DroneEnvObservation:
+        """As `step`: it takes some microseconds, so it needs no thread."""
+        return self.step(action, timeout_s, **kwargs)
+
+    @property
+    def state(self) -> DroneEnvState:
+        """The full state."""
+        return DroneEnvState(**dict(DroneState.of(self._episode).model_copy(update={"episode_id": self._episode_id})))
+
+    def get_metadata(self) -> EnvironmentMetadata:
+        """What the environment is."""
+        return EnvironmentMetadata(name=ENV_NAME, description=DESCRIPTION, version=__version__)
+
+    def _observe(self, reward: float | None) -> DroneEnvObservation:
+        # Made from the rules, so it needs no validation.
+        return DroneEnvObservation.model_construct(**observation_fields(self._episode), reward=reward, metadata={})

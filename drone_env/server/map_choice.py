@@ -1,6 +1,8 @@
-"""Which map a reset chooses, and what its steps pay; splits are named `task/split`."""
+"""Which map a reset chooses, and OpenEnv's task API: each task has three splits, and map i of one is its i-th seed."""
 
 import secrets
+
+from typing_extensions import TypedDict
 
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE, get_reward_profile
@@ -10,6 +12,8 @@ from drone_env.errors import InvalidValueError, UnknownNameError
 from drone_env.server.schemas import ResetOptions
 
 DEFAULT_TASK = "easy_delivery"
+PREVIEW = 1000
+"""How many maps a list shows; `the 1,000 test maps` are these of the test split."""
 
 
 def start_episode(options: ResetOptions, last_seed: int | None, task: str = DEFAULT_TASK) -> Episode:
@@ -19,7 +23,7 @@ def start_episode(options: ResetOptions, last_seed: int | None, task: str = DEFA
         options: The reset.
         last_seed: The map that the session flew last: without a seed, the next on the walk follows. None for a new
             session, whose first map is drawn at random from the train split.
-        task: The task where the reset names none.
+        task: The task if the reset names none.
 
     Raises:
         UnknownNameError: if there is no such task, profile or split.
@@ -28,10 +32,10 @@ def start_episode(options: ResetOptions, last_seed: int | None, task: str = DEFA
     profile = get_reward_profile(options.reward_profile or ORIGINAL_PROFILE)
     if options.split is not None and options.index is not None:
         try:
-            known, seed = find_map(options.split, options.index)
+            spec = TaskApi().get_task(options.split, options.index)
         except IndexError as error:
             raise InvalidValueError(str(error)) from None
-        return Episode(known, profile, seed)
+        return Episode(spec["task_name"], profile, spec["seed"])
     seed = options.seed
     if seed is None:
         seed = secrets.randbelow(SPLITS["train"].stop) if last_seed is None else next_seed(last_seed)
@@ -43,32 +47,68 @@ def is_registered(task: str) -> bool:
     return any(task in (known.id, known.short_name, known.grader) for known in TASKS.values())
 
 
-def split_names() -> list[str]:
-    """The names of all splits."""
-    return [f"{task}/{split}" for task in TASKS for split in SPLITS]
+class SplitInfo(TypedDict):
+    """A split."""
+
+    name: str
+    type: str
 
 
-def find_split(split: str) -> tuple[TaskConfig, range]:
-    """Task and seeds of a split.
+class TaskSpec(TypedDict):
+    """One map of a split."""
 
-    Raises:
-        UnknownNameError: if there is no such split.
-    """
-    task, _, name = split.rpartition("/")
-    try:
-        return get_task(task), range(*SPLITS[name])
-    except (UnknownNameError, KeyError):
-        raise UnknownNameError("split", split, split_names()) from None
+    id: str
+    index: int
+    split: str
+    task_name: str
+    seed: int
 
 
-def find_map(split: str, index: int) -> tuple[TaskConfig, int]:
-    """Task and seed of a map.
+class TaskApi:
+    """The task API, as OpenEnv's environments have it. Splits are named `task/split`."""
 
-    Raises:
-        UnknownNameError: if there is no such split.
-        IndexError: if it has no such map.
-    """
-    task, seeds = find_split(split)
-    if not 0 <= index < len(seeds):
-        raise IndexError(f"split {split!r} has {len(seeds)} maps; there is no number {index}")
-    return task, seeds[index]
+    def list_splits(self) -> list[SplitInfo]:
+        """All splits; `reset(split=..., index=...)` flies one of their maps."""
+        return [{"name": f"{task}/{split}", "type": split} for task in TASKS for split in SPLITS]
+
+    def num_tasks(self, split: str) -> int:
+        """How many maps a split has."""
+        return len(self._find(split)[1])
+
+    def list_tasks(self, split: str) -> list[TaskSpec]:
+        """The first 1,000 maps of a split."""
+        return self.get_task_range(split, 0, PREVIEW)
+
+    def get_task_range(self, split: str, start: int | None = None, stop: int | None = None) -> list[TaskSpec]:
+        """Maps start to stop (exclusive) of a split, at most 1,000 of them.
+
+        Raises:
+            UnknownNameError: if there is no such split.
+            InvalidValueError: if the range is not within the split, or too long.
+        """
+        size = self.num_tasks(split)
+        first = 0 if start is None else start
+        last = min(first + PREVIEW, size) if stop is None else stop
+        if not (0 <= first <= last <= size and last - first <= PREVIEW):
+            message = f"{split!r} has {size} maps, {PREVIEW} of them at a time; asked for {first} to {last}"
+            raise InvalidValueError(message)
+        return [self.get_task(split, index) for index in range(first, last)]
+
+    def get_task(self, split: str, index: int) -> TaskSpec:
+        """One map of a split.
+
+        Raises:
+            UnknownNameError: if there is no such split.
+            IndexError: if it has no such map.
+        """
+        task, seeds = self._find(split)
+        if not 0 <= index < len(seeds):
+            raise IndexError(f"split {split!r} has {len(seeds)} maps; there is no number {index}")
+        return {"id": f"{split}/{index}", "index": index, "split": split, "task_name": task.id, "seed": seeds[index]}
+
+    def _find(self, split: str) -> tuple[TaskConfig, range]:
+        task, _, name = split.rpartition("/")
+        try:
+            return get_task(task), range(*SPLITS[name])
+        except (UnknownNameError, KeyError):
+            raise UnknownNameError("split", split, [one["name"] for one in self.list_splits()]) from None

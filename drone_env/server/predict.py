@@ -45,17 +45,6 @@ WHOLE_MAPS = ("trained-tournet", "tournet", TRAINED, NETWORK)
 """Who is asked what to do at every cell of a map: the first of them that flies its task."""
 
 
-class Asked(NamedTuple):
-    """The network that is asked about a whole map."""
-
-    pilot: str
-    """Of `SOURCES`."""
-    file: str
-    """Name of its file."""
-    stamp: object
-    """Changes when the file is written again."""
-
-
 class Networks:
     """The networks of the server: of PathQNet one for each task, and the tour network; shipped, and trained here.
 
@@ -84,8 +73,8 @@ class Networks:
             raise RequestError(
                 503,
                 "no_network",
-                f"there is no network for {task.id!r}: neither {self._file(TRAINED, task).name} in the data folder nor "
-                f"{self._file(NETWORK, task).name} in the folder of weights. drone-env train --task {task.short_name} "
+                f"there is no network for {task.id!r}: neither {self.file(TRAINED, task).name} in the data folder nor "
+                f"{self.file(NETWORK, task).name} in the folder of weights. drone-env train --task {task.short_name} "
                 "trains one; the data folder of the server is where it should leave it (--data)",
             )
         agent = self.agent(source, task)
@@ -94,7 +83,7 @@ class Networks:
         return Prediction(
             action=DIRECTIONS[int(np.argmax(values))],
             q_values=dict(zip(DIRECTIONS, values.tolist(), strict=True)),
-            model=ModelInfo(file=self._file(source, task).name, digest=str(agent.config["network"])),
+            model=ModelInfo(file=self.file(source, task).name, digest=str(agent.config["network"])),
         )
 
     def beside(self, pilot: str, task: TaskConfig) -> PathQNetAgent | None:
@@ -106,13 +95,9 @@ class Networks:
         found = None if source is None else self._at(source, task)
         return found if isinstance(found, PathQNetAgent) else None
 
-    def asked(self, task: TaskConfig) -> Asked | None:
-        """The network that is asked about whole maps of a task; None where none flies it, or can be read."""
-        pilot = next((pilot for pilot in WHOLE_MAPS if self.flies(pilot, task)), None)
-        if pilot is None:
-            return None
-        file = self._file(pilot, task)
-        return Asked(pilot, file.name, self._read[file][0])
+    def asked(self, task: TaskConfig) -> str | None:
+        """Who is asked about whole maps of a task; None if nobody flies it, or can be read."""
+        return next((pilot for pilot in WHOLE_MAPS if self.flies(pilot, task)), None)
 
     def flies(self, source: str, task: TaskConfig) -> bool:
         """Whether there is a network for a task that can be read; `source` is one of `SOURCES`."""
@@ -126,7 +111,7 @@ class Networks:
             UnsupportedTaskError: if there is none; the message names the tasks that have one.
             CheckpointError: if its file holds none that fits; the message names it, but not where it lies.
         """
-        found, file = self._at(source, task), self._file(source, task)
+        found, file = self._at(source, task), self.file(source, task)
         if found is None:
             flown = [other.short_name for other in TASKS.values() if self.flies(source, other)]
             raise UnsupportedTaskError(
@@ -145,7 +130,7 @@ class Networks:
             TooLargeError: if what there is to see on a map of the task would take too much memory.
             OSError: if the file can no longer be read.
         """
-        found, file = self.require(source, task), self._file(source, task)
+        found, file = self.require(source, task), self.file(source, task)
         try:
             return NETWORK_AGENTS[SOURCES[source].agent].make(task, found) if isinstance(found, Path) else found
         except CheckpointError as error:
@@ -167,12 +152,13 @@ class Networks:
         if isinstance(found, CheckpointError):
             return f"refused{', and so is /predict' if source in (TRAINED, NETWORK) else ''}: {found}"
         what = "trained here" if SOURCES[source].trained else "shipped"
-        return None if found is None else f"{source!r} flies by {self._file(source, task)} ({what})"
+        return None if found is None else f"{source!r} flies by {self.file(source, task)} ({what})"
 
     def _first(self, task: TaskConfig) -> str | None:
         return next((source for source in (TRAINED, NETWORK) if self._at(source, task) is not None), None)
 
-    def _file(self, source: str, task: TaskConfig) -> Path:
+    def file(self, source: str, task: TaskConfig) -> Path:
+        """The file of a pilot's network for a task, there or not."""
         agent, trained = SOURCES[source]
         if agent == "pathqnet":
             return (
@@ -191,7 +177,7 @@ class Networks:
 
         If the file is wrong, what is; None where there is none.
         """
-        file = self._file(source, task)
+        file = self.file(source, task)
         try:
             now = stamp(file)
             if now is None:

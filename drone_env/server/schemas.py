@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, JsonValue, create_model, model_validator
 from typing_extensions import Self
 
-from drone_env.core.actions import Event
+from drone_env.core.actions import Action, Event
 from drone_env.core.cells import CELL_KINDS
 from drone_env.core.rewards import ORIGINAL_PROFILE, REWARD_PROFILES, RewardProfile, tabulate_rewards
 from drone_env.core.tasks import TaskConfig
@@ -29,6 +29,11 @@ from drone_env.results.finished import Analysis, EpisodeSummary, check_agent
 RESETS: list[JsonValue] = [{"task_name": "easy_delivery", "seed": 7}, {}, {"episode_id": "run-1", "seed": 7}]
 STAYING = (Event.WALL, Event.BLOCKED, Event.WAIT)
 """Events after which the drone is as far from its target as before."""
+ENV_NAME = "drone-env"
+DESCRIPTION = (
+    "A drone delivers parcels on a generated city grid, on one battery, in as few steps as possible. Maps are solved "
+    "exactly, so every score stands beside the optimum of its map."
+)
 STEPS: list[JsonValue] = [{"direction": "UP"}, {"action": {"direction": "UP"}}]
 
 
@@ -80,6 +85,13 @@ class WireAction(DroneAction):
     metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Ignored.")
 
 
+class WireObservation(DroneObservation):
+    """An observation with all that OpenEnv adds."""
+
+    reward: float | None = Field(default=None, description="What the step paid; null after a reset.")
+    metadata: dict[str, Any] = Field(default_factory=dict[str, Any], description="Empty.")
+
+
 class StepRequest(Message):
     """One action: flat (`direction`), or as OpenEnv sends it (`action`). Exactly one of them."""
 
@@ -97,9 +109,9 @@ class StepRequest(Message):
         return self
 
     @property
-    def chosen(self) -> DroneAction:
+    def chosen(self) -> Action:
         """The action."""
-        return self.action or DroneAction.model_validate({"direction": self.direction})
+        return Action[str(self.direction)] if self.action is None else self.action.action
 
 
 class StepResult(Message):

@@ -1,46 +1,43 @@
-"""HTTP sessions: rows of the store, and the live episodes of those that this process has flown.
+"""HTTP sessions: rows of the store, and the episodes of those that this process has flown; and observations as JSON.
 
-The row is the truth: another process may have stepped the session, so each use brings the live episode up to the
-row's actions first.
+The row is the truth: another process may have stepped the session, so each use brings the episode in memory up to the
+actions of the row first.
 """
 
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
+from functools import lru_cache
+from typing import Any, TypeVar
+
+from pydantic_core import to_json
 
 from drone_env.core.episode import Episode
 from drone_env.errors import CapacityError, EpisodeError, NoSessionError, SessionGoneError
-from drone_env.models import DroneAction
-from drone_env.results.sessions import SessionRow, flight_of
+from drone_env.models import LEGEND, map_rows, observation_numbers, shown
+from drone_env.results.sessions import Session, advance
 from drone_env.results.store import Store
 from drone_env.server.map_choice import start_episode
-from drone_env.server.observation_json import flat_json
 from drone_env.server.schemas import ResetOptions
 
 ANONYMOUS = "anonymous"
-"""The agent's name where none is given."""
+"""Name of an agent that gives none."""
+Result = TypeVar("Result")
+Show = Callable[[Episode, float | None], Result]
+"""Makes the answer from an episode and the reward of its last step; for HTTP `flat_json` or `openenv_json`."""
 
 
-Show = Callable[[Episode, float | None], str]
-"""The JSON of an episode and of what its last step paid: `flat_json` or `openenv_json`."""
+class OtherStepError(EpisodeError):
+    """The session has flown another number of steps than the caller knows of."""
 
 
 class _Live:
-    """The episode of a session in this process; its lock is held by its user."""
+    """A session in this process, as it was last used; its lock is held by its user."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
-        self.episode: Episode | None = None
-
-    def caught_up(self, row: SessionRow) -> Episode:
-        """The episode with all actions of the row flown."""
-        episode = self.episode
-        if episode is None or not row.follows(episode):
-            episode = self.episode = row.fly()
-        for action in row.actions[episode.steps :]:
-            episode.step(action)
-        return episode
+        self.session: Session | None = None
 
 
 class Sessions:
@@ -60,19 +57,19 @@ class Sessions:
         self._lock = threading.Lock()
 
     def reset(
-        self, session: str | None, options: ResetOptions, address: str | None = None, show: Show = flat_json
-    ) -> tuple[str, str]:
-        """Start an episode in the session, or in a new one where none is named or it is gone.
+        self, session: str | None, options: ResetOptions, show: Show[Result], address: str | None = None
+    ) -> tuple[str, Result]:
+        """Start an episode in the session, or in a new one if none is named or it is gone.
 
         Args:
             session: The session that the caller names, None for none.
             options: What to fly.
+            show: Makes the answer.
             address: Of a caller who names none and shares a session with others there who name none. It is used again
                 once it has been flown so. One that has not may be that of a caller who will name it.
-            show: Makes the answer from the episode.
 
         Returns:
-            The session, and the first observation as JSON.
+            The session, and what `show` returns.
 
         Raises:
             UnknownNameError: if there is no such task, profile or split.
@@ -82,83 +79,93 @@ class Sessions:
         if address is not None:
             session = self.store.unnamed_session(address)
         if session is not None:
-            # Where it is gone the caller does what the error would ask for: open a new one.
+            # If it is gone, the caller does what the error would ask for: open a new one.
             with suppress(NoSessionError, SessionGoneError):
-                return session, self._reset_row(session, options, show, address, flown=address is not None)
+                return session, self._begin(session, options, show, address, flown=address is not None)
         episode = start_episode(options, None)
-        wanted = *flight_of(episode), options.agent or ANONYMOUS, self.capacity, address
+        wanted = episode, options.agent or ANONYMOUS, self.capacity, address
         try:
             opened = self.store.open_session(*wanted)
         except CapacityError:
             if self.expire():
                 opened = self.store.open_session(*wanted)
             elif session is not None and address is not None:
-                return session, self._reset_row(session, options, show, address)
+                return session, self._begin(session, options, show, address)
             else:
                 raise
-        first = show(episode, None)
-        live = self._entry(opened)
-        with live.lock:
-            live.episode = episode
-        return opened, first
+        return opened, show(episode, None)
 
-    def _reset_row(
-        self, session: str, options: ResetOptions, show: Show, address: str | None = None, flown: bool = False
-    ) -> str:
+    def _begin(
+        self, session: str, options: ResetOptions, show: Show[Result], address: str | None, flown: bool = False
+    ) -> Result:
         with self._held(session) as live:
             with self._changing(live, session, address) as row:
                 if flown and not row.actions:
                     raise NoSessionError("nobody has flown this session yet")
-                episode = live.episode = start_episode(options, row.seed)
-                row.reset(*flight_of(episode), options.agent)
+                episode = start_episode(options, row.seed)
+                row.begin(episode, options.agent)
             return show(episode, None)
 
-    def step(
+    def advance(
         self,
         session: str,
-        action: DroneAction,
+        action: int,
+        show: Show[Result],
         after: int | None = None,
         address: str | None = None,
-        show: Show = flat_json,
-    ) -> str:
-        """Fly one action. What it returns is kept: the step, and the finished episode if it was the last.
+        check: Callable[[Session], None] | None = None,
+    ) -> tuple[Session, Result]:
+        """Fly one action, and keep the step and the finished episode if it was the last.
 
         Args:
             session: The session.
             action: The action.
+            show: Makes the answer, when others may write to the store again.
             after: How many steps the sender knows of. The step that comes after these is flown once, however often it
                 is sent, and the same is returned each time; None flies it in any case.
             address: Of a caller who does not name the session.
-            show: Makes the answer from the episode.
+            check: Raises an error if the session is not to be stepped.
 
         Returns:
-            The observation after the step as JSON, put together when others may write to the store again.
+            The session, and what `show` returns.
 
         Raises:
             NoSessionError: if there never was such a session.
             SessionGoneError: if it has ended or expired.
-            EpisodeError: if the session stands at another step than `after`, and not because of this action.
+            OtherStepError: if it has flown another number of steps than `after`, and not because of this action.
         """
         with self._held(session) as live:
             with self._changing(live, session, address) as row:
-                episode = live.caught_up(row)
+                if check is not None:
+                    check(row)
                 flown = len(row.actions)
                 if after is None or after == flown:
-                    reward = row.step(episode, action.action)
-                elif after == flown - 1 and row.actions[-1] == action.action:
+                    reward = advance(row, action)
+                elif after == flown - 1 and row.actions[-1] == action:
                     # Flown again: a step after the end may have been sent meanwhile, and the answer must not show it.
-                    episode = row.fly()
-                    reward = episode.reward_last
+                    row.episode = None
+                    reward = row.fly().reward_last
                 else:
-                    raise EpisodeError(
+                    raise OtherStepError(
                         f"this action is to follow step {after}, and the session has flown {flown} steps: GET /state "
                         "tells where it stands"
                     )
-            return show(episode, reward)
+            return row, show(row.fly(), reward)
 
     @contextmanager
-    def reading(self, session: str) -> Generator[tuple[SessionRow, Episode], None, None]:
-        """The row and the episode of a session, to be read inside the block.
+    def changing(self, session: str, address: str | None = None) -> Generator[Session, None, None]:
+        """A session to be changed inside the block; kept when that ends.
+
+        Raises:
+            NoSessionError: if there never was such a session.
+            SessionGoneError: if it has ended or expired.
+        """
+        with self._held(session) as live, self._changing(live, session, address) as row:
+            yield row
+
+    @contextmanager
+    def reading(self, session: str) -> Generator[Session, None, None]:
+        """A session to be read inside the block; its episode is in memory.
 
         Raises:
             NoSessionError: if there never was such a session.
@@ -166,7 +173,10 @@ class Sessions:
         """
         with self._held(session) as live:
             row = self.store.read_session(session)
-            yield row, live.caught_up(row)
+            row.go_on_from(live.session)
+            row.fly()
+            live.session = row
+            yield row
 
     def end(self, session: str) -> None:
         """End a session: it is gone, and its place free.
@@ -187,8 +197,12 @@ class Sessions:
 
     @contextmanager
     def _held(self, session: str) -> Generator[_Live, None, None]:
-        """The live episode of a session, which nobody else uses meanwhile; forgotten where the session is gone."""
-        live = self._entry(session)
+        """A session in this process, which nobody else uses meanwhile; forgotten if the session is gone."""
+        with self._lock:
+            live = self._live.setdefault(session, _Live())
+            self._live.move_to_end(session)
+            while len(self._live) > self.capacity:
+                self._live.popitem(last=False)
         try:
             with live.lock:
                 yield live
@@ -197,24 +211,54 @@ class Sessions:
             raise
 
     @contextmanager
-    def _changing(self, live: _Live, session: str, address: str | None) -> Generator[SessionRow, None, None]:
-        """The row of a session that is held, to be changed; kept when the block ends."""
-        try:
-            with self.store.session(session, address) as row:
-                yield row
-        except BaseException:
-            # Nothing was kept, so what was flown inside is not so.
-            live.episode = None
-            raise
-
-    def _entry(self, session: str) -> _Live:
-        with self._lock:
-            live = self._live.setdefault(session, _Live())
-            self._live.move_to_end(session)
-            while len(self._live) > self.capacity:
-                self._live.popitem(last=False)
-            return live
+    def _changing(self, live: _Live, session: str, address: str | None) -> Generator[Session, None, None]:
+        known, live.session = live.session, None  # if nothing is kept, what was flown inside is not so
+        with self.store.session(session, address) as row:
+            row.go_on_from(known)
+            yield row
+        live.session = row
 
     def _forget(self, session: str) -> None:
         with self._lock:
             self._live.pop(session, None)
+
+
+def flat_json(episode: Episode, _: float | None = None) -> str:
+    """The JSON of `DroneObservation.of(episode)`, written without the models, which take a third of a step's time.
+
+    It is put together from the JSON of the map's rows, of which a step changes one or two.
+    """
+    return _observation_json(episode, observation_numbers(episode)) + "}"
+
+
+def openenv_json(episode: Episode, reward: float | None) -> str:
+    """The same as OpenEnv sends it: reward and done beside the rest.
+
+    Args:
+        episode: The episode.
+        reward: The reward of the last step, None after a reset.
+    """
+    numbers = observation_numbers(episode)
+    done = numbers.pop("done")
+    observation = _observation_json(episode, numbers)
+    return f'{{"observation":{observation},"metadata":{{}}}},"reward":{_json(reward)},"done":{_json(done)}}}'
+
+
+def _json(value: object) -> str:
+    return to_json(value).decode()
+
+
+LEGEND_JSON = _json(LEGEND)
+
+
+def _observation_json(episode: Episode, numbers: dict[str, Any]) -> str:
+    """The JSON of an observation, without the brace at its end."""
+    rows = [_row_json(row) for row in map_rows(episode)]
+    grid, cell_types = (",".join([row[i] for row in rows]) for i in (0, 1))
+    return f'{{"grid":[{grid}],"cell_types":[{cell_types}],{_json(numbers)[1:-1]},"legend":{LEGEND_JSON}'
+
+
+@lru_cache(maxsize=1 << 14)  # 256 hard maps have 4,608 rows
+def _row_json(row: bytes) -> tuple[str, str]:
+    emoji, names = shown(row)
+    return _json(emoji), _json(names)

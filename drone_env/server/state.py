@@ -13,11 +13,11 @@ from drone_env.core.tasks import FINDERS
 from drone_env.files import MAPS, RUNS
 from drone_env.results.store import Store
 from drone_env.server.drawn_maps import DrawnMaps
-from drone_env.server.local import shared_address
+from drone_env.server.logs import RequestLog
 from drone_env.server.model_runs import ModelRuns
 from drone_env.server.predict import Networks
 from drone_env.server.problems import WHAT_TO_DO, RequestError, answers
-from drone_env.server.request_log import RequestLog
+from drone_env.server.security import shared_address
 from drone_env.server.sessions import Sessions
 from drone_env.server.settings import Settings
 from drone_env.server.workers import Workers
@@ -53,7 +53,7 @@ class Shared:
         self._workers: Workers | None = None
 
     async def work(
-        self, request: Request, function: Callable[..., Result], *arguments: object, quick: bool = False
+        self, request: Request, function: Callable[..., Result], *arguments: object, task: str | None = None
     ) -> Result:
         """Have a worker process call a function of a module, as long as the caller of a request waits for it.
 
@@ -61,14 +61,14 @@ class Shared:
             request: The request. Callers take turns by address.
             function: What to call.
             arguments: Its arguments, which are pickled.
-            quick: Whether it is bounded by a task of the server's own (`is_registered`), not by what a visitor sent.
+            task: The task that bounds it, None if what a visitor sent does.
 
         Raises:
             RequestError: if too many requests are waiting, or the caller has left.
             TooLargeError: if it takes too much time or memory.
             DroneEnvError: what the function raises.
         """
-        job = asyncio.ensure_future(self.workers.run(function, *arguments, caller=caller_address(request), quick=quick))
+        job = asyncio.ensure_future(self.workers.run(function, *arguments, caller=caller_address(request), task=task))
         left = asyncio.create_task(_left(request))
         try:
             await asyncio.wait((job, left), return_when=asyncio.FIRST_COMPLETED)
@@ -78,6 +78,13 @@ class Shared:
         finally:
             left.cancel()
             job.cancel()
+
+    async def json(
+        self, request: Request, function: Callable[..., str], *arguments: object, task: str | None = None
+    ) -> Response:
+        """The answer with the JSON that a worker process makes. Arguments and errors as `work`."""
+        made = await self.work(request, function, *arguments, task=task)
+        return Response(made, media_type="application/json")
 
     @property
     def workers(self) -> Workers:
@@ -118,22 +125,19 @@ class Shared:
             OSError: if it cannot be opened.
         """
         self._workers = Workers(self.settings)
-        store = Store(self.settings.data, self._clock, solve=self._workers.solve)
+        store = Store(self.settings.data, self._clock, submit=self._workers.solve)
         self.steps = ThreadPoolExecutor(1, "drone_env-steps")
         self._sessions = Sessions(store, self.settings.capacity, self.settings.idle_seconds)
         FINDERS.append(self.maps.find)
 
     def close(self) -> None:
         """Close it, and drop all long work."""
-        if self._workers is not None:
-            self._workers.close()
-        if self.steps is not None:
+        if self._sessions is not None and self.steps is not None and self._workers is not None:
             self.steps.shutdown()
-            self.steps = None
-        if self._sessions is not None:
             FINDERS.remove(self.maps.find)
             self._sessions.store.close()
             self._sessions = None
+            self._workers.close()
 
 
 def caller_address(connection: HTTPConnection) -> str:
@@ -165,7 +169,7 @@ class Caller(NamedTuple):
             return cls(None if named in ("", NEW) else named, None)
         return cls(None, shared_address(request.scope))
 
-    def session(self, shared: Shared, answer: Response) -> str:
+    def session(self, shared: Shared, answer: Response | None = None) -> str:
         """The session that is meant; where it is shared, the answer says so.
 
         Raises:
@@ -176,7 +180,8 @@ class Caller(NamedTuple):
         session = None if self.address is None else shared.store.unnamed_session(self.address)
         if session is None:
             raise RequestError(409, "no_session", f"this request names no session: {WHAT_TO_DO}")
-        self.tell(session, answer)
+        if answer is not None:
+            self.tell(session, answer)
         return session
 
     def tell(self, session: str, answer: Response) -> None:

@@ -22,9 +22,9 @@ from typing import Any, TypeVar
 from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES
 from drone_env.core.tasks import PACKAGE_TASKS, TASKS, TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
-from drone_env.results.optima import solve_maps
+from drone_env.results.optima import Scores, solve_maps
 from drone_env.server.jobs import AGAIN, NEXT, serve, too_long
-from drone_env.server.map_choice import is_registered
+from drone_env.server.map_choice import DEFAULT_TASK, is_registered
 from drone_env.server.problems import FAILED, RequestError
 from drone_env.server.settings import Settings
 
@@ -79,18 +79,20 @@ class Workers:
         self._condition = threading.Condition()
         self._threads: list[threading.Thread] = []
 
-    def submit(self, function: Callable[..., Any], *arguments: object, caller: str, quick: bool = False) -> Job:
+    def submit(self, function: Callable[..., Any], *arguments: object, caller: str, task: str | None = None) -> Job:
         """Have a worker call a function of a module.
 
         Args:
             function: What to call.
             arguments: Its arguments, which are pickled.
             caller: Whose turn it takes: an address.
-            quick: Whether it is bounded by a task of the server's own, not by what a visitor sent.
+            task: The task that bounds it. If that is one of the server's own, the job is quick; None for a job that is
+                bounded by what a visitor sent.
 
         Raises:
             RequestError: if too many jobs are waiting, or the server stops.
         """
+        quick = task is not None and is_registered(task)
         job = Job(self, function, arguments, quick)
         with self._condition:
             if self._closed:
@@ -116,23 +118,17 @@ class Workers:
         """Start the first worker, if there is none: that takes a second or two, which no visitor should wait for."""
         if not self._threads:
             with suppress(RequestError):
-                self.submit(os.getpid, caller="", quick=True)
+                self.submit(os.getpid, caller="", task=DEFAULT_TASK)
 
     async def run(
-        self, function: Callable[..., Result], *arguments: object, caller: str, quick: bool = False
+        self, function: Callable[..., Result], *arguments: object, caller: str, task: str | None = None
     ) -> Result:
         """Wait for the result of a job; it is dropped if this is cancelled. Raises as `submit`, and as the function."""
-        return await asyncio.wrap_future(self.submit(function, *arguments, caller=caller, quick=quick))
+        return await asyncio.wrap_future(self.submit(function, *arguments, caller=caller, task=task))
 
-    def solve(self, task: TaskConfig, seeds: Sequence[int]) -> list[float | None]:
-        """The optima of the first of some maps, at least of one, for a thread that may wait; None where it is unknown.
-
-        Raises as `submit`.
-        """
-        try:
-            return self.submit(solve_maps, task, seeds, caller="store", quick=is_registered(task.id)).result()
-        except TooLargeError:
-            return [None]
+    def solve(self, task: TaskConfig, seeds: Sequence[int]) -> "Future[Scores]":
+        """Start `solve_maps`, for the store. Raises as `submit`."""
+        return self.submit(solve_maps, task, seeds, caller="store", task=task.id)
 
     def drop(self, job: Job) -> bool:
         """Take a job out of the queue, or kill the worker that runs it; whether it had not ended yet."""

@@ -12,7 +12,7 @@ from starlette.types import Message
 
 from drone_env.server.incoming import LARGE, LIMIT, SMALL
 from drone_env.server.live.commands import Command
-from drone_env.server.openenv.socket import ALLOWED_TYPES
+from drone_env.server.openenv import ALLOWED_TYPES
 from drone_env.server.schemas import ResetOptions, WireAction
 
 Schema = dict[str, Any]

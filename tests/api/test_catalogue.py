@@ -20,14 +20,12 @@ from drone_env.core.tasks import TASKS, get_task
 from drone_env.errors import CheckpointError
 from drone_env.models import DroneObservation
 from drone_env.server.app import create_app
+from drone_env.server.logs import KEPT, LONGEST_PATH, POINTS, RequestLog, TrainLog
 from drone_env.server.predict import arrays_of
-from drone_env.server.request_log import KEPT, LONGEST_PATH, RequestLog
 from drone_env.server.routes.history import LINES
 from drone_env.server.schemas import Prediction
 from drone_env.server.settings import Settings
-from drone_env.server.train_log import POINTS, TrainLog
 from tests.api.networks import put_network, put_tour, put_trained
-from tests.tools import reserved_port
 
 Header = dict[str, str]
 JSON = "application/json"
@@ -123,12 +121,6 @@ class TestPredictions:
         assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
         assert "hard_delivery_v1.safetensors" in answer.json()["detail"]
         assert "Retry-After" not in answer.headers
-
-    def test_a_file_that_is_no_network_is_told(self, client: TestClient, settings: dict[str, Any]) -> None:
-        (settings["weights"] / "hard_delivery_v1.safetensors").write_bytes(b"nothing")
-        session = {"X-Session-Id": client.post("/reset", json={"task_name": "hard"}).json()["session_id"]}
-        answer = client.post("/predict", headers=session)
-        assert (answer.status_code, answer.json()["code"]) == (503, "no_network")
 
     def test_what_was_trained_here_goes_before_what_is_shipped(
         self, client: TestClient, settings: dict[str, Any], session: Header
@@ -345,13 +337,6 @@ class TestClientInProcess:
         monkeypatch.delenv("DRONE_ENV_TOKEN")
         with DroneEnvClient("http://other") as drone:
             assert "Authorization" not in drone._http.headers
-
-    def test_where_there_is_no_server_it_says_so(self) -> None:
-        with (
-            DroneEnvClient(f"http://127.0.0.1:{reserved_port()}") as drone,
-            pytest.raises(ServerError, match="GET /health"),
-        ):
-            drone.health()
 
 
 def test_an_application_that_is_not_running_says_so(tmp_path: Path) -> None:

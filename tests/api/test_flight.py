@@ -8,12 +8,9 @@ from starlette.testclient import TestClient
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import InvalidValueError
-from drone_env.graders import GRADERS
 from drone_env.models import DroneObservation, DroneState
 from drone_env.planning.optimal import solve
 from drone_env.results.finished import check_agent
-from drone_env.results.record import replay
-from drone_env.results.store import Store
 from drone_env.server.schemas import FlatReset, PathHistory, ResetResult, SolutionAnswer, StepResult
 
 Header = dict[str, str]
@@ -59,13 +56,6 @@ def test_every_task_is_flown_as_the_rules_say(shared_client: TestClient, task: s
     assert grade == {"task": task, "score": episode.score, "done": False}
 
 
-def test_the_graders_and_short_names_are_accepted_wherever_a_task_is_named(client: TestClient) -> None:
-    for name in ("hard", "hard_delivery", "drone_env.graders:grade_hard"):
-        session = {"X-Session-Id": client.post("/reset", json={"task_name": name}).json()["session_id"]}
-        assert client.get(f"/grade/{name}", headers=session).json()["task"] == "hard_delivery"
-        assert client.get(f"/analyse/{name}").json()["task"] == "hard_delivery"
-
-
 def test_openenvs_form_of_a_step_is_answered_in_openenvs_form(client: TestClient, session: Header) -> None:
     flat = client.post("/step", json={"direction": "UP"}, headers=session).json()
     body = {"action": {"direction": "WAIT", "metadata": {"why": "because"}}, "timeout_s": 30, "request_id": "r"}
@@ -86,14 +76,10 @@ def test_openenvs_form_of_a_reset_is_answered_in_openenvs_form(client: TestClien
     [
         {},
         {"direction": "UP", "action": {"direction": "UP"}},
-        {"direction": None},
         {"direction": "up"},
-        {"direction": 0},
         {"direction": "UP", "speed": 2},
-        {"action": {}},
         {"action": {"direction": "UP", "speed": 2}},
         [],
-        "UP",
     ],
 )
 def test_a_step_that_is_none_is_refused_and_changes_nothing(
@@ -112,9 +98,7 @@ def test_a_step_that_is_none_is_refused_and_changes_nothing(
         ({"task_name": "none"}, "allowed: city, city_small, easy, hard"),
         ({"reward_profile": "none"}, "allowed: aligned"),
         ({"seed": -1}, "body.seed"),
-        ({"seed": 2**53}, "body.seed"),
         ({"seed": "7"}, "body.seed"),
-        ({"seed": 7.0}, "body.seed"),
         ({"colour": "red"}, "body.colour"),
         ({"agent": "two\nlines"}, "one printable line"),
         ({"split": "easy_delivery/nowhere", "index": 1}, "easy_delivery/test"),
@@ -144,26 +128,11 @@ def test_an_agent_is_named_as_records_name_it(shared_client: TestClient, name: s
     assert shared_client.post("/reset", json={"agent": name}).status_code == allowed
 
 
-def test_an_empty_body_resets(shared_client: TestClient) -> None:
-    for answer in (shared_client.post("/reset"), shared_client.post("/reset", json={})):
-        assert answer.status_code == 200
-        assert answer.json()["grid_width"] == 10
-
-
 def test_a_reset_in_a_session_stays_in_it_and_walks_on(client: TestClient, session: Header) -> None:
     answer = client.post("/reset", headers=session)
     walk = flown("easy_delivery", 7)
     assert answer.json()["session_id"] == session["X-Session-Id"] == answer.headers["X-Session-Id"]
     assert client.get("/state", headers=session).json()["seed"] == walk.reset()
-
-
-def test_after_the_end_a_step_changes_nothing_and_pays_nothing(client: TestClient) -> None:
-    session, last = finish(client, "easy", 7)
-    answer = client.post("/step", json={"action": {"direction": "UP"}}, headers=session).json()
-    assert (answer["reward"], answer["observation"]["reward_last"]) == (0, 0)
-    assert answer["observation"]["message"].startswith("Nothing done")
-    assert answer["observation"]["step_count"] == last["step_count"]
-    assert len(client.get("/memory_logs").json()["episodes"]) == 1
 
 
 class TestAfterTheEnd:
@@ -178,31 +147,7 @@ class TestAfterTheEnd:
         assert told.actions == [action.name for action in best.actions]
         assert told.path == [flown("hard", 7, i).position for i in range(best.steps + 1)]
 
-    def test_the_episode_is_kept_and_can_be_flown_again(self, client: TestClient, settings: dict[str, Any]) -> None:
-        _, last = finish(client, "medium", 9)
-        summary = client.get("/memory_logs").json()["episodes"][0]
-        assert (summary["task"], summary["agent"], summary["success"]) == ("medium_delivery", "tester", True)
-        assert (summary["score"], summary["reward_total"]) == (last["score"], last["reward_total"])
-        with Store(settings["data"]) as store:
-            stored = store.episode(summary["id"])
-        assert replay(stored.record).score == last["score"]
-        analysis = client.get("/analyse/medium").json()
-        assert (analysis["episodes_total"], analysis["success_rate"], analysis["deliveries"]) == (1, 1.0, 3)
-
-    def test_the_grade_is_the_graders(self, client: TestClient) -> None:
-        session, last = finish(client, "easy", 3)
-        state = client.get("/state", headers=session).json()
-        answer = client.get("/grade/easy_delivery", headers=session).json()
-        assert answer == {"task": "easy_delivery", "score": last["score"], "done": True}
-        assert GRADERS["easy_delivery"](DroneState.model_validate(state)) == last["score"]
-
     def test_the_grade_of_another_task_is_refused(self, client: TestClient, session: Header) -> None:
         answer = client.get("/grade/hard", headers=session)
         assert (answer.status_code, answer.json()["code"]) == (409, "other_task")
         assert client.get("/grade/none", headers=session).status_code == 404
-
-
-def test_what_a_reset_answers_can_be_asked_about(client: TestClient) -> None:
-    observation = client.post("/reset", json={"seed": 7}).json()
-    own = client.post("/predict", headers={"X-Session-Id": observation["session_id"]}).json()
-    assert client.post("/predict", json=observation).json() == own

@@ -6,9 +6,6 @@ import random
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
-
-import websockets.sync.client
 
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
@@ -82,27 +79,6 @@ class Pilot(threading.Thread):
         assert state["reward_total"] == self.expected.reward_total
 
 
-def ask(socket: Any, kind: str, answer: str, **fields: Any) -> dict[str, Any]:
-    """Send a command to `/live`, and read on to the answer."""
-    socket.send(json.dumps({"type": kind, **fields}))
-    while True:
-        message = json.loads(socket.recv(timeout=60))
-        if message["type"] == answer:
-            return message
-
-
-def fly_on_the_page(server: Server, session: str | None, flown: int) -> str:
-    """Come back to a flight of the page, or start one; see what was flown, and fly one step more."""
-    with websockets.sync.client.connect(f"{server.url.replace('http', 'ws')}/live", open_timeout=60) as socket:
-        if session is None:
-            shown = ask(socket, "start", "flights", task="hard", seed=7, pilots=["greedy"])["flights"][0]
-        else:
-            shown = ask(socket, "attach", "flights", sessions=[session])["flights"][0]
-        assert len(shown["frames"]) == flown + 1
-        ask(socket, "step", "frames")
-        return shown["opening"]["session"]
-
-
 def test_nothing_acknowledged_is_lost_when_the_server_is_killed(
     tmp_path: Path, eventually: Callable[[Callable[[], bool]], None]
 ) -> None:
@@ -111,10 +87,8 @@ def test_nothing_acknowledged_is_lost_when_the_server_is_killed(
     finished: list[tuple[int, float]] = []
     carried: list[Pilot] = [Pilot(server.url, number) for number in range(4)]
     moments = random.Random(1)
-    session: str | None = None
     try:
-        for kill in range(KILLS):
-            session = fly_on_the_page(server, session, kill)
+        for _ in range(KILLS):
             for pilot in carried:
                 pilot.start()
             # Long enough that episodes end, and at another place of a step each time.
@@ -142,7 +116,6 @@ def test_nothing_acknowledged_is_lost_when_the_server_is_killed(
                 successor.random, successor.expected, successor.best = pilot.random, pilot.expected, pilot.best
                 successors.append(successor)
             carried = successors
-        fly_on_the_page(server, session, KILLS)
     finally:
         server.kill()
         for pilot in carried:

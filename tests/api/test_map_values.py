@@ -19,7 +19,6 @@ from drone_env.models import DIRECTIONS, Direction
 from drone_env.planning import optimal
 from drone_env.planning.elsewhere import battery_range, charging_pads
 from drone_env.results.analysis import analyse_flight
-from drone_env.results.record import record_of
 from drone_env.server.app import create_app
 from drone_env.server.settings import Settings
 from tests.api.networks import put_network, put_tour, put_trained
@@ -74,20 +73,10 @@ def test_along_a_flight_the_values_are_those_of_its_analysis_to_the_last_bit(
     assert [ended[name] for name in ("q_values", "best_actions", "network", "cells", "range", "pads")] == [None] * 6
 
 
-def test_a_fork_has_the_values_of_the_flight_that_it_becomes(shared_client: TestClient) -> None:
-    flown = record("hard", agent="random")
-    moved: list[Direction] = [*flown.actions[:20], next(name for name in DIRECTIONS if name != flown.actions[20])]
-    fork = Episode("hard", "tiered", 7).fly(Action[name] for name in moved)
-    analysis = analyse_flight(record_of(fork, "me"))
-    assert analysis.giving_up is not None
-    assert ask(shared_client, "hard", 7, moved, reward_profile="score")["value"] == analysis.giving_up.value
-    assert ask(shared_client, "hard_delivery", 7, moved[:20], task_version=1)["value"] == analysis.values[20]
-
-
-@pytest.mark.parametrize("flown", [[], ["WAIT"]])
 def test_on_a_map_of_one_parcel_the_value_of_a_cell_is_how_far_it_is(
-    shared_client: TestClient, registered: Any, flown: list[Direction]
+    shared_client: TestClient, registered: Any
 ) -> None:
+    flown: list[Direction] = ["WAIT"]
     task = registered(width=4, height=3)
     start = Episode(task, seed=5)
     ((px, py, _),) = start.parcels
@@ -206,10 +195,7 @@ HEAD = {"task": "easy", "seed": 7, "actions": ["UP"]}
         ({"reward_profile": "generous"}, "generous"),
         ({"seed": -1}, "greater than or equal to 0"),
         ({"seed": 1 << 53}, "less than or equal to"),
-        ({"seed": "7"}, "valid integer"),
-        ({"actions": ["SIDEWAYS"]}, "'UP', 'DOWN', 'LEFT', 'RIGHT' or 'WAIT'"),
         ({"actions": ["WAIT"] * 61}, "the flight ends after 60 steps, but there are 61 actions"),
-        ({"more": 1}, "Extra inputs"),
     ],
 )
 def test_a_flight_that_cannot_be_is_refused(shared_client: TestClient, change: Answer, told: str) -> None:

@@ -72,20 +72,16 @@ def test_any_map_can_be_drawn_on(client: TestClient) -> None:
 @pytest.mark.parametrize(
     ("change", "detail"),
     [
-        ({"cells": []}, "rows of equal width"),
         ({"cells": [[0, 0], [0]]}, "rows of equal width"),
         ({"cells": [[0, 4], [0, 0]]}, "0 road, 1 building, 2 tree, 3 obstacle, 8 pad; got 4"),
         ({"cells": [[0] * 129] * 3}, "cells.0: List should have at most 128 items"),
         ({"start": [1, 1]}, "start [1, 1] must be on a road, there is an obstacle"),
         ({"start": [0, 0], "parcels": [[0, 0]]}, "parcel 0 is where start is"),
         ({"cells": [[0, 3, 0, 0], [0, 3, 0, 8], [0, 3, 2, 0]]}, "parcel 0 [2, 0] cannot be reached from start"),
-        ({"parcels": []}, "at least 1 item"),
         ({"numbers": {"max_steps": 0}}, "max_steps must be 1 to 32000, got 0"),
         ({"numbers": {"max_steps": 141}}, "max_steps must be at most 140 on a drawn map of 4 x 3 cells, got 141"),
-        ({"numbers": {"battery_capacity": 141}}, "battery_capacity must be at most 140"),
         ({"numbers": {"deliveries": 2}}, "deliveries"),
         ({"attribution": "a\nb"}, "attribution must be one printable line of at most 200 characters"),
-        ({"source": "x" * 201}, "at most 200 characters"),
     ],
 )
 def test_a_bad_drawing_is_refused_with_what_is_allowed(
@@ -135,7 +131,8 @@ def test_a_kept_map_is_flown_stored_and_found_after_a_restart(client: TestClient
         record = again.get(f"/episodes/{flown['id']}").json()
         assert answer(again, "/replay", record)["opening"]["start"] == YARD["start"]
         assert again.get(f"/tasks/{task}").json() == kept
-        assert again.get(f"/preview.png?task={task}&seed=0&pilot=greedy").status_code == 200
+        drawn = again.get(f"/preview.png?task={task}&seed=0&pilot=greedy")
+        assert drawn.status_code == 200, drawn.text
         session = {"X-Session-Id": answer(again, "/reset", {"task_name": task, "seed": 0})["session_id"]}
         assert again.get(f"/grade/{kept['task']['grader']}", headers=session).json()["task"] == task
 

@@ -56,10 +56,3 @@ def test_one_that_cannot_be_made_takes_no_other_pilot_away(
     assert pilots["broken"]["summary"] == "An agent that a plugin of this server registered."
     assert pilots["homebrew"]["tasks"]
     assert "a registered agent is no pilot on easy_delivery" in caplog.text
-
-
-def test_what_nobody_registered_is_no_pilot(client: TestClient) -> None:
-    assert "homebrew" not in [pilot["id"] for pilot in client.get("/pilots").json()["pilots"]]
-    with client.websocket_connect("/live") as socket:
-        Page(socket).send("start", task="easy", seed=7, pilots=["tournet-search-64"])
-        assert "unknown pilot 'tournet-search-64'" in socket.receive_text()

@@ -8,9 +8,7 @@ from starlette.testclient import TestClient
 
 from drone_env.client import DroneEnvClient, ServerError
 from drone_env.planning.optimal import solve
-from drone_env.server.app import create_app
-from drone_env.server.routes.step import LONGEST_COUNT
-from drone_env.server.settings import Settings
+from drone_env.server.routes.flight import LONGEST_COUNT
 from drone_env.server.state import COOKIE
 
 Header = dict[str, str]
@@ -72,14 +70,6 @@ def test_a_count_that_is_none_is_refused(client: TestClient, session: Header, af
     answer = step(client, session, "UP", after)
     assert answer.status_code == 422
     assert "X-Step-Count" in answer.json()["detail"] or "x-step-count" in answer.json()["detail"]
-
-
-def test_another_server_on_the_folder_answers_the_step_that_a_dead_one_has_taken(settings: dict[str, Any]) -> None:
-    with TestClient(create_app(Settings(**settings))) as dead, TestClient(create_app(Settings(**settings))) as other:
-        session = {"X-Session-Id": dead.post("/reset", json={"task_name": "hard", "seed": 7}).json()["session_id"]}
-        for count, direction in enumerate(["UP", "UP", "WAIT", "LEFT"]):
-            lost = step(dead, session, direction, count)
-            assert step(other, session, direction, count).content == lost.content
 
 
 class LosesAnswers:

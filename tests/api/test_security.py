@@ -38,13 +38,11 @@ class TestBodies:
         assert (answer.status_code, answer.json()["code"]) == (400, "not_json")
         assert "not JSON: " in answer.json()["detail"]
 
-    @pytest.mark.parametrize("declared", ["text/plain", "application/x-www-form-urlencoded", "", None])
+    @pytest.mark.parametrize("declared", ["text/plain", "", None])
     def test_a_body_must_be_declared_as_json(self, client: TestClient, declared: str | None) -> None:
         headers = {} if declared is None else {"Content-Type": declared}
         answer = client.post("/reset", content=b'{"seed": 1}', headers=headers)
         assert (answer.status_code, answer.json()["code"]) == (415, "content_type")
-
-    def test_a_charset_is_fine(self, client: TestClient) -> None:
         headers = {"Content-Type": "Application/JSON; charset=utf-8"}
         assert client.post("/reset", content=b'{"seed": 1}', headers=headers).status_code == 200
 
@@ -83,7 +81,6 @@ class TestJson:
         ("text", "told"),
         [
             ("[Infinity]", "not JSON"),
-            ("[-Infinity]", "not JSON"),
             ('[{"a": 1, "b": 2, "a": 3}]', 'duplicate key "a"'),
             ("1" * 5000, "number out of range"),
             ("[" * 250 + "]" * 250, "recursion limit"),
@@ -104,13 +101,10 @@ class TestOrigins:
             ("http://testserver", True),
             ("https://testserver", True),
             ("https://page.example", True),
-            ("HTTPS://PAGE.EXAMPLE", True),
             ("http://page.example", False),
-            ("https://page.example.evil", False),
             ("http://testserver.evil", False),
             ("http://testserver:8001", False),
             ("http://evil/testserver", False),
-            ("file://testserver", False),
             ("null", False),
             ("", False),
         ],
@@ -128,45 +122,37 @@ class TestOrigins:
             except WebSocketDisconnect:
                 assert not allowed
 
-    def test_programs_send_none(self, client: TestClient) -> None:
-        assert client.post("/reset").status_code == 200
+
+EVIL = ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "", "10.0.0.1", "[::1"]
 
 
 class TestHosts:
     @pytest.mark.parametrize(
-        ("host", "allowed"),
-        [("drone.example", True), ("Drone.Example:8000", True), ("evil.example", False), ("", False), ("[::1", False)],
+        ("address", "settings", "answered", "refused"),
+        [
+            ("10.0.0.1", {"allowed_hosts": ("drone.example",)}, ["drone.example", "Drone.Example:8000"], EVIL),
+            ("127.0.0.1", {}, ["localhost", "LOCALHOST:9", "a.localhost", "127.8.9.1:1", "[::1]:80"], EVIL),
+            ("127.0.0.1", {"allowed_hosts": ("drone.example",)}, ["drone.example", "localhost"], EVIL),
+            ("::1", {}, ["[::1]"], EVIL),
+            ("10.0.0.1", {}, ["drone.example"], []),
+            ("127.0.0.1", {"host": "0.0.0.0"}, ["drone.example"], []),
+        ],
+        ids=["listed", "loopback", "loopback and listed", "IPv6", "others reach it", "all addresses"],
     )
-    def test_only_listed_hosts_are_answered(self, tmp_path: Path, host: str, allowed: bool) -> None:
-        with app_with(tmp_path, allowed_hosts=("drone.example",)) as client:
-            assert client.get("/health", headers={"Host": host}).status_code == (200 if allowed else 403)
-
-    @pytest.mark.parametrize(
-        "host", ["localhost", "LOCALHOST:9", "a.localhost", "127.0.0.1", "127.8.9.1:1", "[::1]:80"]
-    )
-    def test_a_server_on_loopback_answers_for_this_machine(self, tmp_path: Path, host: str) -> None:
-        with at(tmp_path, "127.0.0.1") as client:
-            assert client.get("/health", headers={"Host": host}).status_code == 200
-
-    @pytest.mark.parametrize(
-        "host", ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "", "10.0.0.1"]
-    )
-    def test_and_for_no_other_name_that_is_not_listed(self, tmp_path: Path, host: str) -> None:
-        with at(tmp_path, "127.0.0.1", allowed_hosts=("drone.example",)) as client:
-            for listed in ("drone.example", "localhost"):
-                assert client.get("/health", headers={"Host": listed}).status_code == 200
-            assert "DRONE_ENV_ALLOWED_HOSTS" in client.get("/health", headers={"Host": host}).json()["detail"]
-        with at(tmp_path, "::1") as client:
-            assert client.get("/health", headers={"Host": host}).status_code == 403
-            with pytest.raises(WebSocketDisconnect), client.websocket_connect("ws://[::1]/ws", headers={"Host": host}):
-                pass
-
-    def test_a_server_that_others_reach_answers_for_all(self, tmp_path: Path) -> None:
-        other = {"Host": "drone.example"}
-        with at(tmp_path, "10.0.0.1") as client:
-            assert client.get("/health", headers=other).status_code == 200
-        with at(tmp_path, "127.0.0.1", host="0.0.0.0") as client:
-            assert client.get("/health", headers=other).status_code == 200
+    def test_a_server_answers_for_listed_hosts_and_on_loopback_for_this_machine(
+        self, tmp_path: Path, address: str, settings: dict[str, Any], answered: list[str], refused: list[str]
+    ) -> None:
+        with at(tmp_path, address, **settings) as client:
+            for host in answered:
+                assert client.get("/health", headers={"Host": host}).status_code == 200, host
+            for host in refused:
+                answer = client.get("/health", headers={"Host": host})
+                assert answer.status_code == 403, host
+                assert "DRONE_ENV_ALLOWED_HOSTS" in answer.json()["detail"]
+            socket = f"{client.base_url}/ws".replace("http", "ws", 1)
+            for host in refused[:1]:
+                with pytest.raises(WebSocketDisconnect), client.websocket_connect(socket, headers={"Host": host}):
+                    pass
 
 
 class TestToken:

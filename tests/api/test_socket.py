@@ -4,7 +4,6 @@ import asyncio
 import json
 import math
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,8 @@ from drone_env.planning.optimal import solve
 from drone_env.results.store import FILE_NAME
 from drone_env.server.app import create_app
 from drone_env.server.incoming import SMALL
-from drone_env.server.observation_json import openenv_json
-from drone_env.server.openenv.session import Session
-from drone_env.server.openenv.socket import OpenEnvSocket
-from drone_env.server.schemas import ResetOptions
+from drone_env.server.openenv import OpenEnvSocket
+from drone_env.server.sessions import openenv_json
 from drone_env.server.settings import Settings
 from drone_env.server.state import Shared
 from tests.api.conftest import Clock
@@ -39,22 +36,17 @@ def ask(socket: WebSocketTestSession, frame: Any) -> Any:
     ("frame", "code"),
     [
         ("", "INVALID_JSON"),
-        ("{", "INVALID_JSON"),
         ('{"type": "reset", "data": {"seed": NaN}}', "INVALID_JSON"),
         ("[" * 5000, "INVALID_JSON"),
         ("[" * 250 + "]" * 250, "INVALID_JSON"),
         ("[]", "VALIDATION_ERROR"),
-        ("null", "VALIDATION_ERROR"),
-        ('"step"', "VALIDATION_ERROR"),
         ({"type": "reset", "data": []}, "VALIDATION_ERROR"),
         ({"type": "reset", "extra": 1}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"seed": -1}}, "VALIDATION_ERROR"),
-        ({"type": "reset", "data": {"seed": 1.5}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"colour": "red"}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"task_name": "none"}}, "VALIDATION_ERROR"),
         ({"type": "reset", "data": {"\ud800": 1}}, "INVALID_JSON"),
         ({"type": "step"}, "VALIDATION_ERROR"),
-        ({"type": "step", "data": {"direction": "up"}}, "VALIDATION_ERROR"),
         ({"type": "step", "data": {"direction": ["UP"]}}, "VALIDATION_ERROR"),
         ({"type": "\ud800"}, "INVALID_JSON"),
         ({"type": ["step"]}, "UNKNOWN_TYPE"),
@@ -81,21 +73,6 @@ def test_before_the_first_reset_a_step_is_an_error(shared_client: TestClient) ->
         assert ask(socket, {"type": "reset"})["type"] == "observation"
 
 
-def test_bytes_are_refused_and_the_session_goes_on(shared_client: TestClient) -> None:
-    with shared_client.websocket_connect("/ws") as socket:
-        socket.send_bytes(b'{"type": "reset"}')
-        assert json.loads(socket.receive_text())["data"]["code"] == "INVALID_JSON"
-        assert ask(socket, {"type": "reset"})["type"] == "observation"
-
-
-def test_close_closes(shared_client: TestClient) -> None:
-    with shared_client.websocket_connect("/ws") as socket:
-        socket.send_json({"type": "close"})
-        with pytest.raises(WebSocketDisconnect) as closed:
-            socket.receive_text()
-    assert closed.value.code == 1000
-
-
 @pytest.mark.parametrize("frame", ['{"type": "reset"}'.ljust(SMALL + 1), "🚁" * (SMALL // 4 + 1)])
 def test_a_large_frame_closes(shared_client: TestClient, frame: str) -> None:
     with shared_client.websocket_connect("/ws") as socket:
@@ -105,12 +82,6 @@ def test_a_large_frame_closes(shared_client: TestClient, frame: str) -> None:
         with pytest.raises(WebSocketDisconnect) as closed:
             socket.receive_text()
     assert closed.value.code == 1009
-
-
-def test_mcp_is_answered_that_there_are_no_tools(shared_client: TestClient) -> None:
-    with shared_client.websocket_connect("/ws") as socket:
-        answer = ask(socket, {"type": "mcp", "data": {"jsonrpc": "2.0", "id": 5, "method": "tools/list"}})
-        assert answer == {"type": "mcp", "data": {"jsonrpc": "2.0", "id": 5, "result": {"tools": []}}}
 
 
 def test_one_connection_more_than_there_is_room_for_is_told_so(tmp_path: Path) -> None:
@@ -127,15 +98,6 @@ def test_one_connection_more_than_there_is_room_for_is_told_so(tmp_path: Path) -
                 second.receive_text()
         assert closed.value.code == 1013
         assert ask(first, {"type": "state"})["type"] == "state"
-
-
-def test_a_place_is_free_when_its_socket_is_closed(tmp_path: Path, eventually: Callable[..., None]) -> None:
-    app = create_app(Settings(data=tmp_path, capacity=1))
-    with TestClient(app) as client:
-        for _ in range(5):
-            with client.websocket_connect("/ws") as socket:
-                assert ask(socket, {"type": "reset"})["type"] == "observation"
-            eventually(lambda: not app.state.socket.touched)
 
 
 def test_an_idle_socket_is_closed_and_its_place_is_free(tmp_path: Path, clock: Clock) -> None:
@@ -259,11 +221,11 @@ def test_a_last_step_that_could_not_be_kept_is_answered_in_full_when_it_is_sent_
 
 @pytest.mark.parametrize("task", TASKS)
 def test_the_fast_json_of_an_observation_is_that_of_its_fields(task: str) -> None:
-    session = Session(task)
+    episode = Episode(task)
     for seed in range(3):
-        session.reset(ResetOptions(seed=seed))
+        episode.reset(seed)
         for action in (0, 2, 4, 1, 3, 3, 0):
-            reward = session.episode.step(action)
-            expected = openenv_result(observation_fields(session.episode), reward)
-            assert openenv_json(session.episode, reward) == to_json(expected).decode()
-    assert json.loads(openenv_json(session.episode, None))["reward"] is None
+            reward = episode.step(action)
+            expected = openenv_result(observation_fields(episode), reward)
+            assert openenv_json(episode, reward) == to_json(expected).decode()
+    assert json.loads(openenv_json(episode, None))["reward"] is None

@@ -15,7 +15,7 @@ import websockets.sync.client
 from starlette.types import ASGIApp, Message
 
 from drone_env.server.app import create_app
-from drone_env.server.request_log import KEPT, LoggedRequest, RequestLog
+from drone_env.server.logs import KEPT, LoggedRequest, RequestLog
 from drone_env.server.routes.history import FOLLOWERS
 from drone_env.server.settings import Settings
 from tests.api.serving import Server

@@ -13,9 +13,7 @@ import httpx
 import pytest
 
 from drone_env import client
-from drone_env.cli import main as command_line
 from drone_env.core.tasks import get_task
-from drone_env.results.database import MIGRATIONS
 from drone_env.results.store import FILE_NAME, Store
 from drone_env.server import app
 from tests.api.networks import put_trained
@@ -132,9 +130,7 @@ class TestWhereItCannotBe:
         file = sqlite3.connect(tmp_path / "data" / FILE_NAME)
         file.execute("PRAGMA user_version = 99")
         file.close()
-        with pytest.raises(
-            SystemExit, match=rf"^server: .*has version 99, this drone-env knows {len(MIGRATIONS)} and older"
-        ):
+        with pytest.raises(SystemExit, match=r"^server: .*has version 99, this drone-env reads version 1: "):
             app.main([])
 
     @pytest.mark.parametrize("workers", ["1", "2"])
@@ -144,23 +140,6 @@ class TestWhereItCannotBe:
             told = rf"^server: cannot listen on 127\.0\.0\.1, port {port}: Address already in use; --host and --port "
             with pytest.raises(SystemExit, match=told):
                 app.main(["--port", str(port), "--workers", workers])
-        assert not (tmp_path / "data").exists()
-
-    def test_an_address_of_another_machine(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        with pytest.raises(SystemExit, match=r"^server: cannot listen on 192\.0\.2\.1, port \d+: "):
-            app.main(["--host", "192.0.2.1"])
-        assert capsys.readouterr().err == ""
-        assert not (tmp_path / "data").exists()
-
-    def test_the_command_line_says_the_same(self, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as taken:
-            try:
-                status = command_line(["serve", "--port", str(taken.getsockname()[1])])
-            except SystemExit as end:
-                status = end.code
-        assert status not in (None, 0)
-        (line,) = capsys.readouterr().err.splitlines()
-        assert "Address already in use" in line
         assert not (tmp_path / "data").exists()
 
     def test_the_process_says_it_in_one_line_and_fails(self, tmp_path: Path) -> None:

@@ -158,7 +158,7 @@ def test_a_running_job_is_dropped_with_its_worker(
 
 def test_quick_jobs_do_not_wait_for_long_ones(pool: Workers, gate: Path) -> None:
     long = pool.submit(wait_at, gate, caller="a")
-    assert pool.submit(abs, -3, caller="a", quick=True).result() == 3
+    assert pool.submit(abs, -3, caller="a", task="easy").result() == 3
     gate.write_text("")
     long.result()
 
@@ -202,7 +202,7 @@ def test_workers_know_the_tasks_that_the_server_has(pool: Workers, monkeypatch: 
 
 def test_the_store_has_its_maps_solved_here(pool: Workers) -> None:
     easy = get_task("easy")
-    assert pool.solve(easy, [7, 8])[0] == solve(easy, 7).score
+    assert pool.solve(easy, [7, 8]).result()[0] == solve(easy, 7).score
 
 
 def test_what_is_solved_is_kept_as_far_as_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,6 @@ import signal
 import socket
 import sys
 import threading
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -102,22 +101,3 @@ def concurrent_steps_are_flown_one_after_another(workers: Server) -> None:
     for thread in threads:
         thread.join()
     assert sorted(seen) == list(range(1, 81))
-
-
-@pytest.mark.long
-def test_a_worker_that_is_slow_for_a_while_is_not_replaced(tmp_path: Path) -> None:
-    with serving(tmp_path / "data", WORKERS="2") as server:
-        children = Path(f"/proc/{server.process.pid}/task/{server.process.pid}/children")
-        if not children.exists():
-            pytest.skip("this system does not tell the children of a process")
-        before = children.read_text().split()
-        try:
-            for child in before:
-                os.kill(int(child), signal.SIGSTOP)
-            # More than the 5 s after which uvicorn would replace them unasked.
-            time.sleep(12)
-            after = children.read_text().split()
-        finally:
-            for child in before:
-                os.kill(int(child), signal.SIGCONT)
-        assert after == before

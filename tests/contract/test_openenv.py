@@ -13,7 +13,6 @@ import yaml
 from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
-from drone_env.client import DroneEnvClient
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TASKS
 from drone_env.errors import EpisodeError, InvalidValueError, UnknownNameError
@@ -77,16 +76,6 @@ def test_official_clients_fly_asynchronously_and_at_once(server: Server) -> None
 
     scores = asyncio.run(all_at_once())
     assert scores == [solve(task, seed).score for task in STANDARD for seed in range(8)]
-
-
-def test_the_http_client_and_the_official_one_share_a_server(server: Server) -> None:
-    with official.DroneDeliveryClient(server.url).sync() as env, DroneEnvClient(server.url) as client:
-        env.reset(seed=1)
-        observation = client.reset("easy_delivery", seed=2)
-        assert env.step(DroneAction(direction="WAIT")).observation.step_count == 1
-        assert client.step("WAIT")["step_count"] == 1
-        assert (env.state().seed, client.state()["seed"]) == (1, 2)
-        assert observation["step_count"] == 0
 
 
 @pytest.mark.feature("E10")
@@ -227,10 +216,6 @@ class TestEnvironment:
             env.get_task("easy_delivery/test", 2**51)
         with pytest.raises(UnknownNameError, match="easy_delivery/test"):
             env.num_tasks("test")
-
-    def test_metadata(self) -> None:
-        metadata = official.DroneDeliveryEnvironment().get_metadata()
-        assert metadata.name == "drone-env"
 
 
 def _plain(state: Any) -> dict[str, Any]:

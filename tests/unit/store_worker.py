@@ -10,6 +10,8 @@ import os
 import random
 import sys
 
+from drone_env.core.episode import Episode
+from drone_env.results.sessions import advance
 from drone_env.results.store import Store
 
 
@@ -25,13 +27,9 @@ def main(folder: str, session: str, steps: int, random_seed: int) -> None:
         for _ in range(steps):
             with store.session(session) as row:
                 if row.episode_id is not None:
-                    row.reset(row.task, row.task_version, row.seed + 1, row.reward_profile)
-                episode = row.fly()
-                action = rng.randrange(5)
-                episode.step(action)
-                row.append(action)
-                finished = row.finish(episode) if episode.ended else None
-            say([row.seed, row.actions, finished])
+                    row.begin(Episode(row.task, row.reward_profile, row.seed + 1))
+                advance(row, rng.randrange(5))
+            say([row.seed, row.actions, row.episode_id])
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from drone_env.core.episode import Episode
 from drone_env.core.rewards import RewardProfile
 from drone_env.core.tasks import TASKS, TaskConfig
 from drone_env.planning.optimal import solve
-from drone_env.results.sessions import SessionRow
+from drone_env.results.sessions import Session, advance
 from drone_env.results.store import Store, StoredEpisode
 
 
@@ -25,17 +25,14 @@ def flown(task: str = "easy", seed: int = 7, actions: str | None = None, profile
 
 
 def opened(store: Store, task: str = "easy_delivery", seed: int = 7, capacity: int = 256) -> str:
-    return store.open_session(task, 1, seed, "tiered", "someone", capacity)
+    return store.open_session(Episode(task, "tiered", seed), "someone", capacity)
 
 
-def finish_in(row: SessionRow, episode: Episode, next_seed: int | None = None) -> None:
+def finish_in(row: Session, episode: Episode) -> None:
     if row.task != episode.task.id:
-        row.reset(episode.task.id, 1, episode.seed, "tiered")
+        row.begin(Episode(episode.task, "tiered", episode.seed))
     for action in episode.actions:
-        row.append(action)
-    row.finish(episode)
-    if next_seed is not None:
-        row.reset(row.task, 1, next_seed, "tiered")
+        advance(row, action)
 
 
 def view(folder: Path) -> list[StoredEpisode]:

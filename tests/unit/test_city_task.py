@@ -131,7 +131,7 @@ def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
     register_city(yard)
     training, tour, run = kept()
     with Store(yard.parent) as store:
-        session = store.open_session("yard", 1, 7, "tiered", "someone", 9)
+        session = store.open_session(Episode("yard", "tiered", 7), "someone", 9)
     Store(yard.parent).close()
     del TASKS["yard"]
     write_city(City(GRID, numbers={"deliveries": 3, "max_steps": 39}), yard)
@@ -150,9 +150,9 @@ def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
     with Store(yard.parent) as store:
         register_city(yard)
         with pytest.raises(StoreError, match="another task"), store.session(session) as row:
-            row.reset("yard", 1, 8, "tiered")
+            row.begin(Episode("yard", "tiered", 8))
         with pytest.raises(StoreError, match="another task"):
-            store.open_session("yard", 1, 7, "tiered", "someone", 9)
+            store.open_session(Episode("yard", "tiered", 7), "someone", 9)
         with pytest.raises(StoreError, match="another task"):
             store.add_episode(Episode("yard", seed=7).fly([0] * 39), "someone")
     assert "rules of easy_delivery" not in TrainConfig().identity()

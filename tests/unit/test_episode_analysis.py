@@ -78,8 +78,9 @@ def test_closing_stops_the_solving(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             slow.setattr(optima, "SOLVE_SECONDS", 0)
             store.analysis("hard", patience=0)
             eventually(lambda: len(solved) == 3)
-            close = store._optima._closing.set
-            slow.setattr(store._optima._closing, "set", lambda: (close(), closing.set()))
+            thread = store._optima._thread
+            assert thread is not None
+            slow.setattr(thread, "shutdown", lambda stop=thread.shutdown, **how: (closing.set(), stop(**how)))
             store.close()
     assert solved == [8, 7, 6]
     with Store(tmp_path) as store:

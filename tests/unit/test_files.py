@@ -23,7 +23,7 @@ from drone_env.results.record import load_record, read_records
 from drone_env.reward_file import load_reward_profile
 from drone_env.rl.run import load_checkpoint
 from drone_env.rl.sweep import read_config
-from drone_env.server.train_log import TrainLog
+from drone_env.server.logs import TrainLog
 
 PARSERS: dict[str, Callable[[Path], object]] = {
     "city.toml": read_city,

@@ -4,25 +4,23 @@ import sqlite3
 import stat
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import pytest
 
 from drone_env.core.episode import Episode
 from drone_env.errors import (
     CapacityError,
-    EpisodeError,
     InvalidValueError,
     NoSessionError,
     SessionGoneError,
     StoreError,
-    UnknownNameError,
 )
 from drone_env.planning.optimal import solve
 from drone_env.results.record import record_of
-from drone_env.results.sessions import steady_clock
+from drone_env.results.sessions import Session, advance, steady_clock
 from drone_env.results.store import FILE_NAME, Store
-from tests.unit.stores import finish_in, flown, flying, opened
+from tests.unit.stores import finish_in, flown, opened
 
 
 def test_a_session_is_flown_to_its_end_and_flown_again(store: Store) -> None:
@@ -32,54 +30,57 @@ def test_a_session_is_flown_to_its_end_and_flown_again(store: Store) -> None:
         for action in solve(expected, episode.seed).actions:
             with store.session(session_id) as row:
                 assert row.actions == tuple(episode.actions)
-                episode.step(action)
-                row.append(action)
-                if episode.ended:
-                    row.finish(episode)
+                assert advance(row, action) == episode.step(action)
         row = store.read_session(session_id)
         assert row.episode_id is not None
         assert store.latest(1)[0].id == row.episode_id
         assert store.episode(row.episode_id).record == record_of(episode, "someone")
         with store.session(session_id) as row:
-            row.reset("easy", 1, 8, "aligned", "another")
-        row = store.read_session(session_id)
-        assert (row.task, row.seed, row.reward_profile, row.agent) == ("easy_delivery", 8, "aligned", "another")
-        assert (row.actions, row.episode_id) == ((), None)
+            assert advance(row, 4) == 0, "a step after the end pays nothing and is not kept"
+        assert store.read_session(session_id).actions == tuple(episode.actions)
         with store.session(session_id) as row:
-            row.reset("easy", 1, 8, "tiered", "someone")
+            row.begin(Episode("easy", "tiered", 8))
+    assert len(store.latest(9)) == 2
+    row = store.read_session(session_id)
+    assert (row.flight, row.agent) == (("easy_delivery", 1, 8, "tiered"), "someone")
+    assert (row.actions, row.episode_id) == ((), None)
 
 
-def test_a_session_that_flies_anew_stands_where_it_stood(store: Store) -> None:
+def test_an_episode_in_memory_is_flown_on_only_if_the_session_goes_on_from_it(store: Store) -> None:
     session_id = opened(store, "hard_delivery")
-    episode = flying("hard", steps=3)
+    with store.session(session_id) as before:
+        for action in (4, 4, 0):
+            advance(before, action)
+    assert store.read_session(session_id).fly().get_state() == before.fly().get_state()
     with store.session(session_id) as row:
-        for action in episode.actions:
-            row.append(action)
-    assert store.read_session(session_id).fly().get_state() == episode.get_state()
-
-
-def test_ids_are_long_random_and_kept_from_others(store: Store) -> None:
-    ids = {opened(store) for _ in range(50)}
-    assert len(ids) == 50
-    assert all(len(session_id) >= 32 for session_id in ids)
-    assert stat.S_IMODE((store.folder / FILE_NAME).stat().st_mode) == 0o600
-    assert not any(session_id in (store.folder / "memory.json").read_text() for session_id in ids)
+        row.actions = (*row.actions, 1)
+    row.go_on_from(before)
+    assert row.episode is before.episode
+    assert row.fly().get_state() == store.read_session(session_id).fly().get_state()
+    for actions, episode in (((4, 4, 1, 1), Episode("hard", "tiered", 7)), ((), Episode("hard", "tiered", 8))):
+        with store.session(session_id) as row:
+            row.begin(episode)
+            row.actions, row.episode = actions, None
+        row.go_on_from(before)
+        assert row.episode is None
 
 
 def test_nothing_is_kept_of_a_block_that_fails(store: Store) -> None:
     session_id = opened(store)
-    episode = flown(actions="4")
-    with pytest.raises(InvalidValueError), store.session(session_id) as row:
-        finish_in(row, episode, next_seed=-1)
-    assert store.read_session(session_id).actions == ()
-    assert store.latest(1) == []
-    with store.session(session_id) as row:
-        row.append(1)
-    assert store.read_session(session_id).actions == (1,)
 
+    def finish_and_fly(row: Session, action: object) -> None:
+        finish_in(row, flown(actions="4"))
+        row.begin(Episode("easy", "tiered", 8))
+        advance(row, cast(int, action))
 
-def test_half_of_a_transaction_is_not_kept(store: Store) -> None:
-    opened(store)
+    for action in (5, True, "UP", None):
+        with pytest.raises(InvalidValueError, match="0 UP"), store.session(session_id) as row:
+            finish_and_fly(row, action)
+    with pytest.raises(InvalidValueError, match="one printable line"), store.session(session_id) as row:
+        row.begin(Episode("medium", "tiered", 8), "two\nlines")
+    assert (store.read_session(session_id).actions, store.latest(1)) == ((), [])
+    with pytest.raises(InvalidValueError, match="one printable line"):
+        store.open_session(Episode("easy", "tiered", 7), "\ud800", 9)
     with suppress(LookupError), store._database.writing() as connection:
         connection.execute("DELETE FROM sessions")
         raise LookupError
@@ -89,87 +90,25 @@ def test_half_of_a_transaction_is_not_kept(store: Store) -> None:
 def test_a_full_disk_keeps_nothing_and_says_so(store: Store) -> None:
     session_id = opened(store)
     with store.session(session_id) as row:
-        row.append(1)
+        advance(row, 1)
     with store._database.writing() as connection:
         pages = connection.execute("PRAGMA page_count").fetchone()[0]
         connection.execute(f"PRAGMA max_page_count = {pages}")
-    episode = flown("hard", actions="4")
     stored: list[str] = []
     with pytest.raises(StoreError, match="full"):
-        stored.extend(store.add_episode(episode, "ace") for _ in range(100))
-    assert [kept.id for kept in store.episodes()] == stored
+        stored.extend(store.add_episode(flown("hard", actions="4"), "ace") for _ in range(100))
     with pytest.raises(StoreError, match="full"), store.session(session_id) as row:
-        finish_in(row, episode)
+        finish_in(row, flown("hard", actions="4"))
     assert store.read_session(session_id).actions == (1,)
     assert [kept.id for kept in store.episodes()] == stored
 
 
-@pytest.mark.parametrize("action", [-1, 5, True, 1.0, "UP", None])
-def test_only_actions_are_appended(action: Any, store: Store) -> None:
-    session_id = opened(store)
-    with pytest.raises(InvalidValueError, match="0 UP"), store.session(session_id) as row:
-        row.append(action)
-    assert store.read_session(session_id).actions == ()
-
-
-def test_after_the_end_there_is_nothing_to_append_or_finish(store: Store) -> None:
-    session_id = opened(store)
-    episode = flown(actions="4")
-    with store.session(session_id) as row:
-        finish_in(row, episode)
-        with pytest.raises(EpisodeError, match="already"):
-            row.finish(episode)
-    with pytest.raises(EpisodeError, match="reset"), store.session(session_id) as row:
-        row.append(4)
-    assert len(store.latest(9)) == 1
-
-
-@pytest.mark.parametrize(
-    ("episode", "error", "message"),
-    [
-        (flying(), EpisodeError, "has not ended"),
-        (flown(seed=8, actions="4"), InvalidValueError, "this is an episode of"),
-        (flown(actions="4", profile="score"), InvalidValueError, "this is an episode of"),
-        (flown("medium", actions="4"), InvalidValueError, "this is an episode of"),
-        (flown(actions="0"), InvalidValueError, "which are not the 60 of this episode"),
-    ],
-)
-def test_only_its_own_finished_episode_finishes_a_session(
-    episode: Episode, error: type[Exception], message: str, store: Store
-) -> None:
-    session_id = opened(store)
-    with store.session(session_id) as row:
-        for _ in range(60):
-            row.append(4)
-        with pytest.raises(error, match=message):
-            row.finish(episode)
-    assert store.latest(1) == []
-
-
-@pytest.mark.parametrize(
-    ("flight", "error"),
-    [
-        (("extreme", 1, 7, "tiered"), UnknownNameError),
-        (("easy", 2, 7, "tiered"), UnknownNameError),
-        (("easy", 1, 7, "mine"), UnknownNameError),
-        (("easy", 1, -1, "tiered"), InvalidValueError),
-        (("easy", 1, 2**53, "tiered"), InvalidValueError),
-        (("easy", 1, 7, "tiered", "two\nlines"), InvalidValueError),
-        (("easy", 1, 7, "tiered", "\ud800"), InvalidValueError),
-    ],
-)
-def test_a_session_flies_only_what_can_be_flown(flight: tuple[Any, ...], error: type[Exception], store: Store) -> None:
-    agent = flight[4] if len(flight) > 4 else "someone"
-    with pytest.raises(error):
-        store.open_session(*flight[:4], agent=agent, capacity=9)
-    assert store.count_sessions() == 0
-    session_id = opened(store)
-    before = store.read_session(session_id)
-    with store.session(session_id) as row, pytest.raises(error):
-        row.reset(*flight)
-    assert vars(store.read_session(session_id)) == vars(before) | {
-        "touched_at": store.read_session(session_id).touched_at
-    }
+def test_ids_are_long_random_and_kept_from_others(store: Store) -> None:
+    ids = {opened(store) for _ in range(50)}
+    assert len(ids) == 50
+    assert all(len(session_id) >= 32 for session_id in ids)
+    assert stat.S_IMODE((store.folder / FILE_NAME).stat().st_mode) == 0o600
+    assert not any(session_id in (store.folder / "memory.json").read_text() for session_id in ids)
 
 
 def test_there_is_room_for_so_many(store: Store) -> None:
@@ -274,7 +213,7 @@ def test_a_clock_that_was_set_back_between_two_starts_lets_no_session_live_longe
 def test_a_block_inside_a_block_is_an_error_and_no_deadlock(store: Store) -> None:
     session_id = opened(store)
     with store.session(session_id) as row:
-        row.append(4)
+        advance(row, 4)
         with pytest.raises(StoreError, match="inside another"), store.session(session_id):
             pytest.fail("the block must not be entered")
         with pytest.raises(StoreError, match="inside another"):

@@ -111,35 +111,6 @@ def test_processes_on_one_session_lose_no_step(tmp_path: Path) -> None:
         assert view(tmp_path) == expected
 
 
-def test_threads_on_one_session_lose_no_step(store: Store) -> None:
-    session_id = opened(store, seed=0)
-    errors: list[BaseException] = []
-
-    def fly(number: int) -> None:
-        rng = random.Random(number)
-        try:
-            for _ in range(60):
-                with store.session(session_id) as row:
-                    if row.episode_id is not None:
-                        row.reset(row.task, 1, row.seed + 1, "tiered")
-                    episode = row.fly()
-                    action = rng.randrange(5)
-                    episode.step(action)
-                    row.append(action)
-                    if episode.ended:
-                        row.finish(episode)
-        except BaseException as error:
-            errors.append(error)
-
-    threads = [threading.Thread(target=fly, args=(number,)) for number in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert errors == []
-    assert sum(len(actions) for _, actions in whole(store, session_id)) == 8 * 60
-
-
 def test_killed_at_any_moment_nothing_that_was_said_is_lost(tmp_path: Path) -> None:
     rng = random.Random(0)
     with Store(tmp_path) as store:

@@ -38,8 +38,8 @@ from drone_env.rl.dqn import Progress, Trainer
 from drone_env.rl.run import DIGITS, MOST_KEPT, TrainingRun, load_checkpoint, log_line, summary
 from drone_env.rl.tour_config import TourConfig
 from drone_env.server.app import create_app
+from drone_env.server.logs import TrainLog
 from drone_env.server.settings import Settings
-from drone_env.server.train_log import TrainLog
 from tests.unit.small_training import SMALL, assert_same, run_in
 
 ROOT = Path(__file__).parents[2]

@@ -1,22 +1,30 @@
 """One episode that a page flies: a session, its pilot, and what is known of its flight ahead of time."""
 
 import asyncio
+import secrets
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from hashlib import sha256
 from typing import Any, TypeVar
 
+from pydantic_core import to_json
+from starlette.concurrency import run_in_threadpool
+
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
+from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError, EpisodeError, NoSessionError, SessionGoneError
 from drone_env.models import DIRECTIONS, Direction
 from drone_env.results.finished import check_agent
-from drone_env.results.record import record_of
-from drone_env.results.sessions import SessionRow
-from drone_env.server.frames import Frame, frame_of, shows_values
-from drone_env.server.live.ahead import MapOf, plan, values_along
-from drone_env.server.map_choice import is_registered
-from drone_env.server.pilots import HUMAN, PILOTS, Credit
+from drone_env.results.sessions import Session, advance
+from drone_env.server.frames import Frame, MapOf, Opening, frame_of, frames_json, plan, shows_values, values_along
+from drone_env.server.live.commands import Start
+from drone_env.server.map_choice import start_episode
+from drone_env.server.pilots import HUMAN, PILOTS, Credit, require_pilot
+from drone_env.server.schemas import ResetOptions
+from drone_env.server.sessions import OtherStepError, flat_json
 from drone_env.server.state import Shared
 
 Result = TypeVar("Result")
@@ -38,14 +46,13 @@ class LiveEpisode:
         EpisodeError: if none of our pilots flies it.
     """
 
-    def __init__(self, row: SessionRow, shared: Shared, caller: str) -> None:
-        self.by, self.credit = row.agent, Credit.parse(row.agent)
+    def __init__(self, row: Session, shared: Shared, caller: str) -> None:
+        self.row = replace(row, episode=row.fly().copy())
+        """The session as it was last seen, with an episode of its own."""
+        self.credit = Credit.parse(row.agent)
         self.pilot = self.credit.pilot
         if self.pilot not in PILOTS:
             raise EpisodeError(f"this session is flown by {row.agent!r}, not from the page")
-        self.session = row.id
-        self.episode_id = row.episode_id
-        self.episode: Episode = row.fly()
         self.map_of = MapOf.of(self.episode)
         self.values: list[float] = []
         """The best score that can still be reached at the frames of the flight, as far as it is known."""
@@ -53,11 +60,16 @@ class LiveEpisode:
         """The same after each action, of a person's flight."""
         self.unsolved = False
         """Whether the map could not be solved."""
-        self._shared, self._caller = shared, caller
+        self._sessions, self._workers, self._caller = shared.sessions, shared.workers, caller
         self._plan: list[int] | None = None
         self._planning: asyncio.Future[list[int]] | None = None
         self._jobs: set[asyncio.Future[Any]] = set()
         self._network = shared.networks.beside(self.pilot, self.episode.task)
+
+    @property
+    def episode(self) -> Episode:
+        """The episode as it stands."""
+        return self.row.fly()
 
     @property
     def automatic(self) -> bool:
@@ -134,14 +146,15 @@ class LiveEpisode:
         self._plan = planned
         if not actions:
             return
-        self.episode.fly(actions)
-        with self._shared.store.session(self.session) as row:
-            for action in self.episode.actions:
-                row.append(action)
-            if self.episode.ended:
+        with self._sessions.changing(self.row.id) as row:
+            for action in actions:
+                advance(row, action)
+            if row.finished:
                 # Named by what it is: however often a link to it is opened, it is kept once.
-                record = record_of(self.episode, row.agent).to_json()
-                self.episode_id = row.finish(self.episode, sha256(record.encode()).hexdigest()[:16])
+                record = row.finished[0].record.to_json()
+                row.episode_id = sha256(record.encode()).hexdigest()[:16]
+                row.finished[0] = row.finished[0].model_copy(update={"id": row.episode_id})
+        self._see(row)
 
     def fly(self, direction: Direction) -> list[Frame]:
         """Fly one step by hand.
@@ -165,18 +178,17 @@ class LiveEpisode:
         if self.episode.steps <= self.first:
             since = f"since step {self.first}, where the fork begins" if self.first else "yet"
             raise EpisodeError(f"there is nothing to take back: you have not flown {since}")
-        before = self.map_of.start().fly(self.episode.actions[:-1])
-        with self._shared.store.session(self.session) as row:
-            self._recognise(row, self.episode)
-            alone = len(row.actions) == self.episode.steps
+        known = self.row
+        with self._sessions.changing(known.id) as row:
+            self._recognise(row)
+            alone = len(row.actions) == len(known.actions)
             if alone:
-                row.undo()
+                row.actions, row.episode = row.actions[:-1], None
                 row.agent = check_agent(str(self.credit._replace(undo=True)))
-        self.by, self.credit = row.agent, Credit.parse(row.agent)
         if not alone:
-            return self._follow(row.actions[self.episode.steps :])
-        self.episode = before
-        del self.values[before.steps + 1 :]
+            return self._follow(row)
+        self._see(row)
+        del self.values[self.episode.steps + 1 :]
         self._ahead = None
         return []
 
@@ -187,10 +199,10 @@ class LiveEpisode:
             EpisodeError: if an agent flies this episode, or it has ended.
         """
         self._check_by_hand()
-        with self._shared.store.session(self.session) as row:
-            self._recognise(row, self.episode)
+        with self._sessions.changing(self.row.id) as row:
+            self._recognise(row)
             row.agent = check_agent(str(self.credit._replace(values=True)))
-        self.by, self.credit = row.agent, Credit.parse(row.agent)
+        self.row.agent, self.credit = row.agent, Credit.parse(row.agent)
         return self.look()
 
     def reachable(self) -> list[float] | None:
@@ -205,7 +217,7 @@ class LiveEpisode:
             StoreError: if the store could not be written.
         """
         with suppress(NoSessionError, SessionGoneError):  # it may have been idle for too long
-            self._shared.sessions.end(self.session)
+            self._sessions.end(self.row.id)
 
     def look(self) -> Frame:
         """The frame of the episode as it stands: its map is drawn once, and a network asked once."""
@@ -220,29 +232,29 @@ class LiveEpisode:
         )
 
     def _fly(self, action: int) -> list[Frame]:
-        flown = self.episode.copy()  # where the step cannot be kept, nothing has changed here
-        with self._shared.store.session(self.session) as row:
-            self._recognise(row, flown)
-            # Another page may have gone on with the same session: then this one catches up.
-            alone = len(row.actions) == flown.steps
-            if alone:
-                row.step(flown, action)
-        self.episode_id = row.episode_id
-        if not alone:
-            return self._follow(row.actions[self.episode.steps :])
-        self.episode = flown
-        if self._ahead is not None and len(self.values) == flown.steps:
+        steps = len(self.row.actions)
+        try:
+            row, episode = self._sessions.advance(
+                self.row.id, action, lambda episode, _: episode.copy(), after=steps, check=self._recognise
+            )
+        except OtherStepError:  # another page has gone on with the same session
+            return self._follow(self._sessions.store.read_session(self.row.id))
+        self.row = replace(row, episode=episode)
+        if self._ahead is not None and len(self.values) == episode.steps:
             self.values.append(self._ahead[action])  # V* after an action is its Q*, to the last bit
         self._ahead = None
         return [self.look()]
 
-    def _recognise(self, row: SessionRow, flown: Episode) -> None:
+    def _see(self, row: Session) -> None:
+        """Note how the session stands."""
+        self.row, self.credit = replace(row, episode=row.fly().copy()), Credit.parse(row.agent)
+
+    def _recognise(self, row: Session) -> None:
         """See whether the session still flies this episode. Another page may have asked for help with it meanwhile."""
-        credit = self.credit if row.agent == self.by else Credit.parse(row.agent)
-        same = self.credit._replace(values=credit.values, undo=credit.undo)
-        if credit != same or not row.follows(flown):
+        credit = self.credit if row.agent == self.row.agent else Credit.parse(row.agent)
+        if self.credit._replace(values=credit.values, undo=credit.undo) != credit or not row.follows(self.row):
             raise SessionGoneError("this session flies another episode by now: start a new one")
-        self.by, self.credit = row.agent, credit
+        self.credit = credit
 
     def _check_by_hand(self) -> None:
         if self.pilot != HUMAN:
@@ -250,22 +262,25 @@ class LiveEpisode:
         if self.episode.ended:
             raise EpisodeError("this episode has ended: start another")
 
-    def _follow(self, actions: Iterable[int]) -> list[Frame]:
+    def _follow(self, row: Session) -> list[Frame]:
         """Fly what another page has flown, and return the frames."""
-        frames: list[Frame] = []
+        self._recognise(row)
+        episode, missed = self.episode.copy(), row.actions[self.episode.steps :]
         if self.pilot == HUMAN:
-            del self.values[self.episode.steps + 1 :]
+            del self.values[episode.steps + 1 :]
             self._ahead = None
-        for action in actions:
-            self.episode.step(action)
+        self.row = replace(row, episode=episode)
+        frames: list[Frame] = []
+        for action in missed:
+            episode.step(action)
             frames.append(self.look())
-        if self._plan is not None and self._plan[: self.episode.steps] != self._flown:
+        if self._plan is not None and self._plan[: episode.steps] != self._flown:
             self._plan = None  # its agent chooses differently each time
         return frames
 
     def _submit(self, function: Callable[..., Result], *arguments: object) -> "asyncio.Future[Result]":
-        quick = is_registered(self.map_of.task.id)
-        job = asyncio.ensure_future(self._shared.workers.run(function, *arguments, caller=self._caller, quick=quick))
+        run = self._workers.run(function, *arguments, caller=self._caller, task=self.map_of.task.id)
+        job = asyncio.ensure_future(run)
         self._jobs.add(job)
         job.add_done_callback(self._jobs.discard)
         return job
@@ -285,3 +300,129 @@ async def _ended(job: "asyncio.Future[Result]") -> Result:
     if job.cancelled():
         raise LeftError
     return job.result()
+
+
+MAPS = 10_000
+"""Where a page names no map, one of so many: people say the numbers to each other."""
+Opened = list[tuple[LiveEpisode, str]]
+"""The episodes, and each as it is shown: the JSON of a `ShownEpisode`."""
+Beginning = tuple[Sequence[int], str | None, list[int] | None]
+"""The actions that a flight begins with, its frames as a JSON array, and all actions of its pilot; None if unknown."""
+
+
+async def open_flights(command: Start, shared: Shared, caller: str, last: Episode | None) -> Opened:
+    """Open the sessions of all flights, or of none.
+
+    Args:
+        command: What to start.
+        shared: The parts of the server.
+        caller: The address of the page.
+        last: What was flown before: where no map is named, it is another.
+
+    Raises:
+        UnknownNameError: if there is no such task, pilot or reward profile.
+        UnsupportedTaskError: if there is no network that a pilot needs.
+        CheckpointError: if that cannot be read.
+        InvalidValueError: if a fork goes on after the end of its flight, or is of so many that they cannot be named.
+        EpisodeError: if an agent is said to have flown in a fork what it would not fly.
+        CapacityError: if there is no room.
+        RequestError: if too many requests are waiting for a worker process.
+    """
+    start, agents, forking = await run_in_threadpool(_chosen, command, shared, last)
+    fork, map_of = command.fork, MapOf.of(start)
+    ahead = command.step if fork is None else len(fork.actions)
+    begin = partial(_begin, shared, caller, map_of)
+    beginnings = [
+        await begin(agent, fork.actions if fork is not None and number == forking else None, ahead)
+        for number, agent in enumerate(agents)
+    ]
+    return await run_in_threadpool(_open, shared, caller, map_of, zip(agents, beginnings, strict=True))
+
+
+async def attach(session: str, shared: Shared, caller: str) -> tuple[LiveEpisode, str]:
+    """The episode of a session, and all of it so far as the JSON of a `ShownEpisode`.
+
+    Raises:
+        NoSessionError: if there never was such a session.
+        SessionGoneError: if it has ended or expired.
+        EpisodeError: if none of our pilots flies it.
+        RequestError: if too many requests are waiting for a worker process.
+    """
+    live = await run_in_threadpool(_attached, session, shared, caller)
+    run = partial(shared.workers.run, caller=caller, task=live.map_of.task.id)
+    frames = await run(frames_json, live.map_of, live.row.agent, live.directions)
+    return live, await run_in_threadpool(_shown, live, frames)
+
+
+def end_all(episodes: Sequence[LiveEpisode]) -> None:
+    """Give all their sessions back.
+
+    Raises:
+        StoreError: if the store could not be written.
+    """
+    for live in episodes:
+        live.end()
+
+
+def _attached(session: str, shared: Shared, caller: str) -> LiveEpisode:
+    with shared.sessions.reading(session) as row:
+        return LiveEpisode(row, shared, caller)
+
+
+def _chosen(command: Start, shared: Shared, last: Episode | None) -> tuple[Episode, list[str], int | None]:
+    """The flight at its start, who flies, and the number of the one that goes on from the fork."""
+    task, fork, agents = get_task(command.task), command.fork, list(command.pilots)
+    for pilot in agents:
+        require_pilot(pilot, task, shared.networks)
+    seed = command.seed
+    while seed is None or (command.seed is None and last is not None and seed == last.seed):
+        seed = secrets.randbelow(MAPS)
+    start = start_episode(ResetOptions(task_name=task.id, seed=seed, reward_profile=command.reward_profile), None)
+    if fork is None:
+        return start, agents, None
+    # A fork is the last one's; a person who goes on with a flight of his own may have others behind him.
+    own = fork.step == 0 and HUMAN in agents
+    forking = agents.index(HUMAN) if own else len(agents) - 1
+    agents[forking] = check_agent(str(Credit.of_fork(agents[forking], fork.step, fork.of)))
+    return start, agents, forking
+
+
+async def _begin(
+    shared: Shared, caller: str, map_of: MapOf, agent: str, forked: list[Direction] | None, ahead: int
+) -> Beginning:
+    """What a flight begins with: `forked` if that is given, else, of a pilot, its own first `ahead` steps."""
+    credit = Credit.parse(agent)
+    run = partial(shared.workers.run, caller=caller, task=map_of.task.id)
+    directions, planned = forked or [], None
+    if forked is None and credit.pilot != HUMAN and ahead:
+        planned = await run(plan, map_of, credit.pilot, (), 0)
+        directions = [DIRECTIONS[action] for action in planned[:ahead]]
+    if not directions:
+        return (), None, planned
+    actions = [int(Action[direction]) for direction in directions]
+    frames = await run(frames_json, map_of, agent, directions)  # says if it goes on after the end
+    if forked is not None and credit.pilot != HUMAN:
+        planned = await run(plan, map_of, credit.pilot, actions, credit.forked_at or 0, True)
+    return actions, frames, planned
+
+
+def _open(shared: Shared, caller: str, map_of: MapOf, flights: Iterable[tuple[str, Beginning]]) -> Opened:
+    task, seed, profile = map_of
+    opened: Opened = []
+    try:
+        for agent, (actions, frames, planned) in flights:
+            options = ResetOptions(task_name=task.id, seed=seed, reward_profile=profile, agent=agent)
+            session, _ = shared.sessions.reset(None, options, flat_json)
+            live = _attached(session, shared, caller)
+            opened.append((live, ""))
+            live.begin_with(actions, planned)
+            opened[-1] = live, _shown(live, frames)
+    except BaseException:
+        end_all([live for live, _ in opened])
+        raise
+    return opened
+
+
+def _shown(live: LiveEpisode, frames: str | None) -> str:
+    opening = Opening.of(live.map_of.start(), live.row.agent, live.row.id).model_dump_json()
+    return f'{{"opening":{opening},"frames":{frames or to_json([live.look()]).decode()}}}'

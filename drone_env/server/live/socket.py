@@ -6,7 +6,7 @@ to them. On the wire they are flights, by their number among those of the page.
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -20,10 +20,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from drone_env.errors import TooLargeError, UnknownNameError
 from drone_env.server.frames import Frame
 from drone_env.server.incoming import LARGE, TRY_LATER, received
-from drone_env.server.live.commands import Attach, ByHand, Fly, Plain, Play, Start, Subscribe, parse_command
-from drone_env.server.live.episodes import LeftError, LiveEpisode
-from drone_env.server.live.feeds import Feed
-from drone_env.server.live.start import Opened, attach, end_all, open_flights
+from drone_env.server.live.commands import Attach, ByHand, Fly, Plain, Play, Start, Subscribe, Topic, parse_command
+from drone_env.server.live.episodes import LeftError, LiveEpisode, Opened, attach, end_all, open_flights
+from drone_env.server.logs import TrainLog
 from drone_env.server.problems import FAILED, status_of
 from drone_env.server.state import Shared, caller_address
 
@@ -70,7 +69,7 @@ class LiveSocket:
         Raises:
             StoreError: if the store could not be written.
         """
-        sessions = [live.session for page in list(self.pages) for live in page.episodes]
+        sessions = [live.row.id for page in list(self.pages) for live in page.episodes]
         if sessions:
             self.shared.store.touch_sessions(sessions)
 
@@ -138,7 +137,7 @@ class Page:
                 case ByHand(flight=number):  # "help"
                     live = self._at(number)
                     frame = await run_in_threadpool(live.help)
-                    await self._send({"type": "helped", "flight": number, "by": live.by, "frame": frame})
+                    await self._send({"type": "helped", "flight": number, "by": live.row.agent, "frame": frame})
                     await self._send_values(number, live)
                     self._lacking.set()
                 case Start():
@@ -163,7 +162,7 @@ class Page:
         if missed:
             await self._tell([(number, missed)])
         else:
-            step, by = live.episode.steps, live.by
+            step, by = live.episode.steps, live.row.agent
             await self._send({"type": "undone", "flight": number, "step": step, "by": by})
 
     async def _step_all(self) -> None:
@@ -178,8 +177,8 @@ class Page:
 
     async def _replace(self, opened: Opened, asked: int | None) -> None:
         """Show these episodes, and give up those before them that are not among them."""
-        kept = {live.session for live, _ in opened}
-        left = [live for live in self.episodes if live.session not in kept]
+        kept = {live.row.id for live, _ in opened}
+        left = [live for live in self.episodes if live.row.id not in kept]
         for live in self.episodes:
             live.leave()
         self.episodes = [live for live, _ in opened]
@@ -198,7 +197,7 @@ class Page:
         for number, live in enumerate(self.episodes):
             if live.episode.ended and live not in self._end_sent:
                 self._end_sent.add(live)
-                for row in await run_in_threadpool(self._shared.store.listed, 1, episode_id=live.episode_id):
+                for row in await run_in_threadpool(self._shared.store.listed, 1, episode_id=live.row.episode_id):
                     await self._send({"type": "ended", "flight": number, "episode": row})
                 await self._send_values(number, live)
         if any(live.lacks_values for live in self.episodes):
@@ -290,3 +289,42 @@ def _problem(error: Exception) -> dict[str, str]:
         # Unforeseen: a page that lost its connection for it would come back and meet it again, forever.
         log.error("/live failed", exc_info=error)
     return {"code": code, "detail": FAILED if status == 500 else str(error)}
+
+
+EPISODES = 50
+LINES = 200
+
+
+class Feed:
+    """The news of some topics, for one page.
+
+    Args:
+        shared: The parts of the server.
+        topics: Which news the page wants.
+    """
+
+    def __init__(self, shared: Shared, topics: list[Topic]) -> None:
+        self.topics = topics
+        self._shared = shared
+        self._request: int | None = None
+        self._episode: int | None = None
+        self._log = TrainLog(shared.settings.data)
+
+    def news(self) -> Iterator[dict[str, Any]]:
+        """The messages that are due; at first what there is, then what is new.
+
+        Raises:
+            StoreError: if the store cannot be read.
+        """
+        if "requests" in self.topics:
+            entries = self._shared.requests.since(self._request or 0)
+            if entries or self._request is None:
+                self._request = entries[-1].number if entries else 0
+                yield {"type": "requests", "requests": entries}
+        if "training" in self.topics and self._log.has_changed():
+            yield {"type": "training", "lines": self._log.tail(LINES), "curve": self._log.curve()}
+        if "episodes" in self.topics:
+            found = self._shared.store.listed(EPISODES, after=self._episode)
+            if found or self._episode is None:
+                self._episode = found[0].number if found else 0
+                yield {"type": "episodes", "episodes": found}

@@ -11,8 +11,8 @@ from starlette.types import Receive, Scope, Send
 from drone_env.core.tasks import get_task
 from drone_env.models import MAX_SEED, Message
 from drone_env.results.record import EpisodeRecord
+from drone_env.server.logs import FILE_NAME, LoggedRequest, RequestLog, TrainLog
 from drone_env.server.problems import RequestError, answer_to, answers
-from drone_env.server.request_log import LoggedRequest, RequestLog
 from drone_env.server.schemas import (
     AnalysisAnswer,
     EpisodePage,
@@ -21,7 +21,6 @@ from drone_env.server.schemas import (
     LogLines,
 )
 from drone_env.server.state import SharedParts
-from drone_env.server.train_log import FILE_NAME, TrainLog
 
 router = APIRouter(tags=["history"])
 SUMMARIES = 5

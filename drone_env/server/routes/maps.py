@@ -19,12 +19,11 @@ from drone_env.models import MAX_SEED, Count, Message, Position, Score
 from drone_env.server.drawn_maps import drawn_task, name_of
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.jobs import bench
-from drone_env.server.local import stranger_address
-from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import answers
 from drone_env.server.routes.catalogue import describe
 from drone_env.server.routes.replay import best_flight
 from drone_env.server.schemas import OneTask
+from drone_env.server.security import stranger_address
 from drone_env.server.state import SharedParts
 
 router = APIRouter(prefix="/maps", tags=["maps"], route_class=JsonRoute)
@@ -148,19 +147,19 @@ async def drawn_map(
     request: Request, shared: SharedParts, task_name: str, seed: Annotated[int, Path(ge=0, le=MAX_SEED)]
 ) -> Response:
     """A map as a drawing, to be changed. A drawing is flown by the rules of `skyline`, whatever it was made from."""
-    return _json(await shared.work(request, _drawing, task_name, seed, quick=is_registered(task_name)))
+    return await shared.json(request, _drawing, task_name, seed, task=task_name)
 
 
 @router.post("/file", response_model=DrawnMap, responses=REFUSALS, openapi_extra=LARGE_BODY)
 async def file_as_map(request: Request, shared: SharedParts, file: Annotated[CityFile, Body()]) -> Response:
     """The file of a city as a drawing; what it leaves to the seed is as on its map 0."""
-    return _json(await shared.work(request, _file_as_map, file.toml))
+    return await shared.json(request, _file_as_map, file.toml)
 
 
 @router.post("/worth", response_model=MapWorth, responses=REFUSALS, openapi_extra=LARGE_BODY)
 async def worth(request: Request, shared: SharedParts, drawn: Annotated[DrawnMap, Body()]) -> Response:
     """What a drawing is worth: the best score that any flight over it can reach, and the text of its file."""
-    return _json(await shared.work(request, _worth, drawn))
+    return await shared.json(request, _worth, drawn)
 
 
 @router.post("", responses=REFUSALS, openapi_extra=LARGE_BODY)
@@ -185,10 +184,6 @@ def _checked(drawn: DrawnMap) -> tuple[str, TaskConfig]:
     city = drawn.city()
     text = city_text(city)
     return text, drawn_task(city, name_of(text.encode()))
-
-
-def _json(text: str) -> Response:
-    return Response(text, media_type="application/json")
 
 
 def _drawing(task_name: str, seed: int) -> str:

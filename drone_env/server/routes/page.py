@@ -8,12 +8,9 @@ from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from drone_env.errors import DroneEnvError
-from drone_env.server.hello import hello
-from drone_env.server.links import Link, title_of
-from drone_env.server.map_choice import is_registered
+from drone_env.server.links import HELLO, Link, draw_preview, title_of
 from drone_env.server.page_files import PAGE, edition
 from drone_env.server.pilots import called
-from drone_env.server.preview import draw_preview
 from drone_env.server.problems import answers
 from drone_env.server.state import Shared, SharedParts
 
@@ -21,6 +18,7 @@ router = APIRouter(tags=["page"])
 PICTURE = {200: {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}}
 FRESH = "max-age=3600"
 """How long a picture may be shown unasked: what flies in it may be trained further."""
+HELLO_STYLE = "".join(f'<link rel="stylesheet" href="static/css/{name}.css">' for name in ("hello", "hello-motion"))
 NAME = "Drone Delivery"
 ABOUT = "A drone delivers parcels on a generated city grid. Fly it, race a network, and see what every move gave away."
 
@@ -29,19 +27,12 @@ ABOUT = "A drone delivers parcels on a generated city grid. Fly it, race a netwo
 def page(request: Request, shared: SharedParts) -> Response:
     """The page; where its address asks for nothing, with a flight that moves before any script has run."""
     shared.workers.warm_up()
-    html = (PAGE / "index.html").read_text(encoding="utf-8").replace('="static/', f'="static/v-{edition()}/')
-    html = html.replace("<!-- link -->", _head(request, shared))
+    html = (PAGE / "index.html").read_text(encoding="utf-8").replace("<!-- link -->", _head(request, shared))
     if not request.url.query:
-        style = '<link rel="stylesheet" href="static/css/hello.css">'
-        html = html.replace("<!-- hello -->", hello().section).replace("</head>", f"{style}\n</head>")
+        html = html.replace("<!-- hello -->", (PAGE / "hello.html").read_text(encoding="utf-8"))
+        html = html.replace("</head>", f"{HELLO_STYLE}\n</head>")
+    html = html.replace('="static/', f'="static/v-{edition()}/')
     return _known(request, html.encode(), "text/html; charset=utf-8")
-
-
-@router.get("/static/css/hello.css", include_in_schema=False)
-def hello_style(request: Request) -> Response:
-    """How that flight is shown, and how it moves."""
-    style = (PAGE / "css" / "hello.css").read_text(encoding="utf-8") + hello().motion
-    return _known(request, style.encode(), "text/css; charset=utf-8")
 
 
 @router.get("/preview.png", response_class=Response, responses=PICTURE | answers(404, 422, 503))
@@ -51,8 +42,8 @@ async def preview(request: Request, shared: SharedParts, link: Annotated[Link, Q
     A person is not flown for.
     """
     record = (await run_in_threadpool(shared.store.episode, link.episode)).record if link.episode else None
-    quick = is_registered(link.task if record is None else record.task)
-    picture = await shared.work(request, draw_preview, link, record, quick=quick)
+    task = link.task if record is None else record.task
+    picture = await shared.work(request, draw_preview, link, record, task=task)
     return _known(request, picture, "image/png", {"Cache-Control": FRESH})
 
 
@@ -98,4 +89,4 @@ def _told(request: Request, shared: Shared) -> tuple[str | None, Link]:
         link.check()
         return link.title(), link
     except DroneEnvError:
-        return None, hello().flight
+        return None, HELLO

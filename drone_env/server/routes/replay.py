@@ -17,7 +17,6 @@ from drone_env.results.record import EpisodeRecord, record_of, replay_steps
 from drone_env.server.frames import Opening, ShownEpisode, frame_of
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
 from drone_env.server.jobs import bench
-from drone_env.server.map_choice import is_registered
 from drone_env.server.problems import RequestError, answers
 from drone_env.server.state import SharedParts
 
@@ -82,8 +81,7 @@ class AnalysedFlight(Message):
 @router.post("/replay", response_model=ShownEpisode, responses=RECORD_ERRORS, openapi_extra=LARGE_BODY)
 async def replay_record(request: Request, shared: SharedParts, record: Record) -> Response:
     """Fly a record again, check every reward and the score, and show it frame by frame."""
-    found = await shared.work(request, _replayed, record, quick=is_registered(record.task))
-    return Response(found, media_type="application/json")
+    return await shared.json(request, _replayed, record, task=record.task)
 
 
 def _replayed(record: EpisodeRecord) -> str:
@@ -102,8 +100,7 @@ async def annotate(request: Request, shared: SharedParts, record: Record) -> Res
     """What each move of a finished flight gave away, and a best flight over its map. Large maps take seconds."""
     if not record.ended:
         raise RequestError(409, "in_flight", "only a flight that has ended is annotated")
-    found = await shared.work(request, _annotated, record, quick=is_registered(record.task))
-    return Response(found, media_type="application/json")
+    return await shared.json(request, _annotated, record, task=record.task)
 
 
 def _annotated(record: EpisodeRecord) -> str:

@@ -1,20 +1,31 @@
 """The route that says what can still be reached from a moment of a flight."""
 
-from typing import Annotated
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
+import numpy as np
+import numpy.typing as npt
 from fastapi import APIRouter, Body, Request, Response
 from pydantic import ConfigDict, Field
 
+from drone_env.agents.base import BatchAgent
 from drone_env.core.episode import Episode
 from drone_env.core.rewards import DEFAULT_PROFILE
-from drone_env.core.tasks import MAX_UNITS, get_task
-from drone_env.models import Direction, Message, Seed
+from drone_env.core.rules import score
+from drone_env.core.tables import interpreted, view
+from drone_env.core.tasks import MAX_UNITS, TaskConfig, get_task
+from drone_env.errors import TooLargeError
+from drone_env.models import DIRECTIONS, Count, Direction, Message, Position, Score, Seed
 from drone_env.results.record import fly_directions
 from drone_env.server.incoming import LARGE_BODY, JsonRoute
-from drone_env.server.map_choice import is_registered
-from drone_env.server.map_values import ValuesAnswer, values_json
+from drone_env.server.jobs import bench
 from drone_env.server.problems import answers
 from drone_env.server.state import SharedParts
+
+if TYPE_CHECKING:
+    from drone_env.planning.elsewhere import Places
+    from drone_env.planning.solver import Solver
+
 
 router = APIRouter(tags=["replay"], route_class=JsonRoute)
 
@@ -52,6 +63,181 @@ class FlightSoFar(Message):
         return episode
 
 
+Floats, Bools, Integers = npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.int64]
+Item = TypeVar("Item")
+Rows = list[list[Item | None]]
+"""[y][x], null at the cells of which there is nothing to say."""
+
+
+class AskedNetwork(Message):
+    """The network that was asked about every cell."""
+
+    pilot: str = Field(description="Who flies by it, as in `/pilots`.")
+    file: str = Field(description="Name of its file.")
+    digest: str = Field(description="First 16 digits of the SHA-256 of that file.")
+
+
+class CellValues(Message):
+    """What there is to do if the drone were at each cell, [y][x], with all else as it is; null where it cannot be.
+
+    A parcel that waits there has then been delivered by arriving; on a pad nothing has been charged yet.
+    """
+
+    values: Rows[Score] | None = Field(description="The best score still possible; null where the map is not solved.")
+    best_actions: Rows[list[Direction]] | None = Field(
+        description="All actions that give nothing away, none where the flight is over; null as `values`."
+    )
+    network_actions: Rows[Direction] | None = Field(
+        description="What the network would fly, null where the flight is over; null without a network."
+    )
+    disagree: Rows[bool] | None = Field(
+        description="Whether that gives something away; null where either of both is missing."
+    )
+
+
+class PadRange(Message):
+    """Which cells a full battery reaches from a pad."""
+
+    position: Position = Field(description="[x, y] of the pad.")
+    units: Rows[Count] = Field(description="As `range`.")
+
+
+class ValuesAnswer(Message):
+    """What can still be reached from a moment of a flight."""
+
+    task: str = Field(description="Id of the task.")
+    task_version: int = Field(ge=1, description="Version of the task.")
+    seed: Count = Field(description="Number of the map.")
+    step_count: Count = Field(description="Steps flown.")
+    position: Position = Field(description="[x, y] of the drone.")
+    battery_units: Count
+    deliveries_done: Count
+    done: bool = Field(description="Whether the flight has ended: there is nothing more to be said of cells then.")
+    unsolved: str | None = Field(description="Why the exact values are null; null where the map is solved.")
+    optimum: Score | None = Field(description="The highest score that any flight over this map can reach.")
+    value: Score | None = Field(description="The best score still possible; after the end, the score.")
+    regret: float | None = Field(ge=0, description="optimum - value: what the flight has given away for good.")
+    q_values: dict[Direction, float] | None = Field(
+        default=None, description="The best score still possible after each action; null as `value`, and after the end."
+    )
+    best_actions: list[Direction] | None = Field(
+        default=None, description="All actions that give nothing away; null as `q_values`."
+    )
+    network: AskedNetwork | None = Field(
+        default=None, description="Who was asked about every cell; null without one for the task, and after the end."
+    )
+    cells: CellValues | None = Field(default=None, description="What there is to do from each; null after the end.")
+    range: Rows[Count] | None = Field(
+        default=None,
+        description="[y][x], the most battery units left on arrival at each cell by moves alone, in the steps left, "
+        "without charging; with 0 the flight ends there, null where it cannot get. Null after the end.",
+    )
+    pads: list[PadRange] | None = Field(
+        default=None, description="The same of a full battery, from each pad that charges; null after the end."
+    )
+
+
+def values_json(flight: FlightSoFar) -> str:
+    """The JSON of a `ValuesAnswer`: a job of a worker process.
+
+    Raises:
+        UnknownNameError, InvalidValueError: as `FlightSoFar.episode`.
+        CheckpointError: if the file of the network holds none.
+    """
+    episode = flight.episode()
+    solver = unsolved = optimum = value = None
+    try:
+        solver = bench().solver_of(episode.task, episode.seed)
+    except TooLargeError as error:
+        unsolved = str(error)
+    if solver is not None:
+        optimum, value = solver.value(Episode(episode.task, seed=episode.seed)), solver.value(episode)
+    answer = ValuesAnswer(
+        task=episode.task.id,
+        task_version=episode.task.version,
+        seed=episode.seed,
+        step_count=episode.steps,
+        position=episode.position,
+        battery_units=episode.battery_units,
+        deliveries_done=episode.deliveries_done,
+        done=episode.ended,
+        unsolved=unsolved,
+        optimum=optimum,
+        value=value,
+        regret=None if optimum is None or value is None else optimum - value,
+        **({} if episode.ended else _in_flight(episode, solver)),
+    )
+    return answer.model_dump_json()
+
+
+def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
+    # Loads Numba, which the process that serves does without.
+    from drone_env.planning.elsewhere import battery_range, charging_pads, places_of
+
+    task, places, networks = episode.task, places_of(episode), bench().networks
+    asked = networks.asked(task)
+    here = int(np.flatnonzero(places.cells[places.flying] == episode.cell)[0])
+    q_values = best = network = actions = None
+    if solver is not None:
+        q_values = solver.q_values_of(places.grids[places.flying], places.states[places.flying])
+        best = q_values == q_values.max(axis=1, keepdims=True)
+    if asked is not None:
+        agent = networks.agent(asked, task)
+        assert isinstance(agent, BatchAgent)
+        network = AskedNetwork(pilot=asked, file=networks.file(asked, task).name, digest=str(agent.config["network"]))
+        grids = places.grids[places.flying].reshape(-1, task.height, task.width)
+        actions = agent.act_batch(grids, places.telemetry[places.flying])
+    return {
+        "q_values": None if q_values is None else dict(zip(DIRECTIONS, q_values[here].tolist(), strict=True)),
+        "best_actions": None if best is None else _directions(best[here]),
+        "network": network,
+        "cells": _cell_values(task, places, q_values, best, actions),
+        "range": _units(task, battery_range(episode, episode.cell, episode.battery_units)),
+        "pads": [
+            PadRange(
+                position=(pad % task.width, pad // task.width),
+                units=_units(task, battery_range(episode, pad, task.battery_capacity)),
+            )
+            for pad in charging_pads(episode)
+        ],
+    }
+
+
+def _cell_values(
+    task: TaskConfig, places: "Places", q_values: Floats | None, best: Bools | None, actions: Integers | None
+) -> CellValues:
+    """What there is to do at each place; the arrays have a row for each that still flies."""
+    flying, over = places.cells[places.flying].tolist(), places.cells[~places.flying].tolist()
+    values = best_actions = network_actions = disagree = None
+    if q_values is not None and best is not None:
+        ends = [score(interpreted(task), view(state)) for state in places.states[~places.flying]]
+        values = _rows(task, flying + over, [*q_values.max(axis=1).tolist(), *ends])
+        nothing: list[Direction] = []
+        best_actions = _rows(task, flying + over, [*map(_directions, best), *(nothing for _ in over)])
+    if actions is not None:
+        names: list[Direction] = [DIRECTIONS[action] for action in actions.tolist()]
+        network_actions = _rows(task, flying, names)
+    if best is not None and actions is not None:
+        disagree = _rows(task, flying, (~best[np.arange(len(flying)), actions]).tolist())
+    return CellValues(values=values, best_actions=best_actions, network_actions=network_actions, disagree=disagree)
+
+
+def _directions(chosen: Bools) -> list[Direction]:
+    """The names of the actions that are chosen, bool[5]."""
+    return [name for name, is_chosen in zip(DIRECTIONS, chosen.tolist(), strict=True) if is_chosen]
+
+
+def _units(task: TaskConfig, most: Integers) -> Rows[int]:
+    """What `battery_range` found, as rows."""
+    return _rows(task, range(len(most)), [None if units < 0 else units for units in most.tolist()])
+
+
+def _rows(task: TaskConfig, cells: Iterable[int], items: Iterable[Item]) -> list[list[Item | None]]:
+    """Items at cells as rows [y][x], None at all others."""
+    found = dict(zip(cells, items, strict=True))
+    return [[found.get(y * task.width + x) for x in range(task.width)] for y in range(task.height)]
+
+
 @router.post(
     "/values", response_model=ValuesAnswer, responses=answers(400, 413, 415, 422, 503), openapi_extra=LARGE_BODY
 )
@@ -61,9 +247,4 @@ async def values(request: Request, shared: SharedParts, flight: Annotated[Flight
     Beside it stands what the network would do at every cell, and how far the battery reaches. No session is needed. Of
     a task whose maps are too large to be solved the exact values are null.
     """
-    found = await shared.work(request, _values, flight, quick=is_registered(flight.task))
-    return Response(found, media_type="application/json")
-
-
-def _values(flight: FlightSoFar) -> str:
-    return values_json(flight.episode())
+    return await shared.json(request, values_json, flight, task=flight.task)

@@ -9,6 +9,7 @@ servers side by side.
 import asyncio
 import logging
 import time
+import uuid
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, cast
@@ -18,12 +19,14 @@ from pydantic_core import to_json
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from drone_env.errors import DroneEnvError, InvalidValueError, text_of, wrong_parts
+from drone_env.core.episode import NOT_STARTED, Episode
+from drone_env.errors import DroneEnvError, EpisodeError, InvalidValueError, text_of, wrong_parts
+from drone_env.models import DroneState
+from drone_env.results.sessions import Session, advance, flight_of
 from drone_env.server.incoming import SMALL, TRY_LATER, parse_json, received
-from drone_env.server.observation_json import openenv_json
-from drone_env.server.openenv.session import Session
+from drone_env.server.map_choice import start_episode
 from drone_env.server.schemas import ResetOptions, WireAction
-from drone_env.server.sessions import ANONYMOUS
+from drone_env.server.sessions import ANONYMOUS, openenv_json
 from drone_env.server.state import Shared
 
 log = logging.getLogger(__name__)
@@ -45,6 +48,40 @@ class RefusedError(Exception):
         super().__init__(message)
         data = {"message": message, "code": code, **more}
         self.frame = _frame("error", to_json(data).decode())
+
+
+class Connection:
+    """The session of a connection, and the name that its client gave the episode."""
+
+    def __init__(self) -> None:
+        self._session: Session | None = None
+        self._episode_id = ""
+
+    def reset(self, options: ResetOptions) -> Episode:
+        """Start an episode. On an error the running one is left as it was.
+
+        Raises:
+            UnknownNameError: if there is no such task, profile or split.
+            InvalidValueError: if the split has no such map.
+        """
+        episode = start_episode(options, None if self._session is None else self._session.seed)
+        self._session = Session("", *flight_of(episode), options.agent or ANONYMOUS, episode=episode)
+        self._episode_id = options.episode_id if options.episode_id is not None else str(uuid.uuid4())
+        return episode
+
+    def started(self) -> Session:
+        """The session.
+
+        Raises:
+            EpisodeError: before the first reset.
+        """
+        if self._session is None:
+            raise EpisodeError(NOT_STARTED)
+        return self._session
+
+    def state(self) -> DroneState:
+        """The full state. Raises as `started`."""
+        return DroneState.of(self.started().fly()).model_copy(update={"episode_id": self._episode_id})
 
 
 class OpenEnvSocket:
@@ -84,7 +121,7 @@ class OpenEnvSocket:
                 self.touched.pop(socket, None)
 
     async def _serve(self, socket: WebSocket) -> None:
-        session = Session()
+        connection = Connection()
         async for data in received(socket, SMALL):
             if socket not in self.touched:
                 return  # closed as idle
@@ -92,7 +129,7 @@ class OpenEnvSocket:
             try:
                 if data is None:
                     raise RefusedError("INVALID_JSON", "send text frames with JSON")
-                answer = await self._answer(session, data)
+                answer = await self._answer(connection, data)
             except RefusedError as refusal:
                 answer = refusal.frame
             if answer is None:
@@ -103,7 +140,7 @@ class OpenEnvSocket:
             await socket.send_text(answer)
             self.touched[socket] = self._clock()
 
-    async def _answer(self, session: Session, received: bytes) -> str | None:
+    async def _answer(self, connection: Connection, received: bytes) -> str | None:
         """The answer to a frame, None where it asks to close.
 
         Raises:
@@ -122,12 +159,12 @@ class OpenEnvSocket:
         data = cast(dict[str, Any], data)
         try:
             if kind == "step":
-                return await self._step(session, data)
+                return await self._step(connection, data)
             if kind == "reset":
-                session.reset(ResetOptions.model_validate(data))
-                return _frame("observation", openenv_json(session.episode, None))
+                episode = connection.reset(ResetOptions.model_validate(data))
+                return _frame("observation", openenv_json(episode, None))
             if kind == "state":
-                return _frame("state", session.state().model_dump_json())
+                return _frame("state", connection.state().model_dump_json())
         except ValidationError as error:
             parts = wrong_parts(error)
             errors = [{"loc": [part.where], "msg": part.why, "type": part.kind} for part in parts]
@@ -142,17 +179,14 @@ class OpenEnvSocket:
             return _frame("mcp", to_json(mcp_answer(data)).decode())
         raise RefusedError("UNKNOWN_TYPE", f"Unknown message type: {kind!r}; allowed: {ALLOWED_TYPES}")
 
-    async def _step(self, session: Session, data: dict[str, Any]) -> str:
+    async def _step(self, connection: Connection, data: dict[str, Any]) -> str:
         action = WireAction.model_validate(data).action
-        episode = session.episode
+        session = connection.started()
+        episode = session.fly()
         # Ended and not kept, it has answered an error: the same step again is answered as it would have been.
-        again = episode.ended and not session.stored
-        reward = episode.reward_last if again else episode.step(action)
-        if episode.ended and not session.stored:
-            # Answered when it is kept. A step after a failure tries again.
-            keep, agent = self.shared.store.add_episode, session.agent or ANONYMOUS
-            await asyncio.get_running_loop().run_in_executor(self.shared.steps, keep, episode, agent)
-            session.stored = True
+        reward = episode.reward_last if session.finished else advance(session, action)
+        if session.finished:
+            await asyncio.get_running_loop().run_in_executor(self.shared.steps, self.shared.store.keep, session)
         return _frame("observation", openenv_json(episode, reward))
 
     async def close_idle(self) -> None:

@@ -8,11 +8,10 @@ from pydantic import Field
 from drone_env import __version__
 from drone_env.models import DroneState, Message
 from drone_env.server.incoming import JsonRoute
-from drone_env.server.openenv.session import DESCRIPTION, ENV_NAME, WireObservation
-from drone_env.server.openenv.socket import mcp_answer
-from drone_env.server.openenv.task_api import SplitInfo, TaskApi, TaskSpec
+from drone_env.server.map_choice import SplitInfo, TaskApi, TaskSpec
+from drone_env.server.openenv import mcp_answer
 from drone_env.server.problems import RequestError, answers
-from drone_env.server.schemas import WireAction
+from drone_env.server.schemas import DESCRIPTION, ENV_NAME, WireAction, WireObservation
 
 
 async def _check_name(

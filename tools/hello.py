@@ -1,15 +1,16 @@
-"""What a visitor sees first: a map with a recorded flight that moves before any script has run.
+"""Draw what a visitor sees first: a map with a recorded flight that moves before any script has run.
 
-`hello.json` is a flight of the tour network over map 43 of skyline_medium. Of the maps below 100 of hard and of
-skyline_medium it is the one on which greedy loses most, 75 points of 95: its battery is empty after one parcel of four.
-The network flies there as well as can be.
+    python -m tools.hello
+
+writes `hello.html` and `css/hello-motion.css` of the page from the record `hello.json`, a flight of the tour network
+over map 43 of skyline_medium. Of the maps below 100 of hard and of skyline_medium it is the one on which greedy loses
+most, 75 points of 95: its battery is empty after one parcel of four. The network flies there as well as can be.
 """
 
 import re
-from functools import cache
 from html import escape
 from itertools import pairwise
-from typing import NamedTuple
+from pathlib import Path
 from zlib import crc32
 
 import numpy as np
@@ -18,7 +19,7 @@ from drone_env.core.actions import Event
 from drone_env.core.cells import CELL_KINDS, Cell
 from drone_env.core.episode import Episode
 from drone_env.results.record import EpisodeRecord, replay
-from drone_env.server.links import Link
+from drone_env.server.links import HELLO, Link
 from drone_env.server.page_files import ART, PAGE
 from drone_env.server.pilots import HUMAN, PILOTS
 
@@ -33,27 +34,10 @@ VARIETY = {Cell.BUILDING: 4, Cell.TREE: 4}
 """How many figures of a kind stand on the map; the sheet has more, but each makes the page larger."""
 
 
-class Hello(NamedTuple):
-    """The flight as the page has it."""
-
-    flight: Link
-    section: str
-    """HTML."""
-    motion: str
-    """The style sheet by which it moves."""
-
-
-@cache
-def hello() -> Hello:
-    """The recorded flight, flown by the rules once.
-
-    Raises:
-        InvalidValueError: if the record does not fit its flight.
-    """
-    record = EpisodeRecord.read((PAGE / "hello.json").read_bytes(), "hello.json is not a record")
-    episode = replay(record)
-    flight = Link(task=episode.task.short_name, seed=episode.seed, pilot=record.agent)
-    return Hello(flight, _section(flight, episode), _motion(episode))
+def draw() -> dict[Path, str]:
+    """The files of the page that show the recorded flight, and what they contain."""
+    episode = replay(EpisodeRecord.read((PAGE / "hello.json").read_bytes(), "hello.json is not a record"))
+    return {PAGE / "hello.html": _section(HELLO, episode) + "\n", PAGE / "css" / "hello-motion.css": _motion(episode)}
 
 
 def _section(flight: Link, episode: Episode) -> str:
@@ -172,3 +156,8 @@ def _motion(flown: Episode) -> str:
         rules.append(f".hello-{name}{{animation:hello-{name} {whole / SECOND:g}s {pace} infinite}}")
         rules.append(f"@keyframes hello-{name}{{{''.join(steps)}}}")
     return "\n".join(["@media (prefers-reduced-motion: no-preference) {", *rules, "}\n"])
+
+
+if __name__ == "__main__":
+    for path, text in draw().items():
+        path.write_text(text, encoding="utf-8")

@@ -1,1 +1,0 @@
-"""OpenEnv: the session, its WebSocket, the task API, the environment for those who bring OpenEnv, the client."""
