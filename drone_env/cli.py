@@ -80,6 +80,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(error.trace, end="", file=sys.stderr)  # whoever wrote the agent has to debug it
         print_error(told(error, arguments) if isinstance(error, OSError) else error)
         return 2
+    except MemoryError as error:
+        print_error(f"out of memory: {error}\nLower the sizes that you set, such as --replay-size or --batch-size.")
+        return 2
     except KeyboardInterrupt:
         return 130
 

@@ -92,15 +92,18 @@ def replacing(path: Path) -> Generator[Path, None, None]:
     On an error inside, the temporary file is removed and what stood at `path` is left as it was. What is no file but,
     for example, a device or a pipe is written to as it stands.
     """
-    if path.exists() and not path.is_file() and not path.is_dir():
-        yield path
-        return
-    temporary = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}.part")
+    as_it_is = path.exists() and not path.is_file() and not path.is_dir()
+    temporary = path if as_it_is else path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}.part")
     try:
         yield temporary
-        temporary.replace(path)
+        if not as_it_is:
+            temporary.replace(path)
+    except OSError as error:
+        error.filename = error.filename or str(path)  # a full disk is reported without it
+        raise
     finally:
-        temporary.unlink(missing_ok=True)
+        if not as_it_is:
+            temporary.unlink(missing_ok=True)
 
 
 def stamp(path: Path) -> tuple[int, int, int] | None:

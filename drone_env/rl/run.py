@@ -25,7 +25,7 @@ import torch
 
 from drone_env.agents.weights_file import write_weights
 from drone_env.errors import CheckpointError, InvalidValueError, needs
-from drone_env.files import locked, open_file, replacing
+from drone_env.files import locked, open_file, replacing, stamp
 from drone_env.rl.common import DifferentRunError, figure
 
 if TYPE_CHECKING:
@@ -135,6 +135,7 @@ class TrainingRun(Generic[AnyTrainer]):
         self.stopped = False
         """Whether the run ends after the current step, or has ended."""
         self._seconds, self._since = 0.0, clock()
+        self._stamp = stamp(self.checkpoint)
         if self.resumed:
             self._resume()
 
@@ -173,12 +174,15 @@ class TrainingRun(Generic[AnyTrainer]):
         Yields every line of the log after it is written.
 
         Raises:
-            InvalidValueError: if another process trains in the same folder, or it has too many earlier trainings.
+            InvalidValueError: if another process trains in the same folder, or has trained there since this run
+                began; if it has too many earlier trainings; or if the weights are no longer finite.
         """
         trainer, config, data = self.trainer, self.trainer.config, self.log.parent
         data.mkdir(parents=True, exist_ok=True)
         taken = f"another process is training in {data}: wait for its end, or add --data FOLDER"
         with locked(data / "train.lock", taken):
+            if stamp(self.checkpoint) != self._stamp:
+                raise InvalidValueError(f"another process has trained in {data} meanwhile: start this training again")
             if not self.resumed:
                 self._keep_earlier()
             self.results.mkdir(parents=True, exist_ok=True)
@@ -206,7 +210,17 @@ class TrainingRun(Generic[AnyTrainer]):
                 draw_curves({self.name: trainer.history}, self.name, trainer.curves, self.results)
 
     def save(self) -> None:
-        """Write the checkpoint and, after a validation, the best network beside it."""
+        """Write the checkpoint and, after a validation, the best network beside it.
+
+        Raises:
+            InvalidValueError: if the weights are no longer finite; both files stay as they are.
+            OSError: if they cannot be written.
+        """
+        if not all(torch.isfinite(weights).all() for weights in self.trainer.online.parameters()):
+            raise InvalidValueError(
+                f"the training diverged: after {self.done} {self.unit} weights are infinite or NaN. Nothing is saved.\n"
+                "Lower --learning-rate, or raise --max-grad-norm from 0."
+            )
         save_checkpoint(self.checkpoint, self.trainer.get_state() | {"seconds": self.seconds})
         network = self.trainer.best_network()
         if network is not None:

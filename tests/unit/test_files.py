@@ -121,6 +121,12 @@ def test_a_link_to_a_file_is_read(tmp_path: Path) -> None:
     assert load_reward_profile(tmp_path / "link.toml").id == "mine"
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_reported_with_the_file() -> None:
+    with pytest.raises(OSError, match="/dev/full"):
+        write_text(Path("/dev/full"), "more")
+
+
 def test_what_is_no_file_is_written_to_and_not_replaced(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)

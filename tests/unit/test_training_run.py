@@ -178,8 +178,22 @@ def test_two_cannot_train_in_one_folder(tmp_path: Path) -> None:
         with pytest.raises(InvalidValueError, match=r"another process is training in .*: .*add --data FOLDER"):
             next(other.train())
     assert first.checkpoint.read_bytes() == kept
+    late = run_in(tmp_path)  # it has read the checkpoint that the first replaces
+    first.save()
     lines.close()
+    with pytest.raises(InvalidValueError, match=r"another process has trained in .* meanwhile"):
+        next(late.train())
     assert next(run_in(tmp_path, fresh=True).train()).episode == 5
+
+
+def test_weights_that_are_no_numbers_are_not_saved(tmp_path: Path) -> None:
+    run = run_in(tmp_path)
+    run.save()
+    kept = run.checkpoint.read_bytes()
+    next(run.trainer.online.parameters()).data[0] = math.nan
+    with pytest.raises(InvalidValueError, match=r"(?s)diverged.*Lower --learning-rate"):
+        run.save()
+    assert run.checkpoint.read_bytes() == kept
 
 
 def test_interrupted_twice_it_ends_at_once(tmp_path: Path) -> None:
@@ -298,6 +312,8 @@ def test_the_standard_tasks_are_trained_one_after_another(tmp_path: Path, capsys
         (["--task", "impossible"], "allowed: "),
         (["--task", "all"], "Type --task standard (easy, medium, hard), or add --network tournet."),
         (["--reward-profile", "generous"], "allowed: aligned"),
+        (["--learning-rate", "inf"], "learning_rate should be a finite number"),
+        (["--replay-size", "1000000000000000"], "Lower the sizes that you set, such as --replay-size"),
         (["--network", "tournet", "--resume", "--fresh"], "one of them"),
         (["--network", "tournet", "--resume", "--validation-maps", "1", "--task", "medium"], "there is no checkpoint"),
         (["--network", "tournet", "--task", "easy"], "there is nothing to choose"),
