@@ -19,7 +19,8 @@ from drone_env.files import RUNS
 from drone_env.llm.options import Number, Options, Whole
 
 if TYPE_CHECKING:
-    from drone_env.llm.runner import Engine, Verdict
+    from drone_env.llm.config import RunConfig
+    from drone_env.llm.runner import Sender, Verdict
 
 PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|minimal-drawn|grid-drawn|vision|original|FILE.toml"
 PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
@@ -75,7 +76,7 @@ def infer(
         split: Whose first maps to fly: test if nothing is said.
         seeds: Fly the maps from A up to and not including B instead of a split's.
         repeats: Flights over each map, for pass^k; each sends a sampling seed of its own.
-        prompt: The prompt, by its name (the newest version) or id, such as grid-1, or a file of your own; minimal if
+        prompt: The prompt, by its name (the newest version) or id, such as grid-2, or a file of your own; minimal if
             nothing is said, or with --resume that of the run.
         prompts: Fly the same with each of these prompts, one after another, and compare them map by map. Each run has a
             folder of its prompt's id in --out; limits hold for each.
@@ -112,9 +113,10 @@ def infer(
     with needs("llm"):
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import RunConfig, Sampling
-        from drone_env.llm.gate import Gate
+        from drone_env.llm.endpoint import Endpoint
+        from drone_env.llm.flight import PilotedEpisode
         from drone_env.llm.image import running_image
-        from drone_env.llm.pilot import PilotedEpisode
+        from drone_env.llm.limiter import RateLimiter
         from drone_env.llm.progress import ConsoleObserver
         from drone_env.llm.prompt import get_prompt, untold
         from drone_env.llm.settings import check_url, load_settings, token_for
@@ -206,11 +208,14 @@ def infer(
                     if use_image:
                         url = stack.enter_context(running_image(settings.local_image_name))
                         options = dataclasses.replace(options, server=url)
-                    run = runner.run if engine == "local" else _on_cluster(stack, address)
-                    gate = Gate(options)
-                    observer = ConsoleObserver(config, gate, keep)
+                    if engine == "local":
+                        endpoint: Sender = Endpoint(config, token, options.timeout)
+                    else:
+                        endpoint = _on_cluster(stack, address, config, token, options)
+                    limiter = RateLimiter(options)
+                    observer = ConsoleObserver(config, limiter, keep)
                     stack.enter_context(observer.progress)
-                    result = asyncio.run(run(config, folder, token, gate, observer))
+                    result = asyncio.run(runner.run(config, folder, endpoint, limiter, observer))
                 if report:
                     from drone_env.llm.report import report as figures_of
                     from drone_env.llm.report import write_report
@@ -251,13 +256,15 @@ def infer(
     return status
 
 
-def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "Engine":
+def _on_cluster(
+    stack: contextlib.ExitStack, address: str | None, config: "RunConfig", token: str | None, options: Options
+) -> "Sender":
     from drone_env.cluster.connect import connect
 
     stack.enter_context(connect(address))
-    from drone_env.cluster.flights import run_on_nodes
+    from drone_env.cluster.senders import ClusterEndpoint
 
-    return run_on_nodes
+    return ClusterEndpoint(config, token, options)
 
 
 def _new_folder(runs: Path, model: str, task: str) -> Path:

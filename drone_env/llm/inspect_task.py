@@ -17,9 +17,9 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, needs
 from drone_env.llm.answers import Answer, Reading, Unusable, read_answer
-from drone_env.llm.gate import LimitReachedError
-from drone_env.llm.messages import ChatMessage, with_pictures
-from drone_env.llm.pilot import PilotedEpisode, fly
+from drone_env.llm.content import ChatMessage, with_pictures
+from drone_env.llm.flight import PilotedEpisode, fly
+from drone_env.llm.limiter import LimitReachedError
 from drone_env.llm.prompt import first_messages, get_prompt
 from drone_env.llm.run_folder import PilotedRecord
 from drone_env.llm.runner import MOST_ERRORED, log_text

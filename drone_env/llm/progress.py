@@ -9,8 +9,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from drone_env.llm.answers import Unusable
 from drone_env.llm.config import RunConfig
-from drone_env.llm.gate import Gate
-from drone_env.llm.pilot import PilotedEpisode
+from drone_env.llm.flight import PilotedEpisode
+from drone_env.llm.limiter import RateLimiter
 from drone_env.llm.runner import log_text
 from drone_env.llm.transcript import Call
 
@@ -24,16 +24,16 @@ class ConsoleObserver:
 
     Args:
         config: The run.
-        gate: What its requests pass, for the figures.
+        limiter: Its rate limiter, for the figures.
         keep: Is given each flight before its log lines are printed.
 
     Attributes:
         progress: The bar, to be entered by a `with`.
     """
 
-    def __init__(self, config: RunConfig, gate: Gate, keep: Callable[[PilotedEpisode], None]) -> None:
+    def __init__(self, config: RunConfig, limiter: RateLimiter, keep: Callable[[PilotedEpisode], None]) -> None:
         self._config = config
-        self._gate = gate
+        self._limiter = limiter
         self._keep = keep
         self._console = Console(stderr=True, highlight=False, markup=False, emoji=False)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -96,10 +96,12 @@ class ConsoleObserver:
         self.progress.update(self._bar, figures=self._figures(now))
 
     def _figures(self, now: float) -> str:
-        gate = self._gate
+        limiter = self._limiter
         rate = self._calls / max(now - self._began, 1e-9)
-        cost = "" if gate.cost is None else f", ${gate.cost:.4f}"
+        cost = "" if limiter.cost is None else f", ${limiter.cost:.4f}"
         score = f"score {fmean(self._scores):.4f}, " if self._scores else ""
         result = f"{score}unusable answers {Unusable(self._unusable, self._answers)}"
-        spent = f"{gate.requests} requests, {rate:.1f} calls/s, {gate.active} at once, {gate.tokens} tokens{cost}"
+        spent = (
+            f"{limiter.requests} requests, {rate:.1f} calls/s, {limiter.active} at once, {limiter.tokens} tokens{cost}"
+        )
         return f"{result}, {spent}"

@@ -13,7 +13,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.files import is_begun, locked, read_file, read_lines, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
-from drone_env.llm.pilot import PilotedEpisode, Status
+from drone_env.llm.flight import PilotedEpisode, Status
 from drone_env.llm.transcript import LONGEST_CALL
 from drone_env.models import Count, Message, Score
 from drone_env.results.record import record_of
@@ -110,14 +110,13 @@ class RunFolder:
             self._opened = opened.pop_all()
 
     def write_flights(self, flights: Sequence[PilotedEpisode], agent: str) -> None:
-        """Write the records and the results of flights, in their order; each file is there whole or not at all.
+        """Write the records and the results of ordered flights; each file is written whole or not at all.
 
         Raises:
             OSError: if they cannot be written.
         """
-        ordered = sorted(flights, key=lambda flown: flown.index)
-        records = [record_of(flown.episode, agent).to_json() for flown in ordered]
-        results = [PilotedRecord.of(flown).model_dump_json() for flown in ordered]
+        records = [record_of(flown.episode, agent).to_json() for flown in flights]
+        results = [PilotedRecord.of(flown).model_dump_json() for flown in flights]
         for name, lines in ((EPISODES, records), (RESULTS, results)):
             write_text(self.path / name, "".join(f"{line}\n" for line in lines))
 

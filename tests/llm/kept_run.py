@@ -6,14 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from pathlib import Path
 
+from drone_env.core.episode import Episode
 from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.files import RUNS
 from drone_env.llm.answers import Answer, Reading, read_answer
-from drone_env.llm.config import RunConfig, Sampling, digest
-from drone_env.llm.endpoint import request_body
-from drone_env.llm.messages import ChatMessage
-from drone_env.llm.pilot import PilotedEpisode, fly_one
+from drone_env.llm.config import RunConfig, Sampling, digest, request_bodies
+from drone_env.llm.content import ChatMessage
+from drone_env.llm.flight import PilotedEpisode, fly
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
 from drone_env.llm.transcript import Call, CallKey, Transcript
@@ -69,7 +69,7 @@ def put_run(
             answer = Answer(text=said, finish_reason="stop", prompt_tokens=100, completion_tokens=2)
             reading = read_answer(answer, prompt.plan)
             seed, repeat = config.flight(key.flight)
-            asked = digest({"body": request_body(config), "messages": messages})
+            asked = digest({"body": request_bodies(config)[0], "messages": messages})
             told = {"outcome": reading.kind, "latency": 0.5, "at": time.time()}
             numbers = {"flight": key.flight, "turn": key.turn, "attempt": key.attempt, "seed": seed, "repeat": repeat}
             transcript.append(Call(**numbers, messages=messages, request_digest=asked, answer=answer, **told))
@@ -77,7 +77,9 @@ def put_run(
 
         flights: list[PilotedEpisode] = []
         for flight in range(config.flights):
-            flights.append(thread.submit(asyncio.run, fly_one(config, flight, ask)).result())
+            seed, repeat = config.flight(flight)
+            flown = PilotedEpisode(flight, repeat, Episode(config.task_config, config.profile, seed))
+            flights.append(thread.submit(asyncio.run, fly(flown, prompt, 0, ask)).result())
             folder.keep(flights[-1], store, model)
         folder.write_flights(flights, model)
     return folder.path

@@ -12,7 +12,7 @@ from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.standing import standing_episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.llm.messages import DRAWN, ChatMessage
+from drone_env.llm.content import DRAWN, ChatMessage
 
 from .picture_reader import read_picture
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from drone_env.errors import InvalidValueError
-from drone_env.llm.gate import Gate, Pace
+from drone_env.llm.limiter import LimitReachedError, Pace, RateLimiter
 from drone_env.llm.options import Options
 
 from .conftest import Endpoint
@@ -106,81 +106,98 @@ def test_a_request_that_fails_leaves_its_tokens_to_the_next(endpoint: Callable[.
     assert (flown.turns, flown.clock.passed) == (["ok"] * 3, pytest.approx(2))
 
 
-def at_gate(most: int, work: Callable[[Gate, VirtualClock], Awaitable[Any]]) -> None:
+def with_limiter(most: int, work: Callable[[RateLimiter, VirtualClock], Awaitable[Any]], **limits: Any) -> None:
     async def run() -> None:
         clock = VirtualClock()
-        await work(Gate(Options(concurrency=most), clock), clock)
+        await work(RateLimiter(Options(concurrency=most, **limits), clock), clock)
 
     asyncio.run(run())
 
 
-def test_the_gate_grows_with_answers_and_halves_under_load() -> None:
-    async def work(gate: Gate, clock: VirtualClock) -> None:
-        assert gate.limit == 8
-        for _ in range(8):
-            gate.answered()
-        assert gate.limit == 16
-        clock.time += 1
-        gate.overloaded(sent_at=clock.time)
-        assert gate.limit == 8
-        gate.overloaded(sent_at=clock.time - 0.5)  # sent before the last halving
-        assert gate.limit == 8
-        # From now on one more when all of a round were answered.
-        for _ in range(8):
-            gate.answered()
-        assert 8.9 < gate.limit < 9
+def test_concurrency_grows_with_answers_and_halves_under_load() -> None:
+    async def work(limiter: RateLimiter, clock: VirtualClock) -> None:
+        async def send(overloaded: bool = False) -> None:
+            clock.time += overloaded
+            async with limiter.slot() as slot:
+                slot.tokens, slot.overloaded = 0, overloaded
+
+        async def send_all(n: int) -> None:
+            for _ in range(n):
+                await send()
+
+        assert limiter.limit == 8
+        await send_all(8)
+        assert limiter.limit == 16
+        async with limiter.slot() as slot:
+            await send(overloaded=True)
+            assert limiter.limit == 8
+            slot.overloaded = True  # sent before the last halving
+        assert limiter.limit == 8
+        # From now on one more after a round of answers.
+        await send_all(8)
+        assert 8.9 < limiter.limit < 9
         for _ in range(10):
-            clock.time += 1
-            gate.overloaded(sent_at=clock.time)
-        assert gate.limit == 1
-        for _ in range(10_000):
-            gate.answered()
-        assert gate.limit == 100
+            await send(overloaded=True)
+        assert limiter.limit == 1
+        await send_all(10_000)
+        assert limiter.limit == 100
 
-    at_gate(100, work)
+    with_limiter(100, work)
 
 
-def test_so_many_pass_the_gate_at_once_and_no_more() -> None:
-    async def work(gate: Gate, clock: VirtualClock) -> None:
+def test_the_limiter_bounds_the_requests_at_once() -> None:
+    async def work(limiter: RateLimiter, clock: VirtualClock) -> None:
         most = passed = 0
 
-        async def one(flight: int) -> None:
+        async def one() -> None:
             nonlocal most, passed
-            await gate.acquire(flight)
-            most = max(most, gate.active)
+            async with limiter.slot():
+                most = max(most, limiter.active)
+                await asyncio.sleep(0)
+                passed += 1
+
+        await asyncio.gather(*(one() for _ in range(50)))
+        assert (most, passed, limiter.active) == (3, 50, 0)
+
+    with_limiter(3, work)
+
+
+def test_an_overloaded_endpoint_gets_a_pause_within_the_time_of_the_run() -> None:
+    async def work(limiter: RateLimiter, clock: VirtualClock) -> None:
+        async def send(pause: float | None = None) -> None:
+            async with limiter.slot() as slot:
+                slot.overloaded, slot.pause = pause is not None, pause or 0
+
+        async with limiter.slot() as slot:
+            slot.overloaded, slot.pause = True, 7
+            await send(pause=2)  # the longer pause holds
+        await send()
+        assert clock.slept == [7]
+        await send(pause=60)
+        with pytest.raises(LimitReachedError, match="10 s have passed"):
+            await send()
+        assert (clock.slept, limiter.active) == ([7, 3], 0)
+
+    with_limiter(8, work, max_seconds=10)
+
+
+def test_a_slot_that_nobody_waits_for_any_more_goes_to_the_next() -> None:
+    async def work(limiter: RateLimiter, clock: VirtualClock) -> None:
+        async def hold() -> None:
+            async with limiter.slot():
+                await asyncio.sleep(3600)
+
+        async with limiter.slot():
+            second, third = asyncio.ensure_future(hold()), asyncio.ensure_future(hold())
             await asyncio.sleep(0)
-            passed += 1
-            gate.release(flight, None)
-
-        await asyncio.gather(*map(one, range(50)))
-        assert (most, passed, gate.active) == (3, 50, 0)
-
-    at_gate(3, work)
-
-
-def test_the_gate_is_closed_for_as_long_as_the_endpoint_asks() -> None:
-    async def work(gate: Gate, clock: VirtualClock) -> None:
-        gate.overloaded(sent_at=clock.time, pause=5)
-        gate.overloaded(sent_at=clock.time, pause=2)
-        await gate.acquire(0)
-        assert clock.slept == [5]
-
-    at_gate(8, work)
-
-
-def test_a_place_that_nobody_waits_for_any_more_goes_to_the_next() -> None:
-    async def work(gate: Gate, clock: VirtualClock) -> None:
-        await gate.acquire(1)
-        second, third = asyncio.ensure_future(gate.acquire(2)), asyncio.ensure_future(gate.acquire(3))
-        await asyncio.sleep(0)
-        gate.release(1, None)
-        # The place has been given to the second one, which is stopped before it takes it.
+        # The second one is stopped before it takes the free slot.
         second.cancel()
         for _ in range(5):
             await asyncio.sleep(0)
         assert second.cancelled()
-        assert (third.done(), gate.active) == (True, 1)
-        gate.release(3, None)
-        assert gate.active == 0
+        assert limiter.active == 1
+        third.cancel()
+        await asyncio.gather(third, return_exceptions=True)
+        assert limiter.active == 0
 
-    at_gate(1, work)
+    with_limiter(1, work)

@@ -13,7 +13,7 @@ from PIL import Image
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.envs.rendering import draw_picture
-from drone_env.llm.messages import DRAWN, picture_of, picture_part, with_pictures
+from drone_env.llm.content import DRAWN, picture_of, picture_part, with_pictures
 from drone_env.llm.prompt import first_messages, get_prompt
 
 from .conftest import Endpoint

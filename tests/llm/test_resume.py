@@ -201,3 +201,15 @@ def test_the_transcript_of_another_request_is_refused(endpoint: Start) -> None:
     again = scripted.infer("--seeds", "14:15", "--resume", folder=done.folder)
     assert again.status == 2
     assert "asks something else" in again.err
+
+
+@pytest.mark.parametrize("system", ["linux", "win32"])
+def test_one_process_at_a_time_writes_a_transcript(
+    system: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "platform", system)
+    first = Transcript(tmp_path / "calls.jsonl")
+    with pytest.raises(InvalidValueError, match="another process writes"):
+        Transcript(tmp_path / "calls.jsonl")
+    first.close()
+    Transcript(tmp_path / "calls.jsonl").close()

@@ -8,8 +8,8 @@ from time import time
 import pytest
 
 from drone_env.errors import InvalidValueError
-from drone_env.llm.caller import LONGEST_BACKOFF
 from drone_env.llm.options import Options
+from drone_env.llm.runner import LONGEST_BACKOFF
 
 from .conftest import Endpoint
 from .virtual_time import fly

@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator
 
 import pytest
 
-from drone_env.llm.redaction import without_secret
+from drone_env.llm.endpoint import without_secret
 from drone_env.llm.report import report, write_report
 from drone_env.llm.verify import verified_run
 

@@ -36,10 +36,11 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         # A server of other rules would show another flight than the one here.
         episode, session = Episode("easy", "tiered"), ServerSession(server.url, "mine")
         episode.reset(14)
-        asyncio.run(session.reset(episode))
+        asyncio.run(session.follow(episode))
         episode.step(Action.LEFT)
-        with pytest.raises(InvalidValueError, match=r"by other rules: map 14, step 1: .* where it is .* here"):
-            asyncio.run(session.step(episode, Action.RIGHT))
+        episode.step(Action.RIGHT)  # the server does not see the first step
+        with pytest.raises(InvalidValueError, match=r"by other rules: map 14, step 2: .* where it is .* here"):
+            asyncio.run(session.follow(episode))
         session.close()
     finally:
         server.kill()

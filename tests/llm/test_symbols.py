@@ -12,8 +12,8 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.llm.answers import Answer, read_answer
+from drone_env.llm.content import FIRST, PLAIN, PLAIN_LETTERS, SECOND, draw_symbols
 from drone_env.llm.prompt import FOLDER, Prompt, first_texts, get_prompt, prompt_ids, read_prompt, repair_text
-from drone_env.llm.symbols import FIRST, PLAIN, PLAIN_LETTERS, SECOND, draw_symbols
 from drone_env.planning.optimal import solve
 
 from .conftest import Endpoint
@@ -137,7 +137,7 @@ def test_no_form_of_answers_names_an_action_plainly(endpoint: Start, form: str) 
 def test_a_prompt_of_ones_own_may_draw_its_names(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(
-        'format = 2\nplan = true\nsymbols = "drawn"\nsystem = \'Trees! Say {"actions": ["RIGHT", "UP"]}\'\n'
+        'format = 1\nplan = true\nsymbols = "drawn"\nsystem = \'Trees! Say {"actions": ["RIGHT", "UP"]}\'\n'
         'user = "An obstacle, {{ buildings }} and a pad; upright, Up."\nrepair = "Say UP: {{ reason }}"'
     )
     prompt, episode = read_prompt(path), Episode("easy", seed=14)

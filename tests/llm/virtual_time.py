@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from drone_env.llm.config import RunConfig, Sampling
-from drone_env.llm.gate import Clock, Gate
+from drone_env.llm.endpoint import Endpoint
+from drone_env.llm.flight import PilotedEpisode
+from drone_env.llm.limiter import Clock, RateLimiter
 from drone_env.llm.options import Options
-from drone_env.llm.pilot import PilotedEpisode
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import RunFolder
 from drone_env.llm.runner import RunResult, run
@@ -87,7 +88,8 @@ def fly(url: str, folder: Path, options: Options, **change: Any) -> Flown:
     options = dataclasses.replace(options, concurrency=1)
     opened = RunFolder(folder, config, resume=False)
     try:
-        result = asyncio.run(run(config, opened, None, Gate(options, clock), Nobody()))
+        endpoint = Endpoint(config, None, options.timeout)
+        result = asyncio.run(run(config, opened, endpoint, RateLimiter(options, clock), Nobody()))
     finally:
         opened.close()
     return Flown(result, clock, [call for _, call in read_calls(folder / "calls.jsonl")])

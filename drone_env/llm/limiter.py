@@ -1,31 +1,36 @@
-"""What lets requests through: as many at once and a minute as the endpoint bears, as long as the run may pay."""
+"""The rate limiter: as many requests at once and per minute as the endpoint handles, within the budget of the run."""
 
 import asyncio
 import time
 from collections import deque
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from drone_env.errors import DroneEnvError, EndpointError
 from drone_env.llm.options import Options
-from drone_env.llm.transcript import Call
+
+if TYPE_CHECKING:
+    from drone_env.llm.transcript import Call
 
 FIRST = 8
-"""The most requests at once before any answer came."""
+"""The most requests at once before the first answer."""
 
 
 class LimitReachedError(DroneEnvError):
-    """A run has spent what it may."""
+    """The budget of a run is spent."""
 
 
 class StoppedError(DroneEnvError):
-    """The run is being stopped: this flight is left where it is."""
+    """The run is being stopped: this flight is left as it is."""
 
 
 class Clock:
-    """The machine's clock, in one place, so that a test can bring a clock of its own."""
+    """The machine's clock; tests bring another one."""
 
     def now(self) -> float:
-        """Seconds since some moment, which never go back."""
+        """Monotonic seconds."""
         return time.monotonic()
 
     async def sleep(self, seconds: float) -> None:
@@ -34,30 +39,27 @@ class Clock:
 
 
 class Pace:
-    """Lets one request after another go, evenly spaced.
+    """Spaces requests evenly.
 
-    How many tokens a request takes is known when its answer is there; until then it counts as many as requests took on
-    average so far.
+    A request counts for the mean number of tokens so far until its answer shows how many it took.
 
     Args:
         clock: Gives the time, and waits.
-        requests: The most a minute; None for no limit.
+        requests: The most per minute; None for no limit.
         tokens: The same.
     """
 
     def __init__(self, clock: Clock, requests: float | None = None, tokens: float | None = None) -> None:
         self._seconds_per_request = 0.0 if requests is None else 60 / requests
         self._seconds_per_token = 0.0 if tokens is None else 60 / tokens
-        self._next_request = 0.0
-        self._next_token = 0.0
-        self._mean_tokens = 0.0
+        self._next_request = self._next_token = self._mean_tokens = 0.0
         self._answers = 0
-        self._turn = asyncio.Lock()
+        self._lock = asyncio.Lock()
         self._clock = clock
 
     async def turn(self, seconds_left: float) -> float:
-        """Wait until a request may go, at most this many seconds, and return for how many tokens it counts."""
-        async with self._turn:
+        """Wait until a request may go, at most this many seconds; return the number of tokens that it counts for."""
+        async with self._lock:
             ends = self._clock.now() + seconds_left
             while (wait := min(max(self._next_request, self._next_token), ends) - self._clock.now()) > 0:
                 await self._clock.sleep(wait)
@@ -67,7 +69,7 @@ class Pace:
             return expected
 
     def used(self, tokens: int | None, expected: float) -> None:
-        """Count what a request took where `expected` tokens were reserved; None where it brought no answer."""
+        """Count the tokens of a request for which `expected` ones were reserved; None if it brought no answer."""
         if tokens is not None:
             self._answers += 1
             self._mean_tokens += (tokens - self._mean_tokens) / self._answers
@@ -78,27 +80,35 @@ class Pace:
 
 
 @dataclass
-class _Place:
-    """A request: whether it has been let in, when it was sent, and for how many tokens it counts."""
+class Slot:
+    """The permission to send one request; the caller notes its result.
 
-    inside: bool = False
-    sent_at: float = 0.0
-    tokens: float = 0.0
+    Attributes:
+        sent_at: When it was given, by the limiter's clock.
+        tokens: How many the answer took; None if none came.
+        overloaded: Whether the endpoint could not keep up.
+        pause: Seconds during which no request is sent.
+    """
+
+    sent_at: float
+    tokens: int | None = None
+    overloaded: bool = False
+    pause: float = 0.0
 
 
-class Gate:
-    """Lets the requests of a run through, one at a time for each flight.
+class RateLimiter:
+    """Gives the requests of a run their slots.
 
-    How many are under way at once grows and shrinks as in TCP: a fast start, one more when all of a round were
-    answered, half as many when the endpoint is overloaded.
+    The number of requests at once grows and shrinks as in TCP: a fast start, one more after a round of answers, half as
+    many when the endpoint is overloaded.
 
     Args:
         options: Limits, pace, prices and the most requests at once.
         clock: Gives the time, and waits.
 
     Attributes:
-        requests, cached: Requests sent, and answers from the cache.
-        prompt_tokens, completion_tokens: What answers took.
+        requests: Requests sent.
+        prompt_tokens, completion_tokens: Paid tokens.
         active: Requests under way.
         limit: The most requests at once, now.
         fatal: Why no further request makes sense; None while they do.
@@ -107,7 +117,7 @@ class Gate:
     def __init__(self, options: Options, clock: Clock | None = None) -> None:
         self.options = options
         self.clock = clock or Clock()
-        self.requests = self.cached = self.prompt_tokens = self.completion_tokens = self.active = 0
+        self.requests = self.prompt_tokens = self.completion_tokens = self.active = 0
         self.limit = float(min(FIRST, options.concurrency))
         self.fatal: EndpointError | None = None
         self._started = self.clock.now()
@@ -117,16 +127,15 @@ class Gate:
         self._closed_until = 0.0
         self._halved_at = -1.0
         self._waiting: deque[asyncio.Future[None]] = deque()
-        self._places: dict[int, _Place] = {}
 
     @property
     def tokens(self) -> int:
-        """All tokens that were paid."""
+        """All paid tokens."""
         return self.prompt_tokens + self.completion_tokens
 
     @property
     def cost(self) -> float | None:
-        """US dollars; None where no price is known."""
+        """US dollars; None if no price is known."""
         prices = self.options.prices
         return None if prices is None else prices.cost(self.prompt_tokens, self.completion_tokens)
 
@@ -136,10 +145,8 @@ class Gate:
         limit = self.options.max_seconds
         return float("inf") if limit is None else max(0.0, limit - (self.clock.now() - self._started))
 
-    def count(self, call: Call, counted: int = 0) -> None:
-        """Count what a call took, `counted` of whose requests have been counted already."""
-        self.requests += call.requests - counted
-        self.cached += call.cached
+    def count(self, call: "Call") -> None:
+        """Count the tokens of a call."""
         if call.answer is None or call.cached:
             return
         if call.answer.prompt_tokens is None or call.answer.completion_tokens is None:
@@ -147,70 +154,55 @@ class Gate:
         self.prompt_tokens += call.answer.prompt_tokens or 0
         self.completion_tokens += call.answer.completion_tokens or 0
 
-    async def acquire(self, flight: int) -> float:
-        """Wait until a request of a flight may be sent, count it, and return the seconds that are left to the run.
+    @asynccontextmanager
+    async def slot(self) -> AsyncGenerator[Slot, None]:
+        """Wait until a request may be sent, count it, and hold its slot until the end of the `with`.
 
         Raises:
-            StoppedError: if the run is being stopped, or the flight has begun again elsewhere.
+            StoppedError: if the run is being stopped.
             LimitReachedError: if it must not be sent.
         """
-        place = self._places[flight] = _Place()
+        while (pause := self._closed_until - self.clock.now()) > 0 or self.active >= int(self.limit):
+            if pause > 0:
+                await self.clock.sleep(pause)
+                continue
+            turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+            self._waiting.append(turn)
+            try:
+                await turn
+            except asyncio.CancelledError:
+                self._wake()
+                raise
+        self.active += 1
         try:
-            await self._room()
-            self._check_current(flight, place)
-            place.inside = True
-            self.active += 1
-            place.tokens = await self._pace.turn(self.seconds_left)
-            self._check_current(flight, place)
+            expected = await self._pace.turn(self.seconds_left)
             self.check_going_on()
             self._check_limits()
-        except BaseException:
-            if self._places.get(flight) is place:
-                self.leave(flight)
-            self._wake()
-            raise
-        self.requests += 1
-        place.sent_at = self.clock.now()
-        return self.seconds_left
-
-    def release(self, flight: int, tokens: int | None, overloaded: bool = False, pause: float = 0.0) -> None:
-        """The request of a flight is over.
-
-        Args:
-            flight: Which one; nothing is done where it has begun again elsewhere.
-            tokens: How many its answer took; None where none came.
-            overloaded: Whether the endpoint could not keep up.
-            pause: Seconds in which it is sent nothing.
-        """
-        place = self._places.get(flight)
-        if place is None:
-            return
-        if overloaded:
-            self.overloaded(place.sent_at, min(pause, self.seconds_left))
-        elif tokens is not None:
-            self.answered()
-        self._pace.used(tokens, place.tokens)
-        self.leave(flight)
-
-    def leave(self, flight: int) -> None:
-        """The flight begins again elsewhere, or its request is over: its place is free."""
-        place = self._places.pop(flight, None)
-        if place is not None and place.inside:
+            self.requests += 1
+            slot = Slot(self.clock.now())
+            try:
+                yield slot
+            finally:
+                if slot.overloaded:
+                    self.overloaded(slot.sent_at, min(slot.pause, self.seconds_left))
+                elif slot.tokens is not None:
+                    self.answered()
+                self._pace.used(slot.tokens, expected)
+        finally:
             self.active -= 1
             self._wake()
 
     def answered(self) -> None:
-        """An answer came: let more through."""
+        """Let more through after an answer."""
         grown = self.limit + (1 if self._fast else 1 / self.limit)
         self.limit = min(float(self.options.concurrency), grown)
-        self._wake()
 
     def overloaded(self, sent_at: float, pause: float = 0.0) -> None:
-        """The endpoint could not keep up: let half as many through.
+        """Let half as many through.
 
         Args:
-            sent_at: When the request was sent, by the clock: of those sent before the last halving none counts.
-            pause: Seconds in which nothing is sent.
+            sent_at: When the request was sent; those sent before the last halving do not count.
+            pause: Seconds during which no request is sent.
         """
         self._fast = False
         self._closed_until = max(self._closed_until, self.clock.now() + pause)
@@ -223,15 +215,6 @@ class Gate:
         if self.fatal is not None:
             raise StoppedError("the run is being stopped")
 
-    async def _room(self) -> None:
-        while (pause := self._closed_until - self.clock.now()) > 0 or self.active >= int(self.limit):
-            if pause > 0:
-                await self.clock.sleep(pause)
-                continue
-            turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-            self._waiting.append(turn)
-            await turn
-
     def _wake(self) -> None:
         free = int(self.limit) - self.active
         while free > 0 and self._waiting:
@@ -239,10 +222,6 @@ class Gate:
             if not turn.done():
                 turn.set_result(None)
                 free -= 1
-
-    def _check_current(self, flight: int, place: _Place) -> None:
-        if self._places.get(flight) is not place:
-            raise StoppedError("the flight has begun again elsewhere")
 
     def _check_limits(self) -> None:
         limits, cost = self.options, self.cost
