@@ -16,8 +16,8 @@ from pydantic import SecretStr
 from ray.exceptions import RayError, RayTaskError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from drone_env.cluster.jobs import failure
-from drone_env.cluster.nodes import Driver, check_node, this_driver
+from drone_env.cluster.nodes import Driver, check_node, failure, nodes_with_cpus, this_driver
+from drone_env.errors import ClusterError
 from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig
 from drone_env.llm.content import ChatMessage
@@ -53,24 +53,25 @@ class ClusterEndpoint:
         config: Model, address, sampling, form of the answers.
         token: What authorises; None to send none.
         options: How long an answer may take, and how many requests are sent at once.
+
+    Raises:
+        ClusterError: if no node offers a CPU.
     """
 
     def __init__(self, config: RunConfig, token: str | None, options: Options) -> None:
         self._first = (this_driver(), config, None if token is None else SecretStr(token), options.timeout)
-        nodes = [node for node in cast(list[dict[str, Any]], cast(Any, ray).nodes()) if node["Alive"]]
-        # Large clusters have a head without CPUs, which must not work.
+        remote: Any = cast(Any, ray).remote(num_cpus=0, max_restarts=-1, max_concurrency=options.concurrency)(
+            NodeSender
+        )
+        # The head of a large cluster has no CPUs and must not work.
         self._actors = [
-            cast(Any, ray)
-            .remote(
-                num_cpus=0,
-                max_restarts=-1,
-                max_concurrency=options.concurrency,
-                scheduling_strategy=NodeAffinitySchedulingStrategy(node["NodeID"], soft=True),
-            )(NodeSender)
-            .remote()
-            for node in [node for node in nodes if node["Resources"].get("CPU")] or nodes
+            remote.options(scheduling_strategy=NodeAffinitySchedulingStrategy(node, soft=True)).remote()
+            for node in nodes_with_cpus()
         ]
-        self._next_actor = itertools.cycle(self._actors)
+        if not self._actors:
+            raise ClusterError("no node of the cluster offers a CPU")
+        self._rotation = list(self._actors)
+        self._count = itertools.count()
 
     async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
         """See `Endpoint.send`.
@@ -79,11 +80,15 @@ class ClusterEndpoint:
             TryFailedError: if no answer came, or the node died.
             ClusterError: if a node has another package than this one, or fails.
         """
+        actor = self._rotation[next(self._count) % len(self._rotation)]
         try:
-            return await next(self._next_actor).send.remote(*self._first, messages, call_id, repeat)
+            return await actor.send.remote(*self._first, messages, call_id, repeat)
         except RayTaskError as error:
             raise failure(error) from None
         except RayError as error:
+            # The last one stays: Ray starts it again.
+            if actor in self._rotation and len(self._rotation) > 1:
+                self._rotation.remove(actor)
             raise TryFailedError(0, f"the node died: {type(error).__name__}", retried=True) from None
 
     async def close(self) -> None:

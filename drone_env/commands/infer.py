@@ -2,8 +2,10 @@
 
 import contextlib
 import dataclasses
+import functools
 import json as json_format
 import sys
+from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -20,7 +22,10 @@ from drone_env.llm.options import Number, Options, Whole
 
 if TYPE_CHECKING:
     from drone_env.llm.config import RunConfig
-    from drone_env.llm.runner import Sender, Verdict
+    from drone_env.llm.flight import PilotedEpisode
+    from drone_env.llm.run_folder import RunFolder
+    from drone_env.llm.runner import Sender
+    from drone_env.results.store import Store
 
 PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|minimal-drawn|grid-drawn|vision|original|FILE.toml"
 PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
@@ -114,7 +119,6 @@ def infer(
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import RunConfig, Sampling
         from drone_env.llm.endpoint import Endpoint
-        from drone_env.llm.flight import PilotedEpisode
         from drone_env.llm.image import running_image
         from drone_env.llm.limiter import RateLimiter
         from drone_env.llm.progress import ConsoleObserver
@@ -185,69 +189,53 @@ def infer(
     data = data_folder() if data is None else data
     root = out or _new_folder(data / RUNS, configs[0].model, config_task.short_name)
 
-    def fly(config: RunConfig, path: Path, options: Options, resume: bool) -> "tuple[Verdict, dict[str, Any] | None]":
-        """Fly a run: its verdict, and the figures of its report."""
-        problems: list[str] = []
-        with contextlib.ExitStack() as opened:
-            store = None if use_image or options.server is not None else opened.enter_context(Store(data))
-            folder = run_folder.RunFolder(path, config, resume)
-            opened.callback(folder.close)
-            go_on = f"give the same options with --out {root} --resume"
-
-            def keep(flown: PilotedEpisode) -> None:
-                try:
-                    if store is not None:
-                        folder.keep(flown, store, config.model)
-                except StoreError as error:
-                    # The flight has been paid: the run goes on without the store.
-                    problems.append(str(error))
-
-            figures = None
-            try:
-                with contextlib.ExitStack() as stack:
-                    if use_image:
-                        url = stack.enter_context(running_image(settings.local_image_name))
-                        options = dataclasses.replace(options, server=url)
-                    if engine == "local":
-                        endpoint: Sender = Endpoint(config, token, options.timeout)
-                    else:
-                        endpoint = _on_cluster(stack, address, config, token, options)
-                    limiter = RateLimiter(options)
-                    observer = ConsoleObserver(config, limiter, keep)
-                    stack.enter_context(observer.progress)
-                    result = asyncio.run(runner.run(config, folder, endpoint, limiter, observer))
-                if report:
-                    from drone_env.llm.report import report as figures_of
-                    from drone_env.llm.report import write_report
-                    from drone_env.llm.verify import verified_run
-
-                    checked = verified_run(folder.path)
-                    figures = figures_of(checked, options.prices, moves)
-                    write_report(checked, figures)
-            except KeyboardInterrupt:
-                print(f"interrupted; to go on, {go_on}", file=sys.stderr)
-                raise
-            finally:
-                if problems:
-                    lost = f"{len(problems)} flights are not in the store: {problems[0]}"
-                    print(f"{lost}; to add them, {go_on}", file=sys.stderr)
-        for line in runner.summary_lines(result):
-            print(line, file=sys.stderr)
-        print(f"run: {folder.path}", file=sys.stderr)
-        return result.verdict, figures
-
     paths = {config.prompt: root / config.prompt if prompts else root for config in configs}
     begun = [name for name, path in paths.items() if (path / run_folder.CONFIG).exists()]
     if resume and not begun:
         raise InvalidValueError(f"there is no run in {root} to resume")
+    go_on = f"give the same options with --out {root} --resume"
     found: list[dict[str, Any]] = []
     status = 0
-    for config in configs:
-        verdict, figures = fly(config, paths[config.prompt], options, resume and config.prompt in begun)
-        status = max(status, runner.EXIT_STATUS[verdict])
-        if verdict == "stopped":
-            return status
-        found += [figures] if figures is not None else []
+    with contextlib.ExitStack() as stack:
+        if use_image:
+            options = dataclasses.replace(options, server=stack.enter_context(running_image(settings.local_image_name)))
+        store = None if options.server is not None else stack.enter_context(Store(data))
+        open_endpoint: Callable[[RunConfig, str | None], Sender]
+        open_endpoint = functools.partial(Endpoint, timeout=options.timeout)
+        if engine == "ray":
+            open_endpoint = _cluster_endpoint(stack, address, options)
+        for config in configs:
+            with contextlib.closing(
+                run_folder.RunFolder(paths[config.prompt], config, resume and config.prompt in begun)
+            ) as folder:
+                problems: list[str] = []
+                limiter = RateLimiter(options)
+                keep = functools.partial(_keep, folder, store, problems)
+                observer = ConsoleObserver(config, limiter, keep)
+                try:
+                    with observer.progress:
+                        run = runner.run(config, folder, open_endpoint(config, token), limiter, observer)
+                        result = asyncio.run(run)
+                    if report:
+                        from drone_env.llm.report import report as figures_of
+                        from drone_env.llm.report import write_report
+                        from drone_env.llm.verify import verified_run
+
+                        checked = verified_run(folder.path)
+                        found.append(figures_of(checked, options.prices, moves))
+                        write_report(checked, found[-1])
+                except KeyboardInterrupt:
+                    print(f"interrupted; to go on, {go_on}", file=sys.stderr)
+                    raise
+                finally:
+                    if problems:
+                        lost = f"{len(problems)} flights are not in the store: {problems[0]}"
+                        print(f"{lost}; to add them, {go_on}", file=sys.stderr)
+            for line in [*runner.summary_lines(result), f"run: {folder.path}"]:
+                print(line, file=sys.stderr)
+            status = max(status, runner.EXIT_STATUS[result.verdict])
+            if result.verdict == "stopped":
+                return status
     if prompts and report:
         from drone_env.llm.paired_report import write_paired_report
 
@@ -256,15 +244,24 @@ def infer(
     return status
 
 
-def _on_cluster(
-    stack: contextlib.ExitStack, address: str | None, config: "RunConfig", token: str | None, options: Options
-) -> "Sender":
+def _keep(folder: "RunFolder", store: "Store | None", problems: list[str], flown: "PilotedEpisode") -> None:
+    try:
+        if store is not None:
+            folder.keep(flown, store)
+    except StoreError as error:
+        # The flight is paid: the run continues without the store.
+        problems.append(str(error))
+
+
+def _cluster_endpoint(
+    stack: contextlib.ExitStack, address: str | None, options: Options
+) -> "Callable[[RunConfig, str | None], Sender]":
     from drone_env.cluster.connect import connect
 
     stack.enter_context(connect(address))
     from drone_env.cluster.senders import ClusterEndpoint
 
-    return ClusterEndpoint(config, token, options)
+    return functools.partial(ClusterEndpoint, options=options)
 
 
 def _new_folder(runs: Path, model: str, task: str) -> Path:

@@ -62,7 +62,7 @@ async def fly(
         on_step: Called after the reset and after each step.
     """
     episode = flown.episode
-    symbols = prompt.symbols(episode.task, episode.seed)
+    symbols = prompt.symbols_of(episode.task, episode.seed)
     flown.names = dict(symbols.names)
     if on_step is not None:
         await on_step(episode)

@@ -111,7 +111,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
     async def solve(state: TaskState, generate: Generate) -> TaskState:
         model = get_model()
         stopped: BaseException | None = None
-        words = chosen.symbols(config, state.metadata["seed"]).actions
+        words = chosen.symbols_of(config, state.metadata["seed"]).actions
         sampling = GenerateConfig(seed=None if sampling_seed is None else sampling_seed + state.epoch - 1)
 
         async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:

@@ -224,7 +224,7 @@ class RateLimiter:
                 free -= 1
 
     def _check_limits(self) -> None:
-        limits, cost = self.options, self.cost
+        limits = self.options
         if limits.max_calls is not None and self.requests >= limits.max_calls:
             raise LimitReachedError(f"all {limits.max_calls} calls have been made")
         if limits.max_seconds is not None and self.seconds_left == 0:
@@ -233,5 +233,5 @@ class RateLimiter:
             raise LimitReachedError("the endpoint does not say how many tokens it used, so they cannot be limited")
         if limits.max_tokens is not None and self.tokens >= limits.max_tokens:
             raise LimitReachedError(f"{self.tokens} of {limits.max_tokens} tokens have been used")
-        if limits.max_cost is not None and cost is not None and cost >= limits.max_cost:
+        if limits.max_cost is not None and (cost := self.cost or 0.0) >= limits.max_cost:
             raise LimitReachedError(f"{cost:.4f} of {limits.max_cost:g} US dollars have been spent")

@@ -7,7 +7,6 @@ A published prompt never changes: a better one is a new file with the next numbe
 import hashlib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -42,50 +41,32 @@ QUOTED_CHARACTERS = 2000
 """The model sees this much of an unusable answer again."""
 
 
-@dataclass(frozen=True)
-class Prompt:
-    """One version of a prompt.
-
-    Attributes:
-        id: Name and version, such as `minimal-2`.
-        plan: Whether it asks for a whole route.
-        marks: What can start the line with the answer; empty if the answer is the only content.
-        system, user, repair: Templates; `repair` takes `reason` alone.
-        drawn: Whether its words for actions and cells are drawn for each map.
-        picture: Height in pixels of the picture of the map; 0 for none.
-        names: The values that `system` and `user` use, and the parts that they include; `picture` if it shows one.
-        digest: SHA-256 of the file and of its parts, with LF line ends, 16 hex digits.
-        own: The text of a file that is not part of the package.
-    """
-
-    id: str
-    plan: bool
-    marks: tuple[str, ...]
-    system: str
-    user: str
-    repair: str
-    drawn: bool
-    picture: int
-    names: frozenset[str]
-    digest: str
-    own: str | None = None
-
-    def symbols(self, task: TaskConfig, seed: int) -> Symbols:
-        """Its words for actions and cells on a map."""
-        return draw_symbols(task, seed) if self.drawn else PLAIN
-
-
 class PromptFile(Message):
     """The fields of a prompt file."""
 
     format: Literal[1]
-    plan: bool
-    marks: tuple[Annotated[str, Field(pattern=rf"^({MARK})$")], ...] = Field(default=(), strict=False)
-    symbols: Literal["drawn"] | None = None
-    picture: int | None = Field(default=None, ge=SMALLEST, le=LARGEST)
-    system: str
-    user: str
-    repair: str
+    plan: bool = Field(description="Whether it asks for a whole route.")
+    marks: tuple[Annotated[str, Field(pattern=rf"^({MARK})$")], ...] = Field(
+        default=(), strict=False, description="What can start the line with the answer; empty if there is only that."
+    )
+    symbols: Literal["drawn"] | None = Field(default=None, description="Words for actions and cells.")
+    picture: int | None = Field(default=None, ge=SMALLEST, le=LARGEST, description="Height in pixels.")
+    system: str = Field(description="A template.")
+    user: str = Field(description="A template.")
+    repair: str = Field(description="A template; it takes `reason` alone.")
+
+
+class Prompt(PromptFile):
+    """One version of a prompt."""
+
+    id: str = Field(description="Name and version, such as `minimal-2`.")
+    names: frozenset[str] = Field(description="The values that its templates use, the parts they include; `picture`.")
+    digest: str = Field(description="SHA-256 of the file and its parts, with LF line ends, 16 hex digits.")
+    own: str | None = Field(description="The text of a file that is not part of the package.")
+
+    def symbols_of(self, task: TaskConfig, seed: int) -> Symbols:
+        """Its words for actions and cells on a map."""
+        return draw_symbols(task, seed) if self.symbols else PLAIN
 
 
 def prompt_ids() -> list[str]:
@@ -162,17 +143,9 @@ def parse_prompt(path: str, text: str, own: bool) -> Prompt:
         raise InvalidValueError(f"{path}: the letters of the grid are drawn, too: {{{{ legend }}}} says what they are")
     names |= {"picture"} if data.picture else set()
     whole = "".join([text, *(parts[name] for name in sorted(names & parts.keys()))])
-    return Prompt(
-        id=Path(path).stem,
-        plan=data.plan,
-        marks=data.marks,
-        drawn=data.symbols is not None,
-        picture=data.picture or 0,
-        names=frozenset(names),
-        digest=hashlib.sha256(whole.encode()).hexdigest()[:16],
-        own=text if own else None,
-        **{name: template.strip() for name, template in texts.items()},
-    )
+    digest = hashlib.sha256(whole.encode()).hexdigest()[:16]
+    fields = data.model_dump() | {name: template.strip() for name, template in texts.items()}
+    return Prompt(**fields, id=Path(path).stem, names=frozenset(names), digest=digest, own=text if own else None)
 
 
 def _names(where: str, template: str) -> set[str]:
@@ -235,7 +208,7 @@ def first_messages(prompt: Prompt, episode: Episode, last_steps: Sequence[str] =
 
 def first_texts(prompt: Prompt, episode: Episode, last_steps: Sequence[str] = ()) -> tuple[str, str]:
     """The texts of the system and of the user in `first_messages`."""
-    task, symbols = episode.task, prompt.symbols(episode.task, episode.seed)
+    task, symbols = episode.task, prompt.symbols_of(episode.task, episode.seed)
     obs = DroneObservation.of(episode)
     values = values_of(task, obs, last_steps, symbols, prompt.names)
     system = [symbols.meaning, symbols.rename(_render(prompt, prompt.system, values))]

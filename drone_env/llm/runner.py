@@ -181,7 +181,7 @@ class Calls:
 
     def _read(self, answer: Answer, seed: int) -> Reading:
         prompt = self._prompt
-        return read_answer(answer, prompt.plan, prompt.marks, prompt.symbols(self._config.task_config, seed).actions)
+        return read_answer(answer, prompt.plan, prompt.marks, prompt.symbols_of(self._config.task_config, seed).actions)
 
     async def _send(self, key: CallKey, messages: list[ChatMessage], failures: list[Failure]) -> tuple[Answer, float]:
         """The answer and when its request was sent; it appends every failed try to `failures`."""
@@ -265,7 +265,7 @@ async def run(
             await endpoint.close()
             # Also after an interruption.
             flights.sort(key=lambda flown: flown.index)
-            folder.write_flights(flights, config.model)
+            folder.write_flights(flights)
     fatal = None if limiter.fatal is None else str(limiter.fatal)
     return RunResult(*verdict_of(config.flights, [flown.status for flown in flights], fatal), flights)
 

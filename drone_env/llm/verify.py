@@ -63,7 +63,7 @@ def verified_run(path: Path) -> VerifiedRun:
 
     async def replayed(ended: PilotedRecord) -> PilotedEpisode:
         seed, repeat = config.flight(ended.flight)
-        body, words = bodies[repeat], prompt.symbols(task, seed).actions
+        body, words = bodies[repeat], prompt.symbols_of(task, seed).actions
 
         async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
             call = answers.get(key)

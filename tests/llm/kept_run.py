@@ -80,6 +80,6 @@ def put_run(
             seed, repeat = config.flight(flight)
             flown = PilotedEpisode(flight, repeat, Episode(config.task_config, config.profile, seed))
             flights.append(thread.submit(asyncio.run, fly(flown, prompt, 0, ask)).result())
-            folder.keep(flights[-1], store, model)
-        folder.write_flights(flights, model)
+            folder.keep(flights[-1], store)
+        folder.write_flights(flights)
     return folder.path

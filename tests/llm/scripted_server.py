@@ -140,10 +140,6 @@ class Server:
             writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n{")
             await writer.drain()
             return False
-        if fault == "no_json":
-            data = b"<html>busy</html>"
-            writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/html\r\nContent-Length: %d\r\n\r\n" % len(data) + data)
-            return True
         if isinstance(fault, dict) and "sends" in fault:
             kind = b"text/event-stream" if body.get("stream") else b"application/json"
             data = fault["sends"].encode()
@@ -158,11 +154,6 @@ class Server:
                 writer.write(data)
                 await writer.drain()
             return False
-        if fault == "garbage":
-            data = b"data: {\x00\xff not json\n\n"
-            writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n")
-            writer.write(b"Content-Length: %d\r\n\r\n" % len(data) + data)
-            return True
         if isinstance(fault, dict) and "status" in fault:
             error = {"error": {"message": fault.get("message", f"scripted {fault['status']}"), "type": "scripted"}}
             self.send(writer, fault["status"], error, fault.get("headers", {}))
@@ -218,10 +209,6 @@ class Server:
                 event(chunk({name: text[start : start + step]}, None))
         for call in message.get("tool_calls", []):
             event(chunk({"tool_calls": [{"index": 0, **call}]}, None))
-        if fault == "end_stream":
-            event("[DONE]")
-            writer.write(b"0\r\n\r\n")
-            return
         if fault == "cut_stream":
             await writer.drain()
             return

@@ -67,20 +67,19 @@ def test_a_perfect_pilot_scores_the_optimum(endpoint: Start, task: str) -> None:
     verified(done)
 
 
-@pytest.mark.parametrize(("task", "stream"), [("easy", "--stream"), ("medium", "--no-stream"), ("hard", "--no-stream")])
-def test_a_perfect_pilot_asked_step_by_step(endpoint: Start, task: str, stream: str) -> None:
+def test_a_perfect_pilot_asked_step_by_step(endpoint: Start) -> None:
     maps = MAPS if MAPS >= 100 else 1
-    options = ("--task", task, "--episodes", str(maps), "--prompt", "coordinates", stream)
+    options = ("--task", "hard", "--episodes", str(maps), "--prompt", "coordinates")
     done = endpoint(pilot="perfect").infer(*options)
     assert done.status == 0, done.err
     start = SPLITS["test"].start
-    optima = [solve(task, seed) for seed in range(start, start + maps)]
+    optima = [solve("hard", seed) for seed in range(start, start + maps)]
     assert [f["score"] for f in done.flights] == [optimum.score for optimum in optima]
     assert done.turns == {"ok": sum(optimum.steps for optimum in optima)}
     verified(done)
 
 
-@pytest.mark.parametrize("task", ["easy", "medium", "hard"])
+@pytest.mark.parametrize("task", ["easy", "hard"])
 def test_a_greedy_pilot_equals_the_greedy_agent(endpoint: Start, task: str) -> None:
     done = endpoint(pilot="greedy").infer("--task", task, "--episodes", str(MAPS))
     assert done.status == 0, done.err
@@ -88,14 +87,6 @@ def test_a_greedy_pilot_equals_the_greedy_agent(endpoint: Start, task: str) -> N
     greedy = run_episodes(episodes_key(task, "greedy", range(start, start + MAPS), "test"))
     assert [f["score"] for f in done.flights] == greedy.scores.tolist()
     assert [f["steps"] for f in done.flights] == greedy.steps.tolist()
-
-
-def test_reasoning_is_kept_and_not_taken_for_an_answer(endpoint: Start) -> None:
-    message = {"reasoning_content": "UP UP UP"}
-    for stream in ("--stream", "--no-stream"):
-        done = endpoint(pilot="greedy", message=message).infer("--seeds", "14:15", stream)
-        assert done.turns == {"ok": 3}
-        assert {call["answer"]["reasoning"] for call in done.calls} == {"UP UP UP"}
 
 
 @pytest.mark.parametrize("stream", ["--stream", "--no-stream"])

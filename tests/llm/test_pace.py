@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from drone_env.errors import InvalidValueError
 from drone_env.llm.limiter import LimitReachedError, Pace, RateLimiter
 from drone_env.llm.options import Options
 
@@ -68,24 +67,6 @@ def test_what_brings_no_answer_takes_no_tokens() -> None:
         assert clock.passed == pytest.approx(0.2)
 
     asyncio.run(ask())
-
-
-def test_nobody_waits_for_a_turn_longer_than_the_run_lasts() -> None:
-    clock = VirtualClock()
-
-    async def ask() -> None:
-        pace = Pace(requests=1, clock=clock)
-        for _ in range(3):
-            await pace.turn(7)
-        assert clock.slept == [7]
-
-    asyncio.run(ask())
-
-
-def test_what_is_no_pace_is_refused() -> None:
-    for wrong in ({"requests": 0}, {"tokens": math.nan}, {"requests": math.inf}):
-        with pytest.raises(InvalidValueError, match="per-minute must be above 0"):
-            Options(**{f"{name}_per_minute": value for name, value in wrong.items()})
 
 
 def test_a_run_keeps_the_pace(endpoint: Callable[..., Endpoint]) -> None:

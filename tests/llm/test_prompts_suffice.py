@@ -68,7 +68,7 @@ def told_by(prompt: Prompt, episode: Episode) -> Told:
 def test_every_number_and_rule_of_a_task_is_read_from_the_prompt_alone(prompt: Prompt, task: TaskConfig) -> None:
     episode = Episode(task)
     episode.reset(3)
-    names = {drawn: plain for plain, drawn in prompt.symbols(task, 3).names.items()}
+    names = {drawn: plain for plain, drawn in prompt.symbols_of(task, 3).names.items()}
     told = read_text(first_messages(prompt, episode), names)
     assert rules_of(told.task, True) == rules_of(task, terrain=prompt.id not in SHORT)
     for delivered in range(task.deliveries + 1):
@@ -87,7 +87,7 @@ def flown_by_reading(prompt: Prompt, task: str, seed: int) -> float:
     """The score of a planner that is told one prompt after another, or a single one that asks for the route."""
     episode = Episode(task)
     episode.reset(seed)
-    words = prompt.symbols(episode.task, seed).actions
+    words = prompt.symbols_of(episode.task, seed).actions
     while not episode.ended:
         told = told_by(prompt, episode)
         flight, says = told.episode, []

@@ -134,14 +134,6 @@ def test_a_run_that_cannot_be_is_refused(change: dict[str, object], why: str) ->
         run_config(**change)
 
 
-def test_flights_are_numbered_map_after_map_and_then_all_again() -> None:
-    config = run_config(seeds=(14, 17), repeats=2)
-    assert [config.flight(index) for index in range(config.flights)] == [
-        *[(14, 0), (15, 0), (16, 0)],
-        *[(14, 1), (15, 1), (16, 1)],
-    ]
-
-
 def test_all_that_decides_the_calls_is_a_difference() -> None:
     config = run_config()
     changes: dict[str, object] = {
