@@ -292,7 +292,8 @@ def _answer(completions: Sequence[Any], part: str) -> dict[str, Any]:
             texts["reasoning"] += [piece for _, piece in _pieces(thoughts)]
             texts["refusal"].append(_text(message.get("refusal")) or "")
             # The arguments of several calls are joined, which is not an action.
-            for call in message.get("tool_calls") or []:
+            calls: list[Any] = message.get("tool_calls") or []
+            for call in calls:
                 texts["tool_arguments"].append(_text((call.get("function") or {}).get("arguments")) or "")
     joined = {name: "".join(found) or None for name, found in texts.items()}
     if part == "message" and not any(joined.values()) and last["finish_reason"] is None:

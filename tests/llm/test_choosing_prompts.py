@@ -67,14 +67,6 @@ def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Start) -> None:
     verified(resumed)
 
 
-def test_an_old_run_goes_on_with_its_prompt(endpoint: Start) -> None:
-    scripted = endpoint(pilot="greedy")
-    begun = scripted.infer("--seeds", "14:15", "--prompt", "original", "--max-calls", "1")
-    resumed = scripted.infer("--seeds", "14:15", "--resume", folder=begun.folder)
-    assert (resumed.status, resumed.turns) == (0, {"ok": 3}), resumed.err
-    assert {len(request["body"]["messages"][1]["content"].splitlines()) for request in scripted.requests()} == {4}
-
-
 def test_the_command_says_what_a_prompt_does_not_tell(endpoint: Start) -> None:
     fly = ("--task", "skyline_easy", "--seeds", "0:1", "--max-calls", "1")
     done = endpoint(pilot="WAIT").infer(*fly, "--prompt", "original")

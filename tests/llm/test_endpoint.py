@@ -12,10 +12,9 @@ import pytest
 from drone_env.llm import endpoint
 from drone_env.llm.answers import Answer
 from drone_env.llm.endpoint import Endpoint, TryFailedError
-from drone_env.llm.prompt import get_prompt
 
 from .conftest import TOKEN
-from .virtual_time import run_config
+from .kept_run import run_config
 
 Send = Callable[..., Answer | TryFailedError]
 
@@ -29,7 +28,7 @@ def send(monkeypatch: pytest.MonkeyPatch) -> Send:
         body = httpx.ByteStream((content if isinstance(content, str) else json.dumps(content)).encode())
         transport = httpx.MockTransport(lambda _: httpx.Response(status, headers=headers, stream=body))
         monkeypatch.setattr(endpoint.httpx, "AsyncClient", functools.partial(client, transport=transport))
-        config = run_config(prompt_digest=get_prompt(change.get("prompt", "minimal")).digest, **change)
+        config = run_config(**change)
 
         async def ask() -> Answer:
             opened = Endpoint(config, TOKEN, 60)

@@ -13,7 +13,7 @@ from PIL import Image
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.envs.rendering import draw_picture
-from drone_env.llm.content import DRAWN, picture_of, picture_part, with_pictures
+from drone_env.llm.content import DRAWN, picture_of, picture_part
 from drone_env.llm.prompt import first_messages, get_prompt
 
 from .conftest import Endpoint
@@ -56,16 +56,6 @@ def test_each_call_shows_the_map_as_it_stands(endpoint: Start) -> None:
     verified(done)
 
 
-def test_a_repair_shows_the_picture_again(endpoint: Start) -> None:
-    scripted = endpoint(pilot="Hm.")
-    done = scripted.infer(*THREE[:-1], "2")
-    assert set(done.turns) == {"illegal", "budget_stop"}
-    first, again = scripted.requests()
-    assert sent(first) == sent(again)
-    assert [message["role"] for message in again["body"]["messages"]] == ["system", "user", "assistant", "user"]
-    assert done.calls[0]["picture"] == done.calls[1]["picture"]
-
-
 def test_another_map_is_another_request_however_alike_the_text(endpoint: Start) -> None:
     """Texts beside pictures name no parcels: of two maps they are the same where the drones stand on the same cell."""
     prompt, texts = get_prompt("vision"), dict[str, int]()
@@ -86,12 +76,7 @@ def test_another_map_is_another_request_however_alike_the_text(endpoint: Start) 
     assert len({sent(request) for request in scripted.requests()}) == 3
 
 
-def test_messages_without_a_picture_are_sent_as_they_are() -> None:
-    messages = first_messages(get_prompt("grid"), Episode("easy", seed=14))
-    assert with_pictures(messages) == (messages, None)
-
-
-def test_the_legend_names_what_there_is(endpoint: Start) -> None:
+def test_the_legend_names_what_there_is() -> None:
     easy, skyline = (
         first_messages(get_prompt("vision"), Episode(task, seed=14))[0]["content"] for task in ("easy", "skyline_easy")
     )

@@ -59,17 +59,15 @@ def rules_of(task: TaskConfig, terrain: bool) -> dict[str, object]:
 
 
 def told_by(prompt: Prompt, episode: Episode) -> Told:
-    """What is read from a prompt as it is sent, by one who knows no drawn name of anything."""
-    return read_text(with_pictures(first_messages(prompt, episode))[0])
+    """What is read from a prompt as it is sent."""
+    names = {drawn: plain for plain, drawn in prompt.symbols_of(episode.task, episode.seed).names.items()}
+    return read_text(with_pictures(first_messages(prompt, episode))[0], names)
 
 
 @pytest.mark.parametrize("task", [*DRAWN.values(), *ODD], ids=lambda task: task.short_name)
 @pytest.mark.parametrize("prompt", TEXTS, ids=lambda prompt: prompt.id)
 def test_every_number_and_rule_of_a_task_is_read_from_the_prompt_alone(prompt: Prompt, task: TaskConfig) -> None:
-    episode = Episode(task)
-    episode.reset(3)
-    names = {drawn: plain for plain, drawn in prompt.symbols_of(task, 3).names.items()}
-    told = read_text(first_messages(prompt, episode), names)
+    told = told_by(prompt, Episode(task, seed=3))
     assert rules_of(told.task, True) == rules_of(task, terrain=prompt.id not in SHORT)
     for delivered in range(task.deliveries + 1):
         for battery, steps in (
@@ -85,8 +83,7 @@ def test_every_number_and_rule_of_a_task_is_read_from_the_prompt_alone(prompt: P
 
 def flown_by_reading(prompt: Prompt, task: str, seed: int) -> float:
     """The score of a planner that is told one prompt after another, or a single one that asks for the route."""
-    episode = Episode(task)
-    episode.reset(seed)
+    episode = Episode(task, seed=seed)
     words = prompt.symbols_of(episode.task, seed).actions
     while not episode.ended:
         told = told_by(prompt, episode)
@@ -140,4 +137,4 @@ def test_the_original_prompt_does_not_tell_enough_on_skyline() -> None:
         *("buildings", "trees", "obstacles", "charging pads"),
     ]
     with pytest.raises(NotToldError, match="score"):
-        read_text(first_messages(prompt, episode))
+        told_by(prompt, episode)

@@ -32,12 +32,9 @@ def test_only_what_is_needed_is_sent(endpoint: Start) -> None:
 
 
 def test_a_short_token_and_a_quoted_one(endpoint: Start) -> None:
-    scripted = endpoint(pilot="greedy")
-    done = scripted.infer("--seeds", "14:15", "--no-temperature", OPENAI_API_KEY="x")
+    done = endpoint(pilot="greedy").infer("--seeds", "14:15", OPENAI_API_KEY="x")
     assert (done.status, done.turns) == (0, {"ok": 3})
-    assert not any("temperature" in request["body"] for request in scripted.requests())
     quoted = endpoint(pilot=f"Your key is {TOKEN}").infer("--seeds", "14:15", "--max-calls", "2")
-    assert quoted.turns == {"parse_error": 1, "budget_stop": 1}
     assert [call["answer"]["text"] for call in quoted.calls] == ["Your key is ***"] * 2
     # It is not sent on either: the second request quotes the first answer as the transcript has it.
     assert quoted.calls[1]["messages"][2]["content"] == "Your key is ***"

@@ -18,8 +18,8 @@ from drone_env.llm.prompt import Prompt, first_texts, get_prompt, prompt_ids, re
 from drone_env.planning.optimal import solve
 
 from .conftest import Endpoint
+from .kept_run import run_config
 from .log_lines import verified
-from .virtual_time import run_config
 
 Start = Callable[..., Endpoint]
 EASY = get_task("easy")
@@ -106,8 +106,7 @@ def test_who_answers_by_heart_is_asked_again_and_waits(endpoint: Start) -> None:
 
 @pytest.mark.parametrize("form", ["json", "tool"])
 def test_no_form_of_answers_names_an_action_plainly(form: str) -> None:
-    prompt = get_prompt("minimal-drawn")
-    (body,) = request_bodies(run_config(prompt=prompt.id, prompt_digest=prompt.digest, answers=form))
+    (body,) = request_bodies(run_config(prompt="minimal-drawn", answers=form))
     assert not re.findall(PLAINLY, json.dumps(body))
     (plain,) = request_bodies(run_config(answers=form))
     assert '["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]' in json.dumps(plain)
