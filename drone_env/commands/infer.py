@@ -105,8 +105,8 @@ def infer(
         moves: Say in the report how many moves were blunders, beside the exact value of every state.
         use_image: Start the Docker image LOCAL_IMAGE_NAME and fly in its server. Each of its observations must be the
             one that the rules here give.
-        engine: Fly in this process, or on the nodes of a Ray cluster (extra `cluster`), which share one budget and one
-            run folder.
+        engine: Send the requests from this process, or from the nodes of a Ray cluster (extra `cluster`), which share
+            one budget and one run folder.
         address: The cluster: local starts one on this machine (if nothing is said), auto joins the one that runs here,
             HOST:PORT joins that one.
     """
@@ -178,8 +178,6 @@ def infer(
     token = token_for(settings, configs[0].base_url)
     if use_image and options.server is not None:
         raise InvalidValueError("--use-image starts a server itself: give it without --server")
-    if use_image and engine == "ray":
-        raise InvalidValueError("--use-image starts a server on this machine alone: give --server with --engine ray")
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
     for one in chosen:

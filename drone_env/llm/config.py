@@ -1,6 +1,5 @@
 """The configuration of a run: all that decides its calls and its results, so neither limits nor speed."""
 
-import hashlib
 import json
 from typing import Any, Literal
 
@@ -164,9 +163,3 @@ def _answer_form(config: RunConfig) -> dict[str, Any]:
             "tool_choice": {"type": "function", "function": {"name": name}},
         }
     return {}
-
-
-def digest(value: object) -> str:
-    """SHA-256 of a JSON value, 16 hex digits."""
-    text = json.dumps(value, sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

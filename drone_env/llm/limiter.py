@@ -184,29 +184,21 @@ class RateLimiter:
                 yield slot
             finally:
                 if slot.overloaded:
-                    self.overloaded(slot.sent_at, min(slot.pause, self.seconds_left))
+                    self._overloaded(slot)
                 elif slot.tokens is not None:
-                    self.answered()
+                    grown = self.limit + (1 if self._fast else 1 / self.limit)
+                    self.limit = min(float(self.options.concurrency), grown)
                 self._pace.used(slot.tokens, expected)
         finally:
             self.active -= 1
             self._wake()
 
-    def answered(self) -> None:
-        """Let more through after an answer."""
-        grown = self.limit + (1 if self._fast else 1 / self.limit)
-        self.limit = min(float(self.options.concurrency), grown)
-
-    def overloaded(self, sent_at: float, pause: float = 0.0) -> None:
-        """Let half as many through.
-
-        Args:
-            sent_at: When the request was sent; those sent before the last halving do not count.
-            pause: Seconds during which no request is sent.
-        """
+    def _overloaded(self, slot: Slot) -> None:
+        """Let half as many through; slots from before the last halving do not count."""
         self._fast = False
+        pause = min(slot.pause, self.seconds_left)
         self._closed_until = max(self._closed_until, self.clock.now() + pause)
-        if sent_at > self._halved_at:
+        if slot.sent_at > self._halved_at:
             self.limit = max(1.0, self.limit / 2)
             self._halved_at = self.clock.now()
 

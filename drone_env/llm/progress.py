@@ -11,7 +11,7 @@ from drone_env.llm.answers import Unusable
 from drone_env.llm.config import RunConfig
 from drone_env.llm.flight import PilotedEpisode
 from drone_env.llm.limiter import RateLimiter
-from drone_env.llm.runner import log_text
+from drone_env.llm.runner import Observer, log_text
 from drone_env.llm.transcript import Call
 
 LINE_SECONDS = 10.0
@@ -19,7 +19,7 @@ LONG_WAIT = 5.0
 QUIET_SECONDS = 1.0
 
 
-class ConsoleObserver:
+class ConsoleObserver(Observer):
     """Prints the log lines of each flight to standard output, together, and all else to standard error.
 
     Args:

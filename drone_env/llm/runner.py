@@ -2,10 +2,11 @@
 
 import asyncio
 import contextlib
+import functools
 import math
 import random
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NoReturn, Protocol
@@ -15,14 +16,14 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.errors import EndpointError
 from drone_env.llm.answers import TURN_KINDS, Answer, Reading, TurnKind, Unusable, read_answer
-from drone_env.llm.config import RunConfig, digest, request_bodies
+from drone_env.llm.config import RunConfig, request_bodies
 from drone_env.llm.content import ChatMessage, with_pictures
 from drone_env.llm.endpoint import TryFailedError
 from drone_env.llm.flight import CallFailedError, PilotedEpisode, fly
 from drone_env.llm.image import following
 from drone_env.llm.limiter import LimitReachedError, RateLimiter, StoppedError
 from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
-from drone_env.llm.transcript import AnswerCache, Call, CallKey, Failure, Transcript
+from drone_env.llm.transcript import AnswerCache, Call, CallKey, Failure, Transcript, digest
 from drone_env.results.log_lines import end_line, start_line, step_line
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
@@ -40,23 +41,19 @@ class Sender(Protocol):
 
     async def close(self) -> None:
         """Close all connections."""
-        ...
 
 
-class Observer(Protocol):
-    """Is called when something happens in a run."""
+class Observer:
+    """Is called when something happens in a run; this one does nothing."""
 
     def called(self, call: Call) -> None:
         """A call was made."""
-        ...
 
     def waiting(self, seconds: float, reason: str) -> None:
         """A try failed; the next one comes after this many seconds."""
-        ...
 
     def flown(self, flown: PilotedEpisode) -> None:
         """A flight is over."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,8 @@ class Calls:
     def __init__(
         self, config: RunConfig, endpoint: Sender, transcript: Transcript, limiter: RateLimiter, observer: Observer
     ) -> None:
-        self._config = config
+        self._url = config.base_url
+        self._task = config.task_config
         self._prompt = config.load_prompt()
         self._bodies = request_bodies(config)
         self._endpoint = endpoint
@@ -117,8 +115,8 @@ class Calls:
         self._observer = observer
         self._cache = None if limiter.options.cache is None else AnswerCache(limiter.options.cache)
 
-    async def ask(self, key: CallKey, messages: list[ChatMessage]) -> Reading:
-        """The answer to a call, as it is understood.
+    async def ask(self, seed: int, repeat: int, key: CallKey, messages: list[ChatMessage]) -> Reading:
+        """The answer to a call of the flight over this map, as it is understood.
 
         Raises:
             CallFailedError: if none came after all retries.
@@ -126,7 +124,6 @@ class Calls:
             StoppedError: if the run is being stopped because of another call.
             InvalidValueError: if the transcript contains another request under this key.
         """
-        seed, repeat = self._config.flight(key.flight)
         body = self._bodies[repeat]
         request = digest({"body": body, "messages": messages})
         known = self._transcript.answered.get(key)
@@ -135,7 +132,7 @@ class Calls:
             return self._read(known.answer, seed)
         self._limiter.check_going_on()
         # Repeats and repairs draw again from the model: only equal ones share an answer.
-        cache_key = digest([self._config.base_url, request, repeat, key.attempt])
+        cache_key = digest([self._url, request, repeat, key.attempt])
         answer = self._cache.get(cache_key) if self._cache else None
         cached, picture, began = answer is not None, None, self._limiter.clock.now()
         failures: list[Failure] = []
@@ -165,7 +162,7 @@ class Calls:
         if answer is None:
             sent, picture = with_pictures(messages)
             try:
-                answer, began = await self._send(key, sent, failures)
+                answer, began = await self._send(seed, repeat, key, sent, failures)
             except LimitReachedError:
                 if failures:
                     record(None, "budget_stop")
@@ -181,11 +178,13 @@ class Calls:
 
     def _read(self, answer: Answer, seed: int) -> Reading:
         prompt = self._prompt
-        return read_answer(answer, prompt.plan, prompt.marks, prompt.symbols_of(self._config.task_config, seed).actions)
+        return read_answer(answer, prompt.plan, prompt.marks, prompt.symbols_of(self._task, seed).actions)
 
-    async def _send(self, key: CallKey, messages: list[ChatMessage], failures: list[Failure]) -> tuple[Answer, float]:
+    async def _send(
+        self, seed: int, repeat: int, key: CallKey, messages: list[ChatMessage], failures: list[Failure]
+    ) -> tuple[Answer, float]:
         """The answer and when its request was sent; it appends every failed try to `failures`."""
-        limiter, options, (seed, repeat) = self._limiter, self._limiter.options, self._config.flight(key.flight)
+        limiter, options = self._limiter, self._limiter.options
         while True:
             async with limiter.slot() as slot:
                 try:
@@ -213,7 +212,7 @@ class Calls:
         # Every call would meet what the very first one meets, such as a rejected parameter, or a redirect.
         first = not self._transcript.answered and 300 <= failed.status < 500 and not failed.retried
         if failed.fatal or first:
-            host = urlsplit(self._config.base_url).netloc
+            host = urlsplit(self._url).netloc
             self._limiter.fatal = EndpointError(f"{host} answers {failed.status}: {failed.reason}")
         raise CallFailedError(str(failed))
 
@@ -247,7 +246,7 @@ async def run(
                 seed, repeat = config.flight(number)
                 flown = PilotedEpisode(number, repeat, Episode(config.task_config, config.profile, seed))
                 with following(limiter.options.server, config.model) as on_step:
-                    await fly(flown, prompt, config.history, calls.ask, on_step)
+                    await fly(flown, prompt, config.history, functools.partial(calls.ask, seed, repeat), on_step)
                 # A flight without an answer because of the limits has not begun.
                 if flown.begun or flown.status != "budget_stop":
                     flights.append(flown)
@@ -296,9 +295,8 @@ def mean_over_maps(values: Sequence[tuple[int, float]]) -> float | None:
 def summary_lines(result: RunResult) -> list[str]:
     """The result of a run, for people: the score of the flights that count, the outcomes of answers, the verdict."""
     counted = [flight for flight in result.flights if flight.status != "errored"]
-    outcomes: dict[TurnKind, int] = {
-        name: sum(flight.turns.count(name) for flight in result.flights) for name in TURN_KINDS
-    }
+    found = Counter(turn for flight in result.flights for turn in flight.turns)
+    outcomes: dict[TurnKind, int] = {name: found[name] for name in TURN_KINDS}
     waits = sum(error is not None for flight in result.flights for error in flight.step_errors)
     errored = len(result.flights) - len(counted)
     unfinished = sum(not flight.episode.ended for flight in counted)
@@ -313,6 +311,7 @@ def summary_lines(result: RunResult) -> list[str]:
     if outcomes["truncated"]:
         lines.append("truncated answers: a larger --max-answer-tokens leaves room for thoughts")
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
-    reason = f"{': ' if result.reason else ''}{result.reason}"
-    lines.append(f"verdict: {verdict}{reason}{'; ' if unusable.marked else ''}{unusable.mark}")
+    lines.append(
+        f"verdict: {': '.join(filter(None, (verdict, result.reason)))}{unusable.mark and f'; {unusable.mark}'}"
+    )
     return lines

@@ -4,6 +4,8 @@ It is the single source of a run: flights, records and figures follow from it, s
 process that dies while it writes leaves at most a cut last line, whose answer nobody used.
 """
 
+import hashlib
+import json
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
@@ -79,6 +81,12 @@ class Call(Message):
         sent = (self.messages, self.request_digest, self.sampling_seed)
         if sent != (messages, request_digest, sampling_seed):
             raise InvalidValueError(f"call {self.key} asks something else than this run would")
+
+
+def digest(value: object) -> str:
+    """SHA-256 of a JSON value, 16 hex digits."""
+    text = json.dumps(value, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 class Transcript:

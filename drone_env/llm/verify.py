@@ -7,12 +7,12 @@ from pathlib import Path
 from drone_env.core.episode import Episode
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Reading, read_answer
-from drone_env.llm.config import RunConfig, digest, request_bodies
+from drone_env.llm.config import RunConfig, request_bodies
 from drone_env.llm.content import ChatMessage
 from drone_env.llm.flight import CallFailedError, PilotedEpisode, fly
 from drone_env.llm.limiter import LimitReachedError
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, PilotedRecord, load_config, load_results
-from drone_env.llm.transcript import Call, CallKey, read_calls
+from drone_env.llm.transcript import Call, CallKey, digest, read_calls
 from drone_env.results.jsonl import read_records
 from drone_env.results.record import EpisodeRecord, record_of, replay
 

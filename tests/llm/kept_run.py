@@ -14,12 +14,11 @@ from drone_env.llm.answers import Answer
 from drone_env.llm.config import RunConfig, Sampling
 from drone_env.llm.content import ChatMessage
 from drone_env.llm.endpoint import Endpoint
-from drone_env.llm.flight import PilotedEpisode
 from drone_env.llm.limiter import Clock, RateLimiter
 from drone_env.llm.options import Options
 from drone_env.llm.prompt import get_prompt
 from drone_env.llm.run_folder import RunFolder
-from drone_env.llm.runner import RunResult, run
+from drone_env.llm.runner import Observer, RunResult, run
 from drone_env.llm.transcript import Call, read_calls
 from drone_env.results.store import Store
 from tests.llm.scripted_server import reply
@@ -44,16 +43,6 @@ class VirtualClock(Clock):
         self.slept.append(seconds)
         self.time += seconds
         await asyncio.sleep(0)
-
-
-class Nobody:
-    """Observes nothing."""
-
-    def called(self, call: Call) -> None: ...
-
-    def waiting(self, seconds: float, reason: str) -> None: ...
-
-    def flown(self, flown: PilotedEpisode) -> None: ...
 
 
 class Scripted:
@@ -113,7 +102,7 @@ def fly(url: str, folder: Path, options: Options, **change: Any) -> Flown:
     config, clock = run_config(base_url=url, **change), VirtualClock()
     limiter = RateLimiter(dataclasses.replace(options, concurrency=1), clock)
     with closing(RunFolder(folder, config, resume=False)) as opened:
-        result = asyncio.run(run(config, opened, Endpoint(config, None, options.timeout), limiter, Nobody()))
+        result = asyncio.run(run(config, opened, Endpoint(config, None, options.timeout), limiter, Observer()))
     return Flown(result, clock, [call for _, call in read_calls(folder / "calls.jsonl")])
 
 
@@ -135,7 +124,7 @@ def put_run(data: Path, name: str, pilot: str, seeds: range, task: str = "easy",
         ThreadPoolExecutor(1) as thread,
         Store(data) as store,
     ):
-        flown = thread.submit(asyncio.run, run(config, folder, Scripted(pilot), limiter, Nobody())).result()
+        flown = thread.submit(asyncio.run, run(config, folder, Scripted(pilot), limiter, Observer())).result()
         for flight in flown.flights:
             folder.keep(flight, store)
     return folder.path

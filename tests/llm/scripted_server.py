@@ -112,7 +112,7 @@ class Server:
         _, name, what = head.split()[1].split("/", 2)
         if what == "script":
             self.channels[name] = Channel(body)
-            self.send(writer, 200, {})
+            self.send(writer, 200, "{}")
             return True
         assert what == "v1/chat/completions", what
         channel = self.channels[name]
@@ -140,12 +140,6 @@ class Server:
             writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n{")
             await writer.drain()
             return False
-        if isinstance(fault, dict) and "sends" in fault:
-            kind = b"text/event-stream" if body.get("stream") else b"application/json"
-            data = fault["sends"].encode()
-            writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: %s\r\n" % kind)
-            writer.write(b"Content-Length: %d\r\n\r\n" % len(data) + data)
-            return True
         if fault in ("flood", "packed flood"):
             packed = fault == "packed flood"
             writer.write(b"HTTP/1.1 200 OK\r\n" + (b"Content-Encoding: gzip\r\n" if packed else b"") + b"\r\n")
@@ -154,9 +148,10 @@ class Server:
                 writer.write(data)
                 await writer.drain()
             return False
-        if isinstance(fault, dict) and "status" in fault:
-            error = {"error": {"message": fault.get("message", f"scripted {fault['status']}"), "type": "scripted"}}
-            self.send(writer, fault["status"], error, fault.get("headers", {}))
+        if isinstance(fault, dict):
+            error = {"error": {"message": fault.get("message", f"scripted {fault.get('status')}"), "type": "scripted"}}
+            sent = fault.get("sends") or json.dumps(error)
+            self.send(writer, fault.get("status", 200), sent, fault.get("headers", {}))
             return True
         texts = [text_of(message["content"]) for message in body["messages"]]
         prompt = next(text for text in reversed(texts) if "Position:" in text)
@@ -187,7 +182,8 @@ class Server:
                 return False
         else:
             choice = {"index": 0, "message": message, "finish_reason": reason}
-            self.send(writer, 200, {**common, "object": "chat.completion", "choices": [choice], "usage": usage})
+            sent = {**common, "object": "chat.completion", "choices": [choice], "usage": usage}
+            self.send(writer, 200, json.dumps(sent))
         await writer.drain()
         return True
 
@@ -220,9 +216,9 @@ class Server:
             await asyncio.sleep(3600)
         writer.write(b"0\r\n\r\n")
 
-    def send(self, writer, status: int, value: dict, headers: dict | None = None) -> None:
-        data = json.dumps(value).encode()
-        more = "".join(f"{name}: {text}\r\n" for name, text in (headers or {}).items())
+    def send(self, writer, status: int, text: str, headers: dict | None = None) -> None:
+        data = text.encode()
+        more = "".join(f"{name}: {value}\r\n" for name, value in (headers or {}).items())
         start = f"HTTP/1.1 {status} Scripted\r\nContent-Type: application/json\r\nContent-Length: {len(data)}\r\n{more}"
         writer.write(f"{start}\r\n".encode() + data)
 

@@ -11,8 +11,6 @@ from .conftest import Endpoint
 from .log_lines import blocks, verified
 
 Start = Callable[..., Endpoint]
-TWO_TURNS = ("--seeds", "14:15", "--concurrency", "1", "--max-calls", "4")
-HUGE = "I would fly to the right. " * 4_000
 
 
 def test_a_flight_of_bad_answers_waits_to_its_end_and_its_run_is_marked(
@@ -44,41 +42,18 @@ def test_a_flight_of_bad_answers_waits_to_its_end_and_its_run_is_marked(
     assert told in capfd.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("pilot", "outcome", "stream"),
-    [
-        ("I think that we should go RIGHT, since the target lies there.", "parse_error", "--no-stream"),
-        ("", "parse_error", "--stream"),
-        (HUGE, "parse_error", "--stream"),
-        ("I'm sorry, but I can't help with flying drones.", "refusal", "--no-stream"),
-    ],
-)
-def test_bad_answers_are_repaired_once_then_wait(endpoint: Start, pilot: str, outcome: str, stream: str) -> None:
-    done = endpoint(pilot=pilot).infer(*TWO_TURNS, stream)
-    assert (done.status, done.turns) == (3, {outcome: 2, "budget_stop": 1}), done.err
+def test_bad_answers_are_repaired_once_then_wait(endpoint: Start) -> None:
+    pilot = "I would fly to the right. " * 4_000
+    done = endpoint(pilot=pilot, finish_reason="length").infer("--seeds", "14:15", "--max-calls", "4")
+    assert (done.status, done.turns) == (3, {"truncated": 2, "budget_stop": 1}), done.err
     assert [call["answer"]["text"] for call in done.calls] == [pilot] * 4
-    # Of a long answer the model is shown the beginning.
+    # The model sees the beginning of its long answer.
     assert done.calls[1]["messages"][2]["content"] == pilot[:2000]
     assert [(call["turn"], call["attempt"]) for call in done.calls] == [(1, 1), (1, 2), (2, 1), (2, 2)]
     (lines,) = blocks(done.out)
-    assert [line.split()[2::3] for line in lines[1:-1]] == [["action=WAIT", f"error={outcome}"]] * 2
+    assert [line.split()[2::3] for line in lines[1:-1]] == [["action=WAIT", "error=truncated"]] * 2
+    assert "a larger --max-answer-tokens" in done.err
     verified(done)
-
-
-@pytest.mark.parametrize(
-    ("script", "outcome"),
-    [
-        ({"finish_reason": "length"}, "truncated"),
-        ({"finish_reason": "content_filter"}, "refusal"),
-        ({"message": {"refusal": "no"}}, "refusal"),
-    ],
-)
-@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
-def test_answers_that_the_endpoint_marks(endpoint: Start, script: dict[str, object], outcome: str, stream: str) -> None:
-    done = endpoint(pilot="RIGHT", **script).infer(*TWO_TURNS, stream)
-    assert done.turns == {outcome: 2, "budget_stop": 1}
-    assert done.flights[0]["waits"] == 2
-    assert ("a larger --max-answer-tokens" in done.err) == (outcome == "truncated")
 
 
 def test_an_answer_that_the_repair_mends(endpoint: Start) -> None:
@@ -92,5 +67,4 @@ def test_an_answer_that_the_repair_mends(endpoint: Start) -> None:
     asked, again = (request["body"]["messages"] for request in scripted.requests()[:2])
     assert again[:2] == asked
     assert again[2] == {"role": "assistant", "content": "Let us go up!"}
-    assert again[3]["role"] == "user"
     assert "could not be used: the answer is not one action" in again[3]["content"]

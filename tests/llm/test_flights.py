@@ -101,12 +101,14 @@ def test_a_stream_is_over_with_its_mark_of_the_end(endpoint: Start) -> None:
     assert (done.turns, [len(call["failures"]) for call in done.calls]) == ({"ok": 3}, [0] * 3)
 
 
-@pytest.mark.parametrize("form", ["json", "tool"])
 @pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
+@pytest.mark.parametrize("form", ["json", "tool"])
 def test_structured_output_and_tool_calls(endpoint: Start, form: str, stream: str) -> None:
-    done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--answers", form, stream)
-    assert done.turns == {"ok": 3}, done.err
-    assert done.flights[0]["score"] == 0.99
+    done = endpoint(pilot="greedy", message={"reasoning_content": "UP"}).infer(
+        "--seeds", "14:15", "--answers", form, stream
+    )
+    assert (done.turns, done.flights[0]["score"]) == ({"ok": 3}, 0.99), done.err
+    assert {call["answer"]["reasoning"] for call in done.calls} == {"UP"}
 
 
 def test_twice_as_many_requests_at_once_while_all_goes_well(endpoint: Start) -> None:

@@ -178,7 +178,6 @@ def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
     assert sweep.model_copy(update={"rules": {}}).differences(now[2]) == now[2].differences(now[2]) == []
     with pytest.raises(ValidationError, match="the run flew another task of the name 'yard'"):
         RunConfig.model_validate(dict(run))
-    assert RunConfig.model_validate(dict(run) | {"rules": {}}).differences(now[3]) == []
     with pytest.raises(StoreError, match="keeps flights of another task 'yard'"):
         Store(yard.parent)
     del TASKS["yard"]
