@@ -96,9 +96,7 @@ def test_prompts_beside_each_other_in_one_report(endpoint: Start, capfd: pytest.
     calls, points = single[1]["calls"]["answered"], 2 * sum(scores[1])
     assert greedy["tokens_per_point"] == pytest.approx(102 * calls / points)
     assert greedy["usd_per_point"] == pytest.approx(calls * (100 * 10 + 2 * 50) / 1e6 / points)
-    text = (done.folder / "report.md").read_text()
-    assert "| prompt | score (95 %) | less that of coordinates-2 |" in text
-    assert f"| {greedy['score']:.4f} ± " in text
+    assert f"| {greedy['score']:.4f} ± " in (done.folder / "report.md").read_text()
     assert f"original-1: score {greedy['score']:.4f} ± " in done.err
     # The folder of several runs stands for all of them.
     capfd.readouterr()
