@@ -1,4 +1,4 @@
-"""A language model flies on two nodes: one budget, one transcript, the report of the local run."""
+"""Two nodes send the requests of a run: one budget, one transcript, the report of the local run."""
 
 import os
 import time
