@@ -9,7 +9,6 @@ is a line in the log before it is answered, and a second line when that is over,
 """
 
 import asyncio
-import gzip
 import json
 import re
 import sys
@@ -140,14 +139,6 @@ class Server:
             writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n{")
             await writer.drain()
             return False
-        if fault in ("flood", "packed flood"):
-            packed = fault == "packed flood"
-            writer.write(b"HTTP/1.1 200 OK\r\n" + (b"Content-Encoding: gzip\r\n" if packed else b"") + b"\r\n")
-            data = gzip.compress(bytes(1 << 26)) if packed else b" " * 65536
-            for _ in range(1024):
-                writer.write(data)
-                await writer.drain()
-            return False
         if isinstance(fault, dict):
             error = {"error": {"message": fault.get("message", f"scripted {fault.get('status')}"), "type": "scripted"}}
             sent = fault.get("sends") or json.dumps(error)
@@ -155,10 +146,7 @@ class Server:
             return True
         texts = [text_of(message["content"]) for message in body["messages"]]
         prompt = next(text for text in reversed(texts) if "Position:" in text)
-        repairing = texts[-1] != prompt
-        pilot = script["pilot"]
-        if repairing and "repair" in script:
-            pilot = script["repair"]
+        pilot = script.get("repair", script["pilot"]) if texts[-1] != prompt else script["pilot"]
         said = reply(pilot, prompt)
         said = said if said == pilot else in_words(said, texts[0])
         message = {"role": "assistant", "content": said, **script.get("message", {})}
@@ -172,9 +160,7 @@ class Server:
         elif body.get("response_format"):
             message["content"] = json.dumps({"direction": message["content"]})
         reason = script.get("finish_reason", "stop")
-        usage = script.get("usage", {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102})
-        if script.get("no_usage"):
-            usage = None
+        usage = None if script.get("no_usage") else {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102}
         common = {"id": "x", "created": 0, "model": body["model"]}
         if body.get("stream"):
             await self.stream(writer, common, message, reason, usage, fault)

@@ -2,8 +2,10 @@
 
 import asyncio
 import functools
+import gzip
+import itertools
 import json
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import httpx
@@ -24,9 +26,15 @@ def send(monkeypatch: pytest.MonkeyPatch) -> Send:
     """Send one request, to which a response is given: `send(content, status=200, headers={}, stream=False)`."""
     client = httpx.AsyncClient
 
-    def sent(content: Any, status: int = 200, headers: Any = None, **change: Any) -> Answer | TryFailedError:
-        body = httpx.ByteStream((content if isinstance(content, str) else json.dumps(content)).encode())
-        transport = httpx.MockTransport(lambda _: httpx.Response(status, headers=headers, stream=body))
+    def sent(
+        content: Any, status: int = 200, headers: Any = None, pieces: Any = (), **change: Any
+    ) -> Answer | TryFailedError:
+        async def body() -> AsyncIterator[bytes]:
+            data = content if isinstance(content, str) else json.dumps(content)
+            for piece in pieces or [data.encode()]:
+                yield piece
+
+        transport = httpx.MockTransport(lambda _: httpx.Response(status, headers=headers, content=body()))
         monkeypatch.setattr(endpoint.httpx, "AsyncClient", functools.partial(client, transport=transport))
         config = run_config(**change)
 
@@ -133,6 +141,18 @@ def test_failures_that_pass_are_retried(send: Send, content: Any, status: int, s
 def test_what_has_not_the_form_of_an_answer_is_a_failure(send: Send, value: Any, stream: bool) -> None:
     text = value if isinstance(value, str) and len(value) > 2 else json.dumps(value)
     assert isinstance(send(f"data: {text}\n\n" if stream else text, stream=stream), TryFailedError)
+
+
+@pytest.mark.parametrize("stream", [False, True])
+@pytest.mark.parametrize(
+    ("piece", "headers", "most"),
+    [(b" " * 65536, {}, "4,194,304"), (gzip.compress(bytes(1 << 26)), {"Content-Encoding": "gzip"}, "65,536")],
+)
+def test_an_endless_answer_is_not_read_on(send: Send, piece: bytes, headers: Any, most: str, stream: bool) -> None:
+    failed = send("", headers=headers, pieces=itertools.repeat(piece), stream=stream)
+    assert str(failed) == f"200: not an answer: it takes more than {most} bytes"
+    assert isinstance(failed, TryFailedError)
+    assert not failed.retried
 
 
 def test_garbage_is_not_retried(send: Send) -> None:

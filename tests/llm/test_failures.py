@@ -102,12 +102,3 @@ def test_failures_that_stay_make_flights_errored_and_the_run_invalid(endpoint: S
         assert told in done.err
     verified(done)
     assert len(blocks(done.out)) == 3
-
-
-@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
-@pytest.mark.parametrize(("fault", "most"), [("flood", "4,194,304"), ("packed flood", "65,536")])
-def test_an_answer_without_end_is_not_read_on(endpoint: Start, fault: str, most: str, stream: str) -> None:
-    scripted = endpoint(pilot="greedy", faults=[[0, 0, fault]])
-    done = scripted.infer("--seeds", "14:15", stream)
-    assert [flight["error"] for flight in done.flights] == [f"200: not an answer: it takes more than {most} bytes"]
-    assert len(scripted.requests()) == 1
