@@ -1,7 +1,8 @@
-"""How many requests go out at once, per minute and in all: by a clock that only waiting moves, and in whole runs."""
+"""How many requests go out at once, per minute and in all, and when failed ones are repeated."""
 
 import asyncio
 import math
+import random
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from drone_env.errors import InvalidValueError
 from drone_env.llm.limiter import LimitReachedError, RateLimiter
 from drone_env.llm.options import Options, Prices
+from drone_env.llm.runner import LONGEST_BACKOFF
 from drone_env.llm.verify import verified_run
 
 from .conftest import Endpoint
@@ -234,3 +236,52 @@ def test_what_is_no_limit_is_refused(wrong: dict[str, Any], why: str) -> None:
         Options(**wrong)
     with pytest.raises(InvalidValueError, match="prices must be 0 or more"):
         Prices(1, -1)
+
+
+def test_waits_are_random_below_a_bound_that_doubles(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[1, 20, {"status": 500}]])
+    random.seed(1)
+    flown = fly(scripted.url, scripted.folder / "run", Options(tries=21, backoff=0.5))
+    waits = flown.clock.slept
+    assert flown.turns == ["ok"] * 3
+    assert len(waits) == 20
+    bounds = [min(0.5 * 2**i, LONGEST_BACKOFF) for i in range(20)]
+    assert all(0 <= wait <= bound for wait, bound in zip(waits, bounds, strict=True))
+    # Spread over what they are drawn from, near none of its ends.
+    shares = [wait / bound for wait, bound in zip(waits, bounds, strict=True)]
+    assert (min(shares) < 0.25, max(shares) > 0.75) == (True, True)
+    assert [failure.waited for failure in flown.calls[1].failures] == waits
+
+
+def test_what_the_endpoint_asks_for_is_waited(endpoint: Start) -> None:
+    scripted = endpoint(pilot="greedy", faults=[[1, 1, {"status": 429, "headers": {"Retry-After": "120"}}]])
+    flown = fly(scripted.url, scripted.folder / "run", Options())
+    assert (flown.turns, flown.clock.slept) == (["ok"] * 3, [120.0])
+
+
+@pytest.mark.parametrize(
+    ("asked", "options", "requests", "slept", "verdict"),
+    [
+        ("0", {"tries": 3}, 3, [0, 0], "invalid"),
+        ("121", {"longest_wait": 120}, 1, [], "invalid"),
+        # No wait is longer than the time of the run.
+        ("100", {"max_seconds": 30}, 1, [30], "incomplete"),
+    ],
+)
+def test_when_a_failing_call_is_given_up(
+    endpoint: Start, asked: str, options: dict[str, Any], requests: int, slept: list[float], verdict: str
+) -> None:
+    fault = {"status": 429, "headers": {"Retry-After": asked}}
+    scripted = endpoint(pilot="greedy", faults=[[0, 10**9, fault]])
+    flown = fly(scripted.url, scripted.folder / "run", Options(**options))
+    assert (len(scripted.requests()), flown.clock.slept, flown.result.verdict) == (requests, slept, verdict)
+    assert [failure.status for failure in flown.calls[0].failures] == [429] * requests
+
+
+def test_behind_the_time_of_the_run_nothing_is_sent(endpoint: Start) -> None:
+    scripted = endpoint(pilot="WAIT")
+    flown = fly(scripted.url, scripted.folder / "run", Options(max_seconds=30, requests_per_minute=6))
+    # Two together, then one each 10 s, and none at the end of the 30th.
+    assert (flown.turns, flown.clock.passed) == (["ok"] * 4 + ["budget_stop"], 30)
+    assert len(scripted.requests()) == 4
+    assert flown.result.flights[0].error == "30 s have passed"
