@@ -2,10 +2,9 @@
 
 `POST /NAME/script` opens an endpoint at `/NAME/v1`; its body holds `log` (a file), `pilot` (perfect, greedy, plan, able
 for perfect or greedy by what the prompt tells, aloud for the same behind thoughts, all in the words that the prompt has
-drawn, or a text to answer with), `repair` (the same, for repair prompts), `latency` in seconds, `waves`: the first so
-many requests have to be there together before one of them is answered, then the next so many, and so on; and `faults`:
-a list of [first, last, fault] by the number of the request from 0, where the first that covers it holds. Each request
-is a line in the log before it is answered, and a second line when that is over, however it was answered.
+drawn, or a text to answer with), `repair` (the same, for repair prompts), `latency` in seconds, and `faults`: a list of
+[first, last, fault] by the number of the request from 0, where the first that covers it holds. Each request is a line
+in the log before it is answered, and a second line when that is over, however it was answered.
 """
 
 import asyncio
@@ -68,20 +67,6 @@ class Channel:
         self._path = Path(script["log"])
         self.script = script
         self.count = 0
-        self._waves = list(script.get("waves", []))
-        self._wave = asyncio.Event()
-        self._gathered = 0
-
-    async def gather(self) -> None:
-        """Wait until the request's wave is there as a whole."""
-        if not self._waves:
-            return
-        wave, self._gathered = self._wave, self._gathered + 1
-        if self._gathered == self._waves[0]:
-            del self._waves[0]
-            self._wave, self._gathered = asyncio.Event(), 0
-            wave.set()
-        await wave.wait()
 
     def log(self, line: dict) -> None:
         with self._path.open("a") as file:
@@ -123,7 +108,6 @@ class Server:
         line = {"call": call, "fault": fault, "headers": headers, "body": body, "port": port}
         channel.log(line)
         try:
-            await channel.gather()
             await asyncio.sleep(script.get("latency", 0))
             return await self.respond(writer, script, body, fault)
         finally:

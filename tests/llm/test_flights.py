@@ -1,22 +1,32 @@
 """`drone-env infer`: pilots that do as they are told score what the same moves score elsewhere."""
 
+import asyncio
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from decimal import Decimal
+from pathlib import Path
 
 import pytest
 
 from drone_env.cli import main
 from drone_env.core.seeds import SPLITS
+from drone_env.llm.answers import Answer
+from drone_env.llm.content import ChatMessage
 from drone_env.llm.endpoint import POOLS
+from drone_env.llm.limiter import RateLimiter
+from drone_env.llm.options import Options
+from drone_env.llm.run_folder import RunFolder
+from drone_env.llm.runner import Observer, run
 from drone_env.llm.verify import verified_run
 from drone_env.planning.optimal import solve
 from drone_env.results.evaluate import episodes_key, run_episodes
 
-from .conftest import ROOT, TOKEN, Endpoint, environment, json_lines
+from .conftest import ROOT, TOKEN, Endpoint, environment
+from .kept_run import Scripted, run_config
 from .log_lines import blocks, verified
 
 Start = Callable[..., Endpoint]
@@ -113,19 +123,23 @@ def test_structured_output_and_tool_calls(endpoint: Start, form: str, stream: st
     assert {call["answer"]["reasoning"] for call in done.calls} == {"UP"}
 
 
-def test_twice_as_many_requests_at_once_while_all_goes_well(endpoint: Start) -> None:
-    # Each wave is answered when it is there as a whole: fewer at once would wait for ever.
-    waves = [8, 16, 32, 64, 100]
-    scripted = endpoint(pilot="plan", waves=waves)
-    flights = str(sum(waves))
-    done = scripted.infer("--episodes", flights, "--concurrency", "100", "--prompt", "plan", "--tries", "1")
-    assert done.status == 0, done.err
-    now = most = 0
-    for line in json_lines(scripted.log):
-        now += 1 if "body" in line else -1
-        most = max(most, now)
-    assert (now, most) == (0, 100)
-    assert len(blocks(done.out)) == sum(waves)
+def test_many_flights_have_their_requests_under_way_at_once(tmp_path: Path) -> None:
+    class Counting(Scripted):
+        now = most = 0
+
+        async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
+            self.now += 1
+            self.most = max(self.most, self.now)
+            for _ in range(99):
+                await asyncio.sleep(0)
+            self.now -= 1
+            return await super().send(messages, call_id, repeat)
+
+    config, sender = run_config(seeds=(0, 100)), Counting("greedy")
+    with closing(RunFolder(tmp_path / "run", config, resume=False)) as folder:
+        limiter = RateLimiter(Options(concurrency=60))
+        result = asyncio.run(run(config, folder, sender, limiter, Observer()))
+    assert (result.verdict, len(result.flights), sender.most) == ("valid", 100, 60)
 
 
 def test_a_run_keeps_the_rewards_of_a_file_of_ones_own(endpoint: Start) -> None:

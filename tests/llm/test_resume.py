@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from drone_env.cli import main
 from drone_env.errors import InvalidValueError
 from drone_env.llm.answers import Answer
 from drone_env.llm.options import Prices
@@ -62,14 +61,11 @@ def test_killed_again_and_again(endpoint: Start, tmp_path: Path) -> None:
     asked = [request["call"] for request in scripted.requests()]
     assert [call for call, count in acknowledged.items() if asked.count(call) != count] == []
     assert len(acknowledged) > KILLS
-    assert [flight["flight"] for flight in done.flights] == list(range(flights))
     assert done.out.count("[START]") == done.out.count("[END] success=true") == flights
-    assert main(["replay", str(folder / "episodes.jsonl"), "--verify"]) == 0
     keys = [str(call.key) for _, call in read_calls(transcript)]
     assert len(keys) == len(set(keys)) == done.turns["ok"]
-    undisturbed = scripted.infer("--seeds", f"0:{flights}")
-    assert undisturbed.status == 0, undisturbed.err
-    assert undisturbed.flights == done.flights
+    assert len(verified_run(folder).results) == flights
+    assert scripted.infer("--seeds", f"0:{flights}").flights == done.flights
 
 
 def test_resume_refuses_another_configuration_and_a_new_run_an_old_folder(endpoint: Start) -> None:
@@ -134,8 +130,7 @@ def test_the_cache_answers_equal_requests(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy")
     first = scripted.infer("--seeds", "14:15", "--cache", "cache")
     second = scripted.infer("--seeds", "14:15", "--cache", "cache")
-    assert (first.out, first.status) == (second.out, second.status)
-    assert len(scripted.requests()) == 3
+    assert (first.out, len(scripted.requests())) == (second.out, 3)
     assert [call["cached"] for call in second.calls] == [True] * 3
     figures = report(verified_run(second.folder), Prices(1, 1), moves=False)
     assert figures["calls"] == {"answered": 0, "cached": 3, "requests": 0, "without_usage": 0}

@@ -40,11 +40,10 @@ def test_the_names_of_a_map_are_always_the_same() -> None:
 
 def test_no_two_are_alike_and_none_means_anything() -> None:
     words = {a + b for a, b in product(FIRST.split(), SECOND.split())}
-    assert len(words) == len(FIRST.split()) * len(SECOND.split())
     assert not words & set(COMMON.upper().split())
     seen: set[tuple[str, ...]] = set()
-    for task, seed in product((EASY, get_task("hard")), range(500)):
-        symbols = draw_symbols(task, seed)
+    for seed in range(500):
+        symbols = draw_symbols(EASY, seed)
         names = [name.upper() for name in symbols.names.values()]
         assert {*names} <= words
         assert len({name[:3] for name in names}) == len(names) == 11
@@ -53,7 +52,7 @@ def test_no_two_are_alike_and_none_means_anything() -> None:
         assert len({*letters}) == len(letters) == 8
         assert not {*letters} & {*"".join(PLAIN_LETTERS.values()).upper()}
         seen.add(tuple(names))
-    assert len(seen) == 1000
+    assert len(seen) == 500
 
 
 @pytest.mark.parametrize("prompt", DRAWN, ids=lambda prompt: prompt.id)
