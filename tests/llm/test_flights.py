@@ -79,18 +79,6 @@ def test_a_perfect_pilot_scores_the_optimum(endpoint: Start, task: str) -> None:
     verified(done)
 
 
-def test_a_perfect_pilot_asked_step_by_step(endpoint: Start) -> None:
-    maps = MAPS if MAPS >= 100 else 1
-    options = ("--task", "hard", "--episodes", str(maps), "--prompt", "coordinates")
-    done = endpoint(pilot="perfect").infer(*options)
-    assert done.status == 0, done.err
-    start = SPLITS["test"].start
-    optima = [solve("hard", seed) for seed in range(start, start + maps)]
-    assert [f["score"] for f in done.flights] == [optimum.score for optimum in optima]
-    assert done.turns == {"ok": sum(optimum.steps for optimum in optima)}
-    verified(done)
-
-
 @pytest.mark.parametrize("task", ["easy", "hard"])
 def test_a_greedy_pilot_equals_the_greedy_agent(endpoint: Start, task: str) -> None:
     done = endpoint(pilot="greedy").infer("--task", task, "--episodes", str(MAPS))

@@ -105,7 +105,7 @@ def test_a_redirect_is_not_followed(endpoint: Start) -> None:
         elsewhere.setblocking(False)
         there = f"http://127.0.0.1:{elsewhere.getsockname()[1]}/v1/chat/completions"
         scripted = endpoint(pilot="greedy", faults=[[0, 10**9, {"status": 307, "headers": {"Location": there}}]])
-        done = scripted.infer("--seeds", "14:15", "--timeout", "20")
+        done = scripted.infer("--seeds", "14:15", "--timeout", "20", "--tries", "1")
         with pytest.raises(BlockingIOError):
             elsewhere.accept()
     assert (done.status, len(scripted.requests())) == (2, 1)
