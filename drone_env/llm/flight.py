@@ -2,7 +2,9 @@
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+from typing_extensions import Self
 
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
@@ -12,6 +14,9 @@ from drone_env.llm.content import ChatMessage
 from drone_env.llm.limiter import LimitReachedError
 from drone_env.llm.prompt import Prompt, first_messages, repair_messages
 from drone_env.llm.transcript import CallKey
+
+if TYPE_CHECKING:
+    from drone_env.llm.config import RunConfig
 
 Ask = Callable[[CallKey, list[ChatMessage]], Awaitable[Reading]]
 OnStep = Callable[[Episode], Awaitable[None]]
@@ -47,6 +52,12 @@ class PilotedEpisode:
     error: str | None = None
     begun: bool = False
     names: dict[str, str] = field(default_factory=dict[str, str])
+
+    @classmethod
+    def begin(cls, config: "RunConfig", index: int) -> Self:
+        """The flight of this number in a run, after its reset."""
+        seed, repeat = config.flight(index)
+        return cls(index, repeat, Episode(config.task_config, config.profile, seed))
 
 
 async def fly(

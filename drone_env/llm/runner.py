@@ -13,7 +13,6 @@ from typing import Literal, NoReturn, Protocol
 from urllib.parse import urlsplit
 
 from drone_env.core.actions import Action
-from drone_env.core.episode import Episode
 from drone_env.errors import EndpointError
 from drone_env.llm.answers import TURN_KINDS, Answer, Reading, TurnKind, Unusable, read_answer
 from drone_env.llm.config import RunConfig, request_bodies
@@ -243,10 +242,10 @@ async def run(
 
         async def worker() -> None:
             for number in numbers:
-                seed, repeat = config.flight(number)
-                flown = PilotedEpisode(number, repeat, Episode(config.task_config, config.profile, seed))
+                flown = PilotedEpisode.begin(config, number)
+                ask = functools.partial(calls.ask, flown.episode.seed, flown.repeat)
                 with following(limiter.options.server, config.model) as on_step:
-                    await fly(flown, prompt, config.history, functools.partial(calls.ask, seed, repeat), on_step)
+                    await fly(flown, prompt, config.history, ask, on_step)
                 # A flight without an answer because of the limits has not begun.
                 if flown.begun or flown.status != "budget_stop":
                     flights.append(flown)

@@ -4,7 +4,6 @@ import asyncio
 from dataclasses import dataclass
 from pathlib import Path
 
-from drone_env.core.episode import Episode
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Reading, read_answer
 from drone_env.llm.config import RunConfig, request_bodies
@@ -59,11 +58,11 @@ def verified_run(path: Path) -> VerifiedRun:
         # Leaving out the flights that went badly would make a run look better than it was.
         raise InvalidValueError(f"{path}: flight {lost[0]} was begun but is not among the results: resume the run")
     used: set[CallKey] = set()
-    bodies, prompt, task = request_bodies(config), config.load_prompt(), config.task_config
+    bodies, prompt = request_bodies(config), config.load_prompt()
 
     async def replayed(ended: PilotedRecord) -> PilotedEpisode:
-        seed, repeat = config.flight(ended.flight)
-        body, words = bodies[repeat], prompt.symbols_of(task, seed).actions
+        flown = PilotedEpisode.begin(config, ended.flight)
+        body, words = bodies[flown.repeat], prompt.symbols_of(flown.episode.task, flown.episode.seed).actions
 
         async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
             call = answers.get(key)
@@ -80,7 +79,6 @@ def verified_run(path: Path) -> VerifiedRun:
             missing = "has neither an answer nor a failure" if ended.status == "errored" else "has no answer"
             raise InvalidValueError(f"call {key} {missing}, but the flight is said to be {ended.status}")
 
-        flown = PilotedEpisode(ended.flight, repeat, Episode(task, config.profile, seed))
         return await fly(flown, prompt, config.history, ask)
 
     for result, record in zip(results, records, strict=True):
