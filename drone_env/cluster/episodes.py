@@ -1,49 +1,67 @@
-"""The engine `ray`: `run_episodes(key)` as jobs of a cluster."""
+"""The engine `ray`: `run_episodes(key)` as tasks on the nodes of a cluster."""
 
 import dataclasses
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
 import ray
+from ray.exceptions import RayError, RayTaskError
 
 from drone_env.agents import elsewhere, file_of
-from drone_env.cluster.jobs import run_jobs
+from drone_env.cluster.nodes import Driver, check_node, failure, nodes_with_cpus, this_driver
 from drone_env.errors import ClusterError
 from drone_env.results.evaluate import run_episodes
 from drone_env.results.result import EpisodesKey, Results
 
-TRIES = 11
-"""How often a piece is flown whose node dies."""
+RETRIES = 10
+"""How often Ray flies a chunk again whose node dies."""
+AHEAD = 2
+"""Chunks handed out per CPU, so that no CPU waits for the driver."""
 
 
 def fly_on_nodes(keys: Sequence[EpisodesKey]) -> Iterator[Results]:
-    """The results of all keys in the order in which they arrive. Inside of `connect` only.
+    """The results of all keys in the order in which they arrive. Use it inside of `connect` only.
 
-    A node that dies has its pieces flown again elsewhere. A file that an agent's name names travels as it is: nodes
-    need not have it. Modules of one's own they must find.
+    If an agent's name contains a file, the file travels as it is: nodes need not have it. Your own modules must be on
+    every node.
 
     Raises:
-        ClusterError: if no node offers a CPU, one has another package than this one, or a piece was lost on every try.
+        ClusterError: if no node offers a CPU, a node has another package than this one or fails, or a chunk was lost on
+            every try.
         DroneEnvError: what `run_episodes` raises.
     """
-    named = {key.agent: file_of(key.agent) for key in keys}
-    files = {name: ray.put(file.read_bytes()) for name, file in named.items() if file is not None}
-    for key, results in run_jobs(partial(_fly, files), keys, TRIES, _lost):
-        yield dataclasses.replace(results, key=key)
+    if not nodes_with_cpus():
+        raise ClusterError("no node of the cluster offers a CPU")
+    files = {key.agent: file_of(key.agent) for key in keys}
+    contents = {agent: ray.put(file.read_bytes()) for agent, file in files.items() if file is not None}
+    fly: Any = cast(Any, ray).remote(num_cpus=1, max_retries=RETRIES)(_fly)
+    driver, waiting = this_driver(), iter(keys)
+    under_way: dict[Any, EpisodesKey] = {}
+    while True:
+        room = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1))) - len(under_way)
+        for key in islice(waiting, max(0, room)):
+            under_way[fly.remote(driver, key, contents.get(key.agent))] = key
+        if not under_way:
+            return
+        for task in cast(Any, ray).wait(list(under_way))[0]:
+            key = under_way.pop(task)
+            try:
+                results = cast(Any, ray).get(task)
+            except RayTaskError as error:
+                raise failure(error) from None
+            except RayError as error:
+                raise ClusterError(f"a chunk was lost, flown {1 + RETRIES} times: {error}") from None
+            yield dataclasses.replace(results, key=key)
 
 
-def _lost(key: EpisodesKey, error: Exception) -> None:
-    raise ClusterError(f"a piece was lost, flown {TRIES} times: {error}")
-
-
-def _fly(files: Mapping[str, Any], key: EpisodesKey) -> Iterator[Results]:
-    if key.agent not in files:
-        yield run_episodes(key)
-        return
+def _fly(driver: Driver, key: EpisodesKey, content: bytes | None) -> Results:
+    check_node(driver)
+    if content is None:
+        return run_episodes(key)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"file{cast(Path, file_of(key.agent)).suffix}"
-        file.write_bytes(cast(Any, ray).get(files[key.agent]))
-        yield run_episodes(key._replace(agent=elsewhere(key.agent, file)))
+        file.write_bytes(content)
+        return run_episodes(key._replace(agent=elsewhere(key.agent, file)))

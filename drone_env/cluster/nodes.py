@@ -1,4 +1,4 @@
-"""Whether nodes can do the work, and the same as the driver: CPUs, equal sources, plugins, NumPy and Python."""
+"""The nodes of a cluster: they must have the sources, plugins, NumPy and Python of the driver."""
 
 import hashlib
 import platform
@@ -13,12 +13,12 @@ import numpy as np
 
 from drone_env import __version__
 from drone_env.envs.registry import load_plugins, plugin_names
-from drone_env.errors import ClusterError, InvalidValueError
+from drone_env.errors import ClusterError, DroneEnvError, InvalidValueError
 
 
 @dataclass(frozen=True)
 class Driver:
-    """What every node must have as the driver has it."""
+    """What every node must have in common with the driver."""
 
     identity: str
     plugins: str
@@ -26,7 +26,7 @@ class Driver:
 
 
 def this_driver() -> Driver:
-    """What this process has.
+    """The identity of this process.
 
     Raises:
         InvalidValueError: if a module that `DRONE_ENV_PLUGINS` names does not exist.
@@ -37,7 +37,7 @@ def this_driver() -> Driver:
 
 @lru_cache(maxsize=1)
 def _identity(plugins: str) -> str:
-    """Versions, and a digest of all that this package ships and of the plugins' files."""
+    """Versions, and a digest of the files of this package and of the plugins."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for file in sorted(package.rglob("*")):
@@ -54,10 +54,10 @@ def _plugin(module: ModuleType) -> str:
 
 
 def check_node(driver: Driver) -> None:
-    """To be called first on a node: imports the driver's plugins, and compares.
+    """Import the driver's plugins on a node, and compare the node with the driver.
 
     Raises:
-        ClusterError: if its package is not the driver's, or a plugin is missing or another.
+        ClusterError: if its package or a plugin differs, or a plugin is missing.
     """
     here = socket.gethostname()
     try:
@@ -68,15 +68,15 @@ def check_node(driver: Driver) -> None:
         raise ClusterError(f"node {here} has {mine}, the driver has {driver.identity}: make them equal")
 
 
-def check_cpus(needed: int) -> None:
-    """To be called by the driver, inside of `connect`: Ray would wait without a word for a node that is large enough.
-
-    Raises:
-        ClusterError: if no node offers this many CPUs.
-    """
+def nodes_with_cpus() -> list[str]:
+    """The ids of the nodes that offer CPUs. Use it inside of `connect` only."""
     import ray
 
-    nodes = [node for node in cast(list[dict[str, Any]], cast(Any, ray).nodes()) if node["Alive"]]
-    most = int(max((node["Resources"].get("CPU", 0) for node in nodes), default=0))
-    if most < needed:
-        raise ClusterError(f"no node of the cluster offers {needed} CPUs at once: the most that one has are {most}")
+    nodes = cast(list[dict[str, Any]], cast(Any, ray).nodes())
+    return [node["NodeID"] for node in nodes if node["Alive"] and node["Resources"].get("CPU")]
+
+
+def failure(error: Any) -> Exception:
+    """The cause of a `RayTaskError`, if it is an error of this package or of the machine; else a `ClusterError`."""
+    cause: Any = error.cause
+    return cause if isinstance(cause, (DroneEnvError, OSError)) else ClusterError(f"a node failed: {error}")

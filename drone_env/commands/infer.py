@@ -2,8 +2,10 @@
 
 import contextlib
 import dataclasses
+import functools
 import json as json_format
 import sys
+from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -19,7 +21,11 @@ from drone_env.files import RUNS
 from drone_env.llm.options import Number, Options, Whole
 
 if TYPE_CHECKING:
-    from drone_env.llm.runner import Engine, Verdict
+    from drone_env.llm.config import RunConfig
+    from drone_env.llm.flight import PilotedEpisode
+    from drone_env.llm.run_folder import RunFolder
+    from drone_env.llm.runner import Sender
+    from drone_env.results.store import Store
 
 PROMPTS = "minimal|grid|coordinates|plan|think|think-plan|minimal-drawn|grid-drawn|vision|original|FILE.toml"
 PromptName = Annotated[str | None, tyro.conf.arg(metavar=PROMPTS)]
@@ -75,7 +81,7 @@ def infer(
         split: Whose first maps to fly: test if nothing is said.
         seeds: Fly the maps from A up to and not including B instead of a split's.
         repeats: Flights over each map, for pass^k; each sends a sampling seed of its own.
-        prompt: The prompt, by its name (the newest version) or id, such as grid-1, or a file of your own; minimal if
+        prompt: The prompt, by its name (the newest version) or id, such as grid-2, or a file of your own; minimal if
             nothing is said, or with --resume that of the run.
         prompts: Fly the same with each of these prompts, one after another, and compare them map by map. Each run has a
             folder of its prompt's id in --out; limits hold for each.
@@ -99,8 +105,8 @@ def infer(
         moves: Say in the report how many moves were blunders, beside the exact value of every state.
         use_image: Start the Docker image LOCAL_IMAGE_NAME and fly in its server. Each of its observations must be the
             one that the rules here give.
-        engine: Fly in this process, or on the nodes of a Ray cluster (extra `cluster`), which share one budget and one
-            run folder.
+        engine: Send the requests from this process, or from the nodes of a Ray cluster (extra `cluster`), which share
+            one budget and one run folder.
         address: The cluster: local starts one on this machine (if nothing is said), auto joins the one that runs here,
             HOST:PORT joins that one.
     """
@@ -112,9 +118,9 @@ def infer(
     with needs("llm"):
         from drone_env.llm import run_folder, runner
         from drone_env.llm.config import RunConfig, Sampling
-        from drone_env.llm.gate import Gate
+        from drone_env.llm.endpoint import Endpoint
         from drone_env.llm.image import running_image
-        from drone_env.llm.pilot import PilotedEpisode
+        from drone_env.llm.limiter import RateLimiter
         from drone_env.llm.progress import ConsoleObserver
         from drone_env.llm.prompt import get_prompt, untold
         from drone_env.llm.settings import check_url, load_settings, token_for
@@ -172,8 +178,6 @@ def infer(
     token = token_for(settings, configs[0].base_url)
     if use_image and options.server is not None:
         raise InvalidValueError("--use-image starts a server itself: give it without --server")
-    if use_image and engine == "ray":
-        raise InvalidValueError("--use-image starts a server on this machine alone: give --server with --engine ray")
     if address is not None and engine != "ray":
         raise InvalidValueError("--address names a cluster: give it with --engine ray")
     for one in chosen:
@@ -183,66 +187,53 @@ def infer(
     data = data_folder() if data is None else data
     root = out or _new_folder(data / RUNS, configs[0].model, config_task.short_name)
 
-    def fly(config: RunConfig, path: Path, options: Options, resume: bool) -> "tuple[Verdict, dict[str, Any] | None]":
-        """Fly a run: its verdict, and the figures of its report."""
-        problems: list[str] = []
-        with contextlib.ExitStack() as opened:
-            store = None if use_image or options.server is not None else opened.enter_context(Store(data))
-            folder = run_folder.RunFolder(path, config, resume)
-            opened.callback(folder.close)
-            go_on = f"give the same options with --out {root} --resume"
-
-            def keep(flown: PilotedEpisode) -> None:
-                try:
-                    if store is not None:
-                        folder.keep(flown, store, config.model)
-                except StoreError as error:
-                    # The flight has been paid: the run goes on without the store.
-                    problems.append(str(error))
-
-            figures = None
-            try:
-                with contextlib.ExitStack() as stack:
-                    if use_image:
-                        url = stack.enter_context(running_image(settings.local_image_name))
-                        options = dataclasses.replace(options, server=url)
-                    run = runner.run if engine == "local" else _on_cluster(stack, address)
-                    gate = Gate(options)
-                    observer = ConsoleObserver(config, gate, keep)
-                    stack.enter_context(observer.progress)
-                    result = asyncio.run(run(config, folder, token, gate, observer))
-                if report:
-                    from drone_env.llm.report import report as figures_of
-                    from drone_env.llm.report import write_report
-                    from drone_env.llm.verify import verified_run
-
-                    checked = verified_run(folder.path)
-                    figures = figures_of(checked, options.prices, moves)
-                    write_report(checked, figures)
-            except KeyboardInterrupt:
-                print(f"interrupted; to go on, {go_on}", file=sys.stderr)
-                raise
-            finally:
-                if problems:
-                    lost = f"{len(problems)} flights are not in the store: {problems[0]}"
-                    print(f"{lost}; to add them, {go_on}", file=sys.stderr)
-        for line in runner.summary_lines(result):
-            print(line, file=sys.stderr)
-        print(f"run: {folder.path}", file=sys.stderr)
-        return result.verdict, figures
-
     paths = {config.prompt: root / config.prompt if prompts else root for config in configs}
     begun = [name for name, path in paths.items() if (path / run_folder.CONFIG).exists()]
     if resume and not begun:
         raise InvalidValueError(f"there is no run in {root} to resume")
+    go_on = f"give the same options with --out {root} --resume"
     found: list[dict[str, Any]] = []
     status = 0
-    for config in configs:
-        verdict, figures = fly(config, paths[config.prompt], options, resume and config.prompt in begun)
-        status = max(status, runner.EXIT_STATUS[verdict])
-        if verdict == "stopped":
-            return status
-        found += [figures] if figures is not None else []
+    with contextlib.ExitStack() as stack:
+        if use_image:
+            options = dataclasses.replace(options, server=stack.enter_context(running_image(settings.local_image_name)))
+        store = None if options.server is not None else stack.enter_context(Store(data))
+        open_endpoint: Callable[[RunConfig, str | None], Sender]
+        open_endpoint = functools.partial(Endpoint, timeout=options.timeout)
+        if engine == "ray":
+            open_endpoint = _cluster_endpoint(stack, address, options)
+        for config in configs:
+            with contextlib.closing(
+                run_folder.RunFolder(paths[config.prompt], config, resume and config.prompt in begun)
+            ) as folder:
+                problems: list[str] = []
+                limiter = RateLimiter(options)
+                keep = functools.partial(_keep, folder, store, problems)
+                observer = ConsoleObserver(config, limiter, keep)
+                try:
+                    with observer.progress:
+                        run = runner.run(config, folder, open_endpoint(config, token), limiter, observer)
+                        result = asyncio.run(run)
+                    if report:
+                        from drone_env.llm.report import report as figures_of
+                        from drone_env.llm.report import write_report
+                        from drone_env.llm.verify import verified_run
+
+                        checked = verified_run(folder.path)
+                        found.append(figures_of(checked, options.prices, moves))
+                        write_report(checked, found[-1])
+                except KeyboardInterrupt:
+                    print(f"interrupted; to go on, {go_on}", file=sys.stderr)
+                    raise
+                finally:
+                    if problems:
+                        lost = f"{len(problems)} flights are not in the store: {problems[0]}"
+                        print(f"{lost}; to add them, {go_on}", file=sys.stderr)
+            for line in [*runner.summary_lines(result), f"run: {folder.path}"]:
+                print(line, file=sys.stderr)
+            status = max(status, runner.EXIT_STATUS[result.verdict])
+            if result.verdict == "stopped":
+                return status
     if prompts and report:
         from drone_env.llm.paired_report import write_paired_report
 
@@ -251,13 +242,24 @@ def infer(
     return status
 
 
-def _on_cluster(stack: contextlib.ExitStack, address: str | None) -> "Engine":
+def _keep(folder: "RunFolder", store: "Store | None", problems: list[str], flown: "PilotedEpisode") -> None:
+    try:
+        if store is not None:
+            folder.keep(flown, store)
+    except StoreError as error:
+        # The flight is paid: the run continues without the store.
+        problems.append(str(error))
+
+
+def _cluster_endpoint(
+    stack: contextlib.ExitStack, address: str | None, options: Options
+) -> "Callable[[RunConfig, str | None], Sender]":
     from drone_env.cluster.connect import connect
 
     stack.enter_context(connect(address))
-    from drone_env.cluster.flights import run_on_nodes
+    from drone_env.cluster.senders import ClusterEndpoint
 
-    return run_on_nodes
+    return functools.partial(ClusterEndpoint, options=options)
 
 
 def _new_folder(runs: Path, model: str, task: str) -> Path:

@@ -1,6 +1,5 @@
-"""What a run is: everything that decides its calls and its results. Limits and speed are not among that."""
+"""The configuration of a run: all that decides its calls and its results, so neither limits nor speed."""
 
-import hashlib
 import json
 from typing import Any, Literal
 
@@ -13,9 +12,7 @@ from drone_env.core.tasks import TaskConfig, get_task, own_rules
 from drone_env.files import differences
 from drone_env.llm.prompt import Prompt, get_prompt, parse_prompt
 from drone_env.llm.settings import check_url
-from drone_env.models import Count, Message
-
-AnswerForm = Literal["text", "json", "tool"]
+from drone_env.models import DIRECTIONS, Count, Message
 
 
 class Sampling(Message):
@@ -57,7 +54,7 @@ class RunConfig(Message):
     prompt_digest: str = Field(description="What its file held.")
     prompt_text: str | None = Field(default=None, description="The file itself, where it is none of the package's.")
     history: Count = Field(description="How many of the last steps the prompt names.")
-    answers: AnswerForm
+    answers: Literal["text", "json", "tool"]
     stream: bool
     sampling: Sampling
 
@@ -76,14 +73,14 @@ class RunConfig(Message):
 
     @model_validator(mode="after")
     def _known(self) -> Self:
-        if self.rules not in ({}, own_rules(self.task_config)):
+        if self.rules != own_rules(self.task_config):
             raise ValueError(
                 f"the run flew another task of the name {self.task!r} than there is now: name the file as it was; "
                 "a city that is changed takes another name"
             )
         if self.profile.id != self.reward_profile:
             raise ValueError(f"rewards are those of {self.profile.id!r}, not of {self.reward_profile!r}")
-        if self.history and not self._prompt().tells_history:
+        if self.history and "history" not in self._prompt().names:
             raise ValueError(f"prompt {self.prompt} tells no last steps: history must be 0")
         start, stop = self.seeds
         if not start < stop <= N_SEEDS:
@@ -128,11 +125,41 @@ class RunConfig(Message):
         return parse_prompt(f"{self.prompt}.toml", self.prompt_text, own=True)
 
     def differences(self, other: "RunConfig") -> list[str]:
-        """What differs, one line for each field. Runs from before tell no rules, and others have those of the task."""
-        return differences(dict(self), dict(other) | {"rules": self.rules})
+        """The fields that differ, one line each."""
+        return differences(dict(self), dict(other))
 
 
-def digest(value: object) -> str:
-    """SHA-256 of a JSON value, 16 hex digits."""
-    text = json.dumps(value, sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+def request_bodies(config: RunConfig) -> list[dict[str, Any]]:
+    """The body of the requests of each repeat, without the messages."""
+    sampling = config.sampling.model_dump(exclude={"extra"}, exclude_none=True)
+    body = {"model": config.model, **sampling, **config.sampling.extra, **_answer_form(config)}
+    # Equal seeds would make each repeat a copy of the first.
+    seed = config.sampling.seed
+    return [body if seed is None else {**body, "seed": seed + repeat} for repeat in range(config.repeats)]
+
+
+def _answer_form(config: RunConfig) -> dict[str, Any]:
+    """The fields of the body that ask for answers in the form of the run."""
+    prompt = config.load_prompt()
+    # If names are drawn for each map, the prompt lists them.
+    one: dict[str, Any] = {"type": "string"} if prompt.symbols else {"type": "string", "enum": DIRECTIONS}
+    properties = {"actions": {"type": "array", "items": one}} if prompt.plan else {"direction": one}
+    schema = {
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+    name = "fly_route" if prompt.plan else "fly"
+    if config.answers == "json":
+        return {
+            "response_format": {"type": "json_schema", "json_schema": {"name": name, "schema": schema, "strict": True}}
+        }
+    if config.answers == "tool":
+        description = "Fly the whole route." if prompt.plan else "Fly one step."
+        function = {"name": name, "description": description, "parameters": schema}
+        return {
+            "tools": [{"type": "function", "function": function}],
+            "tool_choice": {"type": "function", "function": {"name": name}},
+        }
+    return {}

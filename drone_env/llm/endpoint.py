@@ -1,6 +1,7 @@
-"""One request to an OpenAI-compatible endpoint: what goes out, what comes back, which failures are worth a retry."""
+"""An OpenAI-compatible endpoint: sends one request, reads what comes back, and classifies the failures."""
 
 import asyncio
+import base64
 import contextlib
 import itertools
 import json
@@ -17,34 +18,31 @@ from urllib.parse import urlsplit
 import httpx
 
 from drone_env import __version__
-from drone_env.core.actions import Action
 from drone_env.errors import DroneEnvError
 from drone_env.llm.answers import Answer
-from drone_env.llm.config import RunConfig
-from drone_env.llm.messages import ChatMessage
-from drone_env.llm.redaction import without_secret
+from drone_env.llm.config import RunConfig, request_bodies
+from drone_env.llm.content import ChatMessage
 from drone_env.llm.settings import LOOPBACK
 
 RETRIED = {408, 409, 429}
 REASON_CHARACTERS = 300
 MOST_TOKENS = 10**12
-"""A count of tokens from here on is none."""
+"""Larger counts of tokens are ignored."""
 MOST_BYTES = 1 << 22
-"""A longer answer is not read on: a million tokens take less, and an endpoint must not fill the memory."""
+"""Longer answers are rejected: a million tokens take less, and an endpoint must not fill the memory."""
 PACKED = 64
-"""How many times less a compressed answer may have. None is asked for, and one may grow a thousandfold."""
+"""A compressed answer may be this much shorter: nobody asks for one, and one can grow a thousandfold."""
 POOLS = 8
-"""Pools of connections. A pool looks at all of its own for each request, which hundreds in one would make slow."""
+"""Pools of connections. A pool scans all its connections for each request, which is slow with hundreds in one."""
 SILENCE_SECONDS = 1.0
-"""How long the end of a response is waited for behind the end of its stream."""
+"""How long to wait for the end of a response after the end of its stream."""
 STREAM_END = re.compile(rb"^data: ?\[DONE\]", re.MULTILINE)
-DIRECTIONS = [action.name for action in Action]
 PARTS = {
     **dict.fromkeys(("text", "output_text", "summary_text"), "text"),
     **dict.fromkeys(("reasoning", "thinking"), "reasoning"),
     "refusal": "refusal",
 }
-"""Where each type of part of a message's content belongs. Parts of other types, such as pictures, are ignored."""
+"""The field of the answer for each type of content part. Other types, such as pictures, are ignored."""
 HINTS = {
     401: "the token is missing or wrong: check HF_TOKEN (Hugging Face) or OPENAI_API_KEY (elsewhere)",
     403: "the token may not use this model or endpoint",
@@ -64,9 +62,11 @@ OPTIONS = (
     ("response_format", "response_format|json_schema", "--answers text"),
     ("tools", r"tool_choice|\btools?\b|function", "--answers text"),
 )
-"""What is sent, how an endpoint says that it does not take it so, and what helps; the first that fits is named."""
+"""A field that was sent, how an endpoint rejects it, and the option that fixes it; the first match counts."""
 NO_PICTURE = re.compile(r"image|vision|multi-?modal|content\b.*\bstring|string\b.*\bcontent", re.IGNORECASE)
-"""How an endpoint says that it takes no pictures."""
+"""How an endpoint rejects pictures."""
+SHORTEST_SECRET = 8
+"""Shorter tokens, such as the `x` that local servers accept, are not secret: they are parts of words."""
 
 
 @dataclass(eq=False)
@@ -76,14 +76,14 @@ class TryFailedError(DroneEnvError):
     Attributes:
         status: The HTTP status, or the one that an error in a 200 response carries; 0 if there was none.
         reason: What went wrong, in words.
-        retried: Whether another try may bring one.
-        retry_after: Seconds that the endpoint asks to wait; None where it does not say.
-        fatal: Whether every other call would be refused as well.
+        retried: Whether another try may bring an answer.
+        retry_after: Seconds that the endpoint asks to wait; None if it does not.
+        fatal: Whether every other call would fail as well.
     """
 
     status: int
     reason: str
-    retried: bool
+    retried: bool = False
     retry_after: float | None = None
     fatal: bool = False
 
@@ -92,7 +92,7 @@ class TryFailedError(DroneEnvError):
 
 
 class _SentError(Exception):
-    """A 200 response that holds an error, or no answer, as `value`."""
+    """A 200 response that contains an error, or no answer, as `value`."""
 
     def __init__(self, value: Any) -> None:
         super().__init__()
@@ -101,22 +101,19 @@ class _SentError(Exception):
 
 @lru_cache(maxsize=1)
 def trusted() -> ssl.SSLContext:
-    """The machine's own certificates beside those that httpx brings, read once for all endpoints of a process."""
+    """The certificates of the machine and of httpx, read once per process."""
     certificates = httpx.create_ssl_context()
     certificates.load_default_certs()
     return certificates
 
 
 class Endpoint:
-    """Sends requests. To be closed.
+    """Sends requests. Close it after use.
 
     Args:
         config: Model, address, sampling, form of the answers.
         token: What authorises; None to send none.
         timeout: Seconds that an answer may take.
-
-    Attributes:
-        bodies: By the number of the repeat, the body of its requests without the messages.
     """
 
     def __init__(self, config: RunConfig, token: str | None, timeout: float) -> None:
@@ -125,13 +122,14 @@ class Endpoint:
         self._timeout = timeout
         self._stream = config.stream
         self._picture = config.load_prompt().picture
-        self.bodies = [request_body(config, repeat) for repeat in range(config.repeats)]
+        streamed = {"stream": True, "stream_options": {"include_usage": True}} if config.stream else {}
+        self._bodies = [body | streamed for body in request_bodies(config)]
         headers = {"user-agent": f"drone-env/{__version__}", "accept-encoding": "identity"}
         if token is not None:
             headers["authorization"] = f"Bearer {token}"
-        # A redirect could take the token elsewhere. No limit of connections: the gate limits them.
-        # A proxy is another machine: what goes to this one, unencrypted, passes none.
-        clients = [
+        # A redirect could take the token elsewhere, and so could a proxy for this machine. The rate limiter limits the
+        # connections.
+        self._clients = [
             httpx.AsyncClient(
                 headers=headers,
                 trust_env=urlsplit(config.base_url).hostname not in LOOPBACK,
@@ -142,37 +140,34 @@ class Endpoint:
             )
             for _ in range(POOLS)
         ]
-        self._clients = clients
-        self._next_client = itertools.cycle(clients)
+        self._next_client = itertools.cycle(self._clients)
 
-    async def ask(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
-        """Send one request. The answer holds no token, wherever the endpoint quotes it.
+    async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
+        """Send one request. The answer does not contain the token, even if the endpoint quotes it.
 
         Raises:
             TryFailedError: if no answer came.
         """
         try:
-            return await asyncio.wait_for(self._ask(messages, call_id, self.bodies[repeat]), self._timeout)
+            return await asyncio.wait_for(self._send(messages, call_id, self._bodies[repeat]), self._timeout)
         except asyncio.TimeoutError:
             raise TryFailedError(0, f"no answer within {self._timeout:g} s", retried=True) from None
         except (httpx.HTTPError, httpx.InvalidURL) as error:
             reason = f"{type(error).__name__}: {error}".rstrip(": ")
             raise TryFailedError(0, self._clean(reason), retried=True) from None
         except ValueError as error:
-            raise TryFailedError(200, self._clean(f"not an answer: {error}"), retried=False) from None
+            raise TryFailedError(200, self._clean(f"not an answer: {error}")) from None
         except (AttributeError, LookupError, TypeError, RecursionError) as error:
-            # Foreign servers send anything where the protocol has objects and lists, and nothing checks it before.
-            raise TryFailedError(200, self._clean(f"not in the form of an answer: {error}"), retried=False) from None
+            # Foreign servers send anything in place of the objects and lists of the protocol.
+            raise TryFailedError(200, self._clean(f"not in the form of an answer: {error}")) from None
 
     async def close(self) -> None:
         """Close all connections."""
         for client in self._clients:
             await client.aclose()
 
-    async def _ask(self, messages: Sequence[ChatMessage], call_id: str, body: dict[str, Any]) -> Answer:
+    async def _send(self, messages: Sequence[ChatMessage], call_id: str, body: dict[str, Any]) -> Answer:
         body = {"messages": list(messages), **body}
-        if self._stream:
-            body |= {"stream": True, "stream_options": {"include_usage": True}}
         headers = {"x-client-request-id": call_id}
         async with next(self._next_client).stream("POST", self._url, json=body, headers=headers) as response:
             data = await _read(response)
@@ -190,12 +185,13 @@ class Endpoint:
         return Answer.model_validate(fields | {name: without_secret(text, self._token) for name, text in texts.items()})
 
     def _error_inside(self, error: Any, headers: httpx.Headers) -> TryFailedError:
-        """Treat an error in a 200 response as one with the status that it carries."""
+        """Treat an error in a 200 response like one with the status that it carries."""
         reason = f"{self._clean(_message_of(error) or json.dumps(error))} (in a 200 response)"
-        status, headers = _status_in(error), httpx.Headers({**headers, **_wait_in(error)})
+        named = (str(_fields(error).get(name)) for name in ("code", "status"))
+        status = next((int(value) for value in named if re.fullmatch("[45][0-9][0-9]", value)), None)
+        headers = httpx.Headers({**headers, **_wait_in(error)})
         if status is not None:
             return self._refusal(status, reason, headers)
-        # Nothing says that it will stay so.
         return TryFailedError(200, reason, retried=True, retry_after=_retry_after(headers))
 
     def _refusal(self, status: int, reason: str, headers: httpx.Headers) -> TryFailedError:
@@ -203,21 +199,20 @@ class Endpoint:
         if not reason:
             reason = f"{httpx.codes.get_reason_phrase(status)}, without a reason".removeprefix(", ")
         if 300 <= status < 400:
-            # Who follows takes the token along.
             where = self._clean(headers.get("location", "elsewhere"))
             reason = f"it redirects to {where}, which is not followed: API_BASE_URL must be the endpoint itself"
         if self._picture and _takes_no_picture(status, reason):
             reason += " (each call shows a picture: try it with one that does not, such as --prompt grid)"
-            return TryFailedError(status, reason, retried=False, fatal=True)
+            return TryFailedError(status, reason, fatal=True)
         if status in HINTS:
-            return TryFailedError(status, f"{HINTS[status]} ({reason})", retried=False, fatal=True)
-        retried = status in RETRIED or status >= 500
+            return TryFailedError(status, f"{HINTS[status]} ({reason})", fatal=True)
         if status in (400, 422):
-            sent = {**self.bodies[0], "stream": True} if self._stream else self.bodies[0]
+            sent = self._bodies[0]
             for name, told, option in OPTIONS:
                 if name in sent and re.search(told, reason, re.IGNORECASE):
                     reason += f" (try it with {option % sent})"
                     break
+        retried = status in RETRIED or status >= 500
         return TryFailedError(status, reason, retried, _retry_after(headers) if retried else None)
 
     def _clean(self, text: str) -> str:
@@ -229,51 +224,14 @@ class Endpoint:
 
 
 def _takes_no_picture(status: int, reason: str) -> bool:
-    """Whether a refusal is one of the picture; some call that an error of their own (500), or no such model (404)."""
+    """Whether an endpoint rejects the picture; some call that an error of their own (500), or no such model (404)."""
     if status == 500 and "support" not in reason:
         return False
     return status == 413 or (status in (400, 404, 415, 422, 500) and NO_PICTURE.search(reason) is not None)
 
 
-def request_body(config: RunConfig, repeat: int = 0) -> dict[str, Any]:
-    """Build the body of the requests of one repeat, without the messages."""
-    sampling = config.sampling.model_dump(exclude={"extra"}, exclude_none=True)
-    if "seed" in sampling:
-        # With the same seed each repeat would be a copy of the first.
-        sampling["seed"] += repeat
-    return {"model": config.model, **sampling, **config.sampling.extra, **_form(config)}
-
-
-def _form(config: RunConfig) -> dict[str, Any]:
-    """What asks for answers in the form of the run."""
-    prompt = config.load_prompt()
-    plan = prompt.plan
-    # Where names are drawn for each map, the prompt says which.
-    one: dict[str, Any] = {"type": "string"} if prompt.drawn else {"type": "string", "enum": DIRECTIONS}
-    properties = {"actions": {"type": "array", "items": one}} if plan else {"direction": one}
-    schema = {
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-        "additionalProperties": False,
-    }
-    name = "fly_route" if plan else "fly"
-    if config.answers == "json":
-        return {
-            "response_format": {"type": "json_schema", "json_schema": {"name": name, "schema": schema, "strict": True}}
-        }
-    if config.answers == "tool":
-        described = "Fly the whole route." if plan else "Fly one step."
-        function = {"name": name, "description": described, "parameters": schema}
-        return {
-            "tools": [{"type": "function", "function": function}],
-            "tool_choice": {"type": "function", "function": {"name": name}},
-        }
-    return {}
-
-
 async def _read(response: httpx.Response) -> bytes:
-    """What is sent, up to a limit; of a stream up to its mark of the end, behind which a server may fall silent."""
+    """The body up to a limit; of a stream up to its end mark, after which a server may stay silent."""
     packed = "content-encoding" in response.headers
     most = MOST_BYTES // PACKED if packed else MOST_BYTES
     data, chunks = bytearray(), response.aiter_raw()
@@ -283,7 +241,7 @@ async def _read(response: httpx.Response) -> bytes:
             # Not worth a retry, whatever its status.
             raise ValueError(f"it takes more than {most:,} bytes")
         if STREAM_END.search(data, max(0, len(data) - len(chunk) - len("data: [DONE]"))):
-            # A connection is used again if its response was read to the end.
+            # httpx reuses a connection if its response was read to the end.
             with contextlib.suppress(asyncio.TimeoutError, httpx.HTTPError):
                 await asyncio.wait_for(_pass_over(chunks), SILENCE_SECONDS)
             break
@@ -297,18 +255,18 @@ async def _pass_over(chunks: AsyncIterator[bytes]) -> None:
 
 def _streamed(data: bytes) -> dict[str, Any]:
     """The answer in the events of a stream."""
-    # Behind the last end of a line stands what was cut off.
+    # What follows the last line end was cut off.
     lines = data[: data.rfind(b"\n") + 1].splitlines()
     events = [line.removeprefix(b"data:").strip() for line in lines if line.startswith(b"data:")]
     return _answer([_json(event) for event in events if event not in (b"", b"[DONE]")], "delta")
 
 
 def _answer(completions: Sequence[Any], part: str) -> dict[str, Any]:
-    """The fields of the answer in a completion, or in the pieces of one; foreign servers leave much of it out.
+    """The fields of the answer in a completion, or in the pieces of one; foreign servers omit many fields.
 
     Args:
-        completions: Objects as in the protocol.
-        part: What a choice holds: `message`, or `delta` in a stream.
+        completions: Objects of the protocol.
+        part: The name of a choice's content: `message`, or `delta` in a stream.
     """
     texts: dict[str, list[str]] = {"text": [], "reasoning": [], "refusal": [], "tool_arguments": []}
     last: dict[str, str | None] = {"finish_reason": None, "model": None}
@@ -328,16 +286,15 @@ def _answer(completions: Sequence[Any], part: str) -> dict[str, Any]:
             if choice.get("error") or last["finish_reason"] == "error":
                 raise _SentError(choice.get("error") or {"message": "the answer was broken off by an error"})
             message: Any = choice.get(part) or {}
-            calls: list[Any] = message.get("tool_calls") or []
             for name, piece in _pieces(message.get("content")):
                 texts[name].append(piece)
             thoughts = message.get("reasoning_content") or message.get("reasoning")
             texts["reasoning"] += [piece for _, piece in _pieces(thoughts)]
-            refusal = _text(message.get("refusal"))
-            # Those of several calls stand side by side, which makes them no action.
-            arguments = [_text((call.get("function") or {}).get("arguments")) for call in calls]
-            texts["refusal"] += [refusal] if refusal else []
-            texts["tool_arguments"] += [piece for piece in arguments if piece]
+            texts["refusal"].append(_text(message.get("refusal")) or "")
+            # The arguments of several calls are joined, which is not an action.
+            calls: list[Any] = message.get("tool_calls") or []
+            for call in calls:
+                texts["tool_arguments"].append(_text((call.get("function") or {}).get("arguments")) or "")
     joined = {name: "".join(found) or None for name, found in texts.items()}
     if part == "message" and not any(joined.values()) and last["finish_reason"] is None:
         raise _SentError({"message": "the message is empty"})
@@ -348,17 +305,13 @@ def _answer(completions: Sequence[Any], part: str) -> dict[str, Any]:
 
 def _pieces(content: Any) -> Iterator[tuple[str, str]]:
     """(field of the answer, text) for each piece of a content: a text, or a list of parts."""
-    if content is None or isinstance(content, str):
-        yield "text", content or ""
-        return
     if not isinstance(content, list):
-        raise ValueError(f"text was expected, got {content!r}")
+        yield "text", _text(content) or ""
+        return
     for part in cast(list[Any], content):
         if isinstance(part, str):
             yield "text", part
-            continue
-        kind = part.get("type", "text")
-        if kind in PARTS:
+        elif (kind := part.get("type", "text")) in PARTS:
             inner = part.get("text") or part.get(kind) or part.get("summary")
             yield PARTS[kind], "".join(text for _, text in _pieces(inner))
 
@@ -376,8 +329,12 @@ def _text(value: Any) -> str | None:
     raise ValueError(f"text was expected, got {value!r}")
 
 
+def _fields(value: Any) -> Mapping[str, Any]:
+    return cast(Mapping[str, Any], value) if isinstance(value, Mapping) else {}
+
+
 def _error_text(data: bytes) -> str:
-    """What an error says, in whatever form it came."""
+    """The message of an error, or the whole text."""
     text = data.decode(errors="replace")
     try:
         message = _message_of(json.loads(data))
@@ -388,40 +345,30 @@ def _error_text(data: bytes) -> str:
 
 def _message_of(error: Any) -> str | None:
     """Find the message of an error; None if it has none in a usual place."""
-    if isinstance(error, Mapping):
-        fields = cast(Mapping[str, Any], error)
-        named = (fields.get(name) for name in ("error", "message", "detail"))
-        return next((found for found in map(_message_of, named) if found is not None), None)
-    return error if isinstance(error, str) else None
-
-
-def _status_in(error: Any) -> int | None:
-    """The HTTP status that an error carries: `code` or `status`, as a number or in digits."""
-    fields: Mapping[str, Any] = cast(Mapping[str, Any], error) if isinstance(error, Mapping) else {}
-    named = (str(fields.get(name)) for name in ("code", "status"))
-    return next((int(value) for value in named if re.fullmatch("[45][0-9][0-9]", value)), None)
+    if isinstance(error, str):
+        return error
+    named = (_fields(error)[name] for name in ("error", "message", "detail") if name in _fields(error))
+    return next((message for message in map(_message_of, named) if message is not None), None)
 
 
 def _wait_in(error: Any) -> dict[str, str]:
-    """The headers about waiting that an error holds: in itself, in its `metadata`, or in the `headers` of these.
+    """The headers about waiting in an error: in itself, in its `metadata`, or in the `headers` of these.
 
-    OpenRouter says there at which millisecond since 1970 its limit ends.
+    OpenRouter names the millisecond since 1970 at which its limit ends.
     """
     found: dict[str, str] = {}
     parts = [error]
     for part in parts:
-        if isinstance(part, Mapping):
-            fields = cast(Mapping[str, Any], part)
-            named = {name.lower().replace("_", "-"): str(value) for name, value in fields.items()}
-            found |= {name: named[name] for name in ("retry-after", "retry-after-ms") if name in named}
-            if not found and re.fullmatch("[0-9]{13}", named.get("x-ratelimit-reset", "")):
-                found["retry-after-ms"] = str(int(named["x-ratelimit-reset"]) - 1000 * time())
-            parts += [fields.get("metadata"), fields.get("headers")]
+        named = {name.lower().replace("_", "-"): str(value) for name, value in _fields(part).items()}
+        found |= {name: named[name] for name in ("retry-after", "retry-after-ms") if name in named}
+        if not found and re.fullmatch("[0-9]{13}", named.get("x-ratelimit-reset", "")):
+            found["retry-after-ms"] = str(int(named["x-ratelimit-reset"]) - 1000 * time())
+        parts += [_fields(part)[name] for name in ("metadata", "headers") if name in _fields(part)]
     return found
 
 
 def _retry_after(headers: httpx.Headers) -> float | None:
-    """Seconds that the endpoint asks to wait, from its headers; None where they do not say."""
+    """Seconds that the endpoint asks to wait, from its headers; None if they do not say."""
     milliseconds, after = headers.get("retry-after-ms"), headers.get("retry-after")
     try:
         if milliseconds is not None:
@@ -433,3 +380,44 @@ def _retry_after(headers: httpx.Headers) -> float | None:
         return max(0.0, parsedate_to_datetime(after).timestamp() - time())
     except (TypeError, ValueError):
         return None
+
+
+def without_secret(text: str, secret: str | None) -> str:
+    """The text with `***` in place of the secret.
+
+    It finds the secret in any case, backwards, with escaped characters (as in URLs, HTML, JSON and mail), in base64 at
+    any offset, and in hexadecimal.
+    """
+    if secret is None or len(secret) < SHORTEST_SECRET:
+        return text
+    return _spellings(secret).sub("***", text)
+
+
+@lru_cache(maxsize=8)
+def _spellings(secret: str) -> re.Pattern[str]:
+    forward = r"\s?".join(map(_character, secret))
+    backwards = r"\s?".join(map(_character, reversed(secret)))
+    hexadecimal = r"[\W_]{0,3}".join(f"{ord(letter):02x}" for letter in secret)
+    coded = [_base64(spelling, offset) for spelling in (secret, secret.lower(), secret.upper()) for offset in range(3)]
+    # Looking at one character first is several times faster than trying all spellings everywhere.
+    begins = "".join(form[1:3] if form[0] == "[" else form[0] for form in coded)
+    firsts = re.escape(secret[0] + secret[-1] + hexadecimal[0] + "%=\\&" + begins)
+    return re.compile(f"(?=[{firsts}])(?:{'|'.join([forward, backwards, hexadecimal, *coded])})", re.IGNORECASE)
+
+
+def _character(letter: str) -> str:
+    """One character, plain or escaped."""
+    code = ord(letter)
+    escapes = rf"(?:%(?:25)*|=|\\{{1,4}}(?:x|u00|u\{{0*)|&#x0*){code:02x}[;}}]?|&#0*{code};?"
+    return f"(?:{re.escape(letter)}|{escapes})"
+
+
+def _base64(secret: str, offset: int) -> str:
+    """The base64 of the secret after this many other bytes, in either alphabet, perhaps on several lines.
+
+    Without the digits at its ends that also depend on its neighbours: they show less than a character.
+    """
+    coded = base64.b64encode(b"\0" * offset + secret.encode()).decode().rstrip("=")
+    first, last = -(-8 * offset // 6), 8 * (offset + len(secret)) // 6
+    digits = ["[+-]" if digit == "+" else "[/_]" if digit == "/" else digit for digit in coded[first:last]]
+    return r"\s*".join(digits)

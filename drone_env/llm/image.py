@@ -1,13 +1,12 @@
-"""Flying in a server, such as one in a Docker image, beside the rules here: the two must agree in every observation."""
+"""A server, such as one in a Docker image, that flies along: it must agree with the rules here in every observation."""
 
 import asyncio
 import json
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
-from typing import Any
+from collections.abc import Generator
+from contextlib import closing, contextmanager
 
 import httpx
 
@@ -15,6 +14,7 @@ from drone_env.client import DroneEnvClient, ServerError
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.errors import InvalidValueError
+from drone_env.llm.flight import OnStep
 from drone_env.models import DroneObservation
 
 START_SECONDS = 120.0
@@ -22,11 +22,11 @@ PORT = 8000
 
 
 class ServerSession:
-    """A session on a server that flies, step by step, what an episode here flies. To be closed.
+    """Flies on a server, step by step, what an episode here flies. Close it after use.
 
     Args:
-        url: Where the server is.
-        agent: Who flies, for its records.
+        url: The address of the server.
+        agent: The agent in its records.
     """
 
     def __init__(self, url: str, agent: str) -> None:
@@ -34,26 +34,18 @@ class ServerSession:
         self._agent = agent
         self._client = DroneEnvClient(url)
 
-    async def reset(self, episode: Episode) -> None:
-        """Start the map of an episode that has just been reset.
+    async def follow(self, episode: Episode) -> None:
+        """Repeat the last step of an episode, or its reset if it has no steps.
 
         Raises:
             InvalidValueError: if the server shows something else than the episode, or does not answer.
         """
-        profile = episode.reward_profile.id
-        await self._agree(episode, self._client.reset, episode.task.id, episode.seed, profile, self._agent)
-
-    async def step(self, episode: Episode, action: Action) -> None:
-        """Fly the action that the episode has just flown."""
-        await self._agree(episode, self._client.step, action.name)
-
-    def close(self) -> None:
-        """Close the connection."""
-        self._client.close()
-
-    async def _agree(self, episode: Episode, call: Callable[..., dict[str, Any]], *arguments: object) -> None:
         try:
-            shown = await asyncio.to_thread(call, *arguments)
+            if episode.steps:
+                shown = await asyncio.to_thread(self._client.step, Action(episode.actions[-1]).name)
+            else:
+                names = (episode.task.id, episode.seed, episode.reward_profile.id, self._agent)
+                shown = await asyncio.to_thread(self._client.reset, *names)
         except (ServerError, httpx.HTTPError) as error:
             raise InvalidValueError(f"the server at {self._url} did not fly: {error}") from None
         expected = json.loads(DroneObservation.of(episode).model_dump_json())
@@ -63,6 +55,20 @@ class ServerSession:
                 f"the server at {self._url} flies by other rules: map {episode.seed}, step {episode.steps}: "
                 f"{differing[0]} {shown.get(differing[0])!r} where it is {expected[differing[0]]!r} here"
             )
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._client.close()
+
+
+@contextmanager
+def following(server: str | None, agent: str) -> Generator[OnStep | None, None, None]:
+    """What a flight calls after each step so that a server flies along; None without a server."""
+    if server is None:
+        yield None
+        return
+    with closing(ServerSession(server, agent)) as session:
+        yield session.follow
 
 
 @contextmanager

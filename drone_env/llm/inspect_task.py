@@ -17,9 +17,9 @@ from drone_env.core.seeds import split_seeds
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError, needs
 from drone_env.llm.answers import Answer, Reading, Unusable, read_answer
-from drone_env.llm.gate import LimitReachedError
-from drone_env.llm.messages import ChatMessage, with_pictures
-from drone_env.llm.pilot import PilotedEpisode, fly
+from drone_env.llm.content import ChatMessage, with_pictures
+from drone_env.llm.flight import PilotedEpisode, fly
+from drone_env.llm.limiter import LimitReachedError
 from drone_env.llm.prompt import first_messages, get_prompt
 from drone_env.llm.run_folder import PilotedRecord
 from drone_env.llm.runner import MOST_ERRORED, log_text
@@ -111,7 +111,7 @@ def pilot(task: str, prompt: str, history: int, reward_profile: str, sampling_se
     async def solve(state: TaskState, generate: Generate) -> TaskState:
         model = get_model()
         stopped: BaseException | None = None
-        words = chosen.symbols(config, state.metadata["seed"]).actions
+        words = chosen.symbols_of(config, state.metadata["seed"]).actions
         sampling = GenerateConfig(seed=None if sampling_seed is None else sampling_seed + state.epoch - 1)
 
         async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:

@@ -9,9 +9,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from drone_env.llm.answers import Unusable
 from drone_env.llm.config import RunConfig
-from drone_env.llm.gate import Gate
-from drone_env.llm.pilot import PilotedEpisode
-from drone_env.llm.runner import log_text
+from drone_env.llm.flight import PilotedEpisode
+from drone_env.llm.limiter import RateLimiter
+from drone_env.llm.runner import Observer, log_text
 from drone_env.llm.transcript import Call
 
 LINE_SECONDS = 10.0
@@ -19,27 +19,29 @@ LONG_WAIT = 5.0
 QUIET_SECONDS = 1.0
 
 
-class ConsoleObserver:
+class ConsoleObserver(Observer):
     """Prints the log lines of each flight to standard output, together, and all else to standard error.
 
     Args:
         config: The run.
-        gate: What its requests pass, for the figures.
-        keep: Is given each flight before its log lines are printed.
+        limiter: Its rate limiter, for the figures.
+        keep: Is called with each flight before its log lines are printed.
 
     Attributes:
-        progress: The bar, to be entered by a `with`.
+        progress: The bar; enter it in a `with`.
     """
 
-    def __init__(self, config: RunConfig, gate: Gate, keep: Callable[[PilotedEpisode], None]) -> None:
+    def __init__(self, config: RunConfig, limiter: RateLimiter, keep: Callable[[PilotedEpisode], None]) -> None:
         self._config = config
-        self._gate = gate
+        self._limiter = limiter
         self._keep = keep
         self._console = Console(stderr=True, highlight=False, markup=False, emoji=False)
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         terminal = self._console.file.isatty()
         self.progress = Progress(
-            *columns,
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
             TextColumn("{task.fields[figures]}"),
             console=self._console,
             transient=True,
@@ -47,17 +49,15 @@ class ConsoleObserver:
             redirect_stdout=terminal,
         )
         self._bar = self.progress.add_task(config.task_config.short_name, total=config.flights, figures="")
-        self._done = 0
+        self._done = self._calls = self._answers = self._unusable = self._waits = 0
         self._scores: list[float] = []
-        self._calls = self._answers = self._unusable = 0
         self._began = self._line_shown = time.monotonic()
-        self._waits = 0
         self._wait_shown = 0.0
 
     def called(self, call: Call) -> None:
         """A call was made."""
         self._calls += 1
-        # A first answer that could not be used is asked for once more.
+        # The model may repair its first answer.
         if call.answer is not None and (call.outcome == "ok" or call.attempt == 2):
             self._answers += 1
             self._unusable += call.outcome != "ok"
@@ -73,7 +73,7 @@ class ConsoleObserver:
             self._console.print(f"{reason}; next attempt in {seconds:.1f} s ({so_far})", soft_wrap=True)
 
     def flown(self, flown: PilotedEpisode) -> None:
-        """A flight is over: its log lines."""
+        """A flight is over."""
         self._keep(flown)
         print(log_text(flown, self._config.model), end="", flush=True)
         self._done += 1
@@ -81,25 +81,20 @@ class ConsoleObserver:
             self._scores.append(flown.episode.counted_score())
         if flown.status != "finished":
             self._console.print(f"map {flown.episode.seed}: {flown.status}: {flown.error}")
-        self.progress.update(self._bar, completed=self._done)
         self._show()
 
     def _show(self) -> None:
-        now = time.monotonic()
-        if self.progress.disable:
-            if now - self._line_shown >= LINE_SECONDS:
-                self._line_shown = now
-                self._console.print(
-                    f"{self._done} of {self._config.flights} flights, {self._figures(now)}", soft_wrap=True
-                )
+        now, limiter = time.monotonic(), self._limiter
+        if self.progress.disable and now - self._line_shown < LINE_SECONDS:
             return
-        self.progress.update(self._bar, figures=self._figures(now))
-
-    def _figures(self, now: float) -> str:
-        gate = self._gate
+        self._line_shown = now
         rate = self._calls / max(now - self._began, 1e-9)
-        cost = "" if gate.cost is None else f", ${gate.cost:.4f}"
+        cost = "" if limiter.cost is None else f", ${limiter.cost:.4f}"
         score = f"score {fmean(self._scores):.4f}, " if self._scores else ""
-        result = f"{score}unusable answers {Unusable(self._unusable, self._answers)}"
-        spent = f"{gate.requests} requests, {rate:.1f} calls/s, {gate.active} at once, {gate.tokens} tokens{cost}"
-        return f"{result}, {spent}"
+        figures = (
+            f"{score}unusable answers {Unusable(self._unusable, self._answers)}, {limiter.requests} requests, "
+            f"{rate:.1f} calls/s, {limiter.active} at once, {limiter.tokens} tokens{cost}"
+        )
+        if self.progress.disable:
+            self._console.print(f"{self._done} of {self._config.flights} flights, {figures}", soft_wrap=True)
+        self.progress.update(self._bar, completed=self._done, figures=figures)

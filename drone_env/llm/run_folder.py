@@ -13,7 +13,7 @@ from drone_env.errors import InvalidValueError
 from drone_env.files import is_begun, locked, read_file, read_lines, write_text
 from drone_env.llm.answers import TURN_KINDS, TurnKind
 from drone_env.llm.config import RunConfig
-from drone_env.llm.pilot import PilotedEpisode, Status
+from drone_env.llm.flight import PilotedEpisode, Status
 from drone_env.llm.transcript import LONGEST_CALL
 from drone_env.models import Count, Message, Score
 from drone_env.results.record import record_of
@@ -111,6 +111,7 @@ class RunFolder:
 
     def __init__(self, path: Path, config: RunConfig, resume: bool) -> None:
         self.path = path
+        self._agent = config.model
         config_path = path / CONFIG
         begun = is_begun(path, CONFIG, "a run")
         if begun and not resume:
@@ -129,27 +130,25 @@ class RunFolder:
                 write_text(config_path, config.model_dump_json(indent=2) + "\n")
             self._opened = opened.pop_all()
 
-    def write_flights(self, flights: Sequence[PilotedEpisode], agent: str) -> None:
-        """Write the records and the results of flights, in their order; each file is there whole or not at all.
+    def write_flights(self, flights: Sequence[PilotedEpisode]) -> None:
+        """Write the records and the results of ordered flights; each file is written whole or not at all.
 
         Raises:
             OSError: if they cannot be written.
         """
-        ordered = sorted(flights, key=lambda flown: flown.index)
-        records = [record_of(flown.episode, agent).to_json() for flown in ordered]
-        results = [PilotedRecord.of(flown).model_dump_json() for flown in ordered]
+        records = [record_of(flown.episode, self._agent).to_json() for flown in flights]
+        results = [PilotedRecord.of(flown).model_dump_json() for flown in flights]
         for name, lines in ((EPISODES, records), (RESULTS, results)):
             write_text(self.path / name, "".join(f"{line}\n" for line in lines))
 
-    def keep(self, flown: PilotedEpisode, store: Store, agent: str) -> None:
+    def keep(self, flown: PilotedEpisode, store: Store) -> None:
         """Keep an episode that was flown to its end in a store: once, however often the run is gone on with.
 
         Raises:
             StoreError: if the store refuses it.
         """
-        if not flown.episode.ended:
-            return
-        store.add_episode(flown.episode, agent, EpisodeIds(self.path).of(flown.index))
+        if flown.episode.ended:
+            store.add_episode(flown.episode, self._agent, EpisodeIds(self.path).of(flown.index))
 
     def close(self) -> None:
         """Let other processes in."""

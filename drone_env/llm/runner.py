@@ -1,35 +1,58 @@
-"""A run: many flights at once, each call in the transcript before it counts."""
+"""A run: many flights at once, whose calls are in the transcript before their answers are used."""
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable, Coroutine
+import functools
+import random
+import time
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Literal, NoReturn, Protocol
+from urllib.parse import urlsplit
 
 from drone_env.core.actions import Action
-from drone_env.llm.answers import TURN_KINDS, TurnKind, Unusable
-from drone_env.llm.caller import Caller
-from drone_env.llm.config import RunConfig
-from drone_env.llm.desk import Desk, Watcher
-from drone_env.llm.endpoint import Endpoint
-from drone_env.llm.gate import Gate, StoppedError
-from drone_env.llm.pilot import PilotedEpisode, fly_one
+from drone_env.errors import EndpointError
+from drone_env.llm.answers import TURN_KINDS, Answer, Reading, TurnKind, Unusable, read_answer
+from drone_env.llm.config import RunConfig, request_bodies
+from drone_env.llm.content import ChatMessage, with_pictures
+from drone_env.llm.endpoint import TryFailedError
+from drone_env.llm.flight import CallFailedError, PilotedEpisode, fly
+from drone_env.llm.image import following
+from drone_env.llm.limiter import LimitReachedError, RateLimiter, StoppedError
 from drone_env.llm.run_folder import TRANSCRIPT, PilotedRecord, RunFolder, results_of
-from drone_env.llm.transcript import Transcript
+from drone_env.llm.transcript import AnswerCache, Call, CallKey, Failure, Transcript, digest
 from drone_env.results.log_lines import end_line, start_line, step_line
 from drone_env.results.statistics import Summary
 
 Verdict = Literal["valid", "incomplete", "invalid", "stopped"]
 MOST_ERRORED = 0.05
 EXIT_STATUS: dict[Verdict, int] = {"valid": 0, "invalid": 1, "stopped": 2, "incomplete": 3}
+LONGEST_BACKOFF = 30.0
 
 
-class Observer(Watcher, Protocol):
-    """Hears what happens in a run."""
+class Sender(Protocol):
+    """An `Endpoint`, of this process or of others."""
+
+    async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
+        """See `Endpoint.send`."""
+        ...
+
+    async def close(self) -> None:
+        """Close all connections."""
+
+
+class Observer:
+    """Is called when something happens in a run; this one does nothing."""
+
+    def called(self, call: Call) -> None:
+        """A call was made."""
+
+    def waiting(self, seconds: float, reason: str) -> None:
+        """A try failed; the next one comes after this many seconds."""
 
     def flown(self, flown: PilotedEpisode) -> None:
         """A flight is over."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -41,7 +64,7 @@ class RunResult:
         verdict: `valid`; `stopped` by an endpoint that refuses; `invalid` because too many flights errored;
             `incomplete` because a limit was reached.
         reason: Why it is not valid, in words.
-        flights: All that were begun and not left in the middle, in order.
+        flights: All that began and were not abandoned, in order.
     """
 
     config: RunConfig
@@ -50,16 +73,12 @@ class RunResult:
     flights: list[PilotedEpisode]
 
 
-Engine = Callable[[RunConfig, RunFolder, str | None, Gate, Observer], Coroutine[Any, Any, RunResult]]
-"""What flies a run: `run`, or the same on a cluster."""
-
-
 def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> tuple[Verdict, str]:
-    """What a run is worth, and why.
+    """The verdict on a run, and its reason.
 
     Args:
         flights: How many it should have.
-        statuses: Of those that were flown.
+        statuses: Those of its flights.
         fatal: Why the endpoint refused every call, if it did.
     """
     errored = statuses.count("errored")
@@ -73,88 +92,189 @@ def verdict_of(flights: int, statuses: list[str], fatal: str | None = None) -> t
     return "valid", ""
 
 
-async def run(config: RunConfig, folder: RunFolder, token: str | None, gate: Gate, observer: Observer) -> RunResult:
-    """Fly all flights of a run, going on where its transcript ends. The folder then holds records and results.
+class Calls:
+    """Makes the calls of a run: each answer comes from the transcript, the cache, or the endpoint with retries.
+
+    Args:
+        config: The run.
+        endpoint: Sends the requests.
+        transcript: Gets every call.
+        limiter: Decides when a request is sent.
+        observer: Is called when something happens.
+    """
+
+    def __init__(
+        self, config: RunConfig, endpoint: Sender, transcript: Transcript, limiter: RateLimiter, observer: Observer
+    ) -> None:
+        self._url = config.base_url
+        self._task = config.task_config
+        self._prompt = config.load_prompt()
+        self._bodies = request_bodies(config)
+        self._endpoint = endpoint
+        self._transcript = transcript
+        self._limiter = limiter
+        self._observer = observer
+        self._cache = None if limiter.options.cache is None else AnswerCache(limiter.options.cache)
+
+    async def ask(self, seed: int, repeat: int, key: CallKey, messages: list[ChatMessage]) -> Reading:
+        """The answer to a call of the flight over this map, as it is understood.
+
+        Raises:
+            CallFailedError: if none came after all retries.
+            LimitReachedError: if the budget of the run is spent.
+            StoppedError: if the run is being stopped because of another call.
+            InvalidValueError: if the transcript contains another request under this key.
+        """
+        body = self._bodies[repeat]
+        request = digest({"body": body, "messages": messages})
+        known = self._transcript.answered.get(key)
+        if known is not None and known.answer is not None:
+            known.require_same(messages, request, body.get("seed"))
+            return self._read(known.answer, seed)
+        self._limiter.check_going_on()
+        # Repeats and repairs draw again from the model: only equal ones share an answer.
+        cache_key = digest([self._url, request, repeat, key.attempt])
+        answer = self._cache.get(cache_key) if self._cache else None
+        cached, picture, began = answer is not None, None, self._limiter.clock.now()
+        failures: list[Failure] = []
+
+        def record(answer: Answer | None, outcome: str) -> None:
+            call = Call(
+                flight=key.flight,
+                seed=seed,
+                repeat=repeat,
+                turn=key.turn,
+                attempt=1 if key.attempt == 1 else 2,
+                messages=messages,
+                picture=picture,
+                request_digest=request,
+                sampling_seed=body.get("seed"),
+                answer=answer,
+                outcome=outcome,
+                failures=failures,
+                latency=0.0 if cached else self._limiter.clock.now() - began,
+                at=time.time(),
+                cached=cached,
+            )
+            self._limiter.count(call)
+            self._transcript.append(call)
+            self._observer.called(call)
+
+        if answer is None:
+            sent, picture = with_pictures(messages)
+            try:
+                answer, began = await self._send(seed, repeat, key, sent, failures)
+            except LimitReachedError:
+                if failures:
+                    record(None, "budget_stop")
+                raise
+            except TryFailedError as failed:
+                record(None, "api_error")
+                self._give_up(failed)
+        reading = self._read(answer, seed)
+        record(answer, reading.kind)
+        if self._cache and not cached:
+            self._cache.put(cache_key, answer)
+        return reading
+
+    def _read(self, answer: Answer, seed: int) -> Reading:
+        prompt = self._prompt
+        return read_answer(answer, prompt.plan, prompt.marks, prompt.symbols_of(self._task, seed).actions)
+
+    async def _send(
+        self, seed: int, repeat: int, key: CallKey, messages: list[ChatMessage], failures: list[Failure]
+    ) -> tuple[Answer, float]:
+        """The answer and when its request was sent; it appends every failed try to `failures`."""
+        limiter, options = self._limiter, self._limiter.options
+        while True:
+            async with limiter.slot() as slot:
+                try:
+                    answer = await self._endpoint.send(messages, str(key), repeat)
+                except TryFailedError as error:
+                    failed, asked = error, error.retry_after
+                    slot.overloaded, slot.pause = failed.retried, min(asked or 0.0, options.longest_wait)
+                else:
+                    slot.tokens = (answer.prompt_tokens or 0) + (answer.completion_tokens or 0)
+                    return answer, slot.sent_at
+            again = failed.retried and len(failures) + 1 < options.tries and (asked or 0.0) <= options.longest_wait
+            bound = min(LONGEST_BACKOFF, options.backoff * 2 ** len(failures))
+            wait = random.uniform(0, bound) if asked is None else asked
+            # After the end of the run's time there is nothing to wait for.
+            wait = min(wait, limiter.seconds_left) if again else 0.0
+            failures.append(Failure(status=failed.status, reason=failed.reason, waited=wait))
+            if not again:
+                raise failed
+            attempt = f"attempt {len(failures)} of {options.tries} failed"
+            self._observer.waiting(wait, f"map {seed}, turn {key.turn}: {attempt}: {failed}")
+            await limiter.clock.sleep(wait)
+
+    def _give_up(self, failed: TryFailedError) -> NoReturn:
+        self._limiter.check_going_on()
+        # Every call would meet what the very first one meets, such as a rejected parameter, or a redirect.
+        first = not self._transcript.answered and 300 <= failed.status < 500 and not failed.retried
+        if failed.fatal or first:
+            host = urlsplit(self._url).netloc
+            self._limiter.fatal = EndpointError(f"{host} answers {failed.status}: {failed.reason}")
+        raise CallFailedError(str(failed))
+
+
+async def run(
+    config: RunConfig, folder: RunFolder, endpoint: Sender, limiter: RateLimiter, observer: Observer
+) -> RunResult:
+    """Fly all flights of a run from the end of its transcript. The folder then contains records and results.
 
     Args:
         config: The run.
         folder: Its folder.
-        token: What authorises; None to send none.
-        gate: What its requests pass, which is new.
-        observer: Hears what happens.
+        endpoint: Sends the requests; it is closed.
+        limiter: Decides when a request is sent; it must be new.
+        observer: Is called when something happens.
 
     Raises:
         OSError: if the folder cannot be written to.
-        InvalidValueError: if the transcript is damaged or of another run.
-    """
-    options = gate.options
-    with contextlib.closing(Transcript(folder.path / TRANSCRIPT)) as transcript:
-        desk = Desk(config, transcript, gate, observer)
-        endpoint = Endpoint(config, token, options.timeout)
-        caller = Caller(config, endpoint, desk, options, gate.clock)
-        try:
-            flights = await fly_all(
-                config, folder, gate, observer, lambda index: fly_one(config, index, caller.ask, options.server)
-            )
-        finally:
-            await endpoint.close()
-    return result_of(config, flights, gate)
-
-
-async def fly_all(
-    config: RunConfig,
-    folder: RunFolder,
-    gate: Gate,
-    observer: Observer,
-    fly: Callable[[int], Awaitable[PilotedEpisode]],
-) -> list[PilotedEpisode]:
-    """Fly all flights, as many at once as there may be requests, until one fails or is stopped; write what was flown.
-
-    Args:
-        config: The run.
-        folder: Its folder.
-        gate: What its requests pass, or a copy of that.
-        observer: Hears what happens.
-        fly: Flies the flight of a number; raises `StoppedError` where the run is being stopped.
+        InvalidValueError: if the transcript is damaged or belongs to another run.
     """
     flights: list[PilotedEpisode] = []
-    numbers = iter(range(config.flights))
+    prompt, numbers = config.load_prompt(), iter(range(config.flights))
+    with contextlib.closing(Transcript(folder.path / TRANSCRIPT)) as transcript:
+        for call in transcript.calls:
+            limiter.requests += call.requests
+            limiter.count(call)
+        calls = Calls(config, endpoint, transcript, limiter, observer)
 
-    async def worker() -> None:
-        for number in numbers:
-            flown = await fly(number)
-            # A flight that the limits did not let begin is not one.
-            if flown.begun or flown.status != "budget_stop":
-                flights.append(flown)
-                observer.flown(flown)
-            gate.check_going_on()
+        async def worker() -> None:
+            for number in numbers:
+                flown = PilotedEpisode.begin(config, number)
+                ask = functools.partial(calls.ask, flown.episode.seed, flown.repeat)
+                with following(limiter.options.server, config.model) as on_step:
+                    await fly(flown, prompt, config.history, ask, on_step)
+                # A flight without an answer because of the limits has not begun.
+                if flown.begun or flown.status != "budget_stop":
+                    flights.append(flown)
+                    observer.flown(flown)
+                limiter.check_going_on()
 
-    workers = [asyncio.ensure_future(worker()) for _ in range(min(config.flights, gate.options.concurrency))]
-    try:
-        with contextlib.suppress(StoppedError):
-            await asyncio.gather(*workers)
-    finally:
-        for task in workers:
-            task.cancel()
-        await asyncio.gather(*workers, return_exceptions=True)
-        # Also when interrupted: what was flown is then there to be seen.
-        folder.write_flights(flights, config.model)
-    return flights
-
-
-def result_of(config: RunConfig, flights: list[PilotedEpisode], gate: Gate) -> RunResult:
-    """The result of a run from its flights, in any order."""
-    ordered = sorted(flights, key=lambda flown: flown.index)
-    fatal = None if gate.fatal is None else str(gate.fatal)
-    verdict, reason = verdict_of(config.flights, [flown.status for flown in ordered], fatal)
-    return RunResult(config, verdict, reason, ordered)
+        workers = [asyncio.ensure_future(worker()) for _ in range(min(config.flights, limiter.options.concurrency))]
+        try:
+            with contextlib.suppress(StoppedError):
+                await asyncio.gather(*workers)
+        finally:
+            for task in workers:
+                task.cancel()
+            await asyncio.gather(*workers, return_exceptions=True)
+            await endpoint.close()
+            # Also after an interruption.
+            flights.sort(key=lambda flown: flown.index)
+            folder.write_flights(flights)
+    fatal = None if limiter.fatal is None else str(limiter.fatal)
+    return RunResult(config, *verdict_of(config.flights, [flown.status for flown in flights], fatal), flights)
 
 
 def log_text(flown: PilotedEpisode, model: str) -> str:
     """The log lines of a flight, each with its newline.
 
     The steps of an unusable answer name it as their error. A flight that stopped early has fewer steps, and its score
-    is what waiting to the end would earn.
+    is that of waiting to the end.
     """
     episode = flown.episode
     lines = [start_line(episode.task, model)]
@@ -166,11 +286,10 @@ def log_text(flown: PilotedEpisode, model: str) -> str:
 
 
 def summary_lines(result: RunResult) -> list[str]:
-    """The result of a run, for people: the score of those that count, how the answers came out, and the verdict."""
+    """The result of a run, for people: the score of the flights that count, the outcomes of answers, the verdict."""
     counted = [flight for flight in result.flights if flight.status != "errored"]
-    outcomes: dict[TurnKind, int] = {
-        name: sum(flight.turns.count(name) for flight in result.flights) for name in TURN_KINDS
-    }
+    found = Counter(turn for flight in result.flights for turn in flight.turns)
+    outcomes: dict[TurnKind, int] = {name: found[name] for name in TURN_KINDS}
     waits = sum(error is not None for flight in result.flights for error in flight.step_errors)
     errored = len(result.flights) - len(counted)
     unfinished = sum(not flight.episode.ended for flight in counted)
@@ -185,6 +304,7 @@ def summary_lines(result: RunResult) -> list[str]:
     if outcomes["truncated"]:
         lines.append("truncated answers: a larger --max-answer-tokens leaves room for thoughts")
     verdict = result.verdict.upper() if result.verdict == "invalid" else result.verdict
-    reason = f"{': ' if result.reason else ''}{result.reason}"
-    lines.append(f"verdict: {verdict}{reason}{'; ' if unusable.marked else ''}{unusable.mark}")
+    lines.append(
+        f"verdict: {': '.join(filter(None, (verdict, result.reason)))}{unusable.mark and f'; {unusable.mark}'}"
+    )
     return lines

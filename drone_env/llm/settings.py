@@ -91,11 +91,8 @@ def ignored_variables() -> dict[str, str]:
         InvalidValueError: if `.env` is no text.
     """
     known = [name.upper() for name in InferenceSettings.model_fields]
-    file = Path(".env")
-    try:
-        written = dotenv_values(file) if file.is_file() else {}
-    except UnicodeDecodeError as error:
-        raise InvalidValueError(f".env is not UTF-8 text: {error.reason} at byte {error.start}") from None
+    load_settings()  # raises the errors of the file
+    written = dotenv_values(".env") if Path(".env").is_file() else {}
     hints = {
         name: "the server reads the environment alone, not .env"
         for name in written

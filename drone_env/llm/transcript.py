@@ -1,11 +1,13 @@
-"""The transcript: every call of a run, one JSON line each, in the file before anything is done with the answer.
+"""The transcript: every call of a run, one JSON line each, in the file before its answer is used.
 
-It is the one source of a run: flights, records and figures all follow from it, so a run that was killed goes on from
-it. A process that dies while it writes leaves at most a cut last line, whose call was not acknowledged.
+It is the single source of a run: flights, records and figures follow from it, so a killed run continues from it. A
+process that dies while it writes leaves at most a cut last line, whose answer nobody used.
 """
 
+import hashlib
+import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -13,9 +15,9 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 
 from drone_env.errors import InvalidValueError
-from drone_env.files import locked, read_lines
+from drone_env.files import locked, read_file, read_lines, write_text
 from drone_env.llm.answers import Answer
-from drone_env.llm.messages import ChatMessage
+from drone_env.llm.content import ChatMessage
 from drone_env.models import Count, Message
 
 LONGEST_CALL = 1 << 24
@@ -23,7 +25,7 @@ LONGEST_CALL = 1 << 24
 
 
 class CallKey(NamedTuple):
-    """Which call of a run: flight from 0, turn from 1, attempt 1 or, after a bad answer, 2."""
+    """Identifies a call of a run: flight from 0, turn from 1, attempt 1 or, after an unusable answer, 2."""
 
     flight: int
     turn: int
@@ -62,25 +64,40 @@ class Call(Message):
 
     @property
     def key(self) -> CallKey:
-        """Which call it is."""
+        """Its key."""
         return CallKey(self.flight, self.turn, self.attempt)
 
     @property
     def requests(self) -> int:
-        """How many requests were sent for it."""
+        """The number of requests that were sent for it."""
         return len(self.failures) + (self.answer is not None and not self.cached)
+
+    def require_same(self, messages: Sequence[ChatMessage], request_digest: str, sampling_seed: int | None) -> None:
+        """Check that this is the call that the run makes now.
+
+        Raises:
+            InvalidValueError: if it sent something else.
+        """
+        sent = (self.messages, self.request_digest, self.sampling_seed)
+        if sent != (messages, request_digest, sampling_seed):
+            raise InvalidValueError(f"call {self.key} asks something else than this run would")
+
+
+def digest(value: object) -> str:
+    """SHA-256 of a JSON value, 16 hex digits."""
+    text = json.dumps(value, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 class Transcript:
-    """A transcript to read from and append to. Not for several threads.
+    """A transcript to read from and append to. Not thread-safe.
 
     Args:
-        path: The file; it is made where it is missing, and a cut last line is removed.
+        path: The file; it is created if it is missing, and a cut last line is removed.
 
     Raises:
         OSError: if it cannot be opened.
-        InvalidValueError: if a line is no call; the message says which. Or if another process writes to it, such as
-            one on a cluster whose driver has just died.
+        InvalidValueError: if a line is not a call, or another process writes to the file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -89,7 +106,11 @@ class Transcript:
         with ExitStack() as opened:
             opened.enter_context(locked(path.with_suffix(".lock"), f"another process writes to {path}"))
             self._file = opened.enter_context(path.open("ab+", buffering=0))
-            self._read()
+            end = 0
+            for size, call in read_calls(path):
+                end += size
+                self.calls.append(call)
+            self._file.truncate(end)
             self._opened = opened.pop_all()
         self.answered = {call.key: call for call in self.calls if call.answer is not None}
 
@@ -102,7 +123,7 @@ class Transcript:
         data = f"{call.model_dump_json()}\n".encode()
         written = self._file.write(data)
         if written != len(data):
-            # The next call would stand on the same line.
+            # The next call would continue this line.
             self._file.truncate(self._file.tell() - (written or 0))
             raise OSError(f"a call could not be written whole to {self.path}")
         self.calls.append(call)
@@ -110,25 +131,18 @@ class Transcript:
             self.answered[call.key] = call
 
     def close(self) -> None:
-        """Put all on the disk and close the file."""
+        """Sync and close the file."""
         if not self._file.closed:
             os.fsync(self._file.fileno())
             self._opened.close()
 
-    def _read(self) -> None:
-        end = 0
-        for size, call in read_calls(self.path):
-            end += size
-            self.calls.append(call)
-        self._file.truncate(end)
-
 
 def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
-    """The calls of a transcript, each with the bytes of its line; a cut last line is left out.
+    """The calls of a transcript, each with the bytes of its line, without a cut last line.
 
     Raises:
         OSError: if it cannot be read.
-        InvalidValueError: at a line that is no call, or the second answer of one.
+        InvalidValueError: at a line that is not a call, or is the second answer to one.
     """
     seen: set[CallKey] = set()
     for number, line in enumerate(read_lines(path, LONGEST_CALL), 1):
@@ -140,3 +154,42 @@ def read_calls(path: Path) -> Iterator[tuple[int, Call]]:
                 raise InvalidValueError(f"line {number} of {path}: call {call.key} has an answer already")
             seen.add(call.key)
         yield len(line), call
+
+
+class AnswerCache:
+    """A folder of paid answers that runs share, one file each.
+
+    Args:
+        folder: Created if it is missing.
+
+    Raises:
+        OSError: if it cannot be created.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def get(self, key: str) -> Answer | None:
+        """The answer under a key, if there is one.
+
+        Raises:
+            InvalidValueError: if the file is not an answer.
+        """
+        path = self._path(key)
+        if not path.exists():
+            return None
+        return Answer.read(read_file(path, LONGEST_CALL), f"remove {path}, which is no answer")
+
+    def put(self, key: str, answer: Answer) -> None:
+        """Store an answer.
+
+        Raises:
+            OSError: if it cannot be written.
+        """
+        path = self._path(key)
+        path.parent.mkdir(exist_ok=True)
+        write_text(path, answer.model_dump_json())
+
+    def _path(self, key: str) -> Path:
+        return self._folder / key[:2] / f"{key}.json"

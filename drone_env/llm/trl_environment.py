@@ -80,7 +80,7 @@ class DroneEnvironment:
         episode.step(Action[direction])
         if episode.ended:
             return episode.message
-        below = below_text(PROMPT, episode.task, NAMES[episode.under])
+        below = below_text(episode.task, NAMES[episode.under])
         return (
             f"{episode.message} Position: {episode.position}. Battery: {episode.battery_units} units. "
             f"Nearest parcel: {episode.target}. Delivered: {episode.deliveries_done} of {episode.task.deliveries}."

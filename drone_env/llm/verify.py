@@ -1,4 +1,4 @@
-"""Whether a run folder is what it says: every flight is flown again, from the model's own answers."""
+"""Verifies a run folder: every flight is flown again, from the model's own answers."""
 
 import asyncio
 from dataclasses import dataclass
@@ -6,24 +6,22 @@ from pathlib import Path
 
 from drone_env.errors import DroneEnvError, InvalidValueError
 from drone_env.llm.answers import Reading, read_answer
-from drone_env.llm.config import RunConfig, digest
-from drone_env.llm.desk import CallFailedError
-from drone_env.llm.endpoint import request_body
-from drone_env.llm.gate import LimitReachedError
-from drone_env.llm.messages import ChatMessage
-from drone_env.llm.pilot import fly_one
+from drone_env.llm.config import RunConfig, request_bodies
+from drone_env.llm.content import ChatMessage
+from drone_env.llm.flight import CallFailedError, PilotedEpisode, fly
+from drone_env.llm.limiter import LimitReachedError
 from drone_env.llm.run_folder import EPISODES, TRANSCRIPT, PilotedRecord, load_config, load_results
-from drone_env.llm.transcript import Call, CallKey, read_calls
+from drone_env.llm.transcript import Call, CallKey, digest, read_calls
 from drone_env.results.record import EpisodeRecord, read_records, record_of, replay
 
 
 @dataclass(frozen=True)
 class VerifiedRun:
-    """A run that has been checked.
+    """A verified run.
 
     Attributes:
         path: Its folder.
-        config: What it is.
+        config: Its configuration.
         results: Of each flight.
         records: Of each flight, in the same order.
         calls: All of the transcript.
@@ -37,7 +35,7 @@ class VerifiedRun:
 
 
 def verified_run(path: Path) -> VerifiedRun:
-    """A run, checked: records and results follow from the transcript's answers by the rules of the world.
+    """Verify a run: its records and results follow from the answers in its transcript.
 
     Raises:
         OSError: if a file of it cannot be read.
@@ -59,38 +57,35 @@ def verified_run(path: Path) -> VerifiedRun:
         # Leaving out the flights that went badly would make a run look better than it was.
         raise InvalidValueError(f"{path}: flight {lost[0]} was begun but is not among the results: resume the run")
     used: set[CallKey] = set()
-    bodies = [request_body(config, repeat) for repeat in range(config.repeats)]
-    prompt, task = config.load_prompt(), config.task_config
+    bodies, prompt = request_bodies(config), config.load_prompt()
 
-    by_number = {result.flight: result for result in results}
+    async def replayed(ended: PilotedRecord) -> PilotedEpisode:
+        flown = PilotedEpisode.begin(config, ended.flight)
+        body, words = bodies[flown.repeat], prompt.symbols_of(flown.episode.task, flown.episode.seed).actions
 
-    async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
-        call, ended = answers.get(key), by_number[key.flight]
-        if call is not None and call.answer is not None:
-            if call.messages != messages:
-                raise InvalidValueError(f"call {key} asked something else than this prompt does")
-            body = bodies[config.flight(key.flight)[1]]
-            asked = digest({"body": body, "messages": messages})
-            if (call.request_digest, call.sampling_seed) != (asked, body.get("seed")):
-                raise InvalidValueError(f"call {key} asked another model or otherwise than run.json says")
-            used.add(key)
-            words = prompt.symbols(task, config.flight(key.flight)[0]).actions
-            return read_answer(call.answer, prompt.plan, prompt.marks, words)
-        # Where the answers end, the flight ended as its result says, which is compared with the rest of it.
-        if ended.status == "errored" and key in failed:
-            raise CallFailedError(ended.error or "")
-        if ended.status == "budget_stop":
-            raise LimitReachedError(ended.error or "")
-        # An errored flight counts for nothing, so nobody may call one so whose calls did not fail.
-        missing = "has neither an answer nor a failure" if ended.status == "errored" else "has no answer"
-        raise InvalidValueError(f"call {key} {missing}, but the flight is said to be {ended.status}")
+        async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
+            call = answers.get(key)
+            if call is not None and call.answer is not None:
+                call.require_same(messages, digest({"body": body, "messages": messages}), body.get("seed"))
+                used.add(key)
+                return read_answer(call.answer, prompt.plan, prompt.marks, words)
+            # After the last answer the flight ended as its result says, which is compared with the rest of it.
+            if ended.status == "errored" and key in failed:
+                raise CallFailedError(ended.error or "")
+            if ended.status == "budget_stop":
+                raise LimitReachedError(ended.error or "")
+            # An errored flight does not count, so its call must have failed.
+            missing = "has neither an answer nor a failure" if ended.status == "errored" else "has no answer"
+            raise InvalidValueError(f"call {key} {missing}, but the flight is said to be {ended.status}")
+
+        return await fly(flown, prompt, config.history, ask)
 
     for result, record in zip(results, records, strict=True):
         try:
-            flown = asyncio.run(fly_one(config, result.flight, ask))
+            flown = asyncio.run(replayed(result))
             fits = record_of(flown.episode, config.model) == record
             if not fits:
-                replay(record, config.profile)  # says more, where the record does not even fit itself
+                replay(record, config.profile)  # says more about a record that does not even fit itself
         except DroneEnvError as error:
             raise InvalidValueError(f"{path}: flight {result.flight}: {error}") from None
         if not fits or PilotedRecord.of(flown) != result:

@@ -7,8 +7,8 @@ import pytest
 
 from drone_env.cli import main
 from drone_env.cluster.connect import connect
-from drone_env.cluster.nodes import check_node, this_driver
-from drone_env.errors import ClusterError
+from drone_env.cluster.nodes import check_node, failure, this_driver
+from drone_env.errors import ClusterError, InvalidValueError
 from drone_env.installer import install_command
 
 
@@ -49,3 +49,10 @@ def test_a_node_with_another_package_is_refused() -> None:
     check_node(driver)
     with pytest.raises(ClusterError, match="make them equal"):
         check_node(dataclasses.replace(driver, identity=driver.identity.replace("drone-env", "drone-env 0.0")))
+
+
+def test_errors_of_a_node_keep_their_kind_if_they_are_ours() -> None:
+    from ray.exceptions import RayTaskError
+
+    for cause, kind in ((InvalidValueError("no such thing"), InvalidValueError), (ZeroDivisionError(), ClusterError)):
+        assert isinstance(failure(RayTaskError("fly", "traceback", cause)), kind)

@@ -4,7 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -65,37 +65,24 @@ def test_a_node_killed_in_the_middle_changes_nothing(cluster: Any, tmp_path: Pat
             assert (ours.dtype, ours.tobytes()) == (theirs.dtype, theirs.tobytes())
 
 
-def run_together(runs: Sequence[tuple[list[str], Path, dict[str, str]]]) -> list[tuple[int, str, str]]:
-    """(exit status, output, errors) of commands of `drone-env` in processes of their own, each with its folder and its
-    environment."""
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-m", "drone_env.cli", *words],
-            cwd=cwd,
-            env={"PYTHONPATH": str(ROOT), **env},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for words, cwd, env in runs
-    ]
-    try:
-        told = [process.communicate(timeout=300) for process in processes]
-    finally:
-        for process in processes:
-            process.kill()
-            process.communicate()
-    return [(process.returncode, out, err) for process, (out, err) in zip(processes, told, strict=True)]
+def commands(*runs: tuple[list[str], Path, dict[str, str]]) -> list[subprocess.CompletedProcess[str]]:
+    """Run `drone-env` in processes of their own, all at once, each with its folder and its environment."""
+
+    def run(words: list[str], cwd: Path, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "drone_env.cli", *words]
+        env = {"PYTHONPATH": str(ROOT), **env}
+        return subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=300, check=False)
+
+    with ThreadPoolExecutor() as threads:
+        return list(threads.map(lambda given: run(*given), runs))
 
 
 def test_a_driver_without_the_token_is_refused(cluster: Any) -> None:
     words = ["evaluate", "--task", "easy", "--episodes", "1", "--engine", "ray", "--address", cluster.address]
     without = {name: value for name, value in os.environ.items() if name != "RAY_AUTH_TOKEN"} | {"HOME": "/nonexistent"}
-    for status, out, err in run_together(
-        [(words, ROOT, without), (words, ROOT, without | {"RAY_AUTH_TOKEN": "0" * 64})]
-    ):
-        assert (status, out) == (2, "")
-        assert "RAY_AUTH_TOKEN" in err.splitlines()[-1]
+    for done in commands((words, ROOT, without), (words, ROOT, without | {"RAY_AUTH_TOKEN": "0" * 64})):
+        assert (done.returncode, done.stdout) == (2, "")
+        assert "RAY_AUTH_TOKEN" in done.stderr.splitlines()[-1]
 
 
 def test_a_task_of_a_plugin_is_flown_on_nodes_that_have_the_plugin(tmp_path: Path, cluster: Any) -> None:
@@ -108,11 +95,9 @@ def test_a_task_of_a_plugin_is_flown_on_nodes_that_have_the_plugin(tmp_path: Pat
     on_ray = [*words, "--engine", "ray", "--address", cluster.address]
     plugged = {**os.environ, "DRONE_ENV_PLUGINS": "cluster_hops", "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
     # The nodes look into the folder that the driver was started in, and were themselves started without this path.
-    refused, local, far = run_together(
-        [(on_ray, ROOT, plugged), (words, tmp_path, plugged), (on_ray, tmp_path, plugged)]
-    )
-    assert refused[0] == 2
-    assert "lacks a plugin of the driver's" in refused[2]
-    assert "cluster_hops" in refused[2]
-    assert (local[0], far[0]) == (0, 0), far[2]
-    assert far[1] == local[1]
+    refused, local, far = commands((on_ray, ROOT, plugged), (words, tmp_path, plugged), (on_ray, tmp_path, plugged))
+    assert refused.returncode == 2
+    assert "lacks a plugin of the driver's" in refused.stderr
+    assert "cluster_hops" in refused.stderr
+    assert (local.returncode, far.returncode) == (0, 0), far.stderr
+    assert far.stdout == local.stdout

@@ -1,4 +1,4 @@
-"""A language model flies on two nodes: one budget, one transcript, the report of the local run."""
+"""Two nodes send the requests of a run: one budget, one transcript, the report of the local run."""
 
 import os
 import time
@@ -75,7 +75,7 @@ def test_nodes_share_one_budget_and_fly_as_one_though_one_is_killed(
     # Asked twice is only what met the overload, and what was under way on the node that died.
     asked = [request["call"] for request in together.requests()]
     assert 1 <= len(asked) - len(set(asked)) <= 1 + 4
-    assert [len(call["failures"]) for call in done.calls if call["failures"]] in ([1], [])
+    assert len([call for call in done.calls if call["failures"]]) <= 1 + 4
     assert {request["headers"]["authorization"] for request in together.requests()} == {f"Bearer {TOKEN}"}
     # What was flown on nodes is gone on with here, and nothing is asked again.
     again = together.infer(*flights, "--resume", folder=done.folder)

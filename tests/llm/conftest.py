@@ -7,6 +7,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from collections import Counter
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -66,12 +67,10 @@ class Infer:
     @property
     def turns(self) -> dict[str, int]:
         """How all turns came out, without the zeros."""
-        counts: dict[str, int] = {}
+        counts: Counter[str] = Counter()
         for flight in self.flights:
-            for name, count in flight["turns"].items():
-                if count:
-                    counts[name] = counts.get(name, 0) + count
-        return counts
+            counts.update(flight["turns"])
+        return dict(+counts)
 
 
 class Endpoint:

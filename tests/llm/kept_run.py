@@ -1,83 +1,130 @@
-"""A run of a language model in a data folder, made in this process: a scripted pilot answers, no endpoint is asked."""
+"""Runs of a language model made in this process: with a clock that only waiting moves, or a scripted model."""
 
 import asyncio
-import time
+import dataclasses
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
-from drone_env.core.rewards import ORIGINAL_PROFILE
 from drone_env.core.tasks import get_task, own_rules
 from drone_env.files import RUNS
-from drone_env.llm.answers import Answer, Reading, read_answer
-from drone_env.llm.config import RunConfig, Sampling, digest
-from drone_env.llm.endpoint import request_body
-from drone_env.llm.messages import ChatMessage
-from drone_env.llm.pilot import PilotedEpisode, fly_one
+from drone_env.llm.answers import Answer
+from drone_env.llm.config import RunConfig, Sampling
+from drone_env.llm.content import ChatMessage
+from drone_env.llm.endpoint import Endpoint
+from drone_env.llm.limiter import Clock, RateLimiter
+from drone_env.llm.options import Options
 from drone_env.llm.prompt import get_prompt
-from drone_env.llm.run_folder import TRANSCRIPT, RunFolder
-from drone_env.llm.transcript import Call, CallKey, Transcript
+from drone_env.llm.run_folder import RunFolder
+from drone_env.llm.runner import Observer, RunResult, run
+from drone_env.llm.transcript import Call, read_calls
 from drone_env.results.store import Store
 from tests.llm.scripted_server import reply
 
 
-def run_config(prompt: str, task: str, seeds: range, model: str = "scripted", repeats: int = 1) -> RunConfig:
-    return RunConfig(
-        model=model,
-        base_url="http://localhost:1/v1",
-        task=get_task(task).id,
-        task_version=get_task(task).version,
-        rules=own_rules(get_task(task)),
-        split="custom",
-        seeds=(seeds.start, seeds.stop),
-        repeats=repeats,
-        reward_profile=ORIGINAL_PROFILE,
-        prompt=get_prompt(prompt).id,
-        prompt_digest=get_prompt(prompt).digest,
-        history=0,
-        answers="text",
-        stream=False,
-        sampling=Sampling(),
-    )
+class VirtualClock(Clock):
+    """Stands still but for waits, which are over at once and noted."""
+
+    def __init__(self) -> None:
+        self.began = self.time = 1000.0
+        self.slept: list[float] = []
+
+    @property
+    def passed(self) -> float:
+        """Seconds since it was made."""
+        return self.time - self.began
+
+    def now(self) -> float:
+        return self.time
+
+    async def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        self.time += seconds
+        await asyncio.sleep(0)
 
 
-def put_run(
-    data: Path, name: str, pilot: str, seeds: range, task: str = "easy", model: str = "scripted", repeats: int = 1
-) -> Path:
+class Scripted:
+    """Answers as a pilot of `scripted_server` without a server; to the very first prompt it says "Hm." instead."""
+
+    def __init__(self, pilot: str) -> None:
+        self._pilot = pilot
+
+    async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
+        said = "Hm." if call_id == "0-1-1" else reply(self._pilot, str(messages[1]["content"]))
+        return Answer(text=said, finish_reason="stop", prompt_tokens=100, completion_tokens=2)
+
+    async def close(self) -> None: ...
+
+
+def run_config(
+    prompt: str = "minimal", task: str = "easy", seeds: Sequence[int] = (14, 15), **change: Any
+) -> RunConfig:
+    """A run, by default over map 14 of easy, which takes a greedy pilot 3 steps."""
+    known, chosen = get_task(task), get_prompt(prompt)
+    fields: dict[str, Any] = {
+        "model": "scripted",
+        "base_url": "http://localhost:1/v1",
+        "task": known.id,
+        "task_version": known.version,
+        "rules": own_rules(known),
+        "split": "custom",
+        "seeds": (seeds[0], seeds[-1] + 1) if isinstance(seeds, range) else seeds,
+        "repeats": 1,
+        "reward_profile": "tiered",
+        "prompt": chosen.id,
+        "prompt_digest": chosen.digest,
+        "history": 0,
+        "answers": "text",
+        "stream": False,
+        "sampling": Sampling(),
+    }
+    return RunConfig.model_validate(fields | change)
+
+
+@dataclasses.dataclass
+class Flown:
+    """The result of a run in virtual time."""
+
+    result: RunResult
+    clock: VirtualClock
+    calls: list[Call]
+
+    @property
+    def turns(self) -> list[str]:
+        """The outcomes of all requests for actions."""
+        return [turn for flight in self.result.flights for turn in flight.turns]
+
+
+def fly(url: str, folder: Path, options: Options, **change: Any) -> Flown:
+    """Fly a run against an endpoint, one request at a time, whose waits take no time."""
+    config, clock = run_config(base_url=url, **change), VirtualClock()
+    limiter = RateLimiter(dataclasses.replace(options, concurrency=1), clock)
+    with closing(RunFolder(folder, config, resume=False)) as opened:
+        result = asyncio.run(run(config, opened, Endpoint(config, None, options.timeout), limiter, Observer()))
+    return Flown(result, clock, [call for _, call in read_calls(folder / "calls.jsonl")])
+
+
+def put_run(data: Path, name: str, pilot: str, seeds: range, task: str = "easy", **change: Any) -> Path:
     """Fly a run and keep it as `drone-env infer` does: its folder, and its flights in the store.
 
     Args:
         data: The data folder.
         name: Of the run's folder.
-        pilot: What answers, as in `scripted_server`; to its very first prompt it says "Hm." instead.
+        pilot: See `Scripted`.
         seeds: The maps.
         task: The task.
-        model: What the model is called.
-        repeats: Flights over each map.
+        change: Further fields of the configuration.
     """
-    prompt = get_prompt("minimal")
-    config = run_config(prompt.id, task, seeds, model, repeats)
-    folder = RunFolder(data / RUNS / name, config, resume=False)
-    # In a thread of its own, since a browser's test has an event loop in its own already.
-    with ExitStack() as opened, ThreadPoolExecutor(1) as thread:
-        opened.callback(folder.close)
-        transcript = opened.enter_context(closing(Transcript(folder.path / TRANSCRIPT)))
-        store = opened.enter_context(Store(data))
-
-        async def ask(key: CallKey, messages: list[ChatMessage]) -> Reading:
-            said = "Hm." if key == (0, 1, 1) else reply(pilot, messages[1]["content"])
-            answer = Answer(text=said, finish_reason="stop", prompt_tokens=100, completion_tokens=2)
-            reading = read_answer(answer, prompt.plan)
-            seed, repeat = config.flight(key.flight)
-            asked = digest({"body": request_body(config), "messages": messages})
-            told = {"outcome": reading.kind, "latency": 0.5, "at": time.time()}
-            numbers = {"flight": key.flight, "turn": key.turn, "attempt": key.attempt, "seed": seed, "repeat": repeat}
-            transcript.append(Call(**numbers, messages=messages, request_digest=asked, answer=answer, **told))
-            return reading
-
-        flights: list[PilotedEpisode] = []
-        for flight in range(config.flights):
-            flights.append(thread.submit(asyncio.run, fly_one(config, flight, ask)).result())
-            folder.keep(flights[-1], store, model)
-        folder.write_flights(flights, model)
+    config, limiter = run_config(task=task, seeds=seeds, **change), RateLimiter(Options(concurrency=1))
+    # In a thread of its own, since the event loop of a browser's test runs in this one.
+    with (
+        closing(RunFolder(data / RUNS / name, config, resume=False)) as folder,
+        ThreadPoolExecutor(1) as thread,
+        Store(data) as store,
+    ):
+        flown = thread.submit(asyncio.run, run(config, folder, Scripted(pilot), limiter, Observer())).result()
+        for flight in flown.flights:
+            folder.keep(flight, store)
     return folder.path

@@ -11,7 +11,7 @@ from drone_env.core.actions import Action
 from drone_env.core.cells import Cell
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import TaskConfig
-from drone_env.llm.messages import DRAWN, ChatMessage
+from drone_env.llm.content import DRAWN, ChatMessage
 from drone_env.planning.from_observation import episode_from_fields
 
 from .picture_reader import read_picture
@@ -53,16 +53,7 @@ class NotToldError(Exception):
 
 
 class Told(NamedTuple):
-    """What a prompt tells.
-
-    Attributes:
-        task: All numbers of the task that decide a flight; rewards and names are no part of a prompt, nor how maps are
-            drawn.
-        formula: The score at the end, of `delivered`, `battery`, `steps` and `all`.
-        bounds: The least and the most that it can be.
-        episode: One that stands so.
-        words: What an answer has to say for each action.
-    """
+    """What a prompt tells: the task without rewards, the score as a formula with bounds, an episode, action words."""
 
     task: TaskConfig
     formula: str
@@ -78,23 +69,15 @@ class Told(NamedTuple):
 
 
 def said(text: str, pattern: str, what: str) -> tuple[str, ...]:
-    """The groups of a pattern in a text.
-
-    Raises:
-        NotToldError: if it is not there.
-    """
+    """The groups of a pattern in a text; raises if it is not there."""
     found = re.search(pattern, text)
     if not found:
         raise NotToldError(what)
     return found.groups()
 
 
-def read_text(messages: Sequence[ChatMessage], names: Mapping[str, str] | None = None) -> Told:
-    """What the messages of a prompt tell, as they are sent.
-
-    Args:
-        messages: With their picture, where they have one.
-        names: The plain name of each drawn one. Who is not told them takes any for those that no rule tells apart.
+def read_text(messages: Sequence[ChatMessage], names: Mapping[str, str]) -> Told:
+    """What the messages of a prompt tell, as they are sent; `names` has the plain name of each drawn one.
 
     Raises:
         NotToldError: at the first thing that they do not.
@@ -118,6 +101,10 @@ def read_text(messages: Sequence[ChatMessage], names: Mapping[str, str] | None =
     ground = _ground(seen, width, height) if picture is None else _shown(rules, picture, width, height)
     x, y = map(int, said(seen, r"Position: \((\d+), (\d+)\)", "position"))
     ground[y, x] = KINDS[next(iter(re.findall("Below the drone: (.*)", seen)), "road")]
+    charging = rf"WAIT on a charging pad costs nothing and adds (\d+) units, up to {capacity} in all"
+    charge = said(rules, charging, "charging") if "charging pad costs" in rules else ()
+    if "all" in formula:
+        said(rules, "where all is 1 if everything is delivered, else 0;", "all")
     counts = {f"{kind.name.lower()}s": int((ground == kind).sum()) for kind in TITLES.values() if kind != Cell.DELIVERY}
     task = TaskConfig(
         id="told",
@@ -130,8 +117,8 @@ def read_text(messages: Sequence[ChatMessage], names: Mapping[str, str] | None =
         battery_capacity=capacity,
         drain=_drain(rules),
         impassable=_impassable(rules),
-        charge_rate=_charge_rate(rules, capacity),
-        efficiency_needs_all=_needs_all(rules, formula),
+        charge_rate=int(charge[0]) if charge else 0,
+        efficiency_needs_all="all" in formula,
         **counts,
         **{f"r_{name}": 0.0 for name in REWARDS.split()},
     )
@@ -148,38 +135,19 @@ def read_text(messages: Sequence[ChatMessage], names: Mapping[str, str] | None =
 def _parts(messages: Sequence[ChatMessage]) -> tuple[str, str, bytes | None]:
     """The text of the system, that of the user, and the picture beside it."""
     system, user = (message["content"] for message in messages)
-    assert isinstance(system, str)
     if isinstance(user, str):
         return system, user, None
-    text, url = "", ""
-    for part in user:
-        if part["type"] == "text":
-            text = part["text"]
-        else:
-            url = part["image_url"]["url"]
-    return system, text, base64.b64decode(url.removeprefix(DRAWN), validate=True)
+    picture, text = user
+    return system, text["text"], base64.b64decode(picture["image_url"]["url"].removeprefix(DRAWN), validate=True)
 
 
-def _in_plain_words(rules: str, seen: str, names: Mapping[str, str] | None) -> tuple[str, str, Mapping[Action, str]]:
-    """Rules and what is seen in plain words, and what an answer has to say for each action."""
+def _in_plain_words(rules: str, seen: str, names: Mapping[str, str]) -> tuple[str, str, Mapping[Action, str]]:
+    """Both texts in plain words, and the word for each action, which the rules tell."""
     if "are drawn for this map" not in rules:
         return rules, seen, {action: action.name for action in Action}
     ways = {"y - 1": Action.UP, "y + 1": Action.DOWN, "x - 1": Action.LEFT, "x + 1": Action.RIGHT}
     words = {ways[way]: word for word, way in re.findall(r"\b([A-Z]+) is ([xy] [+-] 1)\b", rules)}
     (words[Action.WAIT],) = said(rules, r"\b([A-Z]+) waits;", "waiting")
-    if names is None:
-        (road,) = said(rules, r"a cell on which nothing stands is (\w+)\.", "what is a road")
-        (parcel,) = said(rules, r"Coming to a (\w+)'s cell delivers it", "what is a parcel")
-        names = {road: "road", parcel: "parcel"}
-        names |= dict.fromkeys(re.findall(r"\b[A-Z]+ on a (\w+) costs nothing and adds", rules), "pad")
-        drains, blocks = re.findall(r"ends on: (.*), any other", rules), re.findall(r"be entered: (.*)\. Into", rules)
-        told = [one.split()[0] for listed in (*drains, *blocks) for one in listed.split(", ")]
-        told += [title.lower() for title in re.findall(r"^([A-Z][a-z]+)s: ", seen, re.MULTILINE)]
-        told += re.findall(r"\b[A-Z] ([a-z]+)[,.]", seen)
-        free = [kind for kind in ("building", "tree", "obstacle", "pad") if kind not in names.values()]
-        # Any of them is as good as another: nothing but what the rules say tells them apart.
-        unknown = [name for name in dict.fromkeys(told) if name not in {*names, "delivered"}]
-        names |= dict(zip(unknown, free[: len(unknown)], strict=True))
     plain = {word: action.name for action, word in words.items()}
     for name, kind in names.items():
         long = "charging pad" if kind == "pad" else kind
@@ -235,20 +203,3 @@ def _impassable(rules: str) -> frozenset[Cell]:
         return frozenset()
     (listed,) = said(rules, rf"Cells that cannot be entered: (.*)\. Into one of them, or {bumps}", "what blocks")
     return frozenset(KINDS[name] for name in listed.split(", "))
-
-
-def _charge_rate(rules: str, capacity: int) -> int:
-    if "charging pad costs" not in rules:
-        return 0
-    rate, full = said(
-        rules, r"WAIT on a charging pad costs nothing and adds (\d+) units, up to (\d+) in all", "charging"
-    )
-    assert int(full) == capacity
-    return int(rate)
-
-
-def _needs_all(rules: str, formula: str) -> bool:
-    if "all" not in formula:
-        return False
-    said(rules, "where all is 1 if everything is delivered, else 0;", "all")
-    return True

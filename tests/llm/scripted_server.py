@@ -2,14 +2,12 @@
 
 `POST /NAME/script` opens an endpoint at `/NAME/v1`; its body holds `log` (a file), `pilot` (perfect, greedy, plan, able
 for perfect or greedy by what the prompt tells, aloud for the same behind thoughts, all in the words that the prompt has
-drawn, or a text to answer with), `repair` (the same, for repair prompts), `latency` in seconds, `waves`: the first so
-many requests have to be there together before one of them is answered, then the next so many, and so on; and `faults`:
-a list of [first, last, fault] by the number of the request from 0, where the first that covers it holds. Each request
-is a line in the log before it is answered, and a second line when that is over, however it was answered.
+drawn, or a text to answer with), `repair` (the same, for repair prompts), `latency` in seconds, and `faults`: a list of
+[first, last, fault] by the number of the request from 0, where the first that covers it holds. Each request is a line
+in the log before it is answered, and a second line when that is over, however it was answered.
 """
 
 import asyncio
-import gzip
 import json
 import re
 import sys
@@ -69,20 +67,6 @@ class Channel:
         self._path = Path(script["log"])
         self.script = script
         self.count = 0
-        self._waves = list(script.get("waves", []))
-        self._wave = asyncio.Event()
-        self._gathered = 0
-
-    async def gather(self) -> None:
-        """Wait until the request's wave is there as a whole."""
-        if not self._waves:
-            return
-        wave, self._gathered = self._wave, self._gathered + 1
-        if self._gathered == self._waves[0]:
-            del self._waves[0]
-            self._wave, self._gathered = asyncio.Event(), 0
-            wave.set()
-        await wave.wait()
 
     def log(self, line: dict) -> None:
         with self._path.open("a") as file:
@@ -112,7 +96,7 @@ class Server:
         _, name, what = head.split()[1].split("/", 2)
         if what == "script":
             self.channels[name] = Channel(body)
-            self.send(writer, 200, {})
+            self.send(writer, 200, "{}")
             return True
         assert what == "v1/chat/completions", what
         channel = self.channels[name]
@@ -124,7 +108,6 @@ class Server:
         line = {"call": call, "fault": fault, "headers": headers, "body": body, "port": port}
         channel.log(line)
         try:
-            await channel.gather()
             await asyncio.sleep(script.get("latency", 0))
             return await self.respond(writer, script, body, fault)
         finally:
@@ -140,39 +123,14 @@ class Server:
             writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n{")
             await writer.drain()
             return False
-        if fault == "no_json":
-            data = b"<html>busy</html>"
-            writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/html\r\nContent-Length: %d\r\n\r\n" % len(data) + data)
-            return True
-        if isinstance(fault, dict) and "sends" in fault:
-            kind = b"text/event-stream" if body.get("stream") else b"application/json"
-            data = fault["sends"].encode()
-            writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: %s\r\n" % kind)
-            writer.write(b"Content-Length: %d\r\n\r\n" % len(data) + data)
-            return True
-        if fault in ("flood", "packed flood"):
-            packed = fault == "packed flood"
-            writer.write(b"HTTP/1.1 200 OK\r\n" + (b"Content-Encoding: gzip\r\n" if packed else b"") + b"\r\n")
-            data = gzip.compress(bytes(1 << 26)) if packed else b" " * 65536
-            for _ in range(1024):
-                writer.write(data)
-                await writer.drain()
-            return False
-        if fault == "garbage":
-            data = b"data: {\x00\xff not json\n\n"
-            writer.write(b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n")
-            writer.write(b"Content-Length: %d\r\n\r\n" % len(data) + data)
-            return True
-        if isinstance(fault, dict) and "status" in fault:
-            error = {"error": {"message": fault.get("message", f"scripted {fault['status']}"), "type": "scripted"}}
-            self.send(writer, fault["status"], error, fault.get("headers", {}))
+        if isinstance(fault, dict):
+            error = {"error": {"message": fault.get("message", f"scripted {fault.get('status')}"), "type": "scripted"}}
+            sent = fault.get("sends") or json.dumps(error)
+            self.send(writer, fault.get("status", 200), sent, fault.get("headers", {}))
             return True
         texts = [text_of(message["content"]) for message in body["messages"]]
         prompt = next(text for text in reversed(texts) if "Position:" in text)
-        repairing = texts[-1] != prompt
-        pilot = script["pilot"]
-        if repairing and "repair" in script:
-            pilot = script["repair"]
+        pilot = script.get("repair", script["pilot"]) if texts[-1] != prompt else script["pilot"]
         said = reply(pilot, prompt)
         said = said if said == pilot else in_words(said, texts[0])
         message = {"role": "assistant", "content": said, **script.get("message", {})}
@@ -186,9 +144,7 @@ class Server:
         elif body.get("response_format"):
             message["content"] = json.dumps({"direction": message["content"]})
         reason = script.get("finish_reason", "stop")
-        usage = script.get("usage", {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102})
-        if script.get("no_usage"):
-            usage = None
+        usage = None if script.get("no_usage") else {"prompt_tokens": 100, "completion_tokens": 2, "total_tokens": 102}
         common = {"id": "x", "created": 0, "model": body["model"]}
         if body.get("stream"):
             await self.stream(writer, common, message, reason, usage, fault)
@@ -196,7 +152,8 @@ class Server:
                 return False
         else:
             choice = {"index": 0, "message": message, "finish_reason": reason}
-            self.send(writer, 200, {**common, "object": "chat.completion", "choices": [choice], "usage": usage})
+            sent = {**common, "object": "chat.completion", "choices": [choice], "usage": usage}
+            self.send(writer, 200, json.dumps(sent))
         await writer.drain()
         return True
 
@@ -218,10 +175,6 @@ class Server:
                 event(chunk({name: text[start : start + step]}, None))
         for call in message.get("tool_calls", []):
             event(chunk({"tool_calls": [{"index": 0, **call}]}, None))
-        if fault == "end_stream":
-            event("[DONE]")
-            writer.write(b"0\r\n\r\n")
-            return
         if fault == "cut_stream":
             await writer.drain()
             return
@@ -233,9 +186,9 @@ class Server:
             await asyncio.sleep(3600)
         writer.write(b"0\r\n\r\n")
 
-    def send(self, writer, status: int, value: dict, headers: dict | None = None) -> None:
-        data = json.dumps(value).encode()
-        more = "".join(f"{name}: {text}\r\n" for name, text in (headers or {}).items())
+    def send(self, writer, status: int, text: str, headers: dict | None = None) -> None:
+        data = text.encode()
+        more = "".join(f"{name}: {value}\r\n" for name, value in (headers or {}).items())
         start = f"HTTP/1.1 {status} Scripted\r\nContent-Type: application/json\r\nContent-Length: {len(data)}\r\n{more}"
         writer.write(f"{start}\r\n".encode() + data)
 

@@ -36,11 +36,8 @@ def test_a_flight_by_tool_calls() -> None:
 
 def test_where_there_are_pads_each_answer_tells_what_lies_below() -> None:
     drone = DroneEnvironment()
-    told: list[str] = []
-    for seed in range(3):
-        assert drone.reset(task="skyline_easy", seed=seed).endswith("\nBelow the drone: road")
-        told += [drone.fly(action.name) for action in solve("skyline_easy", seed).actions]
-    assert any(answer.endswith(" Below the drone: charging pad.") for answer in told)
+    assert drone.reset(task="skyline_easy", seed=0).endswith("\nBelow the drone: road")
+    assert " Below the drone: " in drone.fly("WAIT")
 
 
 def test_the_reward_is_what_the_profile_pays() -> None:
@@ -57,25 +54,9 @@ def test_the_reward_is_what_the_profile_pays() -> None:
         assert drone.get_reward() == episode.reward_total
 
 
-def test_without_a_profile_a_flight_pays_its_score_less_what_its_map_is_worth_at_first() -> None:
-    """So flights of one map rank as their scores do."""
-    less: list[float] = []
-    for flown in (0, 5, len(solve("hard", 3).actions)):
-        drone, scored = DroneEnvironment(), DroneEnvironment("score")
-        for each in (drone, scored):
-            each.reset(task="hard", seed=3)
-            for action in solve("hard", 3).actions[:flown]:
-                each.fly(action.name)
-        less.append(scored.get_reward() - drone.get_reward())
-    assert less == [pytest.approx(less[0])] * 3
-
-
-def test_what_trl_takes_for_tools_is_fly_alone() -> None:
+def test_the_only_tool_is_fly_and_bad_calls_are_told() -> None:
     methods = [name for name, _ in inspect.getmembers(DroneEnvironment, inspect.isfunction) if name[0] != "_"]
     assert methods == ["fly", "get_reward", "reset"]
-
-
-def test_bad_rows_and_directions_are_told() -> None:
     drone = DroneEnvironment()
     with pytest.raises(EpisodeError, match="reset"):
         drone.get_reward()
@@ -89,13 +70,10 @@ def test_bad_rows_and_directions_are_told() -> None:
         DroneEnvironment("generous")
 
 
-def test_without_trl_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_packages_the_extras_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "datasets", None)
     with pytest.raises(MissingPackageError, match=re.escape(install_command("trl"))):
         training_maps()
-
-
-def test_without_inspect_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "inspect_ai", None)
     monkeypatch.delitem(sys.modules, "drone_env.llm.inspect_task", raising=False)
     with pytest.raises(MissingPackageError, match=re.escape(install_command("inspect"))):

@@ -20,7 +20,7 @@ from .log_lines import verified
 Start = Callable[..., Endpoint]
 OWN = (
     """
-format = 2
+format = 1
 plan = false
 marks = ["MOVE:"]
 system = """
@@ -67,18 +67,10 @@ def test_a_prompt_of_ones_own_goes_into_the_run(endpoint: Start) -> None:
     verified(resumed)
 
 
-def test_an_old_run_goes_on_with_its_prompt(endpoint: Start) -> None:
-    scripted = endpoint(pilot="greedy")
-    begun = scripted.infer("--seeds", "14:15", "--prompt", "minimal-1", "--max-calls", "1")
-    resumed = scripted.infer("--seeds", "14:15", "--resume", folder=begun.folder)
-    assert (resumed.status, resumed.turns) == (0, {"ok": 3}), resumed.err
-    assert {len(request["body"]["messages"][1]["content"].splitlines()) for request in scripted.requests()} == {4}
-
-
 def test_the_command_says_what_a_prompt_does_not_tell(endpoint: Start) -> None:
     fly = ("--task", "skyline_easy", "--seeds", "0:1", "--max-calls", "1")
-    done = endpoint(pilot="WAIT").infer(*fly, "--prompt", "coordinates-1")
-    said = "prompt coordinates-1 does not tell, on skyline_easy: the score and what ends a flight\n"
+    done = endpoint(pilot="WAIT").infer(*fly, "--prompt", "original")
+    said = "prompt original-1 does not tell, on skyline_easy: the score and what ends a flight, "
     assert done.err.startswith(said)
     assert "does not tell" not in endpoint(pilot="WAIT").infer(*fly).err
 
@@ -88,9 +80,9 @@ def test_prompts_beside_each_other_in_one_report(endpoint: Start, capfd: pytest.
     prices = ("--price-prompt", "10", "--price-completion", "50")
     # On two of these maps the nearest parcel is not the best one to begin with.
     fly = ("--task", "medium", "--seeds", "57:60", "--repeats", "2", "--report", "--no-moves", *prices)
-    done = scripted.infer(*fly, "--prompts", "coordinates", "minimal-1")
+    done = scripted.infer(*fly, "--prompts", "coordinates", "original")
     assert done.status == 0, done.err
-    single = [json.loads((done.folder / name / "report.json").read_text()) for name in ("coordinates-2", "minimal-1")]
+    single = [json.loads((done.folder / name / "report.json").read_text()) for name in ("coordinates-2", "original-1")]
     report = json.loads((done.folder / "report.json").read_text())
     perfect, greedy = report["runs"]
     scores = [[sum(of_map["scores"]) / 2 for of_map in run["maps"]] for run in single]
@@ -104,31 +96,29 @@ def test_prompts_beside_each_other_in_one_report(endpoint: Start, capfd: pytest.
     calls, points = single[1]["calls"]["answered"], 2 * sum(scores[1])
     assert greedy["tokens_per_point"] == pytest.approx(102 * calls / points)
     assert greedy["usd_per_point"] == pytest.approx(calls * (100 * 10 + 2 * 50) / 1e6 / points)
-    text = (done.folder / "report.md").read_text()
-    assert "| prompt | score (95 %) | less that of coordinates-2 |" in text
-    assert f"| {greedy['score']:.4f} ± " in text
-    assert f"minimal-1: score {greedy['score']:.4f} ± " in done.err
+    assert f"| {greedy['score']:.4f} ± " in (done.folder / "report.md").read_text()
+    assert f"original-1: score {greedy['score']:.4f} ± " in done.err
     # The folder of several runs stands for all of them.
     capfd.readouterr()
     assert main(["leaderboard", str(done.folder), "--json"]) == 0
     (board,) = json.loads(capfd.readouterr().out)["boards"]
-    assert [row["config"]["prompt"] for row in board["rows"]] == ["coordinates-2", "minimal-1"]
+    assert [row["config"]["prompt"] for row in board["rows"]] == ["coordinates-2", "original-1"]
     # What was flown is not paid again, and a prompt that is new is flown.
     asked = len(scripted.requests())
-    more = scripted.infer(*fly, "--prompts", "coordinates", "minimal-1", "plan", "--resume", folder=done.folder)
+    more = scripted.infer(*fly, "--prompts", "coordinates", "original", "plan", "--resume", folder=done.folder)
     assert [run["prompt"] for run in json.loads((more.folder / "report.json").read_text())["runs"]][2] == "plan-2"
     assert len(scripted.requests()) == asked + 6
 
 
 def test_prompts_that_cannot_be_compared_are_refused(endpoint: Start, tmp_path: Path) -> None:
     scripted = endpoint(pilot="greedy")
-    old = shutil.copy(FOLDER / "grid-1.toml", tmp_path / "mine.toml")
+    copy = shutil.copy(FOLDER / "grid-2.toml", tmp_path)
     for arguments, why in (
         (("--prompts", "grid", "grid-2"), "--prompts takes different prompts, got grid-2, grid-2"),
         (("--prompts", "grid", "plan", "--prompt", "grid"), "give it without --prompt"),
         (("--prompts", "grid", "plan", "--resume"), "there is no run in "),
         (("--prompt", str(tmp_path / "none.toml")), "none.toml"),
-        (("--prompt", str(old)), "a prompt of your own has format = 2"),
+        (("--prompt", str(copy)), "the package has a prompt of this name"),
     ):
         done = scripted.infer("--seeds", "14:15", *arguments)
         assert (done.status, why in done.err) == (2, True), done.err

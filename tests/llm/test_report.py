@@ -85,7 +85,7 @@ def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None
     whole, result = calls.read_text(), flights.read_text()
     lines = whole.splitlines()
     calls.write_text("\n".join([lines[0].replace('"text":"WAIT"', '"text":"LEFT"'), *lines[1:], ""]))
-    with pytest.raises(InvalidValueError, match="asked something else than this prompt does"):
+    with pytest.raises(InvalidValueError, match="asks something else than this run would"):
         verified_run(folder)
     calls.write_text("\n".join([*lines[:-1], lines[-1].replace('"text":"WAIT"', '"text":"LEFT"'), ""]))
     with pytest.raises(InvalidValueError, match="not what the model's answers come to"):
@@ -105,7 +105,7 @@ def test_a_transcript_that_was_tampered_with_is_refused(endpoint: Start) -> None
     assert verified_run(folder).results[0].score == 0.01
     for name in ("run.json", "episodes.jsonl", "calls.jsonl"):
         (folder / name).write_text((folder / name).read_text().replace('"scripted"', '"better"'))
-    with pytest.raises(InvalidValueError, match="call 0-1-1 asked another model or otherwise"):
+    with pytest.raises(InvalidValueError, match="call 0-1-1 asks something else than this run"):
         verified_run(folder)
 
 

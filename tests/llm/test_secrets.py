@@ -4,11 +4,11 @@ import base64
 import itertools
 import json
 import socket
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 
 import pytest
 
-from drone_env.llm.redaction import without_secret
+from drone_env.llm.endpoint import without_secret
 from drone_env.llm.report import report, write_report
 from drone_env.llm.verify import verified_run
 
@@ -32,12 +32,9 @@ def test_only_what_is_needed_is_sent(endpoint: Start) -> None:
 
 
 def test_a_short_token_and_a_quoted_one(endpoint: Start) -> None:
-    scripted = endpoint(pilot="greedy")
-    done = scripted.infer("--seeds", "14:15", "--no-temperature", OPENAI_API_KEY="x")
+    done = endpoint(pilot="greedy").infer("--seeds", "14:15", OPENAI_API_KEY="x")
     assert (done.status, done.turns) == (0, {"ok": 3})
-    assert not any("temperature" in request["body"] for request in scripted.requests())
     quoted = endpoint(pilot=f"Your key is {TOKEN}").infer("--seeds", "14:15", "--max-calls", "2")
-    assert quoted.turns == {"parse_error": 1, "budget_stop": 1}
     assert [call["answer"]["text"] for call in quoted.calls] == ["Your key is ***"] * 2
     # It is not sent on either: the second request quotes the first answer as the transcript has it.
     assert quoted.calls[1]["messages"][2]["content"] == "Your key is ***"
@@ -96,13 +93,6 @@ def test_no_spelling_of_the_token_reaches_a_file_or_the_terminal(endpoint: Start
     assert [name for name, written in told.items() if written in seen] == []
 
 
-@pytest.mark.parametrize("said", ["x" * 195 + TOKEN, {"choices": [{"message": {"content": {"": "x" * 89 + TOKEN}}}]}])
-def test_not_even_half_of_the_token_is_told(endpoint: Start, said: object) -> None:
-    done = endpoint(pilot="greedy", faults=[[0, 0, {"sends": json.dumps(said)}]]).infer("--seeds", "14:15")
-    assert "xxx***" in done.calls[0]["failures"][0]["reason"]
-    assert "xxxsk" not in done.err + (done.folder / "calls.jsonl").read_text()
-
-
 def test_the_token_for_this_machine_passes_no_proxy(endpoint: Start) -> None:
     scripted = endpoint(pilot="greedy")
     proxies = dict.fromkeys(("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"), "http://127.0.0.1:9")
@@ -110,47 +100,12 @@ def test_the_token_for_this_machine_passes_no_proxy(endpoint: Start) -> None:
     assert done.status == 0, done.err
 
 
-@pytest.fixture
-def elsewhere() -> Generator[socket.socket, None, None]:
-    """Another server of this machine; it notes who comes and answers nobody."""
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        listening.setblocking(False)
-        yield listening
-
-
-@pytest.mark.parametrize("status", [301, 302, 303, 307, 308])
-@pytest.mark.parametrize("stream", ["--stream", "--no-stream"])
-def test_a_redirect_is_not_followed(endpoint: Start, elsewhere: socket.socket, status: int, stream: str) -> None:
-    other = endpoint(pilot="greedy")
-    there = f"http://127.0.0.1:{elsewhere.getsockname()[1]}/v1/chat/completions"
-    beside = f"{other.url}/chat/completions"
-    faults = [[3, 3, redirect(status, there)], [4, 4, redirect(status, beside)]]
-    scripted = endpoint(pilot="greedy", faults=faults)
-    done = scripted.infer("--seeds", "14:17", "--concurrency", "1", "--timeout", "20", stream)
-    with pytest.raises(BlockingIOError):
-        elsewhere.accept()
-    assert other.requests() == []
-    # It is not tried again, and costs the flight alone that it meets.
-    assert [f["status"] for f in done.flights] == ["finished", "errored", "errored"]
-    for flight, place in zip(done.flights[1:], (there, beside), strict=True):
-        why = f"{status}: it redirects to {place}, which is not followed: API_BASE_URL must be the endpoint itself"
-        assert flight["error"] == why
-    assert len(scripted.requests()) == 5
-    assert done.status == 1
-
-
-def test_a_redirect_of_the_first_call_stops_the_run(endpoint: Start, elsewhere: socket.socket) -> None:
-    # Where it leads to is quoted, and may quote the token.
-    there = f"http://127.0.0.1:{elsewhere.getsockname()[1]}/login?key={TOKEN}"
-    scripted = endpoint(pilot="greedy", faults=[[0, 10**9, redirect(302, there)]])
-    done = scripted.infer("--episodes", "9", "--concurrency", "1", "--timeout", "20")
-    with pytest.raises(BlockingIOError):
-        elsewhere.accept()
+def test_a_redirect_is_not_followed(endpoint: Start) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as elsewhere:
+        elsewhere.setblocking(False)
+        there = f"http://127.0.0.1:{elsewhere.getsockname()[1]}/v1/chat/completions"
+        scripted = endpoint(pilot="greedy", faults=[[0, 10**9, {"status": 307, "headers": {"Location": there}}]])
+        done = scripted.infer("--seeds", "14:15", "--timeout", "20", "--tries", "1")
+        with pytest.raises(BlockingIOError):
+            elsewhere.accept()
     assert (done.status, len(scripted.requests())) == (2, 1)
-    assert "answers 302: it redirects to http://127.0.0.1" in done.err
-    assert "/login?key=***, which is not followed" in done.err
-    verified(done)
-
-
-def redirect(status: int, to: str) -> dict[str, object]:
-    return {"status": status, "headers": {"Location": to}}

@@ -2,8 +2,6 @@
 
 import asyncio
 import json
-import os
-import shutil
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -36,10 +34,11 @@ def test_a_server_flies_along(endpoint: Callable[..., Endpoint], tmp_path: Path)
         # A server of other rules would show another flight than the one here.
         episode, session = Episode("easy", "tiered"), ServerSession(server.url, "mine")
         episode.reset(14)
-        asyncio.run(session.reset(episode))
+        asyncio.run(session.follow(episode))
         episode.step(Action.LEFT)
-        with pytest.raises(InvalidValueError, match=r"by other rules: map 14, step 1: .* where it is .* here"):
-            asyncio.run(session.step(episode, Action.RIGHT))
+        episode.step(Action.RIGHT)  # the server does not see the first step
+        with pytest.raises(InvalidValueError, match=r"by other rules: map 14, step 2: .* where it is .* here"):
+            asyncio.run(session.follow(episode))
         session.close()
     finally:
         server.kill()
@@ -92,19 +91,13 @@ def test_a_store_that_fails_costs_no_paid_flight(
     assert (tmp_path / "kept" / "drone_env.sqlite3").exists()
 
 
-def test_a_server_that_is_none_is_an_error(endpoint: Callable[..., Endpoint]) -> None:
-    scripted = endpoint(pilot="greedy")
-    done = scripted.infer("--seeds", "14:15", "--server", f"http://127.0.0.1:{reserved_port()}")
-    assert (done.status, done.out) == (2, "")
-    assert "did not fly" in done.err
-    assert scripted.requests() == []
-
-
-def test_without_docker_the_image_is_refused(
+def test_without_a_server_or_docker_nothing_is_sent(
     endpoint: Callable[..., Endpoint], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    scripted = endpoint(pilot="greedy")
+    done = scripted.infer("--seeds", "14:15", "--server", f"http://127.0.0.1:{reserved_port()}")
+    assert (done.status, done.out, "did not fly" in done.err) == (2, "", True)
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert shutil.which("docker", path=os.environ["PATH"]) is None
-    done = endpoint(pilot="greedy").infer("--seeds", "14:15", "--use-image")
-    assert done.status == 2
-    assert "needs Docker" in done.err
+    done = scripted.infer("--seeds", "14:15", "--use-image")
+    assert (done.status, "needs Docker" in done.err) == (2, True)
+    assert scripted.requests() == []

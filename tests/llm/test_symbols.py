@@ -12,16 +12,18 @@ from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.llm.answers import Answer, read_answer
-from drone_env.llm.prompt import FOLDER, Prompt, first_texts, get_prompt, prompt_ids, read_prompt, repair_text
-from drone_env.llm.symbols import FIRST, PLAIN, PLAIN_LETTERS, SECOND, draw_symbols
+from drone_env.llm.config import request_bodies
+from drone_env.llm.content import FIRST, PLAIN_LETTERS, SECOND, draw_symbols
+from drone_env.llm.prompt import Prompt, first_texts, get_prompt, prompt_ids, read_prompt, repair_text
 from drone_env.planning.optimal import solve
 
 from .conftest import Endpoint
+from .kept_run import run_config
 from .log_lines import verified
 
 Start = Callable[..., Endpoint]
 EASY = get_task("easy")
-DRAWN = [get_prompt(name) for name in prompt_ids() if get_prompt(name).drawn]
+DRAWN = [get_prompt(name) for name in prompt_ids() if get_prompt(name).symbols]
 PLAINLY = r"\b(UP|DOWN|LEFT|RIGHT|WAIT|(?i:parcel|road|building|tree|obstacle|pad)s?)\b"
 DIRECTIONS = "up down left right wait stay stop north south east west fly move go"
 KINDS = "parcel road building tree obstacle pad charging drone delivery delivered target city street"
@@ -38,11 +40,10 @@ def test_the_names_of_a_map_are_always_the_same() -> None:
 
 def test_no_two_are_alike_and_none_means_anything() -> None:
     words = {a + b for a, b in product(FIRST.split(), SECOND.split())}
-    assert len(words) == len(FIRST.split()) * len(SECOND.split())
     assert not words & set(COMMON.upper().split())
     seen: set[tuple[str, ...]] = set()
-    for task, seed in product((EASY, get_task("hard")), range(500)):
-        symbols = draw_symbols(task, seed)
+    for seed in range(500):
+        symbols = draw_symbols(EASY, seed)
         names = [name.upper() for name in symbols.names.values()]
         assert {*names} <= words
         assert len({name[:3] for name in names}) == len(names) == 11
@@ -51,13 +52,7 @@ def test_no_two_are_alike_and_none_means_anything() -> None:
         assert len({*letters}) == len(letters) == 8
         assert not {*letters} & {*"".join(PLAIN_LETTERS.values()).upper()}
         seen.add(tuple(names))
-    assert len(seen) == 1000
-
-
-def test_every_word_can_be_drawn_for_everything() -> None:
-    names = [draw_symbols(EASY, seed).names for seed in range(2000)]
-    for kind in names[0]:
-        assert len({of[kind].upper() for of in names}) == len(FIRST.split()) * len(SECOND.split())
+    assert len(seen) == 500
 
 
 @pytest.mark.parametrize("prompt", DRAWN, ids=lambda prompt: prompt.id)
@@ -66,39 +61,22 @@ def test_no_plain_name_is_left_in_a_prompt(prompt: Prompt, task: str) -> None:
     episode = Episode(task, seed=7)
     history = [f"1. RIGHT -> (1, 2). {said}" for said in ("Above an obstacle.", "Above a tree.", "On the way.")]
     system, user = first_texts(prompt, episode, history)
-    repaired = repair_text(prompt, "the answer is not one action", prompt.symbols(episode.task, 7))
+    repaired = repair_text(prompt, "the answer is not one action", prompt.symbols_of(episode.task, 7))
     assert not re.findall(PLAINLY, "\n".join((system, user, repaired)))
     names = draw_symbols(episode.task, 7).names
     assert f"1. {names['RIGHT']} -> (1, 2). Above a {names['obstacle']}.\n" in user
 
 
-@pytest.mark.parametrize(("plain", "drawn"), [("minimal-2", "minimal-drawn-1"), ("grid-2", "grid-drawn-1")])
-def test_a_drawn_prompt_differs_from_a_plain_one_in_its_names_alone(plain: str, drawn: str) -> None:
-    before, after = ((FOLDER / f"{name}.toml").read_text().splitlines()[1:] for name in (plain, drawn))
-    assert [line for line in after if line not in before] == [
-        'symbols = "drawn"',
-        *["{{ legend }}"] * ("grid" in plain),
-    ]
-    after.remove('symbols = "drawn"')
-    assert [PLAIN.legend if line == "{{ legend }}" else line for line in after] == before
-
-
-@pytest.mark.parametrize("text", ["UP", "up", "RIGHT", '{"action": "WAIT"}', "TREE"])
-def test_a_plain_name_is_no_answer_where_names_are_drawn(text: str) -> None:
-    words = draw_symbols(EASY, 14).actions
-    assert read_answer(Answer(text=text), False, (), words).kind == "illegal"
-    assert not read_answer(Answer(text=text), True, (), words).actions
-
-
-def test_drawn_names_are_read_as_plain_ones_are() -> None:
+def test_answers_are_read_by_drawn_names_alone() -> None:
     words = draw_symbols(EASY, 14).actions
     (up, down), other = list(words)[:2], next(iter(draw_symbols(EASY, 15).actions))
     for text in (up, f" {up.lower()}.\n", f"**{up}**", f'{{"action": "{up}"}}', f"```{up}```", f"Hm.\nACTION: {up}"):
         assert read_answer(Answer(text=text), False, ("ACTION:",), words).actions == (Action.UP,)
     assert read_answer(Answer(text=f"{up}, {down} -> {up}"), True, (), words).actions == (0, 1, 0)
+    for text in ("UP", "right", '{"action": "WAIT"}', "TREE", other):
+        assert read_answer(Answer(text=text), False, (), words).kind == "illegal"
     assert read_answer(Answer(text=f"{up}, RIGHT"), True, (), words).kind == "illegal"
     assert read_answer(Answer(text=up), False).kind == "illegal"
-    assert read_answer(Answer(text=other), False, (), words).kind == "illegal"
 
 
 def test_a_model_flies_by_drawn_names_and_the_run_keeps_them(endpoint: Start) -> None:
@@ -126,22 +104,21 @@ def test_who_answers_by_heart_is_asked_again_and_waits(endpoint: Start) -> None:
 
 
 @pytest.mark.parametrize("form", ["json", "tool"])
-def test_no_form_of_answers_names_an_action_plainly(endpoint: Start, form: str) -> None:
-    scripted = endpoint(pilot="greedy")
-    done = scripted.infer("--seeds", "14:15", "--prompt", "minimal-drawn", "--answers", form)
-    assert (done.status, done.turns) == (0, {"ok": 3}), done.err
-    assert not re.findall(PLAINLY, json.dumps(scripted.requests()[0]["body"]))
-    verified(done)
+def test_no_form_of_answers_names_an_action_plainly(form: str) -> None:
+    (body,) = request_bodies(run_config(prompt="minimal-drawn", answers=form))
+    assert not re.findall(PLAINLY, json.dumps(body))
+    (plain,) = request_bodies(run_config(answers=form))
+    assert '["UP", "DOWN", "LEFT", "RIGHT", "WAIT"]' in json.dumps(plain)
 
 
 def test_a_prompt_of_ones_own_may_draw_its_names(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(
-        'format = 2\nplan = true\nsymbols = "drawn"\nsystem = \'Trees! Say {"actions": ["RIGHT", "UP"]}\'\n'
+        'format = 1\nplan = true\nsymbols = "drawn"\nsystem = \'Trees! Say {"actions": ["RIGHT", "UP"]}\'\n'
         'user = "An obstacle, {{ buildings }} and a pad; upright, Up."\nrepair = "Say UP: {{ reason }}"'
     )
     prompt, episode = read_prompt(path), Episode("easy", seed=14)
-    symbols = prompt.symbols(episode.task, 14)
+    symbols = prompt.symbols_of(episode.task, 14)
     of = symbols.names
     system, user = first_texts(prompt, episode)
     assert system.endswith(f'.\n{of["tree"].capitalize()}s! Say {{"actions": ["{of["RIGHT"]}", "{of["UP"]}"]}}')

@@ -19,7 +19,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "drone_env": (),
     "drone_env.client": ("server",),
     "drone_env.cluster": ("cluster",),
-    "drone_env.cluster.flights": ("cluster", "llm"),
+    "drone_env.cluster.senders": ("cluster", "llm"),
     "drone_env.llm": ("llm",),
     "drone_env.llm.inspect_task": ("inspect",),
     "drone_env.llm.trl_environment": ("trl",),

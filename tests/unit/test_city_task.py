@@ -143,7 +143,6 @@ def test_what_goes_on_goes_on_with_the_same_task_alone(yard: Path) -> None:
         require_same(after, after)
     with pytest.raises(ValidationError, match="the run flew another task of the name 'yard'"):
         RunConfig.model_validate(dict(run))
-    assert RunConfig.model_validate(dict(run) | {"rules": {}}).differences(now[2]) == []
     with pytest.raises(StoreError, match="keeps flights of another task 'yard'"):
         Store(yard.parent)
     del TASKS["yard"]

@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from drone_env.agents.named import sb3_elsewhere, sb3_file
 from drone_env.core.tasks import get_task
 from drone_env.errors import InvalidValueError
-from drone_env.llm.messages import ChatMessage
+from drone_env.llm.content import ChatMessage
 from drone_env.llm.transcript import Failure
 from drone_env.models import Count, Message
 from drone_env.results.leaderboard import LeaderboardEntry, NotRanked, boards_of

@@ -1,0 +1,97 @@
+"""`drone-env infer --engine ray`: the nodes of a cluster send the requests of a run.
+
+All else is as without a cluster: flights, rate limiter and transcript are in the driver's process, so that concurrency,
+pace and budget are those of the whole run. A request whose node dies is a failed try, and another node sends the next.
+
+The endpoint's token goes to each node as the argument of a call, masked wherever it would be printed: Ray stores and
+shows the arguments of actors' constructors and runtime environments.
+"""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, cast
+
+import ray
+from pydantic import SecretStr
+from ray.exceptions import RayError, RayTaskError
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+from drone_env.cluster.nodes import Driver, check_node, failure, nodes_with_cpus, this_driver
+from drone_env.errors import ClusterError
+from drone_env.llm.answers import Answer
+from drone_env.llm.config import RunConfig
+from drone_env.llm.content import ChatMessage
+from drone_env.llm.endpoint import Endpoint, TryFailedError
+from drone_env.llm.options import Options
+
+
+class NodeSender:
+    """The actor on a node: many requests at once."""
+
+    def __init__(self) -> None:
+        self._endpoint: Endpoint | None = None
+
+    async def send(
+        self, driver: Driver, config: RunConfig, token: SecretStr | None, timeout: float, *request: Any
+    ) -> Answer:
+        """See `Endpoint.send`.
+
+        Raises:
+            TryFailedError: if no answer came.
+            ClusterError: if this node has another package than the driver.
+        """
+        check_node(driver)
+        if self._endpoint is None:
+            self._endpoint = Endpoint(config, None if token is None else token.get_secret_value(), timeout)
+        return await self._endpoint.send(*request)
+
+
+class ClusterEndpoint:
+    """An `Endpoint` whose requests the nodes send in turn. Use it inside of `connect` only, and close it.
+
+    Args:
+        config: Model, address, sampling, form of the answers.
+        token: What authorises; None to send none.
+        options: How long an answer may take, and how many requests are sent at once.
+
+    Raises:
+        ClusterError: if no node offers a CPU.
+    """
+
+    def __init__(self, config: RunConfig, token: str | None, options: Options) -> None:
+        self._first = (this_driver(), config, None if token is None else SecretStr(token), options.timeout)
+        remote: Any = cast(Any, ray).remote(num_cpus=0, max_restarts=-1, max_concurrency=options.concurrency)(
+            NodeSender
+        )
+        # The head of a large cluster has no CPUs and must not work.
+        self._actors = [
+            remote.options(scheduling_strategy=NodeAffinitySchedulingStrategy(node, soft=True)).remote()
+            for node in nodes_with_cpus()
+        ]
+        if not self._actors:
+            raise ClusterError("no node of the cluster offers a CPU")
+        self._rotation = list(self._actors)
+        self._count = itertools.count()
+
+    async def send(self, messages: Sequence[ChatMessage], call_id: str, repeat: int) -> Answer:
+        """See `Endpoint.send`.
+
+        Raises:
+            TryFailedError: if no answer came, or the node died.
+            ClusterError: if a node has another package than this one, or fails.
+        """
+        actor = self._rotation[next(self._count) % len(self._rotation)]
+        try:
+            return await actor.send.remote(*self._first, messages, call_id, repeat)
+        except RayTaskError as error:
+            raise failure(error) from None
+        except RayError as error:
+            # The last one stays: Ray starts it again.
+            if actor in self._rotation and len(self._rotation) > 1:
+                self._rotation.remove(actor)
+            raise TryFailedError(0, f"the node died: {type(error).__name__}", retried=True) from None
+
+    async def close(self) -> None:
+        """End the actors."""
+        for actor in self._actors:
+            cast(Any, ray).kill(actor)
