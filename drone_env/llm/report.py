@@ -34,7 +34,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
     Flights over one map are averaged first, then the maps, so that each map counts as much as for the other agents.
     `score_ci95` (`results.statistics`) is null for one map. `normalised` is (score - random) / (optimal - random) of
     the means over the same maps. `unusable` counts the answers that no repair made usable; the run is marked if they
-    are more than 5 %.
+    are more than 5 %. `models` counts the answers by the model that the endpoint names in them; "" if it names none.
 
     Args:
         run: The run.
@@ -56,6 +56,7 @@ def report(run: VerifiedRun, prices: Prices | None = None, moves: bool = True) -
     return {
         "format": "drone_env/llm-report",
         "config": config.model_dump(mode="json"),
+        "models": dict(sorted(Counter(call.answer.model or "" for call in run.calls if call.answer).items())),
         "verdict": verdict,
         "reason": reason,
         "flights": {

@@ -41,7 +41,7 @@ def tables(figures: dict[str, Any]) -> list[Table]:
         Table("Answers", ("outcome", "requests for actions"), [(name, str(n)) for name, n in figures["turns"].items()]),
         Table("Moves", ("move", "count"), [(label, str(n)) for label, n in moves["labels"].items()]),
         Table("Spent", (), _spent(figures)),
-        Table("Configuration", (), _configuration(figures["config"])),
+        Table("Configuration", (), _configuration(figures["config"], figures["models"])),
         Table(
             "Not finished",
             ("map", "flight over it", "status", "why"),
@@ -88,12 +88,13 @@ def _spent(figures: dict[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
-def _configuration(config: dict[str, Any]) -> list[tuple[str, str]]:
+def _configuration(config: dict[str, Any], models: dict[str, int]) -> list[tuple[str, str]]:
     sampling = ", ".join(
         f"{name} {json.dumps(value)}" for name, value in config["sampling"].items() if value not in (None, {})
     )
     return [
         ("model", config["model"]),
+        ("model that the endpoint names", ", ".join(name for name in models if name) or "none"),
         ("endpoint", config["base_url"]),
         ("task", f"{config['task']} version {config['task_version']}, rewards {config['reward_profile']}"),
         ("prompt", f"{config['prompt']} ({config['prompt_digest']}), last steps shown: {config['history']}"),
