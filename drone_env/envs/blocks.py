@@ -94,7 +94,8 @@ def draw_blocks(grid: npt.NDArray[np.uint8], unit: int, rim: int, fine: int, str
 def _hatching(on: Image.Image, unit: int, fine: int) -> Image.Image:
     """Lines from the top left to the bottom right, one picture's pixel wide."""
     pace = max(3 * fine, unit // 2)
-    lines = np.subtract.outer(np.arange(on.height), np.arange(on.width)) % pace < fine
+    rows, columns = (np.arange(side, dtype=np.int16) for side in (on.height, on.width))
+    lines = np.subtract.outer(rows, columns) % pace < fine
     return Image.fromarray(lines.astype(np.uint8) * 255)
 
 

@@ -1,7 +1,7 @@
 """The application, and the command that serves it.
 
-OpenEnv's server package is not imported: it costs seconds and 150 MB, most of it for Gradio. `openenv.socket` and
-`openenv.routes` speak its protocol, and `openenv.environment` is the environment for those who bring OpenEnv.
+OpenEnv's server package is not imported: it costs seconds and 150 MB, most of it for Gradio. `server.openenv` and
+`routes.openenv` speak its protocol, and `grid_world_environment` is the environment for those who bring OpenEnv.
 """
 
 import argparse

@@ -172,6 +172,8 @@ class Limits:
         self.too_much = f"this takes more than {settings.job_megabytes} MB of memory, the limit for one request"
         self._compiling = 0
         self._first = _allocated()
+        self._compilers = 0
+        """Bytes that compiling has allocated. They are not the job's."""
         if sys.platform != "win32":
             from numba.core import event
 
@@ -181,12 +183,15 @@ class Limits:
 
             class Compiling(event.Listener):
                 def on_start(self, event: event.Event) -> None:
+                    if not limits._compiling:
+                        limits._lift()
+                        limits._compilers -= _allocated()
                     limits._compiling += 1
-                    limits._lift()
 
                 def on_end(self, event: event.Event) -> None:
                     limits._compiling -= 1
                     if not limits._compiling:
+                        limits._compilers += _allocated()
                         limits.__enter__()
 
             event.register("numba:compile", Compiling())
@@ -202,7 +207,7 @@ class Limits:
             used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
             _set_soft_limit(resource.RLIMIT_CPU, int(used) + 2 * self.seconds)
             if sys.platform == "linux":
-                _set_soft_limit(resource.RLIMIT_DATA, self._first + self._bytes)
+                _set_soft_limit(resource.RLIMIT_DATA, self._first + self._compilers + self._bytes)
             signal.setitimer(signal.ITIMER_PROF, self.seconds)
 
     def __exit__(self, *error: object) -> None:

@@ -97,7 +97,7 @@ def test_a_bad_drawing_is_refused_with_what_is_allowed(
     ("toml", "detail"),
     [
         ("format = 2", "format: Input should be 1"),
-        ("a." * 12_000 + "a = 1", "not TOML that can be read: it has more than 64 dots outside strings"),
+        ("a." * 12_000 + "a = 1", "not TOML that can be read: it has more than 1024 keys and numbers"),
         (f"{HALF}\n[task]\nmax_steps = 121", "max_steps must be at most 120 on a drawn map of 3 x 3 cells"),
     ],
 )

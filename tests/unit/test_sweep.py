@@ -72,7 +72,7 @@ def test_values_have_the_types_of_training() -> None:
         (["gamma=nan"], "finite"),
         (["gamma"], "NAME=VALUE"),
         (["gamma=0.9", "gamma=0.8"], "gamma is set twice"),
-        (["gamma=0.9,1.5"], "gamma must be in"),
+        (["gamma=0.9,1.5"], "gamma should be less than or equal to 1"),
         (["seed=1"], "--seeds"),
         (["task=hard"], "--task"),
         (["lr=loguniform(1e-5,1e-3)"], "--samples"),
