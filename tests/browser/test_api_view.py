@@ -1,4 +1,4 @@
-"""API: the snippets do what they say, and the logs show requests, training and flights as they come."""
+"""The API view: the snippets do what they say, and the logs show requests, training and flights as they come."""
 
 import json
 import re
@@ -12,7 +12,8 @@ from playwright.sync_api import Page, expect
 from drone_env.client import DroneEnvClient
 from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, TRAINING
-from tests.browser.stage import view
+from tests.browser.shown import expect_step
+from tests.browser.stage import copied, view
 from tests.docs.pages import ROOT, blocks
 
 
@@ -20,21 +21,16 @@ def test_the_snippets_stand_in_the_docs_and_that_of_curl_flies(page: Page, serve
     view(page, "API")
     expect(page.locator("#view-api .about")).to_contain_text(f"This server is {server.url}.")
     shown = page.locator(".snippet pre").all_inner_texts()
-    # What stands there is run by the tests of the documentation.
+    # The tests of the documentation run these.
     documented = [
         block.text.strip().replace("localhost", "127.0.0.1")
         for name in ("http", "openenv", "gymnasium")
         for block in blocks(ROOT / "docs" / f"{name}.md")
         if not block.not_run
     ]
-    for snippet in shown:
-        assert snippet.replace(server.url, "http://127.0.0.1:8000") in documented
+    assert [text for text in shown if text.replace(server.url, "http://127.0.0.1:8000") not in documented] == []
     assert len(shown) == 3
-
-    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
-    page.get_by_role("button", name="Copy: HTTP, by curl").click()
-    expect(page.locator("#toasts")).to_contain_text("Copied.")
-    script = page.evaluate("navigator.clipboard.readText()")
+    script = copied(page, "Copy: HTTP, by curl", "Copied.")
     assert script == shown[0]
     lines = [line + " && echo" for line in script.splitlines()]
     done = subprocess.run(["bash", "-ec", "\n".join(lines)], cwd=tmp_path, capture_output=True, text=True, check=True)
@@ -42,11 +38,8 @@ def test_the_snippets_stand_in_the_docs_and_that_of_curl_flies(page: Page, serve
     assert (reset["step_count"], step["step_count"], grade["score"]) == (0, 1, step["score"])
 
 
-def test_all_calls_stand_at_docs_and_can_be_tried_without_the_internet(
-    page: Page, beside: Callable[[str], Page], server: Server
-) -> None:
-    docs = beside("")
-    asked: list[str] = []
+def test_all_calls_can_be_tried_without_the_internet(page: Page, beside: Callable[..., Page], server: Server) -> None:
+    docs, asked = beside(), list[str]()
     docs.on("request", lambda request: asked.append(request.url))
     view(page, "API")
     docs.goto(page.get_by_role("link", name="All calls").evaluate("link => link.href"))
@@ -59,36 +52,25 @@ def test_all_calls_stand_at_docs_and_can_be_tried_without_the_internet(
 
 
 @pytest.mark.feature("D1")
-def test_requests_appear_as_they_are_answered(page: Page, server: Server) -> None:
+def test_the_logs_show_requests_training_and_flights_as_they_come(page: Page, server: Server, data: Path) -> None:
     view(page, "API")
-    log = page.get_by_role("log", name="Requests")
-    expect(log).to_contain_text("GET /tasks 200")
+    requests, training, flights = (page.get_by_role("log", name=name) for name in ("Requests", "Training", "Flights"))
+    expect(requests).to_contain_text("GET /tasks 200")
     server.client.get("/grade/nowhere")
-    expect(log.get_by_text("/grade/nowhere")).to_have_count(1)
-
-
-@pytest.mark.feature("D1")
-def test_training_lines_appear_as_they_are_written(page: Page, data: Path) -> None:
-    view(page, "API")
-    log = page.get_by_role("log", name="Training")
+    expect(requests.get_by_text("/grade/nowhere")).to_have_count(1)
     for line in TRAINING:
-        expect(log.get_by_text(line, exact=True)).to_be_visible()
+        expect(training.get_by_text(line, exact=True)).to_be_visible()
     with (data / "train.log").open("a", encoding="utf-8") as file:
         file.write("episode 4 reward 9.99\n")
-    expect(log.get_by_text("episode 4 reward 9.99", exact=True)).to_be_visible()
-    assert MARKUP in log.inner_text()
-
-
-def test_flights_that_end_appear_and_can_be_opened(page: Page, server: Server) -> None:
-    view(page, "API")
-    log = page.get_by_role("log", name="Flights")
-    expect(log.get_by_role("listitem").first).to_be_visible()
+    expect(training.get_by_text("episode 4 reward 9.99", exact=True)).to_be_visible()
+    assert MARKUP in training.inner_text()
+    expect(flights.get_by_role("listitem").first).to_be_visible()
     with DroneEnvClient(server.url) as client:
         observation = client.reset("easy", seed=4242, agent="random")
         while not observation["done"]:
             observation = client.step("WAIT")
-    line = log.get_by_role("listitem").filter(has_text="Easy, map 4242, Random")
+    line = flights.get_by_role("listitem").filter(has_text="Easy, map 4242, Random")
     expect(line).to_contain_text("Battery empty, 60 steps")
     line.get_by_role("link", name="Open the flight").click()
     expect(page).to_have_url(re.compile(r"\?episode=\w+$"))
-    expect(page.locator("#step-counter")).to_contain_text("Step 0 of 60")
+    expect_step(page, 0, 60)

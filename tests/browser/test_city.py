@@ -11,7 +11,8 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
 from tests.api.serving import serving
-from tests.browser.stage import at_speed, painted, pictures, show
+from tests.browser.shown import expect_step, offset, painted, pictures
+from tests.browser.stage import fly, show
 from tests.browser.tabs import PATIENCE_MS, Tabs
 from tests.browser.test_everybody import findings
 from tests.docs.pages import ROOT, blocks
@@ -20,13 +21,6 @@ from tests.docs.shell import commands
 CONTRIBUTORS = "© OpenStreetMap contributors"
 GROUND = "#boards .map-ground"
 JOINED = ("--block-street", "--block-roof-1", "--block-wood", "--block-closed")
-
-
-def moved(page: Page) -> list[float]:
-    """By how much the city has been moved, in pixels."""
-    pictures(page)  # drawn
-    transform = page.locator(GROUND).evaluate("canvas => canvas.style.transform")
-    return [float(number) for number in re.findall(r"-?[0-9.]+", transform)]
 
 
 def test_a_city_is_joined_to_blocks_is_seen_from_nearby_and_says_whose_data_it_shows(page: Page) -> None:
@@ -46,18 +40,16 @@ def test_a_city_is_joined_to_blocks_is_seen_from_nearby_and_says_whose_data_it_s
     box = small.bounding_box()
     assert box
     small.click(position={"x": 0.3 * box["width"], "y": 0.7 * box["height"]})
-    clicked = moved(page)
+    clicked = offset(page)
     expect(page.get_by_role("button", name="Follow the drone")).to_be_visible()
     page.keyboard.press("Shift+ArrowRight")
-    assert moved(page)[0] < clicked[0]
-    assert moved(page)[1] == clicked[1]
-    for _ in range(3):
-        page.keyboard.press("z")
-    expect(nearer).to_be_disabled()
-    for _ in range(5):
+    moved = offset(page)
+    assert moved[0] < clicked[0]
+    assert moved[1] == clicked[1]
+    for _ in range(2):
         page.keyboard.press("x")
-    expect(farther).to_be_disabled()
-    # The wheel goes to where the pointer is: what lies there stays there.
+    expect(farther).to_be_enabled()
+    # The wheel zooms to the pointer: the cell below it stays below it.
     field = page.locator("#boards .map").bounding_box()
     assert field
     x, y = field["x"] + 0.6 * field["width"], field["y"] + 0.55 * field["height"]
@@ -72,11 +64,11 @@ def test_a_city_is_joined_to_blocks_is_seen_from_nearby_and_says_whose_data_it_s
         below.append(((x - ground["x"]) / ground["width"], (y - ground["y"]) / ground["height"]))
     page.keyboard.up("Control")
     assert below[2] == pytest.approx(below[1], abs=0.01)
-    # Who flies by hand begins nearby; a map of the standard tasks is drawn as it was, with nothing around it.
+    # A person starts nearby; a map of the standard tasks has no blocks and nothing around it.
     show(page, "/?task=city&seed=7&pilots=human")
     expect(farther).to_be_enabled()
     show(page, "/?task=easy&seed=7&pilots=greedy")
-    expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
+    expect_step(page, 0, 60)
     expect(credit).to_be_hidden()
     expect(small).to_be_hidden()
     assert painted(page.locator(GROUND), *JOINED) == []
@@ -99,8 +91,7 @@ def test_three_commands_of_the_documentation_lead_to_a_race(browser: Browser, tm
     ):
         page = tabs.open(url.removeprefix("http://127.0.0.1:8000"))
         expect(page.locator("#standings tbody tr")).to_have_count(4)
-        at_speed(page, "60")
-        page.get_by_role("button", name="Start", exact=True).click()
+        fly(page)
         expect(page.locator("#step-counter")).to_contain_text(re.compile("All parcels delivered|Step \\d{2,} of"))
         expect(page.get_by_role("link", name=CONTRIBUTORS)).to_be_visible(timeout=PATIENCE_MS)
         assert painted(page.locator(GROUND), *JOINED)

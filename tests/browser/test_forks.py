@@ -14,7 +14,8 @@ from drone_env.results.analysis import analyse_flight
 from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames
-from tests.browser.stage import at_its_end, expect_frame, over, painted, pictures, points, show, step
+from tests.browser.shown import expect_frame, painted, pictures, points
+from tests.browser.stage import at_its_end, over, show, step
 
 KEYS = {"UP": "ArrowUp", "DOWN": "ArrowDown", "LEFT": "ArrowLeft", "RIGHT": "ArrowRight", "WAIT": " "}
 

@@ -7,7 +7,8 @@ from playwright.sync_api import Locator, Page, Request, Route, expect
 
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown
-from tests.browser.stage import ended, fly, pictures, points, show, step
+from tests.browser.shown import pictures, points
+from tests.browser.stage import ended, fly, show, step
 from tests.browser.tabs import Tabs
 
 GROUND, CELLS, AIR = range(3)

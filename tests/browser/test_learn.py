@@ -16,7 +16,8 @@ from drone_env.results.analysis import analyse_flight
 from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames
-from tests.browser.stage import fixed, points, view
+from tests.browser.shown import fixed, points
+from tests.browser.stage import view
 
 ALONE = ("easy", 18)
 BLUNDER = ("skyline_easy", 88)

@@ -10,7 +10,8 @@ from drone_env.core.tasks import get_task
 from tests.api.networks import put_trained
 from tests.api.serving import Server
 from tests.browser.flights import fill, flown, frames
-from tests.browser.stage import along, ended, expect_frame, fly, over, pilot, show, step, view
+from tests.browser.shown import expect_frame
+from tests.browser.stage import along, ended, fly, over, pilot, show, step, view
 from tests.browser.tabs import Tabs
 
 

@@ -7,7 +7,8 @@ from playwright.sync_api import Browser, Locator, Page, expect
 
 from tests.api.serving import Server
 from tests.browser.conftest import lent
-from tests.browser.stage import ended, fly, pictures, show, view, whole_view
+from tests.browser.shown import pictures
+from tests.browser.stage import ended, fly, show, view, whole_view
 from tests.browser.tabs import NARROW, Tabs
 
 PIXELS_PER_PIXEL = 2

@@ -7,7 +7,8 @@ from playwright.sync_api import Locator, Page, Route, expect
 from drone_env.results.record import parse_record
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, possible, posted
-from tests.browser.stage import along, fly, over, painted, pictures, pilot, points, step
+from tests.browser.shown import painted, pictures, points
+from tests.browser.stage import along, fly, over, pilot, step
 
 SEED = 20
 """A map on which chance, too, delivers, after twelve steps."""

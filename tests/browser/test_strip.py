@@ -8,7 +8,8 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.api.serving import Server
 from tests.browser.flights import flown, frames, posted
-from tests.browser.stage import ended, expect_frame, fixed, fly, over, percent, pilot, points
+from tests.browser.shown import expect_frame, fixed, percent, points
+from tests.browser.stage import ended, fly, over, pilot
 from tests.browser.tabs import Tabs
 
 MORE = "Efficiency, and all flights of this task"

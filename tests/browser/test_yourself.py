@@ -10,7 +10,8 @@ from drone_env.core.episode import Episode
 from drone_env.results.record import record_of
 from tests.api.serving import Server
 from tests.browser.flights import frames
-from tests.browser.stage import along, counter, ended, expect_frame, fly, over, pictures, pilot
+from tests.browser.shown import counter, expect_frame, pictures
+from tests.browser.stage import along, ended, fly, over, pilot
 
 
 def by_hand(server: Server, seed: int, actions: list[Action]) -> list[dict[str, Any]]:
