@@ -1,23 +1,21 @@
-"""What can be laid on the map, asked of the server once a moment; and from where the map is seen."""
+"""The layers of the map, asked of the server once a moment, and the camera."""
 
 import json
-import re
 
 from playwright.sync_api import Locator, Page, Request, Route, expect
 
-from tests.api.serving import Server
-from tests.browser.flights import fill, flown
-from tests.browser.shown import pictures, points
-from tests.browser.stage import ended, fly, show, step
+from tests.browser.shown import changed, expect_step, offset, pictures, points
+from tests.browser.stage import ended, fly, map_number, press, show, until
 from tests.browser.tabs import Tabs
 
 GROUND, CELLS, AIR = range(3)
-"""The canvases of a map: the city, what is known of its cells, what moves."""
-
-
-def changed(page: Page, before: list[str]) -> list[int]:
-    """Which canvases no longer show what they did."""
-    return [place for place, (now, then) in enumerate(zip(pictures(page), before, strict=True)) if now != then]
+"""The canvases of a map: the city, the layers of its cells, what moves."""
+LAYERS = {
+    "Best from everywhere": ("v", CELLS),
+    "Where the network errs": ("e", CELLS),
+    "Range of the battery": ("b", CELLS),
+    "A best flight": ("g", AIR),
+}
 
 
 def box(page: Page, name: str) -> Locator:
@@ -26,234 +24,177 @@ def box(page: Page, name: str) -> Locator:
 
 def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_moment(page: Page) -> None:
     asked: list[int] = []
+    held: list[Route] = []
 
     def note(request: Request) -> None:
         if request.url.endswith("/values"):
             asked.append(len(json.loads(request.post_data or "")["actions"]))
 
+    best, cells = page.locator("#q-values tr.best"), page.locator("#boards .map-cells")
     show(page, "/?task=skyline_easy&seed=4711&pilot=greedy")
-    expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
-    # There is none before the end: it would tell what is best.
+    expect_step(page, 0, 60)
+    # Hidden before the end: it would show what is best.
     expect(box(page, "A best flight")).to_be_hidden()
     fly(page)
     ended(page)
     page.keyboard.press("Home")
-    expect(page.locator("#step-counter")).to_have_text(re.compile("^Step 0 of"))
     page.on("request", note)
     try:
-        layers = {
-            "Best from everywhere": ("v", [CELLS]),
-            "Where the network errs": ("e", [CELLS]),
-            "Range of the battery": ("b", [CELLS]),
-            "A best flight": ("g", [AIR]),
-        }
         box(page, "A best flight").uncheck()
         bare = pictures(page)
-        for name, (key, places) in layers.items():
+        for name, (key, place) in LAYERS.items():
             box(page, name).check()
-            if places == [CELLS]:
-                expect(page.locator("#q-values tr.best").first).to_be_visible()
-            assert changed(page, bare) == places
+            if place == CELLS:
+                expect(best.first).to_be_visible()
+            assert changed(page, bare) == [place]
             page.keyboard.press(key)
             expect(box(page, name)).not_to_be_checked()
             assert changed(page, bare) == []
-            page.keyboard.press(key)
-            expect(box(page, name)).to_be_checked()
-            box(page, name).uncheck()
         assert asked == [0]
-        # What each move leaves possible stands beside, of the moment that is looked at.
+        # While the server computes, the values of the step before are dimmed, and none stand beside the moves.
         page.keyboard.press("v")
-        expect(page.locator("#q-values tr.best").first).to_be_visible()
-        held: list[Route] = []
+        expect(best.first).to_be_visible()
         page.route("**/values", lambda route, _: held.append(route))
-        step(page)
-        while not held:
-            page.wait_for_timeout(20)
-        expect(page.locator("#q-values tr.best")).to_have_count(0)
-        # Until the answer is there, what lies on the map is of the moment before.
-        cells = page.locator("#boards .map-cells")
+        press(page, "Step")
+        until(page, lambda: bool(held))
+        expect(best).to_have_count(0)
         expect(cells).to_have_css("opacity", "0.2")
         with page.expect_response("**/values") as answer:
             held[0].continue_()
         exact = answer.value.json()["q_values"]
-        page.unroute("**/values")
         expect(cells).to_have_css("opacity", "1")
         for action, value in exact.items():
             row = page.locator(f"#q-values tr[data-action={action}]").get_by_role("cell")
-            expect(row.nth(0)).to_have_text(points(value))
             lost = max(exact.values()) - value
-            expect(row.nth(1)).to_have_text(points(lost) if lost > 0.0005 else "0")
+            expect(row).to_have_text([points(value), points(lost) if lost > 0.0005 else "0"])
         there = pictures(page)
-        page.keyboard.press("Home")
-        expect(page.locator("#q-values tr.best").first).to_be_visible()
-        page.keyboard.press("ArrowRight")
-        expect(page.locator("#q-values tr.best").first).to_be_visible()
+        for key in ("Home", "ArrowRight"):
+            page.keyboard.press(key)
+            expect(best.first).to_be_visible()
         assert changed(page, there) == []
         assert asked == [0, 1]
-        # One question at a time, and after it the newest; each answer is drawn, though the flight has gone on.
+        # One request at a time, then the newest; the page draws each answer although the flight has moved on.
         held.clear()
-        page.route("**/values", lambda route, _: held.append(route))
-        step(page)
-        while not held:
-            page.wait_for_timeout(20)
+        press(page, "Step")
+        until(page, lambda: len(held) == 1)
         for _ in range(2):
-            step(page)
+            press(page, "Step")
         before = pictures(page)
         held[0].continue_()
-        while len(held) < 2:
-            page.wait_for_timeout(20)
+        until(page, lambda: len(held) == 2)
         assert CELLS in changed(page, before)
         held[1].continue_()
-        page.unroute("**/values")
         expect(cells).to_have_css("opacity", "1")
         assert asked == [0, 1, 2, 4]
-        page.keyboard.press("v")
-        page.keyboard.press("End")
-        expect(page.locator("#q-values td.num").nth(1)).to_have_text("–")
-        assert asked == [0, 1, 2, 4]
     finally:
+        page.unroute("**/values")
         page.remove_listener("request", note)
-        for name in ("Best from everywhere", "Where the network errs", "Range of the battery"):
-            box(page, name).uncheck()
+        box(page, "Best from everywhere").uncheck()
         box(page, "A best flight").check()
 
 
 def test_only_where_there_is_something_to_be_shown(page: Page) -> None:
+    ranges, thoughts = box(page, "Range of the battery"), box(page, "What the network thinks")
     show(page, "/?task=easy&seed=7&pilot=greedy")
-    expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
-    # There are no pads on these maps.
-    expect(box(page, "Range of the battery")).to_be_hidden()
-    expect(page.locator("#lost")).not_to_have_text("–")  # what can be reached is painted when it is known
-    before = pictures(page)
-    page.keyboard.press("b")
-    assert changed(page, before) == []
-    expect(box(page, "What the network thinks")).to_be_checked()
-    thoughts = page.get_by_role("table", name="Each move from here").get_by_role("columnheader")
-    expect(thoughts).to_have_text(["Move", "Network", "Still possible", "Loses"])
-    # Nor does the network that flies here value single moves.
+    expect_step(page, 0, 60)
+    # These maps have no pads.
+    expect(ranges).to_be_hidden()
+    expect(thoughts).to_be_checked()
+    columns = page.get_by_role("table", name="Each move from here").get_by_role("columnheader")
+    expect(columns).to_have_text(["Move", "Network", "Still possible", "Loses"])
+    # The network that flies here has no values for single moves.
     show(page, "/?task=skyline_easy&seed=7&pilot=tournet")
-    expect(box(page, "What the network thinks")).to_be_hidden()
-    expect(thoughts).to_have_text(["Move", "Still possible", "Loses"])
+    expect(thoughts).to_be_hidden()
+    expect(columns).to_have_text(["Move", "Still possible", "Loses"])
     expect(page.locator("#confidence")).to_contain_text("No network values single moves here")
-    expect(box(page, "Range of the battery")).to_be_visible()
-    expect(box(page, "Range of the battery")).not_to_be_checked()
     with page.expect_response("**/values") as answer:
-        page.keyboard.press("b")
-    pads = answer.value.json()["pads"]
+        ranges.check()
     chosen = page.get_by_role("combobox", name="The numbers are the units of battery left there")
-    expect(chosen.locator("option")).to_have_text(
-        ["here", *(f"the pad at {pad['position']}, charged in full" for pad in pads)]
-    )
+    pads = [f"the pad at {pad['position']}, charged in full" for pad in answer.value.json()["pads"]]
+    expect(chosen.locator("option")).to_have_text(["here", *pads])
     here = pictures(page)
     chosen.select_option(index=1)
     assert changed(page, here) == [CELLS]
     chosen.select_option("here")
     assert changed(page, here) == []
-    page.keyboard.press("b")
+    ranges.uncheck()
     expect(chosen).to_be_hidden()
 
 
-def test_a_map_that_is_not_solved_says_so_and_a_refusal_is_told_once(page: Page, shared: Tabs, server: Server) -> None:
+def test_a_map_that_is_not_solved_says_so_and_a_refusal_is_told_once(page: Page, shared: Tabs) -> None:
     shared.expect("503")
     why = "the exact values of this map would take too much memory"
+    refused: list[Route] = []
 
     def unsolved(route: Route) -> None:
         answer = route.fetch()
-        told = answer.json()
-        cells = told["cells"] | {"values": None, "best_actions": None, "disagree": None}
+        known = answer.json()
+        cells = known["cells"] | {"values": None, "best_actions": None, "disagree": None}
         nothing = dict.fromkeys(("optimum", "value", "regret", "q_values", "best_actions"))
-        route.fulfill(json=told | nothing | {"unsolved": why, "cells": cells})
-
-    refused: list[str] = []
+        route.fulfill(json=known | nothing | {"unsolved": why, "cells": cells})
 
     def full(route: Route) -> None:
-        refused.append(route.request.url)
+        refused.append(route)
         route.fulfill(status=503, json={"code": "busy", "detail": "too many requests are waiting"})
 
-    id_ = fill(server.data, [flown("skyline_easy", 4712, "greedy")])[0]
-    show(page, f"/?episode={id_}")
-    expect(page.get_by_role("spinbutton", name="Map")).to_have_value("4712")
-    pictures(page)  # drawn: what is said is of this flight
-    ended(page)
+    show(page, "/?task=skyline_easy&seed=4712&pilot=greedy&step=3")
+    expect(map_number(page)).to_have_value("4712")
+    expect(page.locator("#lost")).not_to_have_text("–")
     before = pictures(page)
     page.route("**/values", unsolved)
     page.keyboard.press("v")
     expect(page.locator("#unsolved")).to_have_text(why)
     assert changed(page, before) == []
-    expect(page.locator("#q-values td.num").nth(1)).to_have_text("–")
     page.keyboard.press("b")
     assert changed(page, before) == [CELLS], "the range of the battery is known all the same"
     page.keyboard.press("b")
     page.unroute("**/values")
     page.route("**/values", full)
-    try:
-        step(page)
-        expect(page.locator("#toasts").get_by_text("too many requests are waiting")).to_be_visible()
-        expect(page.locator("#unsolved")).to_have_text("")
-        for key in ("ArrowLeft", "ArrowRight"):
-            page.keyboard.press(key)
-            pictures(page)
-        assert len(refused) == 1
-    finally:
-        page.unroute("**/values")
-        page.keyboard.press("v")
+    press(page, "Step back")
+    expect(page.locator("#toasts").get_by_text("too many requests are waiting")).to_be_visible()
+    expect(page.locator("#unsolved")).to_have_text("")
+    for key in ("ArrowRight", "ArrowLeft"):
+        page.keyboard.press(key)
+        pictures(page)
+    page.unroute("**/values")
+    page.keyboard.press("v")
+    assert len(refused) == 1
 
 
 def test_the_map_is_seen_from_nearer_follows_the_drone_and_is_moved(page: Page) -> None:
-    def at() -> list[float]:
-        """By how much the city has been moved, in pixels."""
-        pictures(page)  # drawn
-        moved = page.locator("#boards .map-ground").evaluate("canvas => canvas.style.transform")
-        return [float(number) for number in re.findall(r"-?[0-9.]+", moved)]
-
     show(page, "/?task=hard&seed=7&pilot=pathqnet&step=30")
-    expect(page.locator("#step-counter")).to_have_text(re.compile("^Step 30 of"))
-    tools = page.get_by_role("group", name="Map", exact=True)
-    nearer, farther = (tools.get_by_role("button", name=name) for name in ("Nearer", "Farther"))
-    follow = tools.get_by_role("button", name="Follow the drone")
+    expect_step(page, 30, 160)
+    farther, follow = (page.get_by_role("button", name=name) for name in ("Farther", "Follow the drone"))
     expect(farther).to_be_disabled()
-    expect(follow).to_be_hidden()
     whole = pictures(page)
-    assert at() == []
-    nearer.click()
-    page.keyboard.press("z")
-    page.keyboard.press("z")
+    press(page, "Nearer")
+    for _ in range(2):
+        page.keyboard.press("z")
     assert changed(page, whole) == [GROUND, CELLS, AIR]
     expect(follow).to_be_hidden()
-    # The drone is kept in sight.
-    followed = at()
+    followed = offset(page)
     page.keyboard.press("Home")
-    expect(page.locator("#step-counter")).to_have_text(re.compile("^Step 0 of"))
-    assert at() != followed
-    # A drag moves the map, and then it stays where it is.
-    left, top = at()
-    middle = page.locator("#boards").bounding_box()
-    assert middle
-    x, y = middle["x"] + middle["width"] / 2, middle["y"] + middle["height"] / 2
+    expect_step(page, 0, 160)
+    assert offset(page) != followed
+    # A drag moves the map, which stays there.
+    left, top = offset(page)
+    board = page.locator("#boards").bounding_box()
+    assert board
+    x, y = board["x"] + board["width"] / 2, board["y"] + board["height"] / 2
     page.mouse.move(x, y)
     page.mouse.down()
     page.mouse.move(x - 30, y + 20)
     page.mouse.up()
-    moved = at()
+    moved = offset(page)
     assert abs(moved[0] - (left - 30)) <= 1
     assert abs(moved[1] - (top + 20)) <= 1
     page.keyboard.press("End")
-    expect(page.locator("#step-counter")).to_have_text(re.compile("^Step 30 of"))
-    assert at() == moved
+    expect_step(page, 30, 160)
+    assert offset(page) == moved
     follow.click()
     expect(follow).to_be_hidden()
-    assert at() != moved
-    for _ in range(3):
-        page.keyboard.press("x")
-    expect(farther).to_be_disabled()
-    assert changed(page, whole) == []
-    # A drag does not move a map that is seen as a whole, and another map is.
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x - 30, y + 20)
-    page.mouse.up()
-    assert changed(page, whole) == []
-    nearer.click()
-    page.get_by_role("button", name="New map").click()
-    expect(page.locator("#step-counter")).to_have_text("Step 0 of 160")
+    assert offset(page) != moved
+    # Another map is seen as a whole.
+    press(page, "New map")
+    expect_step(page, 0, 160)
     expect(farther).to_be_disabled()
