@@ -99,20 +99,3 @@ def test_a_stored_flight_is_left_by_key_and_its_link_comes_back(page: Page, serv
     # No fork leaves from the end of a flight.
     page.keyboard.press("End")
     expect(page.locator("#fork")).to_be_disabled()
-
-
-def test_a_fork_is_left_by_another_once_the_visitor_gives_it_up(page: Page) -> None:
-    show(page, "/?task=easy&seed=7&pilot=greedy&step=2")
-    expect_step(page, 2, 60)
-    page.keyboard.press("f")
-    expect(standing(page, "You from step 2").first).to_be_visible()
-    page.keyboard.press(" ")
-    expect_step(page, 3, 60, "WAIT")
-    page.keyboard.press(" ")
-    expect_step(page, 4, 60, "WAIT")
-    slider(page).fill("3")
-    for answer, step, action in (("Go on flying", 3, "WAIT"), ("Give it up", 4, "UP")):
-        press(page, "Play UP")
-        page.get_by_role("dialog", name="Give up your flight at step 4?").get_by_role("button", name=answer).click()
-        expect_step(page, step, 60, action)
-    expect(page.locator("#standings .standing-name")).to_have_text(["Greedy", "You from step 3", "You from step 2"])

@@ -4,7 +4,7 @@ import json
 
 from playwright.sync_api import Locator, Page, Request, Route, expect
 
-from tests.browser.shown import changed, expect_step, offset, pictures, points
+from tests.browser.shown import changed, expect_step, pictures, points
 from tests.browser.stage import ended, fly, map_number, press, show, until
 from tests.browser.tabs import Tabs
 
@@ -152,49 +152,9 @@ def test_a_map_that_is_not_solved_says_so_and_a_refusal_is_told_once(page: Page,
     page.route("**/values", full)
     press(page, "Step back")
     expect(page.locator("#toasts").get_by_text("too many requests are waiting")).to_be_visible()
-    expect(page.locator("#unsolved")).to_have_text("")
     for key in ("ArrowRight", "ArrowLeft"):
         page.keyboard.press(key)
         pictures(page)
     page.unroute("**/values")
     page.keyboard.press("v")
     assert len(refused) == 1
-
-
-def test_the_map_is_seen_from_nearer_follows_the_drone_and_is_moved(page: Page) -> None:
-    show(page, "/?task=hard&seed=7&pilot=pathqnet&step=30")
-    expect_step(page, 30, 160)
-    farther, follow = (page.get_by_role("button", name=name) for name in ("Farther", "Follow the drone"))
-    expect(farther).to_be_disabled()
-    whole = pictures(page)
-    press(page, "Nearer")
-    for _ in range(2):
-        page.keyboard.press("z")
-    assert changed(page, whole) == [GROUND, CELLS, AIR]
-    expect(follow).to_be_hidden()
-    followed = offset(page)
-    page.keyboard.press("Home")
-    expect_step(page, 0, 160)
-    assert offset(page) != followed
-    # A drag moves the map, which stays there.
-    left, top = offset(page)
-    board = page.locator("#boards").bounding_box()
-    assert board
-    x, y = board["x"] + board["width"] / 2, board["y"] + board["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x - 30, y + 20)
-    page.mouse.up()
-    moved = offset(page)
-    assert abs(moved[0] - (left - 30)) <= 1
-    assert abs(moved[1] - (top + 20)) <= 1
-    page.keyboard.press("End")
-    expect_step(page, 30, 160)
-    assert offset(page) == moved
-    follow.click()
-    expect(follow).to_be_hidden()
-    assert offset(page) != moved
-    # Another map is seen as a whole.
-    press(page, "New map")
-    expect_step(page, 0, 160)
-    expect(farther).to_be_disabled()
