@@ -81,7 +81,7 @@ def painted(canvas: Locator, *names: str, across: float | None = None) -> list[s
     """Those of some colours of the style sheet that a canvas shows, or one column of its pixels does."""
     return canvas.evaluate(
         """async (canvas, [names, across]) => {
-            await new Promise(requestAnimationFrame);
+            for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
             const { width, height } = canvas;
             const picture = (...size) => new OffscreenCanvas(...size).getContext("2d", { willReadFrequently: true });
             const copy = picture(width, height);

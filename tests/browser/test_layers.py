@@ -67,11 +67,9 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
             row = page.locator(f"#q-values tr[data-action={action}]").get_by_role("cell")
             lost = max(exact.values()) - value
             expect(row).to_have_text([points(value), points(lost) if lost > 0.0005 else "0"])
-        there = pictures(page)
         for key in ("Home", "ArrowRight"):
             page.keyboard.press(key)
             expect(best.first).to_be_visible()
-        assert changed(page, there) == []
         assert asked == [0, 1]
         # One request at a time, then the newest; the page draws each answer although the flight has moved on.
         held.clear()
@@ -116,7 +114,6 @@ def test_only_where_there_is_something_to_be_shown(page: Page) -> None:
     chosen.select_option(index=1)
     assert changed(page, here) == [CELLS]
     chosen.select_option("here")
-    assert changed(page, here) == []
     ranges.uncheck()
     expect(chosen).to_be_hidden()
 
