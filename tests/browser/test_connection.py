@@ -24,9 +24,7 @@ def is_open(server: Server, session: str) -> bool:
     return server.client.get("/state", headers={"X-Session-Id": session}).status_code == 200
 
 
-def test_sessions_end_with_their_page_and_one_that_is_ended_elsewhere_begins_anew(
-    beside: Beside, server: Server
-) -> None:
+def test_sessions_end_with_their_page(beside: Beside, server: Server) -> None:
     tab, sessions = beside(), list[str]()
 
     def read(text: str | bytes) -> None:
@@ -62,9 +60,7 @@ def test_sessions_end_with_their_page_and_one_that_is_ended_elsewhere_begins_ane
     expect_sessions(10, 10)
 
 
-def test_a_server_that_wants_a_token_is_killed_and_comes_back_and_the_flight_goes_on(
-    beside: Beside, shared: Tabs, tmp_path: Path
-) -> None:
+def test_a_flight_goes_on_when_a_killed_server_comes_back(beside: Beside, shared: Tabs, tmp_path: Path) -> None:
     """The page asks for the token until it is right, and once a tab: a page that reconnects still has it."""
     data, port = tmp_path / "data", reserved_port()
     flight = flown("hard", 7, "greedy")
@@ -112,9 +108,7 @@ def test_a_server_that_wants_a_token_is_killed_and_comes_back_and_the_flight_goe
     assert {(episode.record.seed, *episode.record.actions) for episode in episodes} == {(7, *flight.actions)}
 
 
-def test_a_server_that_ends_each_connection_is_asked_five_times_and_then_when_the_visitor_says(
-    browser: Browser, server: Server
-) -> None:
+def test_a_server_that_ends_each_connection_is_asked_five_times(browser: Browser, server: Server) -> None:
     """As if the server died of what the page asks for: of the flight it continues, for example."""
     connections: list[WebSocketRoute] = []
 

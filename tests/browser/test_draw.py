@@ -93,9 +93,7 @@ def test_a_map_is_drawn_and_its_file_is_worth_the_same(page: Page, shared: Tabs,
         expect(score).to_have_text("–")
 
 
-def test_what_is_typed_stays_while_the_server_answers_and_a_drag_outside_draws_nothing_inside(
-    page: Page, shared: Tabs
-) -> None:
+def test_a_late_answer_keeps_what_is_typed_and_a_drag_outside_draws_nothing(page: Page, shared: Tabs) -> None:
     late: list[Route] = []
     page.route("**/maps/worth", lambda route: late.append(route))
     with page.expect_request("**/maps/worth"):

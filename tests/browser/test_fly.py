@@ -64,8 +64,8 @@ def test_it_waits_for_start_shows_each_step_as_the_server_has_it_and_saves_them(
         press(page, "CSV")
     with table.value.path().open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    columns = ("step", "reward", "x", "message")
-    for row, frame in zip(rows, flight[:4], strict=True):
+    columns = ("step", "action", "reward", "x", "message")
+    for row, frame in zip(rows[1:], flight[1:4], strict=True):
         assert [row[name] for name in ("pilot", "task", "seed")] == ["greedy", "medium_delivery", "7"]
         assert [row[name] for name in columns] == [str(frame[name]) for name in columns]
     with page.expect_download() as picture:

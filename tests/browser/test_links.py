@@ -15,9 +15,7 @@ from tests.browser.stage import along, copied, ended, fly, map_number, over, pil
 from tests.browser.tabs import Tabs
 
 
-def test_a_link_opens_exactly_its_flight_and_each_flight_is_an_entry_that_back_comes_to(
-    page: Page, beside: Callable[..., Page], server: Server
-) -> None:
+def test_a_link_opens_exactly_its_flight(page: Page, beside: Callable[..., Page], server: Server) -> None:
     show(page, "/?task=easy&seed=7&pilot=greedy")
     expect(map_number(page)).to_have_value("7")
     press(page, "New map")
@@ -106,7 +104,7 @@ def test_a_flight_of_ones_own_that_is_left_goes_on_where_it_was(page: Page, serv
     show(page, "/?task=easy&seed=9&pilot=greedy")
     expect(map_number(page)).to_have_value("9")
     pilot(page, "You").click()
-    expect(page).to_have_url(f"{server.url}/?task=easy&seed=9&pilot=human")
+    expect_flying(page, "You")
     for _ in range(3):
         page.keyboard.press(" ")
     expect(page).to_have_url(f"{server.url}/?task=easy&seed=9&pilot=human&of=human&actions=WWW")

@@ -85,9 +85,7 @@ def test_others_move_along_with_a_person_and_end_by_themselves(page: Page) -> No
     expect(greedy.nth(1)).to_have_text("1/1")
 
 
-def test_values_are_hidden_from_a_person_until_asked_for_and_then_the_record_says_so(
-    page: Page, server: Server
-) -> None:
+def test_values_are_hidden_from_a_person_until_asked_for(page: Page, server: Server) -> None:
     over(page, 5, "/?task=easy&seed=5&pilot=human")
     expect_step(page, 0, 60)
     way = to_the_parcel(5)[::-1]  # the last move is to the left, a key that looks back, too

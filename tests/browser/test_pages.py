@@ -1,13 +1,17 @@
-"""Learn: the tutorial, whose texts are true of their maps, and the specifications, as the server states them."""
+"""Learn and API: the tutorial, the specifications, the snippets and the logs, true and as the server states them."""
 
+import json
 import re
-from collections.abc import Sequence
+import subprocess
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
 
+from drone_env.client import DroneEnvClient
 from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
@@ -15,10 +19,12 @@ from drone_env.models import DIRECTIONS
 from drone_env.planning.optimal import solve
 from drone_env.results.analysis import analyse_flight
 from tests.api.serving import Server
+from tests.browser.conftest import MARKUP, TRAINING
 from tests.browser.flights import flown, get
 from tests.browser.shown import expect_step, fixed, points
-from tests.browser.stage import fly, press, view
-from tests.browser.test_forks import KEYS
+from tests.browser.stage import copied, fly, press, view
+from tests.browser.test_several import KEYS
+from tests.docs.pages import ROOT, blocks
 
 ALONE = ("easy", 18)
 BLUNDER = ("skyline_easy", 88)
@@ -140,9 +146,7 @@ def test_the_tasks_stand_side_by_side_as_the_server_states_them(page: Page, serv
     assert "Charging pads" in shown
 
 
-def test_all_reward_profiles_and_kinds_of_cells_are_listed_as_the_server_states_them(
-    page: Page, server: Server
-) -> None:
+def test_all_reward_profiles_and_kinds_of_cells_are_listed(page: Page, server: Server) -> None:
     view(page, "Learn")
     profiles, kinds = get(server, "tasks")["reward_profiles"], get(server, "kinds")["kinds"]
     listed = page.get_by_role("region", name="Reward profiles")
@@ -154,3 +158,61 @@ def test_all_reward_profiles_and_kinds_of_cells_are_listed_as_the_server_states_
     legend = page.get_by_role("region", name="Legend")
     expect(legend.locator("dt")).to_contain_text([kind["emoji"] for kind in kinds])
     expect(legend.locator("dd")).to_have_text([kind["effect"] for kind in kinds])
+
+
+def test_the_snippets_stand_in_the_docs_and_that_of_curl_flies(page: Page, server: Server, tmp_path: Path) -> None:
+    view(page, "API")
+    expect(page.locator("#view-api .about")).to_contain_text(f"This server is {server.url}.")
+    shown = page.locator(".snippet pre").all_inner_texts()
+    # The tests of the documentation run these.
+    documented = [
+        block.text.strip().replace("localhost", "127.0.0.1")
+        for name in ("http", "openenv", "gymnasium")
+        for block in blocks(ROOT / "docs" / f"{name}.md")
+        if not block.not_run
+    ]
+    assert [text for text in shown if text.replace(server.url, "http://127.0.0.1:8000") not in documented] == []
+    assert len(shown) == 3
+    script = copied(page, "Copy: HTTP, by curl", "Copied.")
+    assert script == shown[0]
+    lines = [line + " && echo" for line in script.splitlines()]
+    done = subprocess.run(["bash", "-ec", "\n".join(lines)], cwd=tmp_path, capture_output=True, text=True, check=True)
+    reset, step, grade = (json.loads(line) for line in done.stdout.splitlines() if line)
+    assert (reset["step_count"], step["step_count"], grade["score"]) == (0, 1, step["score"])
+
+
+def test_all_calls_can_be_tried_without_the_internet(page: Page, beside: Callable[..., Page], server: Server) -> None:
+    docs, asked = beside(), list[str]()
+    docs.on("request", lambda request: asked.append(request.url))
+    view(page, "API")
+    docs.goto(page.get_by_role("link", name="All calls").evaluate("link => link.href"))
+    docs.locator("#operations-catalogue-health").click()
+    press(docs, "Try it out")
+    press(docs, "Execute")
+    expect(docs.get_by_text('"status": "healthy"').first).to_be_visible()
+    assert [url for url in asked if not url.startswith((server.url, "data:", "blob:"))] == []
+
+
+@pytest.mark.feature("D1")
+def test_the_logs_show_requests_training_and_flights_as_they_come(page: Page, server: Server, data: Path) -> None:
+    view(page, "API")
+    requests, training, flights = (page.get_by_role("log", name=name) for name in ("Requests", "Training", "Flights"))
+    expect(requests).to_contain_text("GET /tasks 200")
+    server.client.get("/grade/nowhere")
+    expect(requests.get_by_text("/grade/nowhere")).to_have_count(1)
+    for line in TRAINING:
+        expect(training.get_by_text(line, exact=True)).to_be_visible()
+    with (data / "train.log").open("a", encoding="utf-8") as file:
+        file.write("episode 4 reward 9.99\n")
+    expect(training.get_by_text("episode 4 reward 9.99", exact=True)).to_be_visible()
+    assert MARKUP in training.inner_text()
+    expect(flights.get_by_role("listitem").first).to_be_visible()
+    with DroneEnvClient(server.url) as client:
+        observation = client.reset("easy", seed=4242, agent="random")
+        while not observation["done"]:
+            observation = client.step("WAIT")
+    line = flights.get_by_role("listitem").filter(has_text="Easy, map 4242, Random")
+    expect(line).to_contain_text("Battery empty, 60 steps")
+    line.get_by_role("link", name="Open the flight").click()
+    expect(page).to_have_url(re.compile(r"\?episode=\w+$"))
+    expect_step(page, 0, 60)
