@@ -1,4 +1,4 @@
-"""What a visitor does on the page, and the elements that tests look for."""
+"""Actions of a visitor on the page, and the elements that tests look for."""
 
 import time
 from collections.abc import Callable
@@ -40,7 +40,7 @@ def until(page: Page, holds: Callable[[], bool]) -> None:
     deadline = time.monotonic() + PATIENCE_MS / 1000
     while not holds():
         assert time.monotonic() < deadline
-        # Not `sleep`: Playwright calls the handlers of a page only while it is at work.
+        # Not `sleep`: Playwright calls no handler of a page while the test sleeps.
         page.wait_for_timeout(20)
 
 

@@ -31,7 +31,7 @@ def test_sessions_end_with_their_page(beside: Beside, server: Server) -> None:
         sessions.extend(shown["opening"]["session"] for shown in json.loads(text).get("flights", []))
 
     def expect_sessions(over: int, now: int) -> None:
-        """Of so many sessions that the server has named, these have ended; the others are open."""
+        """The server has named `now` sessions: the first `over` of them have ended, the others are open."""
         until(tab, lambda: len(sessions) == now and not any(is_open(server, one) for one in sessions[:over]))
         assert all(is_open(server, session) for session in sessions[over:])
 
@@ -166,7 +166,7 @@ def test_a_server_that_ends_each_connection_is_asked_five_times(browser: Browser
 
 
 def test_a_full_server_is_called_full_and_never_live_before(beside: Beside, shared: Tabs) -> None:
-    """Such a server says so after it has accepted the connection. A file that is opened meanwhile stays open."""
+    """Such a server accepts the connection, then closes it with the reason. A file that is opened meanwhile stays open."""
     page = beside()
     starts: list[int] = []
     room = False

@@ -89,7 +89,7 @@ def test_failure_says_why_and_no_dialog_opens(page: Page) -> None:
 
 @pytest.mark.feature("D3")
 def test_from_easy_to_medium_to_hard_to_easy_and_nothing_starts_unasked(browser: Browser, server: Server) -> None:
-    # In a context of its own: the clock is that of all its tabs.
+    # In a fresh context: all tabs of a context share the clock.
     with Tabs(browser, server.url) as tabs:
         page = tabs.open(reduced_motion="reduce")
         page.clock.install()

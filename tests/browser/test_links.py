@@ -163,7 +163,7 @@ def test_where_no_pilot_is_named_the_network_that_was_trained_here_flies(page: P
     try:
         page.goto("/?task=easy")
         expect_flying(page, "Trained here")
-        # Where it cannot fly, the shipped network does.
+        # If it cannot fly a task, the shipped network does.
         page.get_by_role("radio", name="Medium", exact=True).check()
         expect_flying(page, "PathQNet")
         expect(pilot(page, "Trained here")).to_be_disabled()

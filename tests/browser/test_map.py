@@ -62,7 +62,7 @@ def test_each_layer_is_switched_by_box_and_key_and_the_server_is_asked_once_a_mo
             expect(box(page, name)).not_to_be_checked()
             assert changed(page, bare) == []
         assert asked == [0]
-        # While the server computes, the values of the step before are dimmed, and none stand beside the moves.
+        # While the server computes, the values of the step before are dimmed, and the moves have none.
         page.keyboard.press("v")
         expect(best.first).to_be_visible()
         page.route("**/values", lambda route, _: held.append(route))

@@ -35,7 +35,7 @@ def phone(opened: Page, pocket: Tabs) -> Generator[Page, None, None]:
 
 def expect_no_wider(page: Page) -> None:
     """Nothing reaches over the right edge."""
-    # A phone zooms out of a page that is too wide, so its inner width would grow too.
+    # If a page is too wide, a phone zooms out, and the inner width grows, too.
     widths = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
     assert widths == [(page.viewport_size or NARROW)["width"]] * 2, page.url
 

@@ -203,7 +203,7 @@ def test_a_stored_flight_is_left_by_key_and_its_link_comes_back(page: Page, serv
         f"&actions={letters([*record.actions[:6], other])}"
     )
     expect(page).to_have_url(link)
-    # The flight that was left can be seen to its end; the fork is as long as it was flown.
+    # The slider reaches the end of the flight that was left; the fork ends at its last move.
     expect(slider(page)).to_have_attribute("max", str(len(record.actions)))
     press(page, "Step")
     expect(standing(page, "me").first).to_have_text("8")
