@@ -40,7 +40,7 @@ def until(page: Page, holds: Callable[[], bool]) -> None:
     deadline = time.monotonic() + PATIENCE_MS / 1000
     while not holds():
         assert time.monotonic() < deadline
-        # Not `sleep`: Playwright calls no handler of a page while the test sleeps.
+        # Not `sleep`: Playwright calls no handlers while the test sleeps.
         page.wait_for_timeout(20)
 
 

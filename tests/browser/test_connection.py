@@ -166,7 +166,7 @@ def test_a_server_that_ends_each_connection_is_asked_five_times(browser: Browser
 
 
 def test_a_full_server_is_called_full_and_never_live_before(beside: Beside, shared: Tabs) -> None:
-    """Such a server accepts the connection, then closes it with the reason. A file that is opened meanwhile stays open."""
+    """Such a server accepts the connection, then closes it with the reason. A file opened meanwhile stays open."""
     page = beside()
     starts: list[int] = []
     room = False
