@@ -22,7 +22,7 @@ from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, TRAINING
 from tests.browser.flights import flown, get
 from tests.browser.shown import expect_step, fixed, points
-from tests.browser.stage import copied, fly, press, view
+from tests.browser.stage import at_speed, copied, fly, press, view
 from tests.browser.test_several import KEYS
 from tests.docs.pages import ROOT, blocks
 
@@ -81,7 +81,9 @@ def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page
     fly(page)
     expect(reached).to_have_text(["Reached: Let Greedy fly to its end"])
     # The blunder counts as found when the visitor looks at it, not while the flight plays.
+    at_speed(page, "10")  # slow enough that the page shows each step
     press(page, "Play")
+    expect(page.get_by_role("button", name="Pause", exact=True)).to_be_visible()
     expect(page.get_by_role("button", name="Play", exact=True)).to_be_visible()
     expect(reached).to_have_count(1)
     page.locator("#worst").click()
