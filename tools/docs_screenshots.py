@@ -131,11 +131,9 @@ def main() -> None:
         data = Path(folder) / "data"
         agents = ("random", "tournet", "greedy")
         fill(data, [flown("skyline_medium", seed, agent) for seed in range(FLIGHTS // len(agents)) for agent in agents])
-        with serving(data) as server, launched(chromium) as browser:
-            tabs = Tabs(browser, server.url)
+        with serving(data) as server, launched(chromium) as browser, Tabs(browser, server.url) as tabs:
             for take in (alone, fork, layers, several, city, drawing, pages):
                 take(tabs)
-            tabs.close()
             if tabs.complaints:
                 raise SystemExit("\n".join(["the page complained:", *tabs.complaints]))
     for image in sorted(IMAGES.glob("dashboard-*.png")):

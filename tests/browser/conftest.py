@@ -1,4 +1,4 @@
-"""One browser, one server with a history and one page per process; what a page complains of fails the test."""
+"""One browser, one server with a history and one page per process; a complaint of the page fails the test."""
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -9,14 +9,15 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.api.serving import Server, serving
 from tests.browser.flights import fill, flown, put_evaluation
-from tests.browser.tabs import PATIENCE_MS, Tabs, needed_browser
+from tests.browser.tabs import PATIENCE_MS, Tabs, find_chromium, launched
 from tests.llm.kept_run import put_run
+from tests.tools import missing_tool
 
 expect.set_options(timeout=PATIENCE_MS)
 MARKUP = '<img src=x onerror="document.title=1"><b>bold</b>'
-"""What must never come to be an element."""
+"""Text that must never become elements."""
 SEEDS = 27
-"""More than a page of flights by each agent."""
+"""More maps than one page of flights lists."""
 TRAINING = [
     "episode=1 reward=3.2500 success=0.000 validation=- optimum=0.9500",
     f"warning: {MARKUP}",
@@ -27,14 +28,15 @@ TRAINING = [
 # Of the package, not of the session: while Playwright runs, no other test of this process can run an event loop.
 @pytest.fixture(scope="package")
 def browser() -> Generator[Browser, None, None]:
-    with needed_browser() as running:
+    # No page lives long enough for optimised code to pay.
+    with launched(find_chromium() or missing_tool("chromium"), "--js-flags=--no-opt --no-maglev") as running:
         yield running
 
 
 @pytest.fixture(scope="package")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The data folder of the server: a history of easy flights, a run of a language model and an evaluation over the
-    same maps, and a training log."""
+    """The data folder of the server: easy flights, a run of a language model and an evaluation over the same maps, and
+    a training log."""
     folder = tmp_path_factory.mktemp("served") / "data"
     flights = [flown("easy", seed, agent) for seed in range(SEEDS) for agent in ("random", "greedy")]
     fill(folder, [*flights, flown("medium", 3, "greedy"), flown("easy", SEEDS, "random", label=MARKUP)])
@@ -52,7 +54,7 @@ def server(data: Path) -> Generator[Server, None, None]:
 
 @pytest.fixture(scope="package")
 def shared(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
-    """The tabs of `page`; a test names the complaints there that it brings about itself."""
+    """The tabs of `page`; a test names the complaints that it causes itself."""
     with Tabs(browser, server.url) as opened:
         yield opened
 
@@ -61,14 +63,14 @@ def shared(browser: Browser, server: Server) -> Generator[Tabs, None, None]:
 def loaded(shared: Tabs) -> Page:
     # Without motion a map is drawn once a step, not sixty times a second.
     page = shared.open("/?view=learn", reduced_motion="reduce")
-    # What is dropped on a page whose code is still to come is lost.
+    # A page that has not loaded its code yet ignores a file that is dropped on it.
     expect(page.get_by_role("heading", name="Learn", exact=True, level=2)).to_be_visible()
     return page
 
 
 @contextmanager
 def lent(page: Page, tabs: Tabs) -> Generator[Page, None, None]:
-    """A page that other tests have used: loading one takes longer than most of what is done in it."""
+    """A page that other tests have used: loading one takes longer than most tests."""
     tabs.forget()
     page.evaluate(
         "localStorage.clear(); document.querySelectorAll('dialog[open]').forEach(one => one.close());"
@@ -86,11 +88,11 @@ def page(loaded: Page, shared: Tabs) -> Generator[Page, None, None]:
 
 @pytest.fixture
 def beside(page: Page, shared: Tabs) -> Generator[Callable[[str], Page], None, None]:
-    """Opens another tab beside `page`, at a path, or at none yet where that is empty."""
+    """Opens another tab beside `page`, at a path if there is one."""
     opened: list[Page] = []
 
-    def tab(path: str) -> Page:
-        opened.append(shared.open(path, go=bool(path), beside=page))
+    def tab(path: str = "") -> Page:
+        opened.append(shared.open(path, beside=page))
         return opened[-1]
 
     yield tab

@@ -1,10 +1,12 @@
 """Finished flights for a store, flown by the agents themselves."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from drone_env.agents import make_agent
+from drone_env.core.actions import Action
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.files import EVALUATIONS
@@ -26,6 +28,14 @@ def flown(task: str, seed: int, agent: str, label: str | None = None, profile: s
     return record_of(episode, label or agent)
 
 
+def by_hand(task: str, seed: int, actions: Iterable[Action]) -> Episode:
+    """A flight of these actions."""
+    episode = Episode(task, "tiered", seed)
+    for action in actions:
+        episode.step(action)
+    return episode
+
+
 def fill(folder: Path, flights: list[EpisodeRecord]) -> list[str]:
     """Store flights, oldest first, with the optima of their maps, and return their ids."""
     with Store(folder) as store:
@@ -42,19 +52,21 @@ def put_evaluation(data: Path, name: str, agent: str, maps: range, task: str = "
     return folder
 
 
+def get(server: Server, path: str, **query: Any) -> Any:
+    """What a server answers to a question."""
+    return server.client.get(f"/{path}", params=query).raise_for_status().json()
+
+
+def newest(server: Server, seed: int, task: str = "easy") -> dict[str, Any]:
+    """The newest stored flight over a map."""
+    return next(one for one in get(server, "episodes", task=task)["episodes"] if one["seed"] == seed)
+
+
 def posted(server: Server, path: str, record: EpisodeRecord) -> dict[str, Any]:
     """What a server answers to a flight."""
-    answer = server.client.post(f"/{path}", json=json.loads(record.to_json()))
-    answer.raise_for_status()
-    return answer.json()
+    return server.client.post(f"/{path}", json=json.loads(record.to_json())).raise_for_status().json()
 
 
 def frames(server: Server, record: EpisodeRecord) -> list[dict[str, Any]]:
-    """What a server says of a flight, frame by frame."""
+    """The frames of a flight, as a server answers them."""
     return posted(server, "replay", record)["frames"]
-
-
-def possible(server: Server, record: EpisodeRecord) -> list[float]:
-    """The best score that could still be reached at each step of a flight that has ended; its score is the last."""
-    annotation = posted(server, "annotate", record)
-    return [move["value"] for move in annotation["moves"]] + [annotation["score"]]

@@ -1,8 +1,8 @@
 """Whatever has HTML in it is shown as text."""
 
 import json
+import re
 from collections.abc import Callable
-from pathlib import Path
 from urllib.parse import quote
 
 import pytest
@@ -10,41 +10,29 @@ from playwright.sync_api import Page, Route, WebSocketRoute, expect
 
 from tests.api.serving import Server
 from tests.browser.conftest import MARKUP, SEEDS
-from tests.browser.flights import flown
-from tests.browser.stage import show, view
+from tests.browser.flights import flown, get
+from tests.browser.stage import opened, press, show, standings, view
 
 
 @pytest.fixture
-def hostile(beside: Callable[[str], Page]) -> Page:
-    """A page before a server that puts HTML into whatever it says in words."""
+def hostile(beside: Callable[..., Page]) -> Page:
+    """A page before a server that puts HTML into all its words."""
 
-    def tasks(route: Route) -> None:
-        answer = route.fetch()
-        known = answer.json()
-        for task in known["tasks"]:
-            task["grader"] = MARKUP
-        known["tasks"][2]["short_name"] = MARKUP
-        for profile in known["reward_profiles"]:
-            profile["summary"] = profile["id"] = MARKUP
-        route.fulfill(response=answer, json=known)
+    def spoiled(text: str, *fields: str) -> str:
+        for field in fields:
+            text = text.replace(f'"{field}":"', f'"{field}":{json.dumps(MARKUP)[:-1]}')
+        return text
 
     def words(route: Route) -> None:
         answer = route.fetch()
-        text = answer.text().replace('"name":"', f'"name":{json.dumps(MARKUP)[:-1]}')
-        route.fulfill(response=answer, body=text.replace('"summary":"', f'"summary":{json.dumps(MARKUP)[:-1]}'))
+        fields = ("grader", "summary") if route.request.url.endswith("tasks") else ("name", "summary")
+        route.fulfill(response=answer, body=spoiled(answer.text(), *fields))
 
     def socket(route: WebSocketRoute) -> None:
-        upstream = route.connect_to_server()
+        route.connect_to_server().on_message(lambda message: route.send(spoiled(str(message), "message")))
 
-        def rewritten(message: str | bytes) -> None:
-            route.send(str(message).replace('"message":"', f'"message":{json.dumps(MARKUP)[:-1]}'))
-
-        upstream.on_message(rewritten)
-
-    page = beside("")
-    page.route("**/tasks", tasks)
-    page.route("**/pilots", words)
-    page.route("**/kinds", words)
+    page = beside()
+    page.route(re.compile("/(tasks|pilots|kinds)$"), words)
     page.route_web_socket("**/live", socket)
     page.goto("/?task=easy&seed=7&pilots=greedy,random")
     return page
@@ -59,19 +47,15 @@ def expect_only_text(page: Page) -> None:
 
 
 def test_in_tasks_pilots_and_messages(hostile: Page) -> None:
-    expect(hostile.locator("#standings tbody tr")).to_have_count(2)
-    expect(hostile.locator("#standings")).to_contain_text(MARKUP)
-    hostile.get_by_role("button", name="Step", exact=True).click()
+    expect(standings(hostile)).to_contain_text([MARKUP, MARKUP])
+    press(hostile, "Step")
     expect(hostile.locator("#move-detail")).to_contain_text(MARKUP)
     expect(hostile.get_by_role("group", name="Pilots")).to_contain_text(MARKUP)
     hostile.get_by_role("checkbox", name="A board each").check()
     expect(hostile.locator(".card-name").first).to_contain_text(MARKUP)
     expect_only_text(hostile)
-    hostile.get_by_role("button", name="Keys and help").click()
-    expect_only_text(hostile)
-    hostile.keyboard.press("Escape")
     view(hostile, "Learn")
-    expect(hostile.get_by_role("table").first).to_contain_text(MARKUP)
+    expect(hostile.get_by_role("region", name="Reward profiles")).to_contain_text(MARKUP)
     expect_only_text(hostile)
 
 
@@ -82,8 +66,8 @@ def test_in_links_and_what_is_wrong_with_them(page: Page) -> None:
         expect_only_text(page)
 
 
-def test_in_agents_calls_logs_and_files(page: Page, server: Server, tmp_path: Path) -> None:
-    listed = server.client.get("/episodes", params={"agent": MARKUP}).json()["episodes"]
+def test_in_agents_calls_logs_and_files(page: Page, server: Server) -> None:
+    listed = get(server, "episodes", agent=MARKUP)["episodes"]
     call = {"step": 1, "messages": [{"role": MARKUP, "content": MARKUP}], "answer": MARKUP, "outcome": MARKUP}
     page.route("**/calls", lambda route: route.fulfill(json={"model": MARKUP, "calls": [call]}))
     show(page, f"/?episode={listed[0]['id']}")
@@ -94,7 +78,7 @@ def test_in_agents_calls_logs_and_files(page: Page, server: Server, tmp_path: Pa
     expect_only_text(page)
     page.unroute("**/calls")
     show(page, "/?view=compare&task=easy")
-    page.get_by_role("button", name=MARKUP, exact=True).click()
+    press(page, MARKUP)
     expect(page.get_by_role("region", name=f"Maps that {MARKUP} flew")).to_be_visible()
     page.get_by_role("combobox", name="Pilot").select_option(MARKUP)
     expect(page.locator("[data-episode]")).to_have_count(1)
@@ -104,9 +88,6 @@ def test_in_agents_calls_logs_and_files(page: Page, server: Server, tmp_path: Pa
     view(page, "API")
     expect(page.get_by_role("log", name="Training")).to_contain_text(MARKUP)
     expect_only_text(page)
-    file = tmp_path / "flight.json"
-    file.write_text(flown("easy", SEEDS + 1, "greedy", label=f"{MARKUP} again").to_json(), encoding="utf-8")
     view(page, "Fly")
-    page.get_by_label("Open a file…").set_input_files(file)
-    expect(page.locator(".strip")).to_contain_text(f"{MARKUP} again")
+    opened(page, flown("easy", SEEDS + 1, "greedy", label=f"{MARKUP} again"))
     expect_only_text(page)

@@ -1,112 +1,91 @@
-"""Several pilots on one map: on one board or on boards of their own, ranked, each in its colour."""
+"""Several flights over one map: pilots, each in its colour, and forks, which leave a flight for another move."""
 
 import re
+from collections.abc import Callable
 
 from playwright.sync_api import Locator, Page, Route, expect
 
-from drone_env.results.record import parse_record
+from drone_env.core.actions import Action
+from drone_env.results.analysis import analyse_flight
+from drone_env.results.record import record_of
 from tests.api.serving import Server
-from tests.browser.flights import flown, frames, possible, posted
-from tests.browser.stage import along, fly, over, painted, pictures, pilot, points, step
+from tests.browser.flights import by_hand, fill, flown, frames, get, posted
+from tests.browser.shown import changed, expect_flying, expect_frame, expect_step, painted, pictures, points
+from tests.browser.stage import along, fly, moves, over, pilot, press, show, slider, standings
 
 SEED = 20
 """A map on which chance, too, delivers, after twelve steps."""
 NAMES = {"random": "Random", "pathqnet": "PathQNet", "greedy": "Greedy", "optimal": "Optimal"}
 
 
-def standings(page: Page) -> Locator:
-    return page.get_by_role("table", name="Standings").locator("tbody tr")
-
-
-def ranked(values: dict[str, float]) -> list[str]:
-    """The names of pilots, the best first; of equals the one that is named first."""
-    return [NAMES[agent] for agent in sorted(values, key=values.__getitem__, reverse=True)]
-
-
-def test_four_are_ranked_while_they_fly_as_their_agents_do_and_each_is_annotated(page: Page, server: Server) -> None:
+def test_four_are_ranked_while_they_fly_and_each_is_annotated(page: Page, server: Server) -> None:
     records = {agent: flown("easy", SEED, agent) for agent in NAMES}
-    flights = {agent: frames(server, record) for agent, record in records.items()}
-    values = {agent: possible(server, record) for agent, record in records.items()}
-    over(page, SEED, f"/?task=easy&seed={SEED}&pilots={','.join(NAMES)}")
+    annotations = {agent: posted(server, "annotate", record) for agent, record in records.items()}
+    values = {
+        NAMES[agent]: [*(move["value"] for move in annotation["moves"]), annotation["score"]]
+        for agent, annotation in annotations.items()
+    }
+    best = values["Optimal"][0]
+
+    def expect_ranked(at: int) -> None:
+        """The best first; of equals the one that is named first."""
+        now = {name: value[min(at, len(value) - 1)] for name, value in values.items()}
+        expect(names).to_have_text(sorted(now, key=now.__getitem__, reverse=True))
+        row = standings(page).filter(has_text="Random").get_by_role("cell")
+        expect(row.nth(2)).to_have_text(points(now["Random"]))
+        expect(row.last).to_have_text(points(best - now["Random"]))
+
     names = standings(page).get_by_role("rowheader")
+    over(page, SEED, f"/?task=easy&seed={SEED}&pilots={','.join(NAMES)}")
     expect(names).to_have_text(list(NAMES.values()))
-    for at in (1, 2, 3):
-        step(page)
-        now = {agent: value[at] for agent, value in values.items()}
-        expect(names).to_have_text(ranked(now))
-        chance = standings(page).filter(has_text="Random").get_by_role("cell")
-        expect(chance).to_have_text(
-            [str(at), "0/1", points(now["random"]), points(values["random"][0] - now["random"])]
-        )
-    assert ranked(now)[0] != "Random"
+    for at in (1, 2):
+        press(page, "Step")
+        expect_ranked(at)
     fly(page, "Go on")
-    optimum = flights["optimal"][-1]["score"]
-    assert flights["random"][-1]["score"] < optimum
-    expect(page.locator("#standings-note")).to_have_text(f"A tie with {points(optimum)}.")
-    expect(names).to_have_text(ranked({agent: flight[-1]["score"] for agent, flight in flights.items()}))
-    moves = page.get_by_role("list", name="Moves").get_by_role("button")
+    expect(page.locator("#standings-note")).to_have_text(f"A tie with {points(best)}.")
+    expect_ranked(60)
     for number, (agent, name) in enumerate(NAMES.items(), 1):
-        last, row = flights[agent][-1], standings(page).filter(has_text=name)
-        expect(row.get_by_role("cell")).to_have_text(
-            [str(last["step"]), "1/1", points(last["score"]), points(optimum - last["score"])]
-        )
-        known = server.client.get("/episodes", params={"task": "easy", "agent": agent}).json()["episodes"]
-        stored = server.client.get(f"/episodes/{next(one['id'] for one in known if one['seed'] == SEED)}")
-        assert parse_record(stored.content, "it").actions == records[agent].actions
         # By mouse, and by the keys of their numbers.
         if number % 2:
-            row.get_by_role("button", name=name).click()
+            standings(page).get_by_role("button", name=name).click()
         else:
             page.keyboard.press(str(number))
         expect(standings(page).and_(page.locator(".selected"))).to_contain_text(name)
-        expect(moves).to_have_count(last["step"])
-        for label, count in posted(server, "annotate", records[agent])["counts"].items():
-            expect(moves.and_(page.locator(f"[data-label={label}]"))).to_have_count(count)
-    page.keyboard.press("Home")
-    expect(names).to_have_text(list(NAMES.values()))
+        expect(moves(page)).to_have_count(len(records[agent].actions))
+        for label, count in annotations[agent]["counts"].items():
+            expect(page.locator(f"#moves button[data-label={label}]")).to_have_count(count)
 
 
-def test_boards_of_their_own_the_ghost_of_a_best_flight_and_a_colour_that_is_the_pilots(
-    page: Page, server: Server
-) -> None:
-    known = server.client.get("/pilots").json()["pilots"]
-    colours = {one["id"]: f"--pilot-{one['colour']}" for one in known}
+def test_boards_ghosts_and_colours_of_several_pilots(page: Page, server: Server) -> None:
+    colours = {one["id"]: f"--pilot-{one['colour']}" for one in get(server, "pilots")["pilots"]}
     over(page, SEED, f"/?task=easy&seed={SEED}&pilots=greedy,random")
-    boards = page.get_by_role("img", name="City map")
+    boards, cards = page.get_by_role("img", name="City map"), page.get_by_role("figure")
     expect(standings(page)).to_have_count(2)
     assert painted(boards, *colours.values()) == [colours["greedy"]], "brackets around the target of who is looked at"
     page.keyboard.press("2")
     assert painted(boards, *colours.values()) == [colours["random"]]
     apart = page.get_by_role("checkbox", name="A board each")
     apart.check()
-    cards = page.get_by_role("figure")
     expect(cards).to_have_count(2)
     assert painted(boards.nth(0), *colours.values()) == [colours["greedy"]]
     assert painted(boards.nth(1), *colours.values()) == [colours["random"]]
     fly(page)
     expect(page.locator("#standings-note")).to_contain_text("Greedy wins with")
-    for card, agent, name in zip(cards.all(), ("greedy", "random"), ("Greedy", "Random"), strict=True):
-        last = flown("easy", SEED, agent)
-        head = card.get_by_role("button", name=name)
-        expect(head).to_contain_text(f"{points(last.score)} · All parcels delivered")
-        head.click()
-        expect(head).to_have_attribute("aria-pressed", "true")
-        expect(page.locator("#score")).to_have_text(points(last.score))
-    ghost = page.get_by_role("checkbox", name="A best flight")
-    expect(ghost).to_be_checked()
+    score, head = points(flown("easy", SEED, "random").score), cards.last.get_by_role("button", name="Random")
+    expect(head).to_contain_text(f"{score} · All parcels delivered")
+    head.click()
+    expect(head).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#score")).to_have_text(score)
     with_ghosts = pictures(page)
     page.keyboard.press("g")
-    expect(ghost).not_to_be_checked()
-    kept = [one == other for one, other in zip(with_ghosts, pictures(page), strict=True)]
-    assert kept == [True, True, False] * 2, "city and cells stay, the flights change"
+    expect(page.get_by_role("checkbox", name="A best flight")).not_to_be_checked()
+    assert changed(page, with_ghosts) == [2, 5], "city and cells stay, the flights change"
+    page.keyboard.press("g")
     apart.uncheck()
-    expect(cards).to_have_count(0)
     expect(boards).to_have_count(1)
-    ghost.check()
-    # Alone, too, and named in another order, a pilot keeps its colour.
+    # Alone, too, a pilot keeps its colour.
     pilot(page, "Random").click()
     expect(page.locator("#standings")).to_be_hidden()
-    expect(page.locator("#step-counter")).to_have_text("Step 0 of 60")
     assert painted(boards, *colours.values()) == [colours["random"]]
     expect(page.locator(".pilot", has_text="Random")).to_have_attribute("style", f"--lane: var({colours['random']});")
 
@@ -119,53 +98,124 @@ def test_who_flies_is_chosen_by_name_or_box_and_the_server_says_how_many(page: P
     page.goto("/?task=easy&seed=5&pilot=greedy")
     expect(page.get_by_role("group", name="Pilots, up to 2")).to_be_visible()
     page.unroute("**/pilots")
-    expect(along(page, "Greedy")).to_be_checked()
     expect(along(page, "Greedy")).to_be_disabled()
     along(page, "Optimal").check()
     expect(standings(page).get_by_role("rowheader")).to_have_text(["Greedy", "Optimal"])
-    expect(page).to_have_url(re.compile("pilots=greedy,optimal"))
-    expect(page.get_by_role("spinbutton", name="Map")).to_have_value("5")
+    expect(page).to_have_url(re.compile("seed=5&pilots=greedy,optimal"))
     expect(along(page, "You")).to_be_disabled()
     along(page, "Greedy").uncheck()
     expect(page.locator("#standings")).to_be_hidden()
     expect(along(page, "You")).to_be_enabled()
-    expect(along(page, "Optimal")).to_be_disabled()
     pilot(page, "Random").click()
-    expect(pilot(page, "Random")).to_have_attribute("aria-pressed", "true")
+    expect_flying(page, "Random")
     expect(along(page, "Optimal")).not_to_be_checked()
-    expect(page).to_have_url(re.compile("pilot=random"))
 
 
-def test_over_skyline_tournet_flies_unless_another_is_named_and_who_cannot_says_so(page: Page, server: Server) -> None:
+def test_over_skyline_tournet_flies_and_a_pilot_that_cannot_is_replaced(page: Page) -> None:
     page.goto("/?task=skyline_easy&seed=7")
-    expect(pilot(page, "Tournet")).to_have_attribute("aria-pressed", "true")
+    expect_flying(page, "Tournet")
     expect(pilot(page, "PathQNet")).to_be_disabled()
     expect(along(page, "PathQNet")).to_be_disabled()
     expect(page.locator(".pilot", has_text="PathQNet")).to_contain_text("has no network here")
-    racers = {"tournet": "Tournet", "greedy": "Greedy", "tournet-search": "Tournet search", "optimal": "Optimal"}
-    for name in list(racers.values())[1:]:
-        along(page, name).check()
-        expect(standings(page).filter(has=page.get_by_role("button", name=name, exact=True))).to_have_count(1)
-    fly(page)
-    expect(page.get_by_role("button", name="Play", exact=True)).to_be_visible()
-    for agent, name in racers.items():
-        row = standings(page).filter(has=page.get_by_role("button", name=name, exact=True))
-        expect(row.get_by_role("cell").nth(2)).to_have_text(points(flown("skyline_easy", 7, agent).score))
-    # Who cannot fly another task gives way to one that can.
-    pilot(page, "Tournet").click()
     page.get_by_role("radio", name="Easy", exact=True).check()
     pilot(page, "PathQNet").click()
     expect(page).to_have_url(re.compile("task=easy&seed=[0-9]+&pilot=pathqnet"))
     page.get_by_role("radio", name="Skyline Easy").check()
     expect(page.locator("#toasts")).to_contain_text("PathQNet cannot fly Skyline Easy.")
-    expect(pilot(page, "Tournet")).to_have_attribute("aria-pressed", "true")
+    expect_flying(page, "Tournet")
 
 
 def test_a_person_who_has_flown_nothing_yet_can_still_win_all(page: Page) -> None:
     over(page, SEED, f"/?task=easy&seed={SEED}&pilots=random,human")
     names = standings(page).get_by_role("rowheader")
-    expect(names).to_have_text(["Random", "You"])
     expect(standings(page).filter(has_text="Random").get_by_role("cell").nth(3)).to_have_text("0.0")
-    step(page)
+    press(page, "Step")
     expect(names).to_have_text(["You", "Random"])
     expect(standings(page).filter(has_text="You").get_by_role("cell")).to_have_text(["0", "0/1", "\u2013", "\u2013"])
+
+
+KEYS = {"UP": "ArrowUp", "DOWN": "ArrowDown", "LEFT": "ArrowLeft", "RIGHT": "ArrowRight", "WAIT": " "}
+
+
+def standing(page: Page, name: str) -> Locator:
+    """The cells of a flight in the standings."""
+    row = standings(page).filter(has=page.get_by_role("button", name=name, exact=True))
+    return row.get_by_role("cell")
+
+
+def letters(actions: list[str]) -> str:
+    return "".join(action[0] for action in actions)
+
+
+def test_a_fork_has_its_values_and_link(page: Page, beside: Callable[..., Page], server: Server) -> None:
+    of, other = flown("hard", 7, "pathqnet").actions[:20], ["WAIT", "LEFT", "UP"]
+    values = analyse_flight(record_of(by_hand("hard", 7, (Action[name] for name in (*of, *other))), "human")).values
+    show(page, "/?task=hard&seed=7&pilot=pathqnet&step=20")
+    expect_step(page, 20, 160)
+    press(page, "Play WAIT")
+    expect_step(page, 21, 160, "WAIT")
+    # The flight that it left flies along, on the map and in the graph.
+    expect(standing(page, "PathQNet").first).to_have_text("21")
+    graph, colours = page.locator(".timeline-graph"), ("--pilot-3", "--pilot-9")
+    assert painted(graph, *colours) == ["--pilot-9"]
+    in_front = pictures(page)
+    page.keyboard.press("1")
+    expect(page.locator("#lost")).to_have_text(standing(page, "PathQNet").last.inner_text())
+    assert painted(graph, *colours) == ["--pilot-3"]
+    assert changed(page, in_front) == [2]
+    page.keyboard.press("2")
+    for at, action in enumerate(other[1:], 21):
+        lost = points(values[0] - values[at])
+        expect(standing(page, "You from step 20")).to_have_text([str(at), "3/5", points(values[at]), lost])
+        possible = page.locator(f"#q-values tr[data-action={action}]").get_by_role("cell").nth(1)
+        expect(possible).to_have_text(points(values[at + 1]))
+        page.keyboard.press(KEYS[action])
+        expect_step(page, at + 1, 160, action)
+    link = (
+        f"{server.url}/?task=hard&seed=7&pilots=pathqnet,human&profile=tiered&fork=20&of=pathqnet"
+        f"&actions={letters([*of, *other])}"
+    )
+    expect(page).to_have_url(link)
+    shown = standings(page).all_inner_texts()
+    tab = beside(link)
+    expect_step(tab, 23, 160, "UP")
+    expect(standings(tab)).to_have_text([text.strip() for text in shown], use_inner_text=True)
+    # The visitor can take back the moves of the fork, but not those before it.
+    for left in (22, 21, 20):
+        press(page, "Undo")
+        expect_step(page, left, 160)
+    expect(page.get_by_role("button", name="Undo", exact=True)).to_be_disabled()
+    expect(page).to_have_url(link.replace(letters(other), ""))
+
+
+def test_a_stored_flight_is_left_by_key_and_its_link_comes_back(page: Page, server: Server) -> None:
+    record = flown("medium", 9, "random", label="me")
+    id_, flight = fill(server.data, [record])[0], frames(server, record)
+    over(page, 9, f"/?episode={id_}&step=6")
+    expect_frame(page, flight[6], 100)
+    page.keyboard.press("f")
+    expect(standing(page, "You from step 6").first).to_be_visible()
+    other = next(action for action in KEYS if action != record.actions[6])
+    page.keyboard.press(KEYS[other])
+    expect_step(page, 7, 100, other)
+    link = (
+        f"{server.url}/?episode={id_}&task=medium&seed=9&pilot=human&profile=tiered&fork=6&of=me"
+        f"&actions={letters([*record.actions[:6], other])}"
+    )
+    expect(page).to_have_url(link)
+    # The slider reaches the end of the flight that was left; the fork ends at its last move.
+    expect(slider(page)).to_have_attribute("max", str(len(record.actions)))
+    press(page, "Step")
+    expect(standing(page, "me").first).to_have_text("8")
+    expect(standing(page, "You from step 6").first).to_have_text("7")
+    press(page, "Last step")
+    expect(page).to_have_url(link)
+    page.reload()
+    expect_step(page, 7, 100, other)
+    expect(page).to_have_url(link)
+    page.go_back()
+    expect(page.locator("#standings")).to_be_hidden()
+    expect_frame(page, flight[6], 100)
+    # No fork leaves from the end of a flight.
+    page.keyboard.press("End")
+    expect(page.locator("#fork")).to_be_disabled()

@@ -1,0 +1,101 @@
+"""What the page shows: numbers as it writes them, its instruments, and the pixels of its canvases."""
+
+import re
+from decimal import ROUND_HALF_UP, Decimal
+from typing import Any
+
+from playwright.sync_api import Locator, Page, expect
+
+
+def fixed(value: float, digits: int = 2) -> str:
+    """A number as the page writes it: rounds half up, as browsers do, with the minus sign of typography."""
+    rounded = Decimal(value).quantize(Decimal(1).scaleb(-digits), ROUND_HALF_UP)
+    return str(rounded).replace("-", "\u2212")
+
+
+def points(score: float, digits: int = 1) -> str:
+    """A score as the page writes it, times 100."""
+    return fixed(score * 100, digits)
+
+
+def percent(share: float) -> str:
+    """A share as the page writes it."""
+    return f"{fixed(share * 100, 0)} %"
+
+
+def counter(page: Page) -> int:
+    """The step that is shown."""
+    return int(page.locator("#step-counter").inner_text().split()[1])
+
+
+def expect_step(page: Page, step: int, most: int, action: str = "") -> None:
+    """The counter shows this step of a flight, and the action that led to it."""
+    text = f"Step {step} of {most}" + (f" · {action}" if action else "")
+    expect(page.locator("#step-counter")).to_have_text(re.compile(rf"^{text}\b"))
+
+
+def expect_flying(page: Page, *names: str) -> None:
+    expect(page.get_by_role("group", name="Pilots").locator("button[aria-pressed=true]")).to_have_text(names)
+
+
+def expect_frame(page: Page, frame: dict[str, Any], capacity: int) -> None:
+    """The instruments show this frame."""
+    expect(page.locator("#step-counter")).to_have_text(re.compile(rf"^Step {frame['step']} of "))
+    expect(page.locator("#score")).to_have_text(points(frame["score"]))
+    expect(page.locator("#battery")).to_contain_text(f"{frame['battery_units']} of {capacity}")
+    expect(page.locator("#reward-total")).to_have_text(fixed(frame["reward_total"]))
+    expect(page.locator("#efficiency")).to_have_text(fixed(frame["efficiency"], 1))
+    if frame["step"]:
+        expect(page.locator("#reward")).to_have_text(f"+{fixed(frame['reward'], 3)}")
+    if frame["target"]:
+        expect(page.locator("#target")).to_contain_text(f"[{frame['target'][0]}, {frame['target'][1]}]")
+
+
+def pictures(page: Page) -> list[str]:
+    """The canvases of the maps as data URLs: for each map the city, the layers of its cells, what moves.
+
+    The page draws in the next frame, and again once the fonts are loaded.
+    """
+    return page.evaluate(
+        """async () => {
+            await document.fonts.ready;
+            for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
+            return [...document.querySelectorAll("#boards canvas")].map(canvas => canvas.toDataURL());
+        }"""
+    )
+
+
+def changed(page: Page, before: list[str]) -> list[int]:
+    """The canvases of the maps that differ from earlier pictures."""
+    return [place for place, (now, then) in enumerate(zip(pictures(page), before, strict=True)) if now != then]
+
+
+def offset(page: Page) -> list[float]:
+    """How far the city has been moved, in pixels."""
+    pictures(page)  # drawn
+    transform = page.locator("#boards .map-ground").evaluate("canvas => canvas.style.transform")
+    return [float(number) for number in re.findall(r"-?[0-9.]+", transform)]
+
+
+def painted(canvas: Locator, *names: str, across: float | None = None) -> list[str]:
+    """Those of some colours of the style sheet that a canvas shows, or one column of its pixels does."""
+    return canvas.evaluate(
+        """async (canvas, [names, across]) => {
+            for (let frame = 0; frame < 2; frame++) await new Promise(requestAnimationFrame);
+            const { width, height } = canvas;
+            const picture = (...size) => new OffscreenCanvas(...size).getContext("2d", { willReadFrequently: true });
+            const copy = picture(width, height);
+            copy.drawImage(canvas, 0, 0);
+            // A graph has a margin of two pixels.
+            const part = across === null ? [0, 0, width] : [Math.round(2 + across * (width - 4)), 0, 1];
+            const there = new Set(new Uint32Array(copy.getImageData(...part, height).data.buffer));
+            const pen = picture(1, 1);
+            const style = getComputedStyle(document.documentElement);
+            return names.filter(name => {
+                pen.fillStyle = style.getPropertyValue(name);
+                pen.fillRect(0, 0, 1, 1);
+                return there.has(new Uint32Array(pen.getImageData(0, 0, 1, 1).data.buffer)[0]);
+            });
+        }""",
+        [list(names), across],
+    )

@@ -1,0 +1,220 @@
+"""Learn and API: the tutorial, the specifications, the snippets and the logs, true and as the server states them."""
+
+import json
+import re
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from drone_env.client import DroneEnvClient
+from drone_env.core.actions import Action
+from drone_env.core.episode import Episode
+from drone_env.core.tasks import get_task
+from drone_env.models import DIRECTIONS
+from drone_env.planning.optimal import solve
+from drone_env.results.analysis import analyse_flight
+from tests.api.serving import Server
+from tests.browser.conftest import MARKUP, TRAINING
+from tests.browser.flights import flown, get
+from tests.browser.shown import expect_step, fixed, points
+from tests.browser.stage import at_speed, copied, fly, press, view
+from tests.browser.test_several import KEYS
+from tests.docs.pages import ROOT, blocks
+
+ALONE = ("easy", 18)
+BLUNDER = ("skyline_easy", 88)
+PADS = ("skyline_easy", 84)
+
+
+def test_what_the_lessons_say_of_their_maps_is_true(page: Page) -> None:
+    view(page, "Learn")
+    cards = page.locator(".lesson p")
+    expect(cards).to_have_count(3)
+    alone, blunder, pads = cards.all_inner_texts()
+    assert f"takes {len(solve(*ALONE).actions)} moves" in alone
+    lost = analyse_flight(flown(*BLUNDER, "greedy"))
+    worst = max(lost.moves, key=lambda move: move.regret)
+    assert (worst.label, worst.regret, worst.best_actions) == ("blunder", lost.regret, (Action.WAIT,))
+    assert f"optimum of this map is {points(lost.optimum)}; Greedy scores {points(lost.score)}," in blunder
+    task = get_task(PADS[0])
+    drain = {cell.name: units for cell, units in task.drain}
+    assert f"holds {task.battery_capacity} units" in pads
+    assert f"above a tree {drain['TREE']}, above a building {drain['BUILDING']}, and obstacles block" in pads
+    assert f"charges {task.charge_rate}." in pads
+    without = Episode(replace(task, charge_rate=0), "tiered", PADS[1])
+    for action in solve(without.task, PADS[1]).actions:
+        without.step(action)
+    assert (without.deliveries_done, task.deliveries) == (2, 3)
+    assert "more than two of the three parcels" in pads
+
+
+def test_the_lessons_are_flown_one_after_the_other_and_learn_remembers_them(page: Page) -> None:
+    bar = page.get_by_role("region", name="Lesson")
+    reached = bar.locator("[data-reached=yes]")
+
+    def press_keys(actions: Sequence[Action]) -> None:
+        for action in actions:
+            page.keyboard.press(KEYS[DIRECTIONS[action]])
+
+    view(page, "Learn")
+    page.get_by_role("link", name="Begin: Fly yourself").click()
+    expect(page).to_have_url(re.compile(r"/\?task=easy&seed=18&pilot=human&lesson=1$"))
+    expect_step(page, 0, 60)
+    best = solve(*ALONE).actions
+    press_keys(best[:1])
+    expect(reached).to_have_text(["Reached: Make a move"])
+    press_keys(best[1:])
+    expect(reached).to_have_count(3)
+    # Another map is no part of the lesson.
+    page.keyboard.press("n")
+    expect(bar).to_be_hidden()
+    page.go_back()
+
+    bar.get_by_role("link", name="Next lesson").click()
+    expect(page).to_have_url(re.compile(r"/\?task=skyline_easy&seed=88&pilot=greedy&lesson=2$"))
+    expect(reached).to_have_count(0)
+    fly(page)
+    expect(reached).to_have_text(["Reached: Let Greedy fly to its end"])
+    # The blunder counts as found when the visitor looks at it, not while the flight plays.
+    at_speed(page, "10")  # slow enough that the page shows each step
+    press(page, "Play")
+    expect(page.get_by_role("button", name="Pause", exact=True)).to_be_visible()
+    expect(page.get_by_role("button", name="Play", exact=True)).to_be_visible()
+    expect(reached).to_have_count(1)
+    page.locator("#worst").click()
+    expect(reached).to_have_count(2)
+    page.locator("#try-worst").click()
+    expect(page.get_by_role("group", name="Fly")).to_be_visible()
+    press_keys([Action.WAIT, Action.WAIT, *[Action.LEFT] * 3])
+    expect(reached).to_have_count(3)
+
+    bar.get_by_role("link", name="Next lesson").click()
+    expect(page).to_have_url(re.compile(r"/\?task=skyline_easy&seed=84&pilot=human&lesson=3$"))
+    expect_step(page, 0, 60)
+    best = solve(*PADS).actions
+    charge = best.index(Action.WAIT) + 1
+    press_keys(best[:charge])
+    expect(reached).to_have_count(1)
+    press_keys(best[charge:])
+    expect(reached).to_have_count(3)
+
+    bar.get_by_role("link", name="Back to Learn").click()
+    page.reload()
+    expect(page.get_by_role("link", name="Fly again: ")).to_have_count(3)
+    expect(page.locator(".lesson [data-reached=yes]")).to_have_count(9)
+
+
+def table(page: Page, name: str) -> dict[str, list[str]]:
+    """The cells of each row, by the row's heading."""
+    rows = page.get_by_role("table", name=name).evaluate(
+        "table => [...table.rows].map(row => [...row.cells].map(cell => cell.textContent))"
+    )
+    found: dict[str, list[str]] = {}
+    profile = ""
+    for name, *cells in rows:
+        if not cells:
+            paid = re.match(r"Rewards by event \((\w+)\)", name)
+            profile = f", {paid[1]}" if paid else ""
+        found[name + profile] = cells
+    return found
+
+
+@pytest.mark.feature("D4")
+def test_the_tasks_stand_side_by_side_as_the_server_states_them(page: Page, server: Server) -> None:
+    tasks = get(server, "tasks")["tasks"]
+    view(page, "Learn")
+    for family, count in (("Standard", 3), ("City", 2), ("Skyline", 3)):
+        page.get_by_role("radio", name=family, exact=True).check()
+        shown = table(page, f"Technical specifications of the {family} tasks")
+        levels = [task for task in tasks if task["family"] == family.lower()]
+        assert len(levels) == count
+        expected: dict[str, list[Any]] = {
+            "Id": [task["id"] for task in levels],
+            "Grid": [f"{task['width']} × {task['height']}" for task in levels],
+            "Parcels": [str(task["deliveries"]) for task in levels],
+            "Steps at most": [str(task["max_steps"]) for task in levels],
+            "Battery": [f"{task['battery_capacity']} units" for task in levels],
+        }
+        for event, row in {"delivery": "Delivery", "wait": "Wait", "battery_dead": "Battery empty"}.items():
+            for profile in ("tiered", "composite"):
+                pays = [" / ".join(f"{pay:.2f}" for pay in task["rewards"][profile][event]) for task in levels]
+                expected[f"{row}, {profile}"] = pays
+        assert {row: shown[row] for row in expected} == expected
+    assert "Charging pads" in shown
+
+
+def test_all_reward_profiles_and_kinds_of_cells_are_listed(page: Page, server: Server) -> None:
+    view(page, "Learn")
+    profiles, kinds = get(server, "tasks")["reward_profiles"], get(server, "kinds")["kinds"]
+    listed = page.get_by_role("region", name="Reward profiles")
+    expect(listed.locator("dt")).to_have_text([profile["id"] for profile in profiles])
+    for profile, entry in zip(profiles, listed.locator("dl > div").all(), strict=True):
+        expect(entry).to_contain_text(profile["summary"])
+        expect(entry.locator("dd").last).to_contain_text(fixed(profile["shaping"]) if profile["shaping"] else "")
+        assert entry.locator("dd").last.inner_text().endswith("the score at the end") == profile["pays_score"]
+    legend = page.get_by_role("region", name="Legend")
+    expect(legend.locator("dt")).to_contain_text([kind["emoji"] for kind in kinds])
+    expect(legend.locator("dd")).to_have_text([kind["effect"] for kind in kinds])
+
+
+def test_the_snippets_stand_in_the_docs_and_that_of_curl_flies(page: Page, server: Server, tmp_path: Path) -> None:
+    view(page, "API")
+    expect(page.locator("#view-api .about")).to_contain_text(f"This server is {server.url}.")
+    shown = page.locator(".snippet pre").all_inner_texts()
+    # The tests of the documentation run these.
+    documented = [
+        block.text.strip().replace("localhost", "127.0.0.1")
+        for name in ("http", "openenv", "gymnasium")
+        for block in blocks(ROOT / "docs" / f"{name}.md")
+        if not block.not_run
+    ]
+    assert [text for text in shown if text.replace(server.url, "http://127.0.0.1:8000") not in documented] == []
+    assert len(shown) == 3
+    script = copied(page, "Copy: HTTP, by curl", "Copied.")
+    assert script == shown[0]
+    lines = [line + " && echo" for line in script.splitlines()]
+    done = subprocess.run(["bash", "-ec", "\n".join(lines)], cwd=tmp_path, capture_output=True, text=True, check=True)
+    reset, step, grade = (json.loads(line) for line in done.stdout.splitlines() if line)
+    assert (reset["step_count"], step["step_count"], grade["score"]) == (0, 1, step["score"])
+
+
+def test_all_calls_can_be_tried_without_the_internet(page: Page, beside: Callable[..., Page], server: Server) -> None:
+    docs, asked = beside(), list[str]()
+    docs.on("request", lambda request: asked.append(request.url))
+    view(page, "API")
+    docs.goto(page.get_by_role("link", name="All calls").evaluate("link => link.href"))
+    docs.locator("#operations-catalogue-health").click()
+    press(docs, "Try it out")
+    press(docs, "Execute")
+    expect(docs.get_by_text('"status": "healthy"').first).to_be_visible()
+    assert [url for url in asked if not url.startswith((server.url, "data:", "blob:"))] == []
+
+
+@pytest.mark.feature("D1")
+def test_the_logs_show_requests_training_and_flights_as_they_come(page: Page, server: Server, data: Path) -> None:
+    view(page, "API")
+    requests, training, flights = (page.get_by_role("log", name=name) for name in ("Requests", "Training", "Flights"))
+    expect(requests).to_contain_text("GET /tasks 200")
+    server.client.get("/grade/nowhere")
+    expect(requests.get_by_text("/grade/nowhere")).to_have_count(1)
+    for line in TRAINING:
+        expect(training.get_by_text(line, exact=True)).to_be_visible()
+    with (data / "train.log").open("a", encoding="utf-8") as file:
+        file.write("episode 4 reward 9.99\n")
+    expect(training.get_by_text("episode 4 reward 9.99", exact=True)).to_be_visible()
+    assert MARKUP in training.inner_text()
+    expect(flights.get_by_role("listitem").first).to_be_visible()
+    with DroneEnvClient(server.url) as client:
+        observation = client.reset("easy", seed=4242, agent="random")
+        while not observation["done"]:
+            observation = client.step("WAIT")
+    line = flights.get_by_role("listitem").filter(has_text="Easy, map 4242, Random")
+    expect(line).to_contain_text("Battery empty, 60 steps")
+    line.get_by_role("link", name="Open the flight").click()
+    expect(page).to_have_url(re.compile(r"\?episode=\w+$"))
+    expect_step(page, 0, 60)
