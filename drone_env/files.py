@@ -99,7 +99,8 @@ def replacing(path: Path) -> Generator[Path, None, None]:
         if not as_it_is:
             temporary.replace(path)
     except OSError as error:
-        error.filename = error.filename or str(path)  # a full disk is reported without it
+        if error.errno is not None and error.filename is None:
+            error.filename = str(path)  # a full disk is reported without it
         raise
     finally:
         if not as_it_is:

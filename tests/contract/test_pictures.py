@@ -79,6 +79,8 @@ def test_sb3_gets_pictures_of_all_drones() -> None:
     assert np.array_equal(env.render(), tile_images(images))
 
 
+# It does not find Matplotlib's window if another test has loaded that without one.
+@pytest.mark.filterwarnings("ignore:.*matplotlib is not installed")
 def test_gymnasiums_play_flies_by_arrows_letters_and_space(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")

@@ -11,7 +11,7 @@ import pytest
 from drone_env import errors
 from drone_env.errors import DroneEnvError, MissingPackageError, UnknownNameError
 
-ELSEWHERE = ("client", "llm.desk", "llm.endpoint", "llm.gate", "server.problems")
+ELSEWHERE = ("client", "llm.endpoint", "llm.limiter", "server.problems")
 VALUES: dict[str, object] = {
     "status": 418,
     "retried": True,
