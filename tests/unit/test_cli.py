@@ -213,7 +213,6 @@ def test_solve_as_json_can_be_flown(task: str, success: bool, capsys: pytest.Cap
         (["dataset"], "--out is missing; see drone-env dataset --help"),
         (["solve", "--task"], "--task needs a value; see drone-env solve --help"),
         (["fly", "easy"], "unknown argument easy; see drone-env fly --help"),
-        (["sweep", "--set", "speed=1"], "allowed: advantage_learning, batch_size"),
         (["evaluate", "--checkpoint", "net.safetensors", "--agents", "greedy"], "pathqnet"),
         (["evaluate", "--address", "auto"], "--engine ray"),
         (["evaluate", "--json", "/missing/x.json"], "'/missing/x.json'"),
