@@ -150,10 +150,11 @@ def compiled_once(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
-def is_compiled(*functions: str) -> bool:
-    """Whether compiled code of all these functions, such as `batch.step_kernel`, is in the cache."""
+def is_compiled(*functions: Any) -> bool:
+    """Whether compiled code of all these functions of `compiled_once` is in the cache."""
     with suppress(OSError):
-        return all(any(cache_folder().glob(f"{function}-*.code")) for function in functions)
+        names = [f"{function.__module__.rpartition('.')[2]}.{function.__name__}" for function in functions]
+        return all(any(cache_folder().glob(f"{name}-*.code")) for name in names)
     return False
 
 

@@ -35,7 +35,7 @@ if sys.platform != "win32":
 log = logging.getLogger(__name__)
 KEPT_SOLVERS = 16 << 20
 """Bytes of solved maps that a process keeps; a map of skyline_hard takes 2 MB."""
-GROWTH = 32 << 20
+GROWTH = 24 << 20
 """Bytes by which a process may grow over its jobs; then another takes its place."""
 
 NEXT, LAST, AGAIN = range(3)
@@ -169,7 +169,7 @@ class Limits:
 
     def __init__(self, settings: Settings) -> None:
         self.seconds, self._bytes = settings.job_seconds, settings.job_megabytes << 20
-        self.too_much = f"this takes more than {settings.job_megabytes} MB of memory, the limit for one request"
+        self.too_much = too_much(settings.job_megabytes)
         self._compiling = 0
         self._first = _allocated()
         self._compilers = 0
@@ -222,6 +222,11 @@ class Limits:
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         raise TooLargeError(too_long(self.seconds))
+
+
+def too_much(megabytes: int) -> str:
+    """What a caller is told whose job took too much memory."""
+    return f"this takes more than {megabytes} MB of memory, the limit for one request"
 
 
 def too_long(seconds: int) -> str:

@@ -9,19 +9,21 @@ import gc
 from contextlib import suppress
 from importlib import import_module
 
-from drone_env.agents import make_agent
+from drone_env.agents import make_agent, tour_network
+from drone_env.agents.tour_encoder import encode_kernel
 from drone_env.core.compile_cache import is_compiled
 from drone_env.core.episode import Episode
 from drone_env.core.tasks import get_task
 from drone_env.errors import DroneEnvError
-from drone_env.planning.elsewhere import battery_range, places_of
+from drone_env.planning import legs, solver
+from drone_env.planning.elsewhere import battery_range, places_of, range_kernel
 from drone_env.planning.optimal import solver_of
+from drone_env.planning.paths import cheapest_kernel
 
 SOLVERS = (
-    "elsewhere.range_kernel", "legs.flight_kernel", "legs.rank_kernel", "legs.value_kernel",
-    "solver.score_kernel", "solver.step_kernel",
+    range_kernel, legs.flight_kernel, legs.rank_kernel, legs.value_kernel, solver.score_kernel, solver.step_kernel
 )  # fmt: skip
-TOURNET = ("paths.cheapest_kernel", "tour_network.gather", "tour_network.match", "tour_viewer.view_kernel")
+TOURNET = (cheapest_kernel, tour_network.gather, tour_network.match, encode_kernel)
 TASKS = ("easy", "skyline_easy")
 
 
@@ -30,9 +32,9 @@ for module in ("envs.rendering", "planning.bounds", "server.app"):
 if is_compiled(*SOLVERS):
     for task in TASKS:
         episode = Episode(task, seed=0)
-        solver = solver_of(episode)
-        solver.value(episode)
-        solver.best_actions()
+        values = solver_of(episode)
+        values.value(episode)
+        values.best_actions()
         places_of(episode)
         battery_range(episode, episode.cell, 1)
 if is_compiled(*TOURNET):

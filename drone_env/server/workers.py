@@ -23,7 +23,7 @@ from drone_env.core.rewards import PACKAGE_PROFILES, REWARD_PROFILES
 from drone_env.core.tasks import PACKAGE_TASKS, TASKS, TaskConfig
 from drone_env.errors import DroneEnvError, TooLargeError
 from drone_env.results.optima import Scores, solve_maps
-from drone_env.server.jobs import AGAIN, NEXT, serve, too_long
+from drone_env.server.jobs import AGAIN, NEXT, serve, too_long, too_much
 from drone_env.server.map_choice import DEFAULT_TASK, is_registered
 from drone_env.server.problems import FAILED, RequestError
 from drone_env.server.settings import Settings
@@ -227,6 +227,9 @@ class Workers:
             return RequestError(503, "dropped", "nobody waits for this any more")
         if sys.platform != "win32" and status == -signal.SIGXCPU:
             return TooLargeError(too_long(self._settings.job_seconds))
+        log.warning("a worker ended with status %s while it ran %s", status, job.function.__qualname__)
+        if sys.platform != "win32" and status == -signal.SIGABRT:  # LLVM aborts if it cannot allocate
+            return TooLargeError(too_much(self._settings.job_megabytes))
         return RequestError(500, "internal", FAILED)
 
 

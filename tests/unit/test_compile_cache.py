@@ -25,6 +25,7 @@ from drone_env.core.compile_cache import (
     tell_before_compiling,
 )
 from drone_env.errors import InvalidValueError
+from drone_env.planning.elsewhere import range_kernel
 
 PACKAGE = compile_cache.PACKAGE
 KERNEL = """
@@ -205,10 +206,11 @@ def test_the_folder_that_the_environment_names(
     for name, value in variables.items():
         monkeypatch.setenv(name, str(tmp_path / value))
     assert cache_folder() == tmp_path / folder / compile_cache.LOADED
-    assert not is_compiled("kernels.twice")
-    load(tmp_path).twice(3)
-    assert is_compiled("kernels.twice")
-    assert not is_compiled("kernels.twice", "kernels.thrice")
+    kernels = load(tmp_path)
+    assert not is_compiled(kernels.twice)
+    kernels.twice(3)
+    assert is_compiled(kernels.twice)
+    assert not is_compiled(kernels.twice, range_kernel)
 
 
 @pytest.mark.parametrize("home", ["a file", "read-only", "unknown", "others can write"])
