@@ -35,7 +35,7 @@ if sys.platform != "win32":
 log = logging.getLogger(__name__)
 KEPT_SOLVERS = 16 << 20
 """Bytes of solved maps that a process keeps; a map of skyline_hard takes 2 MB."""
-GROWTH = 24 << 20
+GROWTH = 32 << 20
 """Bytes by which a process may grow over its jobs; then another takes its place."""
 
 NEXT, LAST, AGAIN = range(3)
@@ -199,7 +199,7 @@ class Limits:
     @property
     def outgrown(self) -> bool:
         """Whether the process holds more memory than it should keep."""
-        return _allocated() > self._first + GROWTH
+        return _allocated() > self._first + self._compilers + GROWTH
 
     def __enter__(self) -> None:
         """Limit time and memory from now on."""

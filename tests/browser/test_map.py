@@ -147,6 +147,7 @@ def test_a_map_that_is_not_solved_says_so_and_a_refusal_is_told_once(page: Page,
 
     show(page, "/?task=skyline_easy&seed=4712&pilot=greedy&step=3")
     expect(map_number(page)).to_have_value("4712")
+    expect(page.locator("#step-counter")).to_have_text(re.compile("^Step 3 of"))
     expect(page.locator("#lost")).not_to_have_text("–")
     before = pictures(page)
     page.route("**/values", unsolved)
