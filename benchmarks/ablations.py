@@ -1,4 +1,4 @@
-"""What each part of the tour network's recipe is worth.
+"""Ablations of the tour network's training recipe.
 
 Trains the network on all tasks with one part of the recipe taken out, each for the same number of updates from the same
 seed, and prints the shares of the optimum on validation maps. A part is taken out by a changed line in a copy of the

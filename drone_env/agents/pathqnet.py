@@ -100,7 +100,7 @@ def load_network(path: Path) -> Network:
 
     Raises:
         OSError: if the file cannot be read.
-        CheckpointError: if it is not an exported network; the message says why.
+        CheckpointError: if it is not an exported network.
     """
     return Network(read_weights(path, PATHQNET, _shapes))
 
@@ -118,7 +118,7 @@ CHUNK = 256
 
 
 def shipped_network(task: TaskConfig) -> Path:
-    """The file of a task's shipped network, if there is one."""
+    """Path of a task's shipped network; the file may be missing."""
     return WEIGHTS / f"{task.id}_v{task.version}.safetensors"
 
 

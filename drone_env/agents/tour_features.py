@@ -52,7 +52,7 @@ EDGE_FEATURES = 10
 OUT_UNITS, OUT_STEPS, OUT_FAST_STEPS = 0, 1, 2
 """From the first token to the second: units and steps of the cheapest way, steps of the fastest."""
 BACK_UNITS, BACK_STEPS = 3, 4
-"""The other way round. What leads to or from the drone is what leads from it, both ways."""
+"""The reverse direction. For a pair with the drone, both directions hold the path from the drone."""
 OUT_ARRIVAL, OUT_REACHES = 5, 6
 """`ARRIVAL` at the first less the units from there to the second; whether some are left."""
 BACK_ARRIVAL, BACK_REACHES = 7, 8
@@ -87,7 +87,7 @@ class Distances(NamedTuple):
 
 
 class Features(NamedTuple):
-    """The features of M states of one task with N stops, and of all their options, one after another."""
+    """The features of M states of one task with N stops; the options of all states are concatenated."""
 
     tokens: Any
     """float32[M, N + 1, 22]"""
@@ -175,9 +175,9 @@ def write_features(
     Args:
         tables: The task's tables.
         stops: int64[N], the cells of the parcels and pads.
-        parcels: How many of them are parcels: the first.
+        parcels: Number of parcels; they are the first stops.
         delivered: Bit i for parcel i.
-        cell: Where the drone is.
+        cell: The drone's cell.
         units: Battery units left.
         left: Steps left.
         counts: 1 if units count beside steps.

@@ -50,7 +50,7 @@ class Flights(NamedTuple):
 
 
 class Choices(NamedTuple):
-    """The options of M states, one after another."""
+    """The concatenated options of M states."""
 
     begins: Any
     """int64[M + 1], index of the first option of each state."""

@@ -46,7 +46,7 @@ class Weights(NamedTuple):
 
 
 def write_weights(path: Path, parameters: Mapping[str, Array], metadata: Mapping[str, Any]) -> None:
-    """Write the file of a network; folders are made.
+    """Write a network to a file, and create missing folders.
 
     Raises:
         OSError: if it cannot be written; the previous file stays.
@@ -67,7 +67,7 @@ def read_weights(path: Path, network: str, shapes_of: Callable[[dict[str, Any]],
 
     Raises:
         OSError: if the file cannot be read.
-        CheckpointError: if it is not such a file; the message says why.
+        CheckpointError: if it is not such a file.
     """
     weights = _read(path)
     try:

@@ -51,7 +51,7 @@ CELL_OF = {SYMBOLS[kind]: kind for kind in PLACED}
 ALLOWED = ", ".join(f"{symbol!r} {kind.name.lower()}" for symbol, kind in CELL_OF.items())
 TEXTS = ("attribution", "licence", "source")
 Number = Literal["width", "height", "deliveries", "max_steps", "battery_capacity", "charge_rate", "pads"]
-"""The numbers of a task that a city may name; `task_of` says what the others are."""
+"""The numbers of a task that a city may name; `task_of` sets the others."""
 DELIVERIES, PADS, CHARGE_RATE = 5, 4, 5
 BBox = tuple[float, float, float, float]
 """West, south, east, north in degrees (WGS 84)."""
@@ -185,7 +185,7 @@ def read_city(path: str | Path) -> City:
 
     Raises:
         OSError: if the file cannot be read.
-        InvalidTaskError: if it is not a city; the message says why.
+        InvalidTaskError: if it is not a city.
     """
     try:
         content = read_file(path, MAX_FILE)
@@ -201,7 +201,7 @@ def parse_city(content: str | bytes) -> City:
     """The city in the text of a file, or in its UTF-8.
 
     Raises:
-        InvalidTaskError: if it is not a city; the message says why.
+        InvalidTaskError: if it is not a city.
     """
     try:
         file = read_toml(content, CityFile)
@@ -227,7 +227,7 @@ def task_of(city: City, name: str) -> TaskConfig:
         name: Id and short name of the task.
 
     Raises:
-        InvalidTaskError: if the name is none, the city is too large, or its numbers do not fit; the message says why.
+        InvalidTaskError: if the name is none, the city is too large, or its numbers do not fit.
     """
     rows, columns = city.grid.shape
     width, height = city.numbers.get("width", columns), city.numbers.get("height", rows)
@@ -255,11 +255,11 @@ def task_of(city: City, name: str) -> TaskConfig:
 
 
 def city_task(path: str | Path) -> TaskConfig:
-    """The task of a city's file; its name is the file's, without the suffix.
+    """The task of a city's file, named by the file without its suffix.
 
     Raises:
         OSError: if the file cannot be read.
-        InvalidTaskError: if it is no city, or none that can be a task; the message says why.
+        InvalidTaskError: if it is no city, or none that can be a task.
     """
     city = read_city(path)
     try:

@@ -38,7 +38,7 @@ CELL_OF = {
     "T": Cell.OBSTACLE,
     "W": Cell.OBSTACLE,
 }
-"""What is passable, swamp (passable too, and dearer where a task has trees so), and what cannot be entered."""
+"""Passable terrain, swamp (passable, and as expensive as a task's trees) and impassable terrain."""
 MAX_FILE = 8 << 20
 """Bytes: room for 2,800 x 2,800 cells."""
 HEAD = re.compile(r"type octile\s+height (\d{1,5})\s+width (\d{1,5})\s+map[ \t]*\n")
@@ -114,7 +114,7 @@ def read_movingai(path: Path) -> npt.NDArray[np.uint8]:
     """The cells of a `.map` file: uint8[height, width], ids of kinds.
 
     Raises:
-        InvalidValueError: if it is none; the message says why.
+        InvalidValueError: if it is not one.
         OSError: if it cannot be read.
     """
 

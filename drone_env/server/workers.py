@@ -189,16 +189,15 @@ class Workers:
                     process.kill()
             result, error, then = process.call(job.function, job.arguments)
         except (EOFError, OSError):
-            result, error, then = None, self._error_of(process, job), AGAIN
-            if is_new or job.dropped or isinstance(error, TooLargeError):
-                return None, error, None
+            error = self._error_of(process, job)
+            is_final = is_new or job.dropped or isinstance(error, TooLargeError)
+            return (None, error, None) if is_final else self._run(job, None)
         except Exception:  # such as what cannot be pickled; the next job must still run
             log.exception("%s failed", job.function)
             return None, RequestError(500, "internal", FAILED), process
         if then == NEXT:
             return result, error, process
-        if process is not None:
-            process.end()
+        process.end()
         return self._run(job, None) if then == AGAIN else (result, error, None)
 
     def _next(self, reserved: bool) -> Job | None:
