@@ -4,6 +4,7 @@ All else stays as it is: the battery, the steps taken, the parcels delivered, th
 such a cell counts as delivered by arriving there; on a pad nothing has been charged yet.
 """
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,10 +36,12 @@ from drone_env.core.tables import (
 from drone_env.planning.states import UNPAID, put_drone, state_arrays
 
 UNREACHED = -1
+PLACES_AT_ONCE = 256
+"""Places of `places_in_parts`: each has a grid of its own, and 3,600 of a city's would take 16 MB."""
 
 
 class Places(NamedTuple):
-    """The flight with its drone at each of N cells, in rising order: all that it can be at."""
+    """The flight with its drone at each of N cells, in rising order."""
 
     cells: npt.NDArray[np.int64]
     """int64[N]"""
@@ -61,9 +64,24 @@ def places_of(episode: Episode) -> Places:
     Raises:
         EpisodeError: if the episode has not begun.
     """
+    return _places(episode, _open_cells(episode))
+
+
+def places_in_parts(episode: Episode) -> Iterator[Places]:
+    """The same in parts of at most `PLACES_AT_ONCE` cells, which take little memory at a time. Raises as `places_of`."""
+    cells = _open_cells(episode)
+    for first in range(0, len(cells), PLACES_AT_ONCE):
+        yield _places(episode, cells[first : first + PLACES_AT_ONCE])
+
+
+def _open_cells(episode: Episode) -> npt.NDArray[np.int64]:
+    grid, _, _ = state_arrays(episode)
+    return np.flatnonzero(~np.isin(grid, list(episode.task.impassable)))
+
+
+def _places(episode: Episode, cells: npt.NDArray[np.int64]) -> Places:
     task, tables = episode.task, interpreted(episode.task)
     grid, state, _ = state_arrays(episode)
-    cells = np.flatnonzero(~np.isin(grid, list(task.impassable)))
     n = len(cells)
     telemetry = np.zeros((n, task.telemetry_size), np.float32)
     places = Places(cells, np.tile(grid, (n, 1)), np.tile(state, (n, 1)), telemetry)

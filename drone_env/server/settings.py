@@ -65,7 +65,7 @@ class Settings(BaseSettings):
         default=10, ge=1, description="CPU time that solving a map, drawing a picture and other long work may take."
     )
     job_megabytes: int = Field(
-        default=128,
+        default=112,
         ge=32,
         description="Memory that it may take; a map of 64 x 64 cells with 8 parcels and 8 pads takes 800 to be solved.",
     )

@@ -1,6 +1,6 @@
 """The route that says what can still be reached from a moment of a flight."""
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
@@ -23,7 +23,6 @@ from drone_env.server.problems import answers
 from drone_env.server.state import SharedParts
 
 if TYPE_CHECKING:
-    from drone_env.planning.elsewhere import Places
     from drone_env.planning.solver import Solver
 
 
@@ -63,7 +62,6 @@ class FlightSoFar(Message):
         return episode
 
 
-Floats, Bools, Integers = npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.int64]
 Item = TypeVar("Item")
 Rows = list[list[Item | None]]
 """[y][x], null at the cells of which there is nothing to say."""
@@ -172,26 +170,21 @@ def values_json(flight: FlightSoFar) -> str:
 
 def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
     # Loads Numba, which the process that serves does without.
-    from drone_env.planning.elsewhere import battery_range, charging_pads, places_of
+    from drone_env.planning.elsewhere import battery_range, charging_pads
 
-    task, places, networks = episode.task, places_of(episode), bench().networks
-    asked = networks.asked(task)
-    here = int(np.flatnonzero(places.cells[places.flying] == episode.cell)[0])
-    q_values = best = network = actions = None
-    if solver is not None:
-        q_values = solver.q_values_of(places.grids[places.flying], places.states[places.flying])
-        best = q_values == q_values.max(axis=1, keepdims=True)
+    task, networks = episode.task, bench().networks
+    asked, agent, network = networks.asked(task), None, None
     if asked is not None:
         agent = networks.agent(asked, task)
         assert isinstance(agent, BatchAgent)
         network = AskedNetwork(pilot=asked, file=networks.file(asked, task).name, digest=str(agent.config["network"]))
-        grids = places.grids[places.flying].reshape(-1, task.height, task.width)
-        actions = agent.act_batch(grids, places.telemetry[places.flying])
+    cells, q_values = _cell_values(episode, solver, agent)
+    best = cells.best_actions
     return {
-        "q_values": None if q_values is None else dict(zip(DIRECTIONS, q_values[here].tolist(), strict=True)),
-        "best_actions": None if best is None else _directions(best[here]),
+        "q_values": q_values,
+        "best_actions": None if best is None else best[episode.position[1]][episode.position[0]],
         "network": network,
-        "cells": _cell_values(task, places, q_values, best, actions),
+        "cells": cells,
         "range": _units(task, battery_range(episode, episode.cell, episode.battery_units)),
         "pads": [
             PadRange(
@@ -204,37 +197,59 @@ def _in_flight(episode: Episode, solver: "Solver | None") -> dict[str, Any]:
 
 
 def _cell_values(
-    task: TaskConfig, places: "Places", q_values: Floats | None, best: Bools | None, actions: Integers | None
-) -> CellValues:
-    """What there is to do at each place; the arrays have a row for each that still flies."""
-    flying, over = places.cells[places.flying].tolist(), places.cells[~places.flying].tolist()
-    values = best_actions = network_actions = disagree = None
-    if q_values is not None and best is not None:
-        ends = [score(interpreted(task), view(state)) for state in places.states[~places.flying]]
-        values = _rows(task, flying + over, [*q_values.max(axis=1).tolist(), *ends])
-        nothing: list[Direction] = []
-        best_actions = _rows(task, flying + over, [*map(_directions, best), *(nothing for _ in over)])
-    if actions is not None:
-        names: list[Direction] = [DIRECTIONS[action] for action in actions.tolist()]
-        network_actions = _rows(task, flying, names)
-    if best is not None and actions is not None:
-        disagree = _rows(task, flying, (~best[np.arange(len(flying)), actions]).tolist())
-    return CellValues(values=values, best_actions=best_actions, network_actions=network_actions, disagree=disagree)
+    episode: Episode, solver: "Solver | None", agent: BatchAgent | None
+) -> tuple[CellValues, dict[Direction, float] | None]:
+    """What there is to do at each cell, and the score that is still possible after each action at the drone's."""
+    from drone_env.planning.elsewhere import places_in_parts
+
+    task, q_here = episode.task, None
+    values: dict[int, float] = {}
+    best_actions: dict[int, list[Direction]] = {}
+    network_actions: dict[int, Direction] = {}
+    disagree: dict[int, bool] = {}
+    for places in places_in_parts(episode):
+        flying, over = places.cells[places.flying].tolist(), places.cells[~places.flying].tolist()
+        grids, states, telemetry = (array[places.flying] for array in places[1:])
+        best = actions = None
+        if solver is not None:
+            q_values = solver.q_values_of(grids, states)
+            best = q_values == q_values.max(axis=1, keepdims=True)
+            values.update(zip(flying, q_values.max(axis=1).tolist(), strict=True))
+            values.update(
+                (cell, score(interpreted(task), view(state)))
+                for cell, state in zip(over, places.states[~places.flying], strict=True)
+            )
+            best_actions.update(zip(flying, map(_directions, best), strict=True))
+            best_actions.update((cell, []) for cell in over)
+            if episode.cell in flying:
+                q_here = dict(zip(DIRECTIONS, q_values[flying.index(episode.cell)].tolist(), strict=True))
+        if agent is not None:
+            actions = agent.act_batch(grids.reshape(-1, task.height, task.width), telemetry)
+            network_actions.update(zip(flying, [DIRECTIONS[action] for action in actions.tolist()], strict=True))
+        if best is not None and actions is not None:
+            disagree.update(zip(flying, (~best[np.arange(len(flying)), actions]).tolist(), strict=True))
+    is_solved, is_asked = solver is not None, agent is not None
+    cells = CellValues(
+        values=_rows(task, values) if is_solved else None,
+        best_actions=_rows(task, best_actions) if is_solved else None,
+        network_actions=_rows(task, network_actions) if is_asked else None,
+        disagree=_rows(task, disagree) if is_solved and is_asked else None,
+    )
+    return cells, q_here
 
 
-def _directions(chosen: Bools) -> list[Direction]:
+def _directions(chosen: npt.NDArray[np.bool_]) -> list[Direction]:
     """The names of the actions that are chosen, bool[5]."""
     return [name for name, is_chosen in zip(DIRECTIONS, chosen.tolist(), strict=True) if is_chosen]
 
 
-def _units(task: TaskConfig, most: Integers) -> Rows[int]:
+def _units(task: TaskConfig, most: npt.NDArray[np.int64]) -> Rows[int]:
     """What `battery_range` found, as rows."""
-    return _rows(task, range(len(most)), [None if units < 0 else units for units in most.tolist()])
+    return _rows(task, {cell: units for cell, units in enumerate(most.tolist()) if units >= 0})
 
 
-def _rows(task: TaskConfig, cells: Iterable[int], items: Iterable[Item]) -> list[list[Item | None]]:
+def _rows(task: TaskConfig, found: Mapping[int, Item]) -> Rows[Item]:
     """Items at cells as rows [y][x], None at all others."""
-    found = dict(zip(cells, items, strict=True))
     return [[found.get(y * task.width + x) for x in range(task.width)] for y in range(task.height)]
 
 
