@@ -11,15 +11,13 @@ import sys
 import time
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
-from functools import cache
 from pathlib import Path
-from threading import Lock
 
 from drone_env import __version__
 from drone_env.errors import DroneEnvError, needs
 
 with needs("server", __name__):
-    from fastapi import FastAPI
+    from fastapi import FastAPI, Request
     from fastapi.responses import FileResponse
     from pydantic_core import to_json
     from starlette.concurrency import run_in_threadpool
@@ -29,6 +27,7 @@ with needs("server", __name__):
 from drone_env.envs.registry import load_plugins, register_reward_file
 from drone_env.server.live.socket import LiveSocket
 from drone_env.server.logs import LogRequests
+from drone_env.server.map_choice import DEFAULT_TASK
 from drone_env.server.openenv import OpenEnvSocket
 from drone_env.server.page_files import PAGE, PageFiles
 from drone_env.server.problems import answers, install
@@ -36,7 +35,7 @@ from drone_env.server.process import end_with_parent, run
 from drone_env.server.routes import catalogue, compare, flight, history, maps, openenv, page, replay, runs, values
 from drone_env.server.security import protect
 from drone_env.server.settings import Settings, load_settings
-from drone_env.server.state import Shared
+from drone_env.server.state import Shared, SharedParts
 
 log = logging.getLogger(__name__)
 
@@ -117,15 +116,24 @@ def _add_page(app: FastAPI) -> None:
     async def docs() -> FileResponse:
         return FileResponse(PAGE / "docs.html")
 
-    described, lock = cache(lambda: to_json(app.openapi())), Lock()
+    kept: list[bytes] = []
+    lock = asyncio.Lock()
 
-    # FastAPI's own holds up the event loop, and writes it each time.
+    # FastAPI's own holds up the event loop for 0.3 s, and writes it each time.
     @app.get("/openapi.json", include_in_schema=False)
-    def description() -> Response:
-        with lock:
-            return Response(described(), media_type="application/json")
+    async def description(request: Request, shared: SharedParts) -> Response:
+        async with lock:
+            if not kept:
+                settings = shared.settings.model_copy(update={"token": None, "reward_profiles": ()})
+                kept.append(await shared.work(request, _describe, settings, task=DEFAULT_TASK))
+        return Response(kept[0], media_type="application/json")
 
     app.mount("/static", PageFiles())
+
+
+def _describe(settings: Settings) -> bytes:
+    """The description of the routes, as JSON: a job of a worker process."""
+    return to_json(create_app(settings).openapi())
 
 
 async def _sweep(shared: Shared, socket: OpenEnvSocket, live: LiveSocket) -> None:
