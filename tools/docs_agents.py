@@ -1,4 +1,4 @@
-"""What the agents reach on the test maps of every task, and what it costs them: the tables of README and docs/tasks.md.
+"""What the agents reach on the test maps of every task, and what it costs them: the tables of docs/benchmark.md and docs/tasks.md.
 
 What was flown is kept in results/agents, a file for each task and agent, so that a stopped run goes on; another network
 or another version of a task or agent is flown anew. Whoever changes how an agent flies without a new version removes
@@ -65,7 +65,7 @@ def table_of(task: TaskConfig) -> str:
 
 
 def table_of_all() -> str:
-    """How the agents fly all tasks: the table of README."""
+    """How the agents fly all tasks: the table of docs/benchmark.md."""
     head = [
         "task", "agent", "score (95 % interval)", "optimum", "ratio", "delivered all", "steps", "excess",
         "CPU ms per map",

@@ -1,7 +1,7 @@
 """Write the generated parts of the documentation, in some minutes.
 
     tasks   docs/tasks.md: the numbers of every task, a picture, and how the agents fly it; docs/images/<task>.png;
-            README.md: the table of what the agents reach
+            docs/benchmark.md: the table of what the agents reach
     audits  docs/reward.md: the table of audits
     curves  docs/reward.md and docs/images/training/*.png: training on `tiered` beside `aligned`, all else equal
 
@@ -24,7 +24,7 @@ from drone_env.planning.audit import audit_maps, audited_profile, summarise_audi
 from drone_env.planning.optimal import solve
 
 DOCS = Path(__file__).parents[1] / "docs"
-README, REWARD = DOCS.parent / "README.md", DOCS / "reward.md"
+BENCHMARK, REWARD = DOCS / "benchmark.md", DOCS / "reward.md"
 AUDITED = {
     "easy_delivery": 1000,
     "medium_delivery": 200,
@@ -63,7 +63,7 @@ best of 8 and of 64 of its plans.
 
 
 def write_tasks() -> None:
-    """Write docs/tasks.md with its pictures, and the table of README.md."""
+    """Write docs/tasks.md with its pictures, and the table of docs/benchmark.md."""
     parts = [INTRODUCTION]
     for task in TASKS.values():
         picture(task)
@@ -72,7 +72,7 @@ def write_tasks() -> None:
         shown = f"![A best flight on {task.id}](images/{task.id}.png)"
         parts.append(f"## {task.id}\n\n{shown}\n\n{between(task.id, numbers(task))}\n\n{table_of(task)}\n")
     (DOCS / "tasks.md").write_text("\n".join(parts), encoding="utf-8")
-    README.write_text(put(README.read_text(encoding="utf-8"), "agents", table_of_all()), encoding="utf-8")
+    BENCHMARK.write_text(put(BENCHMARK.read_text(encoding="utf-8"), "agents", table_of_all()), encoding="utf-8")
 
 
 def audits(task: TaskConfig, maps: int) -> list[str]:
