@@ -25,13 +25,7 @@ from drone_env.planning.optimal import solve
 
 DOCS = Path(__file__).parents[1] / "docs"
 BENCHMARK, REWARD = DOCS / "benchmark.md", DOCS / "reward.md"
-AUDITED = {
-    "easy_delivery": 1000,
-    "medium_delivery": 200,
-    "hard_delivery": 40,
-    "skyline_easy": 200,
-    "skyline_medium": 20,
-}
+AUDITED = {"easy_delivery": 1000, "hard_delivery": 40, "skyline_easy": 200}
 """How many test maps the audits of a task run over."""
 CURVES, CURVES_EPISODES = "easy", 1_500
 """The task of the curves, and how many episodes are enough to see which way each goes."""
@@ -89,8 +83,7 @@ def audits(task: TaskConfig, maps: int) -> list[str]:
         verdict = "aligned" if report["verdict"] == "aligned" else "**exploitable**"
         rows.append(
             f"| {task.short_name} | {maps} | `{name}`{note} | {gamma:g} | {verdict} | {report['share_aligned']:.1%} "
-            f"| {report['mean_score']:.3f} | {report['mean_optimal_score']:.3f} | {mean['honest']:.2f} "
-            f"| {mean['stall']:.2f} | {mean['bump']:.2f} | {mean['oscillate']:.2f} | {mean['hover']:.2f} |"
+            f"| {report['mean_score']:.3f} | {report['mean_optimal_score']:.3f} | {mean['honest']:.2f} | {mean['hover']:.2f} |"
         )
         print(rows[-1], file=sys.stderr)
     return rows
@@ -100,8 +93,8 @@ def write_audits() -> None:
     """Write the table of audits in docs/reward.md."""
     lines = [
         "| task | maps | reward | gamma | verdict | maps on which it reaches the optimum | score of the maximiser "
-        "| optimum | return: honest | stall | bump | oscillate | hover |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+        "| optimum | return: honest | hover |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for task_id, maps in AUDITED.items():
         lines += audits(TASKS[task_id], maps)
