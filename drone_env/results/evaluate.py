@@ -56,7 +56,7 @@ def episodes_key(
     made = made or make_agent(agent, task)
     if get_task(task.id, task.version) != task:
         raise InvalidValueError(f"task {task.id!r} is not the one in TASKS: a key names its task, so register it first")
-    if not seeds or seeds.step != 1:
+    if not isinstance(seeds, range) or not seeds or seeds.step != 1:  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InvalidValueError(f"seeds must be a range of at least one, with step 1; got {seeds}")
     check_seed(seeds.start)
     check_seed(seeds.stop - 1)

@@ -9,7 +9,7 @@ import pytest
 from drone_env.cli import main
 from drone_env.core.episode import Episode
 from drone_env.results.analysis import analyse_flight
-from drone_env.results.record import load_record, read_records, record_of, save_record
+from drone_env.results.record import load_record, record_of, save_record
 from drone_env.results.store import Store
 from drone_env.reward_file import load_reward_profile
 
@@ -56,17 +56,6 @@ def test_a_recorded_flight_replays_to_the_same_log(
     assert again.err == first.err.replace(f"record: {file}\n", "")
 
 
-@pytest.mark.parametrize(("options", "line"), [([], "[STEP]"), (["--verify"], "verified: ")])
-def test_replay_shows_maps_beside_its_lines(
-    options: list[str], line: str, flight: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["replay", str(flight), "--render", *options]) == 0
-    captured = capsys.readouterr()
-    assert captured.err.count("🚁") == len(load_record(flight).actions) + 1
-    assert line in captured.out
-    assert "🚁" not in captured.out
-
-
 def test_replay_of_an_unfinished_flight_counts_the_waiting(stopped: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", str(stopped)]) == 0
     captured = capsys.readouterr()
@@ -99,17 +88,6 @@ def test_a_flight_is_the_same_recorded_or_flown_first(flight: Path, capsys: pyte
         assert main(["analyse-flight", str(flight), *options]) == 0
         assert main(["analyse-flight", "--task", "medium", "--agent", "random", "--seed", "7", *options]) == 0
         assert capsys.readouterr() == (f"{shown}\n" * 2, "")
-
-
-def test_analyse_flight_colours_blunders_in_a_terminal(
-    flight: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("TERM", "xterm-256color")
-    assert main(["analyse-flight", str(flight)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert any("??" in line for line in lines)
-    assert all(("??" in line) == line.startswith("\x1b[1;31m") for line in lines)
 
 
 @pytest.mark.parametrize(
@@ -149,15 +127,6 @@ def spoil(file: Path, line: int, **fields: object) -> None:
     lines = file.read_text().splitlines()
     lines[line - 1] = json.dumps(json.loads(lines[line - 1]) | fields)
     file.write_text("\n".join(lines) + "\n")
-
-
-def test_fly_appends_to_jsonl_and_replay_flies_all(flights: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert [record.seed for record in read_records(flights)] == [7, 8, 9]
-    assert main(["replay", str(flights)]) == 0
-    again = capsys.readouterr().out
-    for seed in (7, 8, 9):
-        main(["fly", "--agent", "random", "--seed", str(seed)])
-    assert capsys.readouterr().out == again
 
 
 def test_replay_stops_at_the_first_line_that_does_not_fit(flights: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from drone_env.cli import main
-from drone_env.errors import InvalidValueError
 from drone_env.results.evaluate import episodes_key, run_episodes
 from drone_env.results.result import EpisodesKey, Results, repeated
 from drone_env.results.statistics import (
@@ -93,11 +92,6 @@ def test_the_lowest_regret_ranks_first_whatever_the_maps_were_worth() -> None:
     assert [agent for agent, _ in ranked(agents)] == ["best of two", "best of one", "rich", "unknown"]
 
 
-def test_one_map_is_no_comparison() -> None:
-    with pytest.raises(InvalidValueError, match="an interval takes two maps or more, got 1"):
-        comparison(A[:1], B[:1]).figures()
-
-
 def test_of_several_flights_over_a_map_the_mean_counts() -> None:
     key = episodes_key("easy", "random", range(20))
     repeats = [run_episodes(key._replace(repeat=repeat)) for repeat in range(3)]
@@ -122,12 +116,9 @@ def test_pairs_on_hard_are_at_least_four_times_as_sure(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["greedy"], "compare takes two agents or more, each once; got greedy"),
         (["greedy", "greedy"], "each once; got greedy greedy"),
         (["greedy", "random", "--seeds", "3:4", "--task", "easy"], "two maps or more, got 1"),
         (["greedy", "random", "--plot", "plot.txt"], ".svg or .png; got plot.txt"),
-        (["greedy", "random", "--plot", "nowhere/plot.svg"], "a folder that exists"),
-        (["greedy", "random", "--repeats", "0"], "repeats must be at least 1"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(

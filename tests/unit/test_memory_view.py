@@ -110,26 +110,6 @@ def test_an_episode_counts_as_stored_even_where_the_view_cannot_be_written(
     assert [path for path in tmp_path.iterdir() if path.suffix == ".part"] == []
 
 
-def test_a_view_that_cannot_be_read_is_logged_and_tried_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    store = Store(tmp_path)
-    store.add_episode(flown(), "ace")
-    eventually(lambda: len(view(tmp_path)) == 1)
-    with store._database.writing() as connection:
-        connection.execute(
-            "UPDATE episodes SET record = replace(record, '\"format_version\":1', '\"format_version\":2')"
-        )
-        connection.execute("UPDATE episodes SET number = number + 1")
-    store._view.refresh()
-    eventually(lambda: "format_version: Input should be 1" in caplog.text)
-    with store._database.writing() as connection:
-        connection.execute(
-            "UPDATE episodes SET record = replace(record, '\"format_version\":2', '\"format_version\":1')"
-        )
-    second = store.add_episode(flown(), "ace")
-    store.close()
-    assert view(tmp_path)[-1].id == second
-
-
 def test_leftovers_of_killed_processes_are_removed_but_not_what_is_being_written(tmp_path: Path) -> None:
     old, fresh = tmp_path / "memory.json.1-2.part", tmp_path / "memory.json.3-4.part"
     for path in (old, fresh):

@@ -1,6 +1,5 @@
 """A reward profile from a file of one's own, wherever one is named."""
 
-import json
 import shutil
 from pathlib import Path
 
@@ -56,19 +55,6 @@ def test_a_command_pays_by_the_file_and_forgets_it(mine: Path, capsys: pytest.Ca
     captured = capsys.readouterr()
     assert "reward profile mine.toml: unknown key 'bonus'; allowed: id" in captured.err
     assert captured.out == ""
-
-
-@pytest.mark.usefixtures("mine")
-def test_a_data_set_pays_by_the_file_and_keeps_it() -> None:
-    import pyarrow.parquet as parquet
-
-    assert run("dataset", "--maps", "1", "--agents", "optimal", "--epsilon", "0", "--reward-profile", "mine.toml",
-               "--out", "steps") == 0  # fmt: skip
-    steps = parquet.read_table("steps/steps.parquet")
-    rewards = steps["reward"].to_pylist()
-    assert (min(rewards), rewards[-1]) == (-0.25, 7)
-    kept = json.loads(steps.schema.metadata[b"drone_env"])["reward_profile"]
-    assert (kept["id"], len(kept["events"])) == ("mine", 3)
 
 
 @pytest.mark.usefixtures("no_curves")

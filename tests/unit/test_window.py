@@ -43,16 +43,6 @@ class TestWindow:
             shown = pygame.surfarray.array3d(pygame.display.get_surface()).transpose(1, 0, 2)
             assert np.array_equal(shown, view)
 
-    def test_close_and_open_again(self, pygame: Any) -> None:
-        window, picture = Window(fps=1000), np.zeros((20, 30, 3), np.uint8)
-        window.close()
-        for _ in range(2):
-            window.show(picture)
-            window.close()
-            window.close()
-            assert not window.is_open
-            assert not pygame.display.get_init()
-
     def test_closed_by_its_x_it_stays_closed(self, pygame: Any) -> None:
         window, picture = Window(fps=1000), np.zeros((20, 30, 3), np.uint8)
         window.show(picture)
