@@ -240,8 +240,7 @@ def evaluate_keys(
         arrived: Called once with each piece.
 
     Raises:
-        OSError, InvalidValueError: from the folder; the latter, too, if another version of this package began it and
-            pieces are missing.
+        OSError, InvalidValueError: from the folder.
         ClusterError: from an engine on a cluster.
     """
     pieces = {key: key.pieces() for key in keys}
@@ -259,8 +258,6 @@ def evaluate_keys(
             missing.append(piece)
         else:
             count(stored)
-    if missing and folder is not None:
-        folder.require_own(len(missing), sum(map(len, pieces.values())))
     for results in engine(missing) if missing else ():
         if results.key not in flown:
             if folder is not None:
